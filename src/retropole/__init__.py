@@ -1,0 +1,1 @@
+"""Calibrate LiDARs to each other with poles wrapped in retro-reflective tape."""

@@ -1,0 +1,160 @@
+"""What the steps hand to each other: frozen data classes over arrays.
+
+Frames: every cloud, pole and ray is in the frame of its own LiDAR unless a name says otherwise.
+Units: metres, radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import se3
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points of one LiDAR in its own frame.
+
+    Attributes
+    ----------
+    xyz
+        (N, 3) float64, metres. Finite, and none at zero range: readers drop and count those.
+    intensity
+        (N,) float64 on the sensor's own scale, or None where the file has none.
+    ring
+        (N,) int64 beam index, or None.
+    time
+        (N,) float64 seconds, or None.
+    frame
+        (N,) int64 index of the sweep that the point came from, or None for a single sweep.
+    origin
+        (3,) where the beams start, in the same frame as `xyz`.
+    dropped
+        How many points the reader dropped (not finite, or at zero range).
+    source
+        The file or folder it came from, for messages.
+    """
+
+    xyz: Array
+    intensity: Array | None = None
+    ring: IntArray | None = None
+    time: Array | None = None
+    frame: IntArray | None = None
+    origin: Array = field(default_factory=lambda: np.zeros(3))
+    dropped: int = 0
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        """Check that all arrays are as long as `xyz`."""
+        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
+            raise ValueError(f"xyz must be (N, 3), is {self.xyz.shape}")
+        for name in ("intensity", "ring", "time", "frame"):
+            value = getattr(self, name)
+            if value is not None and value.shape != (len(self.xyz),):
+                raise ValueError(f"{name} must be ({len(self.xyz)},), is {value.shape}")
+
+    def __len__(self) -> int:
+        """Count the points."""
+        return len(self.xyz)
+
+    def select(self, index: BoolArray | IntArray) -> PointCloud:
+        """Keep the points of a mask or index array (points, not `dropped`, are re-counted)."""
+        take = {
+            name: None if getattr(self, name) is None else getattr(self, name)[index]
+            for name in ("intensity", "ring", "time", "frame")
+        }
+        return replace(self, xyz=self.xyz[index], **take)
+
+    def transformed(self, T_new_old: Array) -> PointCloud:
+        """Express the cloud, its beam origin included, in another frame."""
+        return replace(
+            self,
+            xyz=se3.apply(T_new_old, self.xyz),
+            origin=se3.apply(T_new_old, self.origin[None])[0],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Pole:
+    """One pole seen by one LiDAR: a line, and the points on it (M2).
+
+    Attributes
+    ----------
+    point
+        (3,) a point on the fitted line: the centroid of `xyz`.
+    direction
+        (3,) unit vector; its sign means nothing.
+    xyz
+        (N, 3) the returns on the pole. They lie on its surface, facing the sensor, so the line
+        fitted to them runs about π r/4 in front of the axis (M6).
+    length
+        Extent of the points along the line, metres.
+    rms
+        Root mean square distance of the points from the line, metres.
+    rings
+        How many beams (rings) hit it.
+    index
+        (N,) index of the points in their cloud.
+    """
+
+    point: Array
+    direction: Array
+    xyz: Array
+    length: float
+    rms: float
+    rings: int
+    index: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class RejectedCluster:
+    """A retro-reflective cluster that is not a pole, and why.
+
+    Attributes
+    ----------
+    index
+        (N,) index of its points in their cloud.
+    centre
+        (3,) centroid, metres.
+    code
+        Stable reason: ``too_few_points``, ``too_few_rings``, ``too_short``, ``too_wide``, …
+    reason
+        The same in words and numbers.
+    """
+
+    index: IntArray
+    centre: Array
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """All that `extraction.extract_poles` found in one cloud.
+
+    Attributes
+    ----------
+    poles
+        Accepted poles, the best supported first.
+    rejected
+        Every other cluster, each with its reason.
+    threshold
+        Intensity from which a return counts as retro-reflective, on the sensor's own scale.
+    threshold_source
+        Where the threshold comes from: ``given``, ``sensor VLP-16``, ``auto``.
+    retro_points
+        How many points passed the threshold.
+    """
+
+    poles: tuple[Pole, ...]
+    rejected: tuple[RejectedCluster, ...]
+    threshold: float
+    threshold_source: str
+    retro_points: int

@@ -1,0 +1,55 @@
+"""Everything that retropole raises on purpose; the command line catches these in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+
+class RetropoleError(Exception):
+    """Base of all errors raised by retropole."""
+
+
+class ReadError(RetropoleError):
+    """A file that cannot be read as a point cloud: names the file, the place and what was expected."""
+
+
+class UsageError(RetropoleError):
+    """An argument or option that makes no sense, said in the caller's words."""
+
+
+class MissingExtraError(RetropoleError):
+    """An optional dependency is not installed.
+
+    Parameters
+    ----------
+    extra
+        Name of the extra of this package that brings the dependency.
+    purpose
+        What it is needed for, as a noun phrase ("reading LAS files").
+    """
+
+    def __init__(self, extra: str, purpose: str) -> None:
+        super().__init__(f"{purpose} needs an optional part: pip install 'retropole[{extra}]'")
+        self.extra = extra
+
+
+class Refusal(RetropoleError):
+    """The data cannot carry an answer.
+
+    Parameters
+    ----------
+    code
+        Stable machine-readable reason, for example ``too_few_poles``.
+    message
+        The reason in numbers, and what the user can do about it.
+    values
+        The numbers of the message, by name.
+    """
+
+    def __init__(
+        self, code: str, message: str, values: Mapping[str, float | int | str] | None = None
+    ) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+        self.values = dict(values or {})

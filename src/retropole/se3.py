@@ -1,0 +1,80 @@
+"""Rigid transforms as 4×4 matrices, and their exponential coordinates.
+
+A pose error is split, not a twist: ``R_true = Exp(φ) R`` and ``t_true = t + δ``, both in the axes of
+the target frame. `retract` and `local` are the two directions of that chart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+
+def from_rt(rotation: Array, translation: Array) -> Array:
+    """Build a 4×4 transform from a (3, 3) rotation and a (3,) translation in metres."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = translation
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """Invert a 4×4 rigid transform: ``inverse(T_a_b)`` is ``T_b_a``."""
+    R = T[:3, :3]
+    return from_rt(R.T, -R.T @ T[:3, 3])
+
+
+def apply(T: Array, xyz: Array) -> Array:
+    """Map (N, 3) points by a 4×4 transform: ``apply(T_a_b, points_b)`` gives points in ``a``."""
+    return np.asarray(xyz @ T[:3, :3].T + T[:3, 3])
+
+
+def exp_so3(phi: Array) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,) in radians."""
+    return np.asarray(Rotation.from_rotvec(phi).as_matrix())
+
+
+def log_so3(R: Array) -> Array:
+    """Rotation vector (3,) in radians of a rotation matrix (3, 3), of length at most π."""
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())
+
+
+def hat(v: Array) -> Array:
+    """Skew matrices (..., 3, 3) of vectors (..., 3): ``hat(a) @ b == cross(a, b)``."""
+    v = np.asarray(v, dtype=float)
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def retract(T: Array, step: Array) -> Array:
+    """Move a transform by a step ``[φ, δ]`` (6,): ``Exp(φ) R`` and ``t + δ``."""
+    return from_rt(exp_so3(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+
+
+def local(T: Array, T_other: Array) -> Array:
+    """Step ``[φ, δ]`` (6,) that `retract` takes from ``T`` to ``T_other``, in rad and m."""
+    return np.concatenate(
+        [log_so3(T_other[:3, :3] @ T[:3, :3].T), T_other[:3, 3] - T[:3, 3]],
+    )
+
+
+def rotation_angle(R: Array) -> float:
+    """Angle in radians of a rotation matrix (3, 3)."""
+    return float(np.linalg.norm(log_so3(R)))
+
+
+def from_quaternion_xyzw(quaternion: Array, translation: Array) -> Array:
+    """Build a 4×4 transform from a quaternion ``x y z w`` (normalised here) and a translation."""
+    return from_rt(np.asarray(Rotation.from_quat(quaternion).as_matrix()), np.asarray(translation))
+
+
+def random(rng: np.random.Generator, max_translation: float = 10.0) -> Array:
+    """Draw a transform: uniform rotation, translation uniform in a cube of ± ``max_translation`` m."""
+    R = Rotation.random(rng=rng).as_matrix()
+    return from_rt(np.asarray(R), rng.uniform(-max_translation, max_translation, 3))
