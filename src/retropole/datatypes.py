@@ -66,11 +66,14 @@ class PointCloud:
 
     def select(self, index: BoolArray | IntArray) -> PointCloud:
         """Keep the points of a mask or index array (points, not `dropped`, are re-counted)."""
-        take = {
-            name: None if getattr(self, name) is None else getattr(self, name)[index]
-            for name in ("intensity", "ring", "time", "frame")
-        }
-        return replace(self, xyz=self.xyz[index], **take)
+        return replace(
+            self,
+            xyz=self.xyz[index],
+            intensity=None if self.intensity is None else self.intensity[index],
+            ring=None if self.ring is None else self.ring[index],
+            time=None if self.time is None else self.time[index],
+            frame=None if self.frame is None else self.frame[index],
+        )
 
     def transformed(self, T_new_old: Array) -> PointCloud:
         """Express the cloud, its beam origin included, in another frame."""

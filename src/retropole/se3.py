@@ -1,7 +1,7 @@
 """Rigid transforms as 4×4 matrices, and their exponential coordinates.
 
-A pose error is split, not a twist: ``R_true = Exp(φ) R`` and ``t_true = t + δ``, both in the axes of
-the target frame. `retract` and `local` are the two directions of that chart.
+A pose error is split, not a twist: ``R_true = Exp(φ) R`` and ``t_true = t + δ``, both in the axes
+of the target frame. `retract` and `local` are the two directions of that chart.
 """
 
 from __future__ import annotations
@@ -75,6 +75,6 @@ def from_quaternion_xyzw(quaternion: Array, translation: Array) -> Array:
 
 
 def random(rng: np.random.Generator, max_translation: float = 10.0) -> Array:
-    """Draw a transform: uniform rotation, translation uniform in a cube of ± ``max_translation`` m."""
+    """Draw a transform: uniform rotation, translation within ± ``max_translation`` m."""
     R = Rotation.random(rng=rng).as_matrix()
     return from_rt(np.asarray(R), rng.uniform(-max_translation, max_translation, 3))

@@ -1,0 +1,1 @@
+"""Paths in, point clouds out."""
