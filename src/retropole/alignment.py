@@ -1,0 +1,150 @@
+"""Pose from matched poles by the paper's least squares: points of one LiDAR on lines of the other.
+
+Xue et al. 2019, eq. 1–2: ``R*, t* = argmin Σ_n Σ_k π_nk ‖d(R p_n + t, line_k)‖²`` with lines from
+the target LiDAR and points from the source LiDAR. It is fast and needs no model of the sensor, so
+every hypothesis is judged with it; its bias (the points lie in front of the axis) is what
+`beam_alignment` removes afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import se3
+from .datatypes import Array, IntArray
+from .errors import Refusal
+
+MAX_ITERATIONS = 60
+STEP_TOLERANCE = 1e-12
+"""Stop where the step (rad and m together) is below this: the problem is tiny, so be exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class LineAlignment:
+    """Least-squares pose of points on lines.
+
+    Attributes
+    ----------
+    T_target_source
+        (4, 4) pose that maps the source points onto the target lines.
+    rms
+        Root mean square distance of the points from their lines at the solution, metres.
+    information
+        (6, 6) Gauss–Newton matrix ``JᵀJ`` over ``[φ, δ]`` in target axes, per unit variance of a
+        point's distance from its line.
+    """
+
+    T_target_source: Array
+    rms: float
+    information: Array
+
+
+def point_line_residuals(
+    T: Array, points: Array, line_points: Array, line_directions: Array
+) -> tuple[Array, Array]:
+    """Vectors from lines to moved points, and their Jacobian.
+
+    Parameters
+    ----------
+    T
+        (4, 4) pose, target from source.
+    points
+        (N, 3) points in the source frame.
+    line_points, line_directions
+        (N, 3) a point and the unit direction of each point's line, in the target frame.
+
+    Returns
+    -------
+    residuals : (N, 3)
+        ``(I − n nᵀ)(R p + t − q)``, metres.
+    jacobian : (N, 3, 6)
+        Derivative with respect to ``[φ, δ]`` of `se3.retract`.
+    """
+    rotated = points @ T[:3, :3].T
+    across = np.eye(3) - line_directions[:, :, None] * line_directions[:, None, :]
+    residuals = np.einsum("nij,nj->ni", across, rotated + T[:3, 3] - line_points)
+    jacobian = np.concatenate([across @ -se3.hat(rotated), across], axis=2)
+    return residuals, jacobian
+
+
+def align_points_to_lines(
+    points: Array,
+    line_of_point: IntArray,
+    line_points: Array,
+    line_directions: Array,
+    T_start: Array,
+) -> LineAlignment:
+    """Minimise the squared distances of source points from target lines (eq. 1–2).
+
+    Levenberg–Marquardt from ``T_start``; the minimum found is the local one of that start, as each
+    hypothesis needs.
+
+    Parameters
+    ----------
+    points
+        (N, 3) points on the source poles, source frame.
+    line_of_point
+        (N,) row of `line_points` that each point belongs to (π_nk of the paper).
+    line_points, line_directions
+        (K, 3) lines of the target poles, target frame; directions of unit length.
+    T_start
+        (4, 4) start, target from source.
+
+    Raises
+    ------
+    Refusal
+        ``degenerate_poles`` where the lines leave a direction of the pose free (parallel poles, a
+        single pole), with the ratio of the singular values.
+    """
+    q, n = line_points[line_of_point], line_directions[line_of_point]
+    T, damping = T_start, 1e-6
+    residuals, J = point_line_residuals(T, points, q, n)
+    cost = float(np.sum(residuals**2))
+    for _ in range(MAX_ITERATIONS):
+        H = np.einsum("nij,nik->jk", J, J)
+        g = np.einsum("nij,ni->j", J, residuals)
+        # Marquardt's scaling keeps radians and metres from being weighed against each other.
+        step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
+        T_new = se3.retract(T, step)
+        residuals_new, J_new = point_line_residuals(T_new, points, q, n)
+        cost_new = float(np.sum(residuals_new**2))
+        if cost_new <= cost:
+            T, residuals, J, cost = T_new, residuals_new, J_new, cost_new
+            damping = max(damping / 10.0, 1e-15)
+        else:
+            damping *= 10.0
+        if np.linalg.norm(step) < STEP_TOLERANCE or damping > 1e8:
+            break
+    H = np.einsum("nij,nik->jk", J, J)
+    _check_rank(H)
+    return LineAlignment(T, float(np.sqrt(cost / len(points))), H)
+
+
+def _check_rank(H: Array) -> None:
+    """Refuse a pose that the poles leave free in some direction."""
+    scale = np.sqrt(np.diag(H) + 1e-300)
+    eigenvalues = np.linalg.eigvalsh(H / np.outer(scale, scale))
+    ratio = float(eigenvalues[0] / eigenvalues[-1])
+    if not np.isfinite(ratio) or ratio < 1e-9:
+        raise Refusal(
+            "degenerate_poles",
+            f"the poles leave one direction of the pose free (eigenvalue ratio {ratio:.1e}); "
+            "lean one pole by 15° or more against the other",
+            {"eigenvalue_ratio": ratio},
+        )
+
+
+def align_poles(
+    target_lines: Sequence[tuple[Array, Array]], source_points: Sequence[Array], T_start: Array
+) -> LineAlignment:
+    """Align matched poles: ``source_points[k]`` lie on ``target_lines[k]`` (point, direction)."""
+    return align_points_to_lines(
+        np.concatenate(list(source_points)),
+        np.repeat(np.arange(len(source_points)), [len(p) for p in source_points]),
+        np.array([point for point, _ in target_lines]),
+        np.array([direction for _, direction in target_lines]),
+        T_start,
+    )
