@@ -20,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 
 from . import se3
 from .alignment import align_poles
-from .datatypes import Array, Pole
+from .datatypes import Array, Match, Pole
 from .errors import Refusal
 
 MIN_ANGLE = np.radians(5.0)
@@ -39,32 +39,6 @@ EXACT_RMS = 0.05
 
 MAX_HYPOTHESES = 16
 """How many hypotheses go on to be judged by the scene, most poles and least residual first."""
-
-
-@dataclass(frozen=True, eq=False)
-class Match:
-    """One way of laying the source poles on the target poles.
-
-    Attributes
-    ----------
-    pairs
-        ``((i, j), …)``: target pole ``i`` is source pole ``j``.
-    T_target_source
-        (4, 4) least-squares pose under these pairs (eq. 1–2).
-    pole_rms
-        Root mean square distance of source points from target lines, metres.
-    exact
-        Whether the lines themselves fit: one of the four of the Klein group, or a match of three
-        or more poles.
-    information
-        (6, 6) of `alignment.LineAlignment`.
-    """
-
-    pairs: tuple[tuple[int, int], ...]
-    T_target_source: Array
-    pole_rms: float
-    exact: bool
-    information: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,9 @@ Units: metres, radians.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,3 +163,121 @@ class Detection:
     threshold: float
     threshold_source: str
     retro_points: int
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """One way of laying the source poles on the target poles (M4).
+
+    Attributes
+    ----------
+    pairs
+        ``((i, j), …)``: target pole ``i`` is source pole ``j``.
+    T_target_source
+        (4, 4) least-squares pose under these pairs (eq. 1–2).
+    pole_rms
+        Root mean square distance of source points from target lines, metres.
+    exact
+        Whether the lines themselves fit: one of the four of the Klein group, or a match of three
+        or more poles.
+    information
+        (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
+    """
+
+    pairs: tuple[tuple[int, int], ...]
+    T_target_source: Array
+    pole_rms: float
+    exact: bool
+    information: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A match of the poles, and what the scene says of it (M5).
+
+    Attributes
+    ----------
+    match
+        The pairs of poles and the pose they give.
+    icp_rotation, icp_translation
+        The paper's e_r, rad, and e_t, m: how far ICP moves from here.
+    overlap
+        Share of the points with a neighbour in the other cloud, 0 to 1.
+    free_space
+        Share of the points that contradict free space, or None where neither beam origin is known.
+    score
+        What the hypotheses are ranked by, larger is better.
+    """
+
+    match: Match
+    icp_rotation: float
+    icp_translation: float
+    overlap: float
+    free_space: float | None
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A pose and how sure it is.
+
+    Attributes
+    ----------
+    T_target_source
+        (4, 4) pose.
+    covariance
+        (6, 6) over ``[φ_x φ_y φ_z δ_x δ_y δ_z]``, rad and m, target axes; None where not known.
+    rms
+        Root mean square residual of the stage, metres.
+    """
+
+    T_target_source: Array
+    covariance: Array | None
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reason:
+    """Why a verdict is not a plain ok: a stable code, words with numbers, and the numbers."""
+
+    code: str
+    message: str
+    values: Mapping[str, float | int | str]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The answer of `pipeline.calibrate`, or why there is none.
+
+    Attributes
+    ----------
+    status
+        ``ok``, ``warn`` or ``refused``.
+    reasons
+        What is wrong or weak; empty when ok.
+    T_target_source
+        (4, 4) maps source points into the target frame; None when refused.
+    covariance
+        (6, 6) over ``[φ, δ]``, rad and m, target axes; None when refused.
+    poles, refined
+        The pose from the poles alone, and with the scene; None where a stage was not reached.
+    hypotheses
+        All ways of laying the poles on each other, the chosen one first.
+    margin
+        Score of the first hypothesis over the second; None where there is no second.
+    detections
+        What was found in the target and in the source.
+    seconds
+        Time of each step.
+    """
+
+    status: Literal["ok", "warn", "refused"]
+    reasons: tuple[Reason, ...]
+    T_target_source: Array | None
+    covariance: Array | None
+    poles: Stage | None
+    refined: Stage | None
+    hypotheses: tuple[Hypothesis, ...]
+    margin: float | None
+    detections: tuple[Detection | None, Detection | None]
+    seconds: Mapping[str, float]

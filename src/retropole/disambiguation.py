@@ -1,0 +1,181 @@
+"""Which hypothesis is right: the poles cannot say, the scene around them can.
+
+Three witnesses are heard for every hypothesis, and all are reported:
+
+- the paper's (Xue et al. 2019, Tab. III): run ICP from the hypothesis and see how far it moves,
+  ``e_r = ‖log(R_icp)^∨‖`` and ``e_t = ‖t_icp‖``; the one that moves least is right,
+- overlap: the share of one cloud's points with a neighbour in the other,
+- free space: a return of one LiDAR on a ray that the other saw pass through contradicts the
+  hypothesis, whatever overlaps elsewhere.
+
+The score is overlap minus contradiction, both as shares of the thinned points and the mean of both
+directions. It needs no ICP. Thinning to one point per voxel keeps the dense ground near the
+sensors from outvoting the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from . import se3
+from .datatypes import Array, BoolArray, Hypothesis, Match, PointCloud
+from .registration import THREADS, Surface, prepare, register
+
+IntpArray = NDArray[np.intp]
+
+VOXEL = 0.25
+"""Clouds are thinned to one point per cube of this side, metres, before they are compared."""
+
+OVERLAP_DISTANCE = 0.5
+"""A point with a neighbour of the other cloud within this distance overlaps it, metres."""
+
+ICP_REACH = 1.0
+"""Correspondence distance of the paper's ICP, metres."""
+
+CELL = np.radians(1.0)
+"""Side of a cell of the range image that tells how far a LiDAR saw in each direction."""
+
+SEE_THROUGH = 0.5
+"""A return must be this far, metres, and a tenth of its range, in front of what the other LiDAR
+saw in its direction to contradict it: poles leave up to a degree of error in the pose."""
+
+MAX_SELF_CONTRADICTION = 0.12
+"""A cloud of one sweep seen from its true origin contradicts itself this much at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """How far a LiDAR saw in each direction.
+
+    Attributes
+    ----------
+    origin
+        (3,) where the beams start, in the cloud's frame.
+    nearest
+        (E, A) least range in each cell of elevation and azimuth and its neighbours, metres;
+        infinite where a cell holds no return, so that nothing is known there.
+    seen
+        (E, A) whether the cell itself holds a return.
+    """
+
+    origin: Array
+    nearest: Array
+    seen: BoolArray
+
+
+def _cells(directions: Array, shape: tuple[int, int]) -> tuple[IntpArray, IntpArray]:
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+    elevation = np.arctan2(directions[:, 2], np.hypot(directions[:, 0], directions[:, 1]))
+    row = np.clip(((elevation + np.pi / 2) / np.pi * shape[0]).astype(np.intp), 0, shape[0] - 1)
+    column = ((azimuth + np.pi) / (2 * np.pi) * shape[1]).astype(np.intp) % shape[1]
+    return row, column
+
+
+def range_image(cloud: PointCloud) -> RangeImage:
+    """Sort a cloud's ranges into cells of direction about its beam origin."""
+    shape = (int(np.pi / CELL), int(2 * np.pi / CELL))
+    rays = cloud.xyz - cloud.origin
+    row, column = _cells(rays, shape)
+    image = np.full(shape, np.inf)
+    np.minimum.at(image, (row, column), np.linalg.norm(rays, axis=1))
+    # A point beside an edge may fall into the cell of what lies behind: take the nearest around.
+    rows = np.pad(image, ((1, 1), (0, 0)), constant_values=np.inf)
+    nearest = np.minimum(np.minimum(rows[:-2], rows[1:-1]), rows[2:])
+    nearest = np.minimum(np.minimum(np.roll(nearest, 1, 1), nearest), np.roll(nearest, -1, 1))
+    return RangeImage(cloud.origin, nearest, np.isfinite(image))
+
+
+def contradiction(image: RangeImage, points: Array) -> float:
+    """Share of points that lie where the LiDAR of ``image`` looked through.
+
+    Parameters
+    ----------
+    image
+        What the one LiDAR saw.
+    points
+        (N, 3) returns of the other, in the frame of the first.
+    """
+    rays = points - image.origin
+    ranges = np.linalg.norm(rays, axis=1)
+    row, column = _cells(rays, image.nearest.shape)
+    margin = np.maximum(SEE_THROUGH, 0.1 * ranges)
+    behind = image.nearest[row, column] > ranges + margin
+    return float(np.mean(behind & image.seen[row, column]))
+
+
+def origin_is_plausible(cloud: PointCloud, image: RangeImage) -> bool:
+    """Whether the beams of a cloud can start where it says.
+
+    A file moved into another frame keeps no word of where its sensor was. Seen from a wrong
+    origin, near surfaces hide far ones that were measured all the same: such a cloud contradicts
+    itself, and then nothing may be concluded from its rays.
+    """
+    rays = cloud.xyz - image.origin
+    ranges = np.linalg.norm(rays, axis=1)
+    row, column = _cells(rays, image.nearest.shape)
+    hidden = ranges > 1.5 * image.nearest[row, column] + SEE_THROUGH
+    return float(np.mean(hidden)) <= MAX_SELF_CONTRADICTION
+
+
+def _overlap(tree: cKDTree, points: Array) -> float:
+    distance, _ = tree.query(points, distance_upper_bound=OVERLAP_DISTANCE, workers=THREADS)
+    return float(np.mean(np.isfinite(distance)))
+
+
+def judge(
+    target: PointCloud, source: PointCloud, matches: Sequence[Match]
+) -> tuple[Hypothesis, ...]:
+    """Hear the scene on every match of the poles.
+
+    Parameters
+    ----------
+    target, source
+        The whole clouds, each in its own frame.
+    matches
+        Candidate poses from `correspondence.match_poles`.
+
+    Returns
+    -------
+    tuple of Hypothesis
+        The best score first; matches whose poles do not fit exactly come after those that do.
+
+    Raises
+    ------
+    Refusal
+        ``too_few_points`` where a cloud is too small to compare.
+    """
+    surfaces = prepare(target.xyz, VOXEL), prepare(source.xyz, VOXEL)
+    trees = cKDTree(surfaces[0].xyz), cKDTree(surfaces[1].xyz)
+    images = range_image(target), range_image(source)
+    known = origin_is_plausible(target, images[0]), origin_is_plausible(source, images[1])
+    hypotheses = [_judge_one(match, surfaces, trees, images, known) for match in matches]
+    return tuple(sorted(hypotheses, key=lambda h: (not h.match.exact, -h.score)))
+
+
+def _judge_one(
+    match: Match,
+    surfaces: tuple[Surface, Surface],
+    trees: tuple[cKDTree, cKDTree],
+    images: tuple[RangeImage, RangeImage],
+    known: tuple[bool, bool],
+) -> Hypothesis:
+    T = match.T_target_source
+    moved = se3.apply(T, surfaces[1].xyz), se3.apply(se3.inverse(T), surfaces[0].xyz)
+    overlap = (_overlap(trees[0], moved[0]) + _overlap(trees[1], moved[1])) / 2
+    against = [contradiction(images[k], moved[k]) for k in (0, 1) if known[k]]
+    free_space = float(np.mean(against)) if against else None
+    icp = register(*surfaces, T, method="ICP", reach=ICP_REACH)
+    moved_by = icp.T_target_source @ se3.inverse(T)
+    return Hypothesis(
+        match,
+        se3.rotation_angle(moved_by[:3, :3]),
+        float(np.linalg.norm(moved_by[:3, 3])),
+        overlap,
+        free_space,
+        overlap - (free_space or 0.0),
+    )
