@@ -196,7 +196,9 @@ def _extend(
     )
 
 
-def match_poles(target: Sequence[Pole], source: Sequence[Pole]) -> list[Match]:
+def match_poles(
+    target: Sequence[Pole], source: Sequence[Pole], count: int | None = None
+) -> list[Match]:
     """Find every rigid match of the source poles onto the target poles.
 
     With two poles on each side these are the eight local optima of the paper, the exact ones
@@ -207,6 +209,8 @@ def match_poles(target: Sequence[Pole], source: Sequence[Pole]) -> list[Match]:
     ----------
     target, source
         Poles of the two LiDARs, each in its own frame.
+    count
+        How many poles both LiDARs see, where that is known: only matches of so many are kept.
 
     Returns
     -------
@@ -216,10 +220,11 @@ def match_poles(target: Sequence[Pole], source: Sequence[Pole]) -> list[Match]:
     Raises
     ------
     Refusal
-        ``too_few_poles``, ``parallel_poles``, or ``no_match`` where no pair of poles of one LiDAR
-        has the shape of a pair of the other.
+        ``too_few_poles``, ``parallel_poles``, ``no_match`` where no pair of poles of one LiDAR
+        has the shape of a pair of the other, or ``pole_count`` where they agree, but not
+        ``count`` of them.
     """
-    _check_poles(target, source)
+    _check_poles(target, source, count or 2)
     two_and_two = len(target) == len(source) == 2
     matches: list[Match] = []
     for i, j in combinations(range(len(target)), 2):
@@ -246,17 +251,26 @@ def match_poles(target: Sequence[Pole], source: Sequence[Pole]) -> list[Match]:
             "which poles were taken with 'retropole detect'",
             {"poles_target": len(target), "poles_source": len(source)},
         )
+    agreeing = len(matches[0].pairs)
+    matches = [match for match in matches if count in (None, len(match.pairs))]
+    if not matches:
+        raise Refusal(
+            "pole_count",
+            f"{agreeing} poles agree between the LiDARs where {count} were asked for; see which "
+            "with 'retropole detect', and cover or remove what is no pole",
+            {"agreeing": agreeing, "asked": int(count or 0)},
+        )
     return matches[:MAX_HYPOTHESES]
 
 
-def _check_poles(target: Sequence[Pole], source: Sequence[Pole]) -> None:
+def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) -> None:
     for name, poles in (("target", target), ("source", source)):
-        if len(poles) < 2:
+        if len(poles) < needed:
             raise Refusal(
                 "too_few_poles",
-                f"the {name} LiDAR sees {len(poles)} pole{'s' * (len(poles) != 1)}, two are "
+                f"the {name} LiDAR sees {len(poles)} pole{'s' * (len(poles) != 1)}, {needed} are "
                 "needed; check the tape and the threshold with 'retropole detect'",
-                {"lidar": name, "poles": len(poles)},
+                {"lidar": name, "poles": len(poles), "needed": needed},
             )
     for name, poles in (("target", target), ("source", source)):
         angle = widest_angle(poles)

@@ -265,6 +265,8 @@ class Calibration:
         All ways of laying the poles on each other, the chosen one first.
     margin
         Score of the first hypothesis over the second; None where there is no second.
+    predicted_error
+        (range, 1 σ error of a point at that range), metres; empty when refused.
     detections
         What was found in the target and in the source.
     seconds
@@ -279,5 +281,6 @@ class Calibration:
     refined: Stage | None
     hypotheses: tuple[Hypothesis, ...]
     margin: float | None
+    predicted_error: tuple[tuple[float, float], ...]
     detections: tuple[Detection | None, Detection | None]
     seconds: Mapping[str, float]

@@ -1,0 +1,157 @@
+"""The result in words, for a terminal: pure functions from documents to text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .result import DetectionDoc, HypothesisDoc, InputDoc, PoleDoc, ResultDoc
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lay out rows under a header, each column as wide as it needs, numbers to the right."""
+    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
+    lines = []
+    for row in [header, *rows]:
+        cells = [
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  " + "  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def _input_line(name: str, document: InputDoc) -> str:
+    threshold = "none" if document.threshold is None else f"{document.threshold:g}"
+    return (
+        f"{name}  {document.path}: {document.points:,} points ({document.dropped:,} dropped), "
+        f"sensor {document.sensor}, threshold {threshold}"
+    )
+
+
+def _pole_rows(name: str, poles: Sequence[PoleDoc]) -> list[list[str]]:
+    return [
+        [
+            f"{name} {k}",
+            *(f"{value:.3f}" for value in pole.point_m),
+            f"{pole.length_m:.2f}",
+            str(pole.points),
+            str(pole.rings),
+            f"{1000 * pole.rms_m:.1f}",
+        ]
+        for k, pole in enumerate(poles)
+    ]
+
+
+_POLE_HEADER = ("pole", "x m", "y m", "z m", "length m", "points", "rows", "rms mm")
+
+
+def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
+    free_space = hypothesis.free_space
+    return [
+        f"{chr(ord('a') + k)}{' *' if hypothesis.chosen else ''}",
+        " ".join(f"{i}-{j}" for i, j in hypothesis.pairs),
+        "yes" if hypothesis.exact else "no",
+        f"{1000 * hypothesis.pole_rms_m:.1f}",
+        f"{hypothesis.icp_rotation_rad:.4f}",
+        f"{hypothesis.icp_translation_m:.4f}",
+        f"{hypothesis.overlap:.3f}",
+        "unknown" if free_space is None else f"{free_space:.3f}",
+        f"{hypothesis.score:.3f}",
+    ]
+
+
+_HYPOTHESIS_HEADER = (
+    "hypothesis",
+    "pairs",
+    "exact",
+    "rms mm",
+    "e_r rad",
+    "e_t m",
+    "overlap",
+    "against",
+    "score",
+)
+
+
+def transform_lines(matrix: Sequence[Sequence[float]]) -> list[str]:
+    """Write a 4×4 transform as matrix, translation, quaternion and angles."""
+    T = np.array(matrix)
+    rotation = Rotation.from_matrix(T[:3, :3])
+    x, y, z, w = rotation.as_quat()
+    # Lower case: about fixed axes, x first, which is what ROS calls rpy.
+    roll, pitch, yaw = np.degrees(rotation.as_euler("xyz"))
+    lines = ["  [" + " ".join(f"{value:12.8f}" for value in row) + "]" for row in T]
+    return [
+        *lines,
+        f"  translation  x {T[0, 3]:.4f}  y {T[1, 3]:.4f}  z {T[2, 3]:.4f} m",
+        f"  quaternion   x {x:.8f}  y {y:.8f}  z {z:.8f}  w {w:.8f}",
+        f"  angles       roll {roll:.4f}  pitch {pitch:.4f}  yaw {yaw:.4f} deg",
+    ]
+
+
+def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
+    """Write a whole result as a person reads it.
+
+    Parameters
+    ----------
+    result
+        The result document.
+    written
+        Paths of the files that hold it.
+    """
+    target, source = result.inputs
+    parts = [_input_line("target", target), _input_line("source", source), ""]
+    poles = _pole_rows("target", result.poles.target) + _pole_rows("source", result.poles.source)
+    if poles:
+        parts += [table(_POLE_HEADER, poles), ""]
+    if result.hypotheses:
+        rows = [_hypothesis_row(k, h) for k, h in enumerate(result.hypotheses)]
+        parts.append(table(_HYPOTHESIS_HEADER, rows))
+        if result.margin is not None:
+            parts.append(f"  margin of the first over the next: {result.margin:.3f}")
+        parts.append("")
+    if result.T_target_source is not None:
+        parts += ["T_target_source (source points into the target frame)"]
+        parts += transform_lines(result.T_target_source)
+        if result.predicted_error:
+            at = ", ".join(
+                f"{100 * e.sigma_m:.1f} cm at {e.range_m:g} m" for e in result.predicted_error
+            )
+            parts.append(f"  predicted error, 1 sigma: {at}")
+        parts.append("")
+    parts.append(f"verdict: {result.status}")
+    parts += [f"  {reason.code}: {reason.message}" for reason in result.reasons]
+    parts.append("written: " + ", ".join(written))
+    return "\n".join(parts)
+
+
+def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
+    """Write what was found in one cloud as a person reads it."""
+    parts = [
+        _input_line("file", detection.input),
+        f"  {detection.retro_points:,} retro-reflective points "
+        f"(threshold from: {detection.threshold_source})",
+        "",
+        f"{len(detection.poles)} poles",
+    ]
+    if detection.poles:
+        parts.append(table(_POLE_HEADER, _pole_rows("pole", detection.poles)))
+    parts += ["", f"{len(detection.rejected)} rejected clusters"]
+    if detection.rejected:
+        rows = [
+            [
+                cluster.code,
+                *(f"{value:.2f}" for value in cluster.centre_m),
+                str(cluster.points),
+                cluster.reason,
+            ]
+            for cluster in detection.rejected
+        ]
+        header = ("why", "x m", "y m", "z m", "points", "in words")
+        parts.append(table(header, rows))
+    if written:
+        parts.append("written: " + ", ".join(written))
+    return "\n".join(parts)

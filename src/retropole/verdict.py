@@ -1,0 +1,115 @@
+"""Ok, warn or refused, and why: the rules that stand between an estimate and an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .correspondence import widest_angle
+from .datatypes import Hypothesis, Pole, Reason
+from .errors import Refusal
+
+MIN_MARGIN = 0.04
+"""Score by which the chosen hypothesis must beat the next (see docs/hypotheses.md)."""
+
+WARN_MARGIN = 0.08
+"""Below this margin the answer stands, but a person should look at the hypotheses."""
+
+MIN_OVERLAP = 0.25
+"""Share of the points that must find a neighbour in the other cloud."""
+
+WEAK_ANGLE = np.radians(15.0)
+"""Poles nearer to parallel than this make a weak answer."""
+
+FEW_POINTS = 12
+"""Returns on a pole below which its line is weak."""
+
+
+def margin_of(hypotheses: Sequence[Hypothesis]) -> float | None:
+    """Score of the first hypothesis over the next best; None where there is only one."""
+    if len(hypotheses) < 2:
+        return None
+    return hypotheses[0].score - max(h.score for h in hypotheses[1:])
+
+
+def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
+    """Refuse where the scene does not decide between the hypotheses, or denies them all.
+
+    Raises
+    ------
+    Refusal
+        ``no_overlap`` or ``ambiguous``.
+    """
+    best = hypotheses[0]
+    if best.overlap < MIN_OVERLAP:
+        raise Refusal(
+            "no_overlap",
+            f"under the best hypothesis only {best.overlap:.0%} of the points have a neighbour in "
+            f"the other cloud, {MIN_OVERLAP:.0%} are needed: do both LiDARs see the same place, "
+            "and the same two poles?",
+            {"overlap": best.overlap, "needed": MIN_OVERLAP},
+        )
+    margin = margin_of(hypotheses)
+    if margin is not None and margin < MIN_MARGIN:
+        raise Refusal(
+            "ambiguous",
+            f"the scene does not tell {_count_close(hypotheses)} hypotheses apart (scores "
+            f"{best.score:.3f} and {best.score - margin:.3f}, {MIN_MARGIN:g} between them is "
+            "needed): put a third pole, or move the poles or a car or a box so that the "
+            "surroundings are not symmetric about the poles",
+            {"margin": margin, "needed": MIN_MARGIN},
+        )
+
+
+def _count_close(hypotheses: Sequence[Hypothesis]) -> int:
+    best = hypotheses[0].score
+    return sum(h.score > best - MIN_MARGIN for h in hypotheses)
+
+
+def weaknesses(
+    target: Sequence[Pole], source: Sequence[Pole], hypotheses: Sequence[Hypothesis]
+) -> list[Reason]:
+    """Say what makes an answer weak that is good enough to give.
+
+    Parameters
+    ----------
+    target, source
+        The poles that the chosen hypothesis pairs, in the same order.
+    hypotheses
+        All hypotheses, the chosen one first.
+    """
+    reasons = []
+    margin = margin_of(hypotheses)
+    if margin is not None and margin < WARN_MARGIN:
+        reasons.append(
+            Reason(
+                "small_margin",
+                f"the chosen hypothesis leads by {margin:.3f} only (comfortable: {WARN_MARGIN:g}); "
+                "look at the hypotheses in the report before you use the transform",
+                {"margin": margin, "comfortable": WARN_MARGIN},
+            )
+        )
+    angle = min(widest_angle(target), widest_angle(source))
+    if angle < WEAK_ANGLE:
+        degrees = float(np.degrees(angle))
+        reasons.append(
+            Reason(
+                "nearly_parallel_poles",
+                f"the poles are {degrees:.1f}° apart, which leaves height weak; lean one by 15° "
+                "or more",
+                {"angle_deg": degrees},
+            )
+        )
+    for name, poles in (("target", target), ("source", source)):
+        fewest = min(len(pole.xyz) for pole in poles)
+        if fewest < FEW_POINTS:
+            reasons.append(
+                Reason(
+                    "few_points",
+                    f"a pole has {fewest} returns from the {name} LiDAR; move it nearer or record "
+                    "more frames",
+                    {"lidar": name, "points": fewest},
+                )
+            )
+    return reasons
