@@ -1,0 +1,36 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.datatypes import Array, Pole
+
+PoleMaker = Callable[..., Pole]
+
+
+@pytest.fixture
+def make_pole() -> PoleMaker:
+    """Make the pole that a LiDAR would report of a given axis: centred, with its points."""
+
+    def make(
+        point: Array,
+        direction: Array,
+        *,
+        length: float = 2.0,
+        count: int = 30,
+        sigma: float = 0.0,
+        rng: np.random.Generator | None = None,
+        T: Array | None = None,
+    ) -> Pole:
+        n = np.asarray(direction, float) / np.linalg.norm(direction)
+        along = np.linspace(-length / 2, length / 2, count)[:, None]
+        xyz = np.asarray(point, float) + along * n
+        if sigma and rng is not None:
+            xyz = xyz + sigma * rng.normal(size=xyz.shape)
+        if T is not None:
+            xyz, n = se3.apply(T, xyz), T[:3, :3] @ n
+        centre = xyz.mean(axis=0)
+        return Pole(centre, n, xyz, length, sigma, 10, np.arange(count))
+
+    return make

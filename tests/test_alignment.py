@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retropole import se3
+from retropole.alignment import align_poles, point_line_residuals
+from retropole.datatypes import Array
+from retropole.errors import Refusal
+
+Line = tuple[Array, Array]
+
+
+def skew_lines(rng: np.random.Generator, count: int = 2) -> list[Line]:
+    lines = []
+    for k in range(count):
+        direction = np.array([0.0, 0, 1]) + 0.4 * rng.normal(size=3)
+        point = np.array([4.0, 2.0 * k - 1, 0]) + 0.3 * rng.normal(size=3)
+        lines.append((point, direction / np.linalg.norm(direction)))
+    return lines
+
+
+def points_on(lines: list[Line], T_source_target: Array) -> list[Array]:
+    along = np.linspace(-1, 1, 15)[:, None]
+    return [se3.apply(T_source_target, p + along * n) for p, n in lines]
+
+
+def test_jacobian_equals_finite_differences() -> None:
+    rng = np.random.default_rng(1)
+    T, points = se3.random(rng), rng.normal(size=(7, 3))
+    q, n = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    _, jacobian = point_line_residuals(T, points, q, n)
+    eps = 1e-6
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = eps
+        up, _ = point_line_residuals(se3.retract(T, step), points, q, n)
+        down, _ = point_line_residuals(se3.retract(T, -step), points, q, n)
+        np.testing.assert_allclose(jacobian[:, :, k], (up - down) / (2 * eps), atol=1e-8)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_exact_on_exact_data(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T_true = se3.random(rng, 3.0)
+    lines = skew_lines(rng)
+    points = points_on(lines, se3.inverse(T_true))
+    start = se3.retract(T_true, np.r_[0.1 * rng.normal(size=3), 0.2 * rng.normal(size=3)])
+    fit = align_poles(lines, points, start)
+    np.testing.assert_allclose(fit.T_target_source, T_true, atol=1e-9)
+    assert fit.rms < 1e-9
+
+
+def test_the_order_of_points_and_poles_does_not_matter() -> None:
+    rng = np.random.default_rng(2)
+    T_true, lines = se3.random(rng), skew_lines(rng, 3)
+    points = [p + 0.01 * rng.normal(size=p.shape) for p in points_on(lines, se3.inverse(T_true))]
+    one = align_poles(lines, points, T_true)
+    other = align_poles(lines[::-1], [rng.permutation(p) for p in points[::-1]], T_true)
+    np.testing.assert_allclose(one.T_target_source, other.T_target_source, atol=1e-9)
+
+
+def test_moving_either_side_moves_the_answer_along() -> None:
+    rng = np.random.default_rng(3)
+    T_true, lines = se3.random(rng), skew_lines(rng)
+    points = [p + 0.01 * rng.normal(size=p.shape) for p in points_on(lines, se3.inverse(T_true))]
+    fit = align_poles(lines, points, T_true)
+    A, B = se3.random(rng), se3.random(rng)
+    moved = align_poles(
+        [(se3.apply(A, p[None])[0], A[:3, :3] @ n) for p, n in lines],
+        [se3.apply(B, p) for p in points],
+        A @ T_true @ se3.inverse(B),
+    )
+    expected = A @ fit.T_target_source @ se3.inverse(B)
+    np.testing.assert_allclose(moved.T_target_source, expected, atol=1e-8)
+    assert moved.rms == pytest.approx(fit.rms, rel=1e-6)
+
+
+def test_parallel_lines_are_refused() -> None:
+    up = np.array([0.0, 0, 1])
+    lines = [(np.array([4.0, -1, 0]), up), (np.array([4.0, 1, 0]), up)]
+    with pytest.raises(Refusal) as refusal:
+        align_poles(lines, points_on(lines, np.eye(4)), np.eye(4))
+    assert refusal.value.code == "degenerate_poles"

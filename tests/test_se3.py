@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from retropole import se3
+
+seeds = st.integers(0, 2**32 - 1)
+# Angles at and around the singular places of the exponential: none, tiny, and a half turn.
+angles = st.sampled_from([0.0, 1e-12, 1e-8, 1e-4, 0.3, 1.5, np.pi - 1e-3, np.pi - 1e-7])
+
+
+@given(seeds)
+def test_inverse_undoes(seed: int) -> None:
+    T = se3.random(np.random.default_rng(seed))
+    np.testing.assert_allclose(se3.inverse(T) @ T, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(T @ se3.inverse(T), np.eye(4), atol=1e-12)
+
+
+@given(seeds)
+def test_apply_is_a_group_action(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, B, points = se3.random(rng), se3.random(rng), rng.normal(size=(5, 3))
+    np.testing.assert_allclose(
+        se3.apply(A @ B, points), se3.apply(A, se3.apply(B, points)), atol=1e-11
+    )
+
+
+@given(seeds, angles)
+def test_log_inverts_exp(seed: int, angle: float) -> None:
+    axis = np.random.default_rng(seed).normal(size=3)
+    phi = angle * axis / np.linalg.norm(axis)
+    R = se3.exp_so3(phi)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(se3.log_so3(R), phi, atol=1e-8)
+    assert se3.rotation_angle(R) == pytest.approx(angle, abs=1e-8)
+
+
+@given(seeds, angles)
+def test_local_inverts_retract(seed: int, angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    T, step = se3.random(rng), rng.normal(size=6)
+    step[:3] *= angle / np.linalg.norm(step[:3])
+    np.testing.assert_allclose(se3.local(T, se3.retract(T, step)), step, atol=1e-7)
+
+
+@given(seeds)
+def test_hat_is_the_cross_product(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", se3.hat(a), b), np.cross(a, b), atol=1e-12)
+
+
+def test_quaternion_order_is_xyzw() -> None:
+    T = se3.from_quaternion_xyzw(np.array([0.0, 0.0, 1.0, 1.0]), np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(se3.apply(T, np.array([[1.0, 0, 0]])), [[1.0, 3.0, 3.0]], atol=1e-15)
+
+
+def test_random_rotations_are_proper() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        T = se3.random(rng, 2.0)
+        assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+        assert np.abs(T[:3, 3]).max() <= 2.0
