@@ -1,0 +1,5 @@
+"""`python -m retropole` is the command `retropole`."""
+
+from .cli import main
+
+main()

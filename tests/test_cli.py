@@ -1,0 +1,175 @@
+"""The commands as a user runs them: what they print, write and exit with."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.datatypes import Array, PointCloud
+from retropole.io import read_cloud, write_pcd
+from retropole.result import decode
+
+
+def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "retropole", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+def transform_of(folder: Path) -> Array:
+    result = decode((folder / "result.json").read_bytes())
+    assert result.T_target_source is not None
+    return np.array(result.T_target_source)
+
+
+def assert_close(T: Array, T_true: Array, degrees: float = 1.0, metres: float = 0.15) -> None:
+    assert np.degrees(se3.rotation_angle(T[:3, :3] @ T_true[:3, :3].T)) < degrees
+    assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < metres
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene")
+    done = retropole("simulate", "street", "--seed", 1, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def truth(scene: Path) -> Array:
+    return np.array(json.loads((scene / "truth.json").read_text())["T_target_source"])
+
+
+@pytest.fixture(scope="module")
+def clouds(scene: Path) -> tuple[PointCloud, PointCloud]:
+    return read_cloud(scene / "lidar0.pcd"), read_cloud(scene / "lidar1.pcd")
+
+
+def test_two_files_in_one_extrinsic_out(scene: Path, truth: Array, tmp_path: Path) -> None:
+    done = retropole(
+        "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path / "r"
+    )
+    assert done.returncode == 0, done.stderr
+    for word in ("T_target_source", "hypothesis", "margin", "pole", "verdict: "):
+        assert word in done.stdout
+    assert_close(transform_of(tmp_path / "r"), truth)
+    assert (tmp_path / "r" / "report.html").stat().st_size > 1000
+    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["report.html", "result.json"]
+
+
+def test_result_document_is_whole(scene: Path, tmp_path: Path) -> None:
+    done = retropole(
+        "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path, "--json"
+    )
+    assert done.returncode == 0
+    result = json.loads(done.stdout)
+    assert result == json.loads((tmp_path / "result.json").read_text())
+    assert result["schema"] == "retropole/result/1"
+    assert [len(document["sha256"]) for document in result["inputs"]] == [64, 64]
+    chosen = [h for h in result["hypotheses"] if h["chosen"]]
+    assert len(chosen) == 1
+    assert chosen[0]["score"] == max(h["score"] for h in result["hypotheses"] if h["exact"])
+    assert set(result["seconds"]) >= {"read", "extract", "match", "disambiguate"}
+
+
+@pytest.mark.parametrize("moved", ["target", "source"])
+@pytest.mark.parametrize("origin", ["kept", "lost"])
+def test_moving_a_cloud_moves_the_answer(
+    clouds: tuple[PointCloud, PointCloud], truth: Array, tmp_path: Path, moved: str, origin: str
+) -> None:
+    T = se3.random(np.random.default_rng(5), 20.0)
+    target, source = clouds
+    expected = truth
+    if moved == "target":
+        target, expected = target.transformed(T), T @ truth
+    else:
+        source, expected = source.transformed(T), truth @ se3.inverse(T)
+    if origin == "lost":
+        target = PointCloud(target.xyz, target.intensity)
+        source = PointCloud(source.xyz, source.intensity)
+    write_pcd(tmp_path / "target.pcd", target)
+    write_pcd(tmp_path / "source.pcd", source)
+    done = retropole("calibrate", "target.pcd", "source.pcd", "--out", "r", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    # Compare where both LiDARs are, not at an origin metres away that any turn would throw about.
+    A, B = transform_of(tmp_path / "r"), expected
+    assert np.degrees(se3.rotation_angle(A[:3, :3] @ B[:3, :3].T)) < 1.0
+    here = np.median(source.xyz, axis=0)[None]
+    assert np.linalg.norm(se3.apply(A, here) - se3.apply(B, here)) < 0.15
+
+
+def test_swapping_the_clouds_inverts_the_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
+    done = retropole(
+        "calibrate", scene / "lidar1.pcd", scene / "lidar0.pcd", "--out", tmp_path, "-q"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    assert_close(transform_of(tmp_path), se3.inverse(truth))
+
+
+def test_a_refusal_exits_with_3_and_leaves_its_reason(
+    clouds: tuple[PointCloud, PointCloud], tmp_path: Path
+) -> None:
+    target, source = clouds
+    assert source.intensity is not None
+    dull = source.select(source.intensity < 50)
+    write_pcd(tmp_path / "target.pcd", target)
+    write_pcd(tmp_path / "dull.pcd", dull)
+    done = retropole("calibrate", "target.pcd", "dull.pcd", "--out", "r", cwd=tmp_path)
+    assert done.returncode == 3
+    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    assert result["status"] == "refused"
+    assert result["T_target_source"] is None
+    assert result["reasons"][0]["code"] == "too_few_poles"
+    assert "too_few_poles" in done.stderr
+    assert (tmp_path / "r" / "report.html").exists()
+
+
+def test_no_intensity_never_gives_a_transform(
+    clouds: tuple[PointCloud, PointCloud], tmp_path: Path
+) -> None:
+    write_pcd(tmp_path / "a.pcd", PointCloud(clouds[0].xyz))
+    write_pcd(tmp_path / "b.pcd", clouds[1])
+    done = retropole("calibrate", "a.pcd", "b.pcd", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "no_intensity" in done.stderr
+    assert retropole("detect", "a.pcd", cwd=tmp_path).returncode == 3
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("calibrate", "missing.pcd", "missing.pcd"),
+        ("calibrate", "only-one.pcd"),
+        ("calibrate", "a.pcd", "b.pcd", "--radius", "-1"),
+        ("calibrate", "a.pcd", "b.pcd", "--poles", "1"),
+        ("calibrate", "a.pcd", "b.pcd", "--sensor-target", "nonsense"),
+        ("detect", "missing.pcd"),
+        ("nonsense",),
+    ],
+)
+def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = retropole(*words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.strip()
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == [], "nothing is written"
+
+
+def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
+    done = retropole("detect", scene / "lidar0.pcd", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "2 poles" in done.stdout
+    assert (tmp_path / "detect.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    as_json = retropole("detect", scene / "lidar0.pcd", "--out", tmp_path, "--json")
+    assert len(json.loads(as_json.stdout)["poles"]) == 2
+
+
+@pytest.mark.parametrize("command", ["calibrate", "detect", "simulate"])
+def test_help_has_worked_examples(command: str) -> None:
+    done = retropole(command, "--help")
+    assert done.returncode == 0
+    assert f"retropole {command} " in done.stdout.split("Examples:")[1]
