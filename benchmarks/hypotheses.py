@@ -24,8 +24,8 @@ RIGHT_ANGLE, RIGHT_DISTANCE = np.radians(5.0), 0.3
 """A hypothesis is the right one if it is so near the truth: the others are half a turn away."""
 
 RULES = {
-    "paper: least e_r": lambda h: h.icp_rotation,
-    "paper: least e_t": lambda h: h.icp_translation,
+    "paper: least e_r": lambda h: np.inf if h.icp_rotation is None else h.icp_rotation,
+    "paper: least e_t": lambda h: np.inf if h.icp_translation is None else h.icp_translation,
     "overlap": lambda h: -h.overlap,
     "free space": lambda h: np.inf if h.free_space is None else h.free_space,
     "score": lambda h: -h.score,

@@ -200,7 +200,8 @@ class Hypothesis:
     match
         The pairs of poles and the pose they give.
     icp_rotation, icp_translation
-        The paper's e_r, rad, and e_t, m: how far ICP moves from here.
+        The paper's e_r, rad, and e_t, m: how far ICP moves from here; None where too few points
+        lie near the target for ICP to say anything.
     overlap
         Share of the points with a neighbour in the other cloud, 0 to 1.
     free_space
@@ -210,8 +211,8 @@ class Hypothesis:
     """
 
     match: Match
-    icp_rotation: float
-    icp_translation: float
+    icp_rotation: float | None
+    icp_translation: float | None
     overlap: float
     free_space: float | None
     score: float

@@ -31,7 +31,7 @@ class Surface:
     xyz
         (M, 3) one point per occupied voxel, metres.
     cloud, tree
-        small_gicp's own forms of it, with covariances.
+        small_gicp's own forms of it.
     """
 
     xyz: Array
@@ -83,12 +83,17 @@ def prepare(xyz: Array, voxel: float) -> Surface:
             f"{MIN_POINTS} are needed; record a scene with more in it",
             {"points": len(points), "needed": MIN_POINTS},
         )
-    cloud = small_gicp.PointCloud(points)
-    tree = small_gicp.KdTree(cloud, num_threads=THREADS)
+    surface = as_surface(points)
     small_gicp.estimate_normals_covariances(
-        cloud, tree, num_neighbors=NEIGHBOURS, num_threads=THREADS
+        surface.cloud, surface.tree, num_neighbors=NEIGHBOURS, num_threads=THREADS
     )
-    return Surface(points, cloud, tree)
+    return surface
+
+
+def as_surface(points: Array) -> Surface:
+    """Hand points (M, 3) to small_gicp as they are, without covariances: enough for ICP."""
+    cloud = small_gicp.PointCloud(points)
+    return Surface(points, cloud, small_gicp.KdTree(cloud, num_threads=THREADS))
 
 
 def register(

@@ -54,8 +54,8 @@ class HypothesisDoc(msgspec.Struct):
     T_target_source: Matrix
     pole_rms_m: float
     exact: bool
-    icp_rotation_rad: float
-    icp_translation_m: float
+    icp_rotation_rad: float | None
+    icp_translation_m: float | None
     overlap: float
     free_space: float | None
     score: float

@@ -48,17 +48,20 @@ def _pole_rows(name: str, poles: Sequence[PoleDoc]) -> list[list[str]]:
 _POLE_HEADER = ("pole", "x m", "y m", "z m", "length m", "points", "rows", "rms mm")
 
 
+def _number(value: float | None, digits: int) -> str:
+    return "unknown" if value is None else f"{value:.{digits}f}"
+
+
 def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
-    free_space = hypothesis.free_space
     return [
         f"{chr(ord('a') + k)}{' *' if hypothesis.chosen else ''}",
         " ".join(f"{i}-{j}" for i, j in hypothesis.pairs),
         "yes" if hypothesis.exact else "no",
         f"{1000 * hypothesis.pole_rms_m:.1f}",
-        f"{hypothesis.icp_rotation_rad:.4f}",
-        f"{hypothesis.icp_translation_m:.4f}",
+        _number(hypothesis.icp_rotation_rad, 4),
+        _number(hypothesis.icp_translation_m, 4),
         f"{hypothesis.overlap:.3f}",
-        "unknown" if free_space is None else f"{free_space:.3f}",
+        _number(hypothesis.free_space, 3),
         f"{hypothesis.score:.3f}",
     ]
 
