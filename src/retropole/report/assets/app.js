@@ -1,0 +1,256 @@
+"use strict";
+(() => {
+  const $ = (selector) => document.querySelector(selector);
+  const all = (selector) => [...document.querySelectorAll(selector)];
+  const started = performance.now();
+  const root = document.documentElement;
+
+  // --- copying, frame names and theme: they work whatever becomes of the view ---
+
+  const exportTexts = new Map(all("[data-export]").map((pre) => [pre, pre.textContent]));
+  function nameFrames() {
+    const names = new Map(all("[data-frame]").map((field) => [
+      field.dataset.frame, field.value.replace(/[^\w./-]/g, "_") || field.dataset.frame,
+    ]));
+    const pattern = new RegExp([...names.keys()].join("|"), "g");
+    for (const [pre, text] of exportTexts) pre.textContent = text.replace(pattern, (name) => names.get(name));
+  }
+  all("[data-frame]").forEach((field) => field.addEventListener("input", nameFrames));
+
+  async function copy(pre) {
+    try {
+      await navigator.clipboard.writeText(pre.textContent);
+      return true;
+    } catch {
+      const range = document.createRange();
+      range.selectNodeContents(pre);
+      getSelection().removeAllRanges();
+      getSelection().addRange(range);
+      return document.execCommand("copy");
+    }
+  }
+  all(".copy-button").forEach((button) => button.addEventListener("click", async () => {
+    button.textContent = (await copy(button.closest(".copy").querySelector("pre"))) ? "Copied" : "Selected: press Ctrl+C";
+    setTimeout(() => { button.textContent = "Copy"; }, 1600);
+  }));
+
+  const prefersDark = matchMedia("(prefers-color-scheme: dark)");
+  const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : prefersDark.matches);
+  function nameTheme() { $("#theme").textContent = isDark() ? "Light" : "Dark"; $("#theme").setAttribute("aria-label", `Switch to ${isDark() ? "light" : "dark"} colours`); }
+  $("#theme").addEventListener("click", () => { root.dataset.theme = isDark() ? "light" : "dark"; nameTheme(); repaint(); });
+  prefersDark.addEventListener("change", () => { nameTheme(); repaint(); });
+  nameTheme();
+
+  // --- the view ---
+
+  const scene = JSON.parse($("#data").textContent);
+  scene.clouds = scene.clouds.map(decodeCloud);
+  const poses = new Map(scene.poses.map((pose) => [pose.id, pose]));
+  const layers = { target: true, source: true, poles: true, rejected: true, ellipsoid: true, intensity: true };
+  const state = { mode: "apart", pose: scene.poses.length ? scene.poses[0].id : null, T: IDENTITY, size: 1.5 };
+  const [canvas, marks] = [$("#points"), $("#marks")];
+  const webgl = canvas.getContext("webgl2", { antialias: false, alpha: false });
+  const view = webgl ? webglView(canvas, webgl, marks, scene.clouds) : topView(canvas, marks, scene.clouds);
+  if (!webgl) {
+    $("#fallback").textContent = "This browser gives no WebGL: the clouds are shown from above.";
+    $("#fallback").hidden = false;
+  }
+  root.dataset.view = view.kind;
+
+  function colour(name) {
+    const text = getComputedStyle(root).getPropertyValue(name).trim();
+    return [1, 3, 5].map((k) => parseInt(text.slice(k, k + 2), 16));
+  }
+  let width = 0, height = 0;
+  const ratio = () => Math.min(devicePixelRatio || 1, 2);
+
+  function look(plain) {
+    return {
+      ground: colour("--view"), colours: [colour("--target"), colour("--source")],
+      text: `rgb(${colour("--text")})`, soft: `rgb(${colour("--soft")})`, faint: `rgb(${colour("--line")})`,
+      visible: [layers.target, layers.source], shade: layers.intensity ? 1 : 0,
+      size: plain ? 0.8 : state.size, dpr: ratio(), layers, plain,
+    };
+  }
+
+  function panes() {
+    if (state.mode !== "apart") {
+      return [{ x: 0, y: 0, w: width, h: height, frame: 0, poses: [IDENTITY, state.T],
+        ellipsoid: state.mode === "after" && state.pose === "result" }];
+    }
+    const wide = width > height * 1.2;
+    const [w, h] = wide ? [Math.floor(width / 2), height] : [width, Math.floor(height / 2)];
+    return [
+      { x: 0, y: 0, w, h, frame: 0, poses: [IDENTITY, null], title: "target, in its own frame" },
+      { x: wide ? w : 0, y: wide ? 0 : h, w: wide ? width - w : w, h: wide ? h : height - h,
+        frame: 1, poses: [null, IDENTITY], title: "source, in its own frame" },
+    ];
+  }
+
+  function paint() {
+    const style = look(false), parts = panes();
+    view.paint(parts, style, height);
+    const context = marks.getContext("2d");
+    context.setTransform(style.dpr, 0, 0, style.dpr, 0, 0);
+    context.clearRect(0, 0, width, height);
+    for (const pane of parts) drawMarks(context, pane, view.lens(pane), scene, style);
+    if (parts.length === 2) {
+      const p = parts[1];
+      context.fillStyle = style.faint;
+      if (p.x) context.fillRect(p.x, 0, 1, height); else context.fillRect(0, p.y, width, 1);
+    }
+  }
+
+  /** Draw every hypothesis in its panel, from where the main view looks. */
+  function paintPanels() {
+    const source = $("#points"), style = look(true), dpr = style.dpr;
+    for (const panel of all(".panel")) {
+      const target = panel.querySelector("canvas"), box = target.getBoundingClientRect();
+      const w = Math.min(Math.floor(box.width), width), h = Math.min(Math.floor(box.height), height);
+      if (!w || !h) continue;
+      const pane = { x: 0, y: 0, w, h, frame: 0, poses: [IDENTITY, poses.get(panel.dataset.pose).T] };
+      style.visible = [true, true];
+      style.layers = { poles: true };
+      view.paint([pane], style, height);
+      target.width = w * dpr;
+      target.height = h * dpr;
+      const context = target.getContext("2d");
+      context.drawImage(source, 0, 0, w * dpr, h * dpr, 0, 0, w * dpr, h * dpr);
+      context.setTransform(dpr, 0, 0, dpr, 0, 0);
+      drawMarks(context, pane, view.lens(pane), scene, style);
+    }
+    paint();
+  }
+
+  let asked = false, later = 0;
+  function repaint(withPanels = true) {
+    if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; paint(); }); }
+    if (withPanels) { clearTimeout(later); later = setTimeout(paintPanels, 150); }
+  }
+
+  // --- poses: the source cloud slides from one to the next ---
+
+  const gentle = matchMedia("(prefers-reduced-motion: reduce)");
+  let slide = 0;
+  function goal() { return state.mode === "after" && state.pose ? poses.get(state.pose).T : IDENTITY; }
+  function moveTo(T) {
+    const from = state.T, run = ++slide;
+    if (gentle.matches || view.kind !== "webgl" || state.mode === "apart") { state.T = T; repaint(false); return; }
+    const split = (M) => {
+      const matrix = new THREE.Matrix4().set(...M.flat());
+      return { q: new THREE.Quaternion().setFromRotationMatrix(matrix), t: new THREE.Vector3().setFromMatrixPosition(matrix) };
+    };
+    const [a, b] = [split(from), split(T)], begin = performance.now();
+    const step = () => {
+      if (run !== slide) return;
+      const s = Math.min(1, (performance.now() - begin) / 450), eased = s * s * (3 - 2 * s);
+      if (s < 1) {
+        const m = new THREE.Matrix4().makeRotationFromQuaternion(a.q.clone().slerp(b.q, eased));
+        m.setPosition(a.t.clone().lerp(b.t, eased));
+        const e = m.elements;
+        state.T = [0, 1, 2, 3].map((r) => [e[r], e[r + 4], e[r + 8], e[r + 12]]);
+        requestAnimationFrame(step);
+      } else state.T = T;
+      paint();
+    };
+    step();
+  }
+
+  function describe() {
+    if (state.mode === "apart") return "Apart: each cloud in its own frame.";
+    if (state.mode === "before") return "Before: both clouds as recorded, one frame laid on the other.";
+    const pose = poses.get(state.pose);
+    const shown = state.pose === "result" && scene.ellipsoid && layers.ellipsoid
+      ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
+    return `After: source moved by ${pose.id === "result" ? "the result" : pose.label}.${shown}`;
+  }
+  function refresh() {
+    root.dataset.mode = state.mode;
+    root.dataset.pose = state.pose || "";
+    all("[data-mode]").forEach((b) => { if (b.tagName === "BUTTON") b.setAttribute("aria-pressed", String(b.dataset.mode === state.mode)); });
+    all("[data-layer]").forEach((b) => b.setAttribute("aria-pressed", String(layers[b.dataset.layer])));
+    all(".panel").forEach((b) => b.setAttribute("aria-pressed", String(state.mode === "after" && b.dataset.pose === state.pose)));
+    $("#pose").value = state.pose || "";
+    $("#state").textContent = describe();
+  }
+  function setMode(mode) {
+    if (mode === "after" && !state.pose) return;
+    state.mode = mode;
+    refresh();
+    moveTo(goal());
+  }
+  function setPose(id) {
+    if (!poses.has(id)) return;
+    state.pose = id;
+    setMode("after");
+  }
+  function toggle(layer) {
+    layers[layer] = !layers[layer];
+    refresh();
+    repaint(layer === "intensity");
+  }
+
+  for (const pose of scene.poses) $("#pose").append(new Option(pose.label, pose.id));
+  $(".pose").hidden = !scene.poses.length;
+  $('[data-mode="after"]').disabled = !scene.poses.length;
+  $('[data-layer="ellipsoid"]').hidden = !scene.ellipsoid;
+  $('[data-layer="rejected"]').hidden = !scene.rejected.flat().length;
+  $('[data-layer="poles"]').hidden = !scene.poles.flat().length;
+  $('[data-layer="intensity"]').hidden = !scene.clouds.some((c) => c.counts[2]);
+  all("button[data-mode]").forEach((b) => b.addEventListener("click", () => setMode(b.dataset.mode)));
+  all("[data-layer]").forEach((b) => b.addEventListener("click", () => toggle(b.dataset.layer)));
+  all("[data-preset]").forEach((b) => b.addEventListener("click", () => { view.preset(b.dataset.preset); repaint(); }));
+  all(".panel").forEach((b) => b.addEventListener("click", () => {
+    setPose(b.dataset.pose);
+    const box = $(".stage").getBoundingClientRect();
+    if (box.bottom < 200 || box.top > innerHeight - 200) $(".viewer").scrollIntoView();
+  }));
+  $("#pose").addEventListener("change", (e) => setPose(e.target.value));
+  $("#size").addEventListener("input", (e) => { state.size = Number(e.target.value); repaint(false); });
+
+  // The wheel scrolls the page until the view has been clicked or focused.
+  const idle = view.kind === "webgl" ? "Drag to turn; click, then wheel to zoom" : "Drag to move; click, then wheel to zoom";
+  $("#hint").textContent = matchMedia("(pointer: coarse)").matches ? "Drag to turn, pinch to zoom" : idle;
+  marks.addEventListener("pointerdown", () => { marks.focus({ preventScroll: true }); $("#hint").hidden = true; });
+  marks.addEventListener("focus", () => view.allowWheel(true));
+  marks.addEventListener("blur", () => view.allowWheel(false));
+  if (matchMedia("(pointer: coarse)").matches) view.allowWheel(true);
+
+  const turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
+  marks.addEventListener("keydown", (e) => {
+    if (e.key in turns) view.orbit(...turns[e.key]);
+    else if (e.key === "+" || e.key === "=") view.zoom(1 / 1.15);
+    else if (e.key === "-") view.zoom(1.15);
+    else if (e.key === "Home") view.preset("oblique");
+    else return;
+    e.preventDefault();
+    repaint();
+  });
+  const layerKeys = { t: "target", s: "source", p: "poles", r: "rejected", e: "ellipsoid", i: "intensity" };
+  document.addEventListener("keydown", (e) => {
+    if (e.ctrlKey || e.metaKey || e.altKey || e.target.closest("input, select, textarea, pre")) return;
+    if (e.key === "b") setMode(state.mode === "before" ? "after" : "before");
+    else if (e.key in layerKeys) toggle(layerKeys[e.key]);
+    else if (e.key === "0") setPose("result");
+    else if (/^[1-9]$/.test(e.key)) setPose(String.fromCharCode(96 + Number(e.key)));
+  });
+
+  view.onMove(() => repaint(false));
+  view.onSettle(() => repaint());
+  new ResizeObserver(() => {
+    width = marks.clientWidth;
+    height = marks.clientHeight;
+    const dpr = ratio();
+    view.resize(width, height, dpr);
+    marks.width = width * dpr;
+    marks.height = height * dpr;
+    paint();
+    repaint();
+    if (!root.dataset.usable) root.dataset.usable = String(Math.round(performance.now()));
+  }).observe(marks);
+
+  state.mode = poses.has("result") ? "after" : "apart";
+  state.T = goal();
+  root.dataset.started = String(Math.round(started));
+  refresh();
+})();

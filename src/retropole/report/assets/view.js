@@ -1,0 +1,399 @@
+"use strict";
+// Two painters of the same panes: WebGL through three.js, and a top view on a plain canvas.
+// A pane is a rectangle of the canvas with the clouds to draw in it, each under its pose.
+// Frame 0 is the target's, frame 1 the source's; poses are 4x4 row by row, points [x, y, z] in m.
+
+const IDENTITY = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+const NEAR = 0.05;
+const FIELD_OF_VIEW = 50;
+
+function applyPose(T, p) {
+  return [0, 1, 2].map((r) => T[r][0] * p[0] + T[r][1] * p[1] + T[r][2] * p[2] + T[r][3]);
+}
+
+function bytesOf(text) {
+  const binary = atob(text);
+  const bytes = new Uint8Array(binary.length);
+  for (let k = 0; k < binary.length; k++) bytes[k] = binary.charCodeAt(k);
+  return bytes;
+}
+
+/** Decode what the page carries of a cloud; a point is low + size * xyz / 65535. */
+function decodeCloud(packed) {
+  const xyz = new Uint16Array(bytesOf(packed.xyz).buffer);
+  const intensity = packed.intensity ? bytesOf(packed.intensity) : new Uint8Array(xyz.length / 3).fill(160);
+  return { ...packed, xyz, intensity, count: xyz.length / 3 };
+}
+
+/** Turn and shift from frame 0 to frame 1, so that both panes look past their sensor at the poles. */
+function frameShift(clouds) {
+  const [a, b] = clouds.map((c) => Math.atan2(c.centre[1] - c.origin[1], c.centre[0] - c.origin[0]));
+  const turn = b - a, cos = Math.cos(turn), sin = Math.sin(turn);
+  const [p, q] = [clouds[0].centre, clouds[1].centre];
+  const point = (x) => {
+    const d = [x[0] - p[0], x[1] - p[1], x[2] - p[2]];
+    return [q[0] + cos * d[0] - sin * d[1], q[1] + sin * d[0] + cos * d[1], q[2] + d[2]];
+  };
+  return { turn, point };
+}
+
+/** Where the camera starts: behind the sensor, above, looking at the poles. */
+function presetOffset(name, clouds) {
+  const cloud = clouds[0], r = cloud.radius;
+  const toPoles = [cloud.centre[0] - cloud.origin[0], cloud.centre[1] - cloud.origin[1]];
+  const far = Math.hypot(...toPoles);
+  const [x, y] = far > 0.1 ? toPoles.map((v) => -v / far) : [-1, 0];
+  if (name === "top") return [0.001 * x, 0.001 * y, 1.9 * r];
+  if (name === "side") return [-y * 1.5 * r, x * 1.5 * r, 0.12 * r];
+  return [(0.85 * x - 0.45 * y) * 1.25 * r, (0.85 * y + 0.45 * x) * 1.25 * r, 0.75 * r];
+}
+
+const VERTEX = `
+uniform float size, dpr, scale;
+uniform int poles;
+attribute float intensity;
+varying float level;
+void main() {
+  vec4 p = modelViewMatrix * vec4(position, 1.0);
+  gl_Position = projectionMatrix * p;
+  bool marked = gl_VertexID < poles;
+  level = marked ? 1.0 : intensity;
+  gl_PointSize = dpr * clamp(size * scale / -p.z, 0.8 * size, 4.0 * size) * (marked ? 1.6 : 1.0);
+}`;
+
+const FRAGMENT = `
+uniform vec3 colour, ground;
+uniform float shade;
+varying float level;
+void main() {
+  gl_FragColor = vec4(mix(colour, mix(ground, colour, 0.3 + 0.7 * level), shade), 1.0);
+}`;
+
+/** Painter through WebGL; `pad` is the element that takes the pointer. */
+function webglView(canvas, context, pad, clouds) {
+  const renderer = new THREE.WebGLRenderer({ canvas, context });
+  renderer.autoClear = false;
+  const camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, NEAR, 2000);
+  const other = camera.clone();
+  for (const c of [camera, other]) c.up.set(0, 0, 1);
+  const controls = new THREE.OrbitControls(camera, pad);
+  controls.screenSpacePanning = true;
+  controls.enableZoom = false;
+  controls.minDistance = 0.3;
+  controls.maxDistance = 400;
+  const shift = frameShift(clouds);
+  const scene = new THREE.Scene();
+  const points = clouds.map((cloud) => {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(cloud.xyz, 3, true));
+    geometry.setAttribute("intensity", new THREE.BufferAttribute(cloud.intensity, 1, true));
+    const uniforms = {};
+    for (const name of ["size", "dpr", "scale", "shade"]) uniforms[name] = { value: 1 };
+    uniforms.poles = { value: cloud.counts[0] };
+    for (const name of ["colour", "ground"]) uniforms[name] = { value: new THREE.Vector3() };
+    const material = new THREE.ShaderMaterial({ uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT });
+    const object = new THREE.Points(geometry, material);
+    object.frustumCulled = false;
+    object.matrixAutoUpdate = false;
+    scene.add(object);
+    return object;
+  });
+
+  function place(object, cloud, T) {
+    const [s, l] = [cloud.size, cloud.low], at = applyPose(T, l);
+    object.matrix.set(
+      T[0][0] * s[0], T[0][1] * s[1], T[0][2] * s[2], at[0],
+      T[1][0] * s[0], T[1][1] * s[1], T[1][2] * s[2], at[1],
+      T[2][0] * s[0], T[2][1] * s[1], T[2][2] * s[2], at[2],
+      0, 0, 0, 1);
+    object.matrixWorldNeedsUpdate = true;
+  }
+
+  function cameraFor(pane) {
+    let used = camera;
+    if (pane.frame === 1) {
+      used = other;
+      const eye = shift.point(camera.position.toArray()), at = shift.point(controls.target.toArray());
+      used.position.set(...eye);
+      used.lookAt(...at);
+    }
+    used.aspect = pane.w / pane.h;
+    used.updateProjectionMatrix();
+    used.updateMatrixWorld();
+    return used;
+  }
+
+  function preset(name) {
+    const offset = presetOffset(name, clouds);
+    controls.target.set(...clouds[0].centre);
+    camera.position.set(...clouds[0].centre.map((v, k) => v + offset[k]));
+    controls.update();
+  }
+  preset("oblique");
+
+  return {
+    kind: "webgl",
+    preset,
+    onMove: (f) => controls.addEventListener("change", f),
+    onSettle: (f) => controls.addEventListener("end", f),
+    allowWheel: (on) => { controls.enableZoom = on; },
+    resize: (w, h, dpr) => { renderer.setPixelRatio(dpr); renderer.setSize(w, h, false); },
+    orbit(turn, rise) {
+      const d = camera.position.clone().sub(controls.target), r = d.length();
+      const azimuth = Math.atan2(d.y, d.x) + turn;
+      const height = Math.max(-1.5, Math.min(1.5, Math.asin(d.z / r) + rise));
+      d.set(r * Math.cos(height) * Math.cos(azimuth), r * Math.cos(height) * Math.sin(azimuth), r * Math.sin(height));
+      camera.position.copy(controls.target).add(d);
+      controls.update();
+    },
+    zoom(factor) {
+      camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
+      controls.update();
+    },
+    lens(pane) {
+      const used = cameraFor(pane), m = used.matrixWorldInverse.elements.slice();
+      const f = 1 / Math.tan((FIELD_OF_VIEW * Math.PI) / 360), aspect = pane.w / pane.h;
+      return {
+        toView: (p) => [0, 1, 2].map((r) => m[r] * p[0] + m[r + 4] * p[1] + m[r + 8] * p[2] + m[r + 12]),
+        toPixel: (v) => [
+          pane.x + (pane.w / 2) * (1 + ((f / aspect) * v[0]) / -v[2]),
+          pane.y + (pane.h / 2) * (1 - (f * v[1]) / -v[2]),
+        ],
+      };
+    },
+    paint(panes, look, height) {
+      const [r, g, b] = look.ground;
+      renderer.setScissorTest(true);
+      for (const pane of panes) {
+        const bottom = height - pane.y - pane.h;
+        renderer.setViewport(pane.x, bottom, pane.w, pane.h);
+        renderer.setScissor(pane.x, bottom, pane.w, pane.h);
+        points.forEach((object, k) => {
+          const T = pane.poses[k];
+          object.visible = Boolean(T) && look.visible[k];
+          if (!object.visible) return;
+          place(object, clouds[k], T);
+          const u = object.material.uniforms;
+          u.size.value = look.size;
+          u.scale.value = pane.h / 60;
+          u.dpr.value = look.dpr;
+          u.shade.value = look.shade;
+          u.colour.value.set(...look.colours[k].map((v) => v / 255));
+          u.ground.value.set(r / 255, g / 255, b / 255);
+        });
+        renderer.setClearColor((r << 16) | (g << 8) | b);
+        renderer.clear();
+        renderer.render(scene, cameraFor(pane));
+      }
+    },
+  };
+}
+
+/** Painter without WebGL: the clouds from above, on a 2-D canvas. */
+function topView(canvas, pad, clouds) {
+  const context = canvas.getContext("2d");
+  const shift = frameShift(clouds);
+  const listeners = { move: [], settle: [] };
+  const tell = (what) => listeners[what].forEach((f) => f());
+  let centre, span, wheel = false, dpr = 1;
+  const metres = clouds.map((c) => Float32Array.from(c.xyz, (v, k) => c.low[k % 3] + (c.size[k % 3] * v) / 65535));
+
+  function preset() { centre = clouds[0].centre.slice(); span = 2.2 * clouds[0].radius; tell("move"); }
+  preset();
+
+  let from = null;
+  pad.addEventListener("pointerdown", (e) => { from = [e.clientX, e.clientY]; pad.setPointerCapture(e.pointerId); });
+  pad.addEventListener("pointermove", (e) => {
+    if (!from) return;
+    const perPixel = span / Math.min(pad.clientWidth, pad.clientHeight);
+    centre[0] -= (e.clientX - from[0]) * perPixel;
+    centre[1] += (e.clientY - from[1]) * perPixel;
+    from = [e.clientX, e.clientY];
+    tell("move");
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    pad.addEventListener(name, () => { from = null; tell("settle"); });
+  }
+  pad.addEventListener("wheel", (e) => {
+    if (!wheel) return;
+    e.preventDefault();
+    span *= Math.exp(e.deltaY / 500);
+    tell("move");
+  }, { passive: false });
+
+  /** Affine map of a pane: pixel = origin + A (x, y). */
+  function affine(pane) {
+    const scale = Math.min(pane.w, pane.h) / span;
+    const [c, turn] = pane.frame === 1 ? [shift.point(centre), -shift.turn] : [centre, 0];
+    const cos = Math.cos(turn) * scale, sin = Math.sin(turn) * scale;
+    const A = [cos, -sin, -sin, -cos];
+    const at = [pane.x + pane.w / 2 - A[0] * c[0] - A[1] * c[1], pane.y + pane.h / 2 - A[2] * c[0] - A[3] * c[1]];
+    return { A, at };
+  }
+
+  return {
+    kind: "top",
+    preset,
+    onMove: (f) => listeners.move.push(f),
+    onSettle: (f) => listeners.settle.push(f),
+    allowWheel: (on) => { wheel = on; },
+    resize(w, h, ratio) { dpr = ratio; canvas.width = w * dpr; canvas.height = h * dpr; },
+    orbit(turn, rise) { centre[0] += turn * span * 0.5; centre[1] += rise * span * 0.5; tell("move"); },
+    zoom(factor) { span *= factor; tell("move"); },
+    lens(pane) {
+      const { A, at } = affine(pane);
+      return {
+        toView: (p) => [p[0], p[1], -1],
+        toPixel: (v) => [at[0] + A[0] * v[0] + A[1] * v[1], at[1] + A[2] * v[0] + A[3] * v[1]],
+      };
+    },
+    paint(panes, look) {
+      const dot = Math.max(1, Math.round(look.size * dpr * 0.8));
+      for (const pane of panes) {
+        const w = Math.round(pane.w * dpr), h = Math.round(pane.h * dpr);
+        const image = context.createImageData(w, h), pixels = new Uint32Array(image.data.buffer);
+        const pack = (c) => (255 << 24) | (c[2] << 16) | (c[1] << 8) | c[0];
+        pixels.fill(pack(look.ground));
+        const { A, at } = affine(pane);
+        clouds.forEach((cloud, k) => {
+          const T = pane.poses[k];
+          if (!T || !look.visible[k]) return;
+          const shades = Array.from({ length: 256 }, (_, v) => {
+            const level = 1 - look.shade * 0.7 * (1 - v / 255);
+            return pack(look.colours[k].map((c, n) => Math.round(look.ground[n] + (c - look.ground[n]) * level)));
+          });
+          const xyz = metres[k];
+          for (let n = 0; n < cloud.count; n++) {
+            const x = xyz[3 * n], y = xyz[3 * n + 1], z = xyz[3 * n + 2];
+            const X = T[0][0] * x + T[0][1] * y + T[0][2] * z + T[0][3];
+            const Y = T[1][0] * x + T[1][1] * y + T[1][2] * z + T[1][3];
+            const u = ((at[0] - pane.x + A[0] * X + A[1] * Y) * dpr) | 0;
+            const v = ((at[1] - pane.y + A[2] * X + A[3] * Y) * dpr) | 0;
+            if (u < 0 || v < 0 || u >= w - dot || v >= h - dot) continue;
+            const value = shades[cloud.intensity[n]];
+            for (let b = 0; b < dot; b++) for (let a = 0; a < dot; a++) pixels[(v + b) * w + u + a] = value;
+          }
+        });
+        context.putImageData(image, Math.round(pane.x * dpr), Math.round(pane.y * dpr));
+      }
+    },
+  };
+}
+
+/** Draw what is not a point: rings of range, sensors, poles, rejected clusters, the ellipsoid. */
+function drawMarks(context, pane, lens, scene, look) {
+  const halo = `rgba(${look.ground.join(",")},0.85)`;
+  const css = (c) => `rgb(${c.join(",")})`;
+  context.save();
+  context.beginPath();
+  context.rect(pane.x, pane.y, pane.w, pane.h);
+  context.clip();
+  context.lineCap = "round";
+
+  function trace(points) {
+    context.beginPath();
+    let open = false, before = null;
+    for (const p of points) {
+      const v = lens.toView(p);
+      if (before && (before[2] > -NEAR) !== (v[2] > -NEAR)) {
+        const s = (-NEAR - before[2]) / (v[2] - before[2]);
+        const cut = lens.toPixel([0, 1, 2].map((k) => (k === 2 ? -NEAR : before[k] + s * (v[k] - before[k]))));
+        if (open) context.lineTo(...cut); else context.moveTo(...cut);
+        open = !open;
+      }
+      if (v[2] <= -NEAR) {
+        if (open) context.lineTo(...lens.toPixel(v)); else context.moveTo(...lens.toPixel(v));
+        open = true;
+      }
+      before = v;
+    }
+  }
+  function line(points, colour, width, dash = []) {
+    trace(points);
+    context.setLineDash([]);
+    context.strokeStyle = halo;
+    context.lineWidth = width + 3;
+    context.stroke();
+    context.setLineDash(dash);
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    context.stroke();
+    context.setLineDash([]);
+  }
+  function spot(p) {
+    const v = lens.toView(p);
+    return v[2] <= -NEAR ? lens.toPixel(v) : null;
+  }
+  function label(text, at, colour, align = "left", size = 12) {
+    context.font = `600 ${size}px system-ui, sans-serif`;
+    context.textAlign = align;
+    context.textBaseline = "middle";
+    context.lineWidth = 4;
+    context.lineJoin = "round";
+    context.strokeStyle = halo;
+    context.strokeText(text, ...at);
+    context.fillStyle = colour;
+    context.fillText(text, ...at);
+  }
+
+  const base = scene.clouds[pane.frame];
+  context.strokeStyle = look.faint;
+  context.lineWidth = 1;
+  for (const range of look.plain ? [] : [5, 10, 20, 40]) {
+    trace(Array.from({ length: 97 }, (_, k) => {
+      const angle = (2 * Math.PI * k) / 96;
+      return [base.origin[0] + range * Math.cos(angle), base.origin[1] + range * Math.sin(angle), base.origin[2]];
+    }));
+    context.stroke();
+    const at = spot([base.origin[0], base.origin[1] + range, base.origin[2]]);
+    if (at) { context.font = "11px system-ui, sans-serif"; context.fillStyle = look.soft; context.textAlign = "center"; context.fillText(`${range} m`, at[0], at[1] - 5); }
+  }
+  scene.clouds.forEach((cloud, k) => {
+    const T = pane.poses[k];
+    if (!T || !look.visible[k]) return;
+    const to = (p) => applyPose(T, p), o = cloud.origin, colour = css(look.colours[k]);
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1]].forEach((axis, n) => {
+      const end = to(o.map((v, m) => v + axis[m]));
+      line([to(o), end], colour, look.plain ? 1 : 2, n === 2 ? [] : n === 1 ? [5, 4] : [1, 4]);
+      const at = look.plain ? null : spot(end);
+      if (at) label("xyz"[n], at, colour, "center", 11);
+    });
+    const at = look.plain ? null : spot(to(o));
+    if (at) label(["target", "source"][k], [at[0], at[1] + 14], colour, "center");
+    if (look.layers.poles) {
+      for (const pole of scene.poles[k]) {
+        const ends = [to(pole.a), to(pole.b)];
+        line(ends, colour, look.plain ? 2 : 3.5, k === 1 ? [7, 5] : []);
+        const seen = ends.map(spot).filter(Boolean).sort((p, q) => p[1] - q[1])[0];
+        if (seen && !look.plain) label(pole.label, [seen[0] + (k === 0 ? -8 : 8), seen[1] - 10], colour, k === 0 ? "right" : "left", 13);
+      }
+    }
+    if (look.layers.rejected && !look.plain) {
+      for (const cluster of scene.rejected[k]) {
+        const c = spot(to(cluster.at));
+        if (!c) continue;
+        for (const [width, stroke] of [[5, halo], [2, colour]]) {
+          context.beginPath();
+          context.moveTo(c[0] - 5, c[1] - 5); context.lineTo(c[0] + 5, c[1] + 5);
+          context.moveTo(c[0] - 5, c[1] + 5); context.lineTo(c[0] + 5, c[1] - 5);
+          context.lineWidth = width; context.strokeStyle = stroke; context.stroke();
+        }
+        label(cluster.label, [c[0] + 9, c[1]], colour, "left", 11);
+      }
+    }
+  });
+  if (scene.ellipsoid && pane.ellipsoid && look.layers.ellipsoid) {
+    const { centre, axes } = scene.ellipsoid;
+    for (const [i, j] of [[0, 1], [1, 2], [2, 0]]) {
+      trace(Array.from({ length: 49 }, (_, k) => {
+        const a = (2 * Math.PI * k) / 48;
+        return centre.map((v, n) => v + Math.cos(a) * axes[i][n] + Math.sin(a) * axes[j][n]);
+      }));
+      context.strokeStyle = look.text;
+      context.lineWidth = 1.5;
+      context.stroke();
+    }
+  }
+  if (pane.title) label(pane.title, [pane.x + 12, pane.y + 18], look.text, "left", 13);
+  context.restore();
+}

@@ -1,0 +1,119 @@
+"""A cloud as a page carries it: thinned, quantised, in base64."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datatypes import Array, Detection, PointCloud
+
+IntpArray = NDArray[np.intp]
+
+STEPS = 65535
+"""Steps of a coordinate over its extent: 16 bits."""
+
+FAR = 300.0
+"""Points further than this from the beam origin, metres, are left out of the view: one stray
+return would coarsen all coordinates, and the box stays under 600 m, so a step under 1 cm."""
+
+
+def _clusters(detection: Detection | None) -> tuple[IntpArray, IntpArray]:
+    """Indices of the points on poles, and of those in rejected clusters."""
+    empty = np.zeros(0, dtype=np.intp)
+    if detection is None:
+        return empty, empty
+    poles = np.concatenate([empty, *(p.index for p in detection.poles)]).astype(np.intp)
+    rejected = np.concatenate([empty, *(r.index for r in detection.rejected)]).astype(np.intp)
+    return np.unique(poles), np.setdiff1d(rejected, poles)
+
+
+def _thin(ranges: Array, kept: IntpArray, budget: int) -> IntpArray:
+    """Choose points to show: those given, and a draw weighted by range from the others.
+
+    A spinning LiDAR crowds its returns near itself; weights that grow with range leave the far
+    ones, which carry the shape of the scene. The draw is by exponential keys (Efraimidis and
+    Spirakis 2006) with a fixed seed: the same cloud gives the same page.
+    """
+    others = np.ones(len(ranges), dtype=bool)
+    others[kept] = False
+    rest = np.flatnonzero(others)
+    room = max(budget - len(kept), 0)
+    if len(rest) > room:
+        rng = np.random.default_rng(0)
+        keys = rng.exponential(size=len(rest)) / np.maximum(ranges[rest], 1.0)
+        rest = np.sort(np.argpartition(keys, room)[:room]) if room else rest[:0]
+        rest = np.flatnonzero(others)[rest]
+    return np.concatenate([kept, rest])
+
+
+def pack_cloud(
+    cloud: PointCloud, detection: Detection | None = None, *, max_points: int
+) -> dict[str, Any]:
+    """Pack a cloud for the page.
+
+    Parameters
+    ----------
+    cloud
+        N points in their LiDAR's frame.
+    detection
+        What was found in it; points on poles and in rejected clusters come first and are kept
+        before all others.
+    max_points
+        At most this many points are packed.
+
+    Returns
+    -------
+    dict
+        ``xyz``: base64 of little-endian uint16 (n, 3), a point is ``low + size * xyz / 65535``
+        (metres); ``intensity``: base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale, or
+        None; ``counts``: points on poles, in rejected clusters, in all; ``total``, ``far``: points
+        of the cloud, and how many of them are left out as too far; ``centre`` (3,) and ``radius``:
+        what to look at, metres.
+    """
+    offset = cloud.xyz - cloud.origin
+    squared = np.einsum("ij,ij->i", offset, offset)
+    near = squared <= FAR**2
+    poles, rejected = (index[near[index]] for index in _clusters(detection))
+    poles, rejected = poles[:max_points], rejected[: max(max_points - len(poles), 0)]
+    candidates = np.flatnonzero(near)
+    kept = np.concatenate([poles, rejected])
+    position = np.zeros(len(cloud), dtype=np.intp)
+    position[candidates] = np.arange(len(candidates))
+    ranges = np.sqrt(squared[candidates])
+    shown = candidates[_thin(ranges, position[kept], max_points)]
+
+    xyz = cloud.xyz[shown]
+    low = xyz.min(axis=0) if len(xyz) else np.zeros(3)
+    size = np.maximum(xyz.max(axis=0) - low, 1e-3) if len(xyz) else np.ones(3)
+    quantised = np.rint((xyz - low) * (STEPS / size)).astype("<u2")
+    seen = [pole.point for pole in detection.poles] if detection else []
+    centre = np.mean([cloud.origin, *seen], axis=0)
+    spread = np.quantile(ranges, 0.75) if len(ranges) else 10.0
+    reach = max((float(np.linalg.norm(p - cloud.origin)) for p in seen), default=0.0)
+    return {
+        "xyz": base64.b64encode(quantised.tobytes()).decode(),
+        "intensity": _intensity(cloud.intensity, shown),
+        "low": low.tolist(),
+        "size": size.tolist(),
+        "counts": [len(poles), len(rejected), len(shown)],
+        "total": len(cloud),
+        "far": len(cloud) - len(candidates),
+        "origin": cloud.origin.tolist(),
+        "centre": centre.tolist(),
+        "radius": float(np.clip(max(spread, 1.5 * reach), 4.0, 30.0)),
+    }
+
+
+def _intensity(intensity: Array | None, shown: IntpArray) -> str | None:
+    """Intensity as uint8 between the cloud's 1 % and 99 %, on a square-root scale."""
+    if intensity is None or not len(shown):
+        return None
+    values = np.nan_to_num(intensity[shown])
+    low, high = np.quantile(values, [0.01, 0.99])
+    if high <= low:
+        return None
+    level = np.sqrt(np.clip((values - low) / (high - low), 0.0, 1.0))
+    return base64.b64encode(np.rint(255 * level).astype(np.uint8).tobytes()).decode()

@@ -1,0 +1,177 @@
+"""Put a result and its two clouds into one HTML file that needs no network."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from ..datatypes import Array, Detection, PointCloud
+from ..files import write_atomically
+from . import sections
+from .points import pack_cloud
+
+MAX_POINTS = 60_000
+"""Points of each cloud in the page: about 0.6 MB, and a picture on any machine in a second."""
+
+
+def render_report(
+    result: Mapping[str, Any],
+    target: PointCloud,
+    source: PointCloud,
+    detections: tuple[Detection | None, Detection | None] | None = None,
+    *,
+    max_points: int = MAX_POINTS,
+) -> str:
+    """Render a run as one HTML page.
+
+    Parameters
+    ----------
+    result
+        The result document (schema ``retropole/result/1``) as plain dicts and lists. What may be
+        null there may be null here; lists may be empty.
+    target, source
+        The clouds of the run, each in its own frame.
+    detections
+        What was found in the target and in the source; brings the rejected clusters and the
+        points on the poles into the page.
+    max_points
+        At most this many points of each cloud are put into the page, which says how many it shows.
+
+    Returns
+    -------
+    str
+        The page. It holds its style, code and points, asks no other address for anything, and
+        works from a file.
+    """
+    found = detections or (None, None)
+    names = [Path(str(item.get("path", ""))).name for item in result.get("inputs") or []]
+    names = [*names, "target", "source"][:2] if len(names) < 2 else names[:2]
+    clouds = [
+        pack_cloud(cloud, detection, max_points=max_points)
+        for cloud, detection in zip((target, source), found, strict=True)
+    ]
+    view = {
+        "status": result.get("status"),
+        "clouds": clouds,
+        "poles": [_pole_lines(result, which) for which in ("target", "source")],
+        "rejected": [
+            [{"at": r.centre.tolist(), "label": f"{which}{k}"} for k, r in enumerate(d.rejected)]
+            if d
+            else []
+            for which, d in zip("ts", found, strict=True)
+        ],
+        "poses": _poses(result),
+        "ellipsoid": _ellipsoid(result),
+    }
+    shown = "; ".join(
+        _shown(which, cloud) for which, cloud in zip(("target", "source"), clouds, strict=True)
+    )
+    assets = files(__package__) / "assets"
+    page = Template((assets / "template.html").read_text(encoding="utf-8"))
+    return page.substitute(
+        title=escape(f"{names[0]} ← {names[1]}"),
+        status=escape(str(result.get("status"))),
+        target_name=escape(names[0]),
+        source_name=escape(names[1]),
+        created=escape(str(result.get("created", ""))),
+        verdict=sections.verdict(result),
+        transform=sections.transform(result),
+        hypotheses=sections.hypotheses(result),
+        poles=sections.poles(result, detections),
+        uncertainty=sections.uncertainty(result),
+        provenance=sections.provenance(result),
+        shown=escape(shown),
+        style=(assets / "style.css").read_text(encoding="utf-8"),
+        data=embed_json(view),
+        three=(assets / "three.min.js").read_text(encoding="utf-8"),
+        view_js=(assets / "view.js").read_text(encoding="utf-8"),
+        app_js=(assets / "app.js").read_text(encoding="utf-8"),
+    )
+
+
+def write_report(
+    path: Path,
+    result: Mapping[str, Any],
+    target: PointCloud,
+    source: PointCloud,
+    detections: tuple[Detection | None, Detection | None] | None = None,
+    *,
+    max_points: int = MAX_POINTS,
+) -> None:
+    """Write `render_report`'s page to a file, whole or not at all."""
+    page = render_report(result, target, source, detections, max_points=max_points)
+    write_atomically(path, page.encode("utf-8"))
+
+
+def embed_json(value: object) -> str:
+    """Write JSON that no content can lead out of its script element; not-a-number becomes null."""
+    try:
+        text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    except ValueError:
+        text = json.dumps(_finite(value), allow_nan=False, separators=(",", ":"))
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _shown(which: str, cloud: Mapping[str, Any]) -> str:
+    count, total = cloud["counts"][2], cloud["total"]
+    text = f"{which}: showing {count:,} of {total:,} points"
+    return text + (f", {cloud['far']:,} of them too far for the view" if cloud["far"] else "")
+
+
+def _pole_lines(result: Mapping[str, Any], which: str) -> list[dict[str, Any]]:
+    """Both ends of every pole of one LiDAR, in its frame."""
+    lines = []
+    for k, pole in enumerate((result.get("poles") or {}).get(which) or []):
+        point = np.asarray(pole["point_m"], dtype=float)
+        half = 0.5 * pole["length_m"] * np.asarray(pole["direction"], dtype=float)
+        ends = {"a": (point - half).tolist(), "b": (point + half).tolist()}
+        lines.append({**ends, "label": f"{which[0].upper()}{k}"})
+    return lines
+
+
+def _poses(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Every pose the view can show: the result, the stage before it, and the hypotheses."""
+    poses = []
+    if result.get("T_target_source") is not None:
+        poses.append({"id": "result", "label": "result", "T": result["T_target_source"]})
+    for k, hypothesis in enumerate(result.get("hypotheses") or []):
+        name = sections.letter(k)
+        label = f"hypothesis {name}" + (" (chosen, poles only)" if hypothesis.get("chosen") else "")
+        poses.append({"id": name, "label": label, "T": hypothesis["T_target_source"]})
+    return poses
+
+
+def _ellipsoid(result: Mapping[str, Any]) -> dict[str, Any] | None:
+    """1 σ ellipsoid of the source origin in the target frame, enlarged until it can be seen."""
+    if result.get("covariance") is None or result.get("T_target_source") is None:
+        return None
+    covariance: Array = np.asarray(result["covariance"], dtype=float)[3:, 3:]
+    values, vectors = np.linalg.eigh(covariance)
+    sigma = np.sqrt(np.maximum(values, 0.0))
+    if not sigma[-1] > 0:
+        return None
+    factor = 10.0 ** max(0, round(float(np.log10(0.7 / sigma[-1]))))
+    centre = np.asarray(result["T_target_source"], dtype=float)[:3, 3]
+    return {
+        "centre": centre.tolist(),
+        "axes": (vectors * sigma * factor).T.tolist(),
+        "factor": factor,
+        "sigma_m": sigma.tolist(),
+    }
