@@ -27,7 +27,7 @@ RULES = {
     "paper: least e_r": lambda h: np.inf if h.icp_rotation is None else h.icp_rotation,
     "paper: least e_t": lambda h: np.inf if h.icp_translation is None else h.icp_translation,
     "overlap": lambda h: -h.overlap,
-    "free space": lambda h: np.inf if h.free_space is None else h.free_space,
+    "free space": lambda h: h.free_space,
     "score": lambda h: -h.score,
 }
 

@@ -205,7 +205,7 @@ class Hypothesis:
     overlap
         Share of the points with a neighbour in the other cloud, 0 to 1.
     free_space
-        Share of the points that contradict free space, or None where neither beam origin is known.
+        Share of the points that stand where the other LiDAR looked through, 0 to 1.
     score
         What the hypotheses are ranked by, larger is better.
     """
@@ -214,7 +214,7 @@ class Hypothesis:
     icp_rotation: float | None
     icp_translation: float | None
     overlap: float
-    free_space: float | None
+    free_space: float
     score: float
 
 

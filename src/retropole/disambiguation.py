@@ -53,9 +53,6 @@ SEE_THROUGH = 0.5
 """A return must be this far, metres, and a tenth of its range, in front of what the other LiDAR
 saw in its direction to contradict it: poles leave up to a degree of error in the pose."""
 
-MAX_SELF_CONTRADICTION = 0.12
-"""A cloud of one sweep seen from its true origin contradicts itself this much at most."""
-
 
 @dataclass(frozen=True, eq=False)
 class RangeImage:
@@ -108,6 +105,13 @@ def contradiction(image: RangeImage, points: Array) -> float:
         What the one LiDAR saw.
     points
         (N, 3) returns of the other, in the frame of the first.
+
+    Notes
+    -----
+    A file that was moved into another frame keeps no word of where its sensor was. Seen from a
+    wrong origin the witness is weaker, but it does not turn: a point that lies on a surface which
+    the other LiDAR measured has that surface in its direction from wherever one looks, so the
+    right hypothesis is not contradicted.
     """
     rays = points - image.origin
     ranges = np.linalg.norm(rays, axis=1)
@@ -115,20 +119,6 @@ def contradiction(image: RangeImage, points: Array) -> float:
     margin = np.maximum(SEE_THROUGH, 0.1 * ranges)
     behind = image.nearest[row, column] > ranges + margin
     return float(np.mean(behind & image.seen[row, column]))
-
-
-def origin_is_plausible(cloud: PointCloud, image: RangeImage) -> bool:
-    """Whether the beams of a cloud can start where it says.
-
-    A file moved into another frame keeps no word of where its sensor was. Seen from a wrong
-    origin, near surfaces hide far ones that were measured all the same: such a cloud contradicts
-    itself, and then nothing may be concluded from its rays.
-    """
-    rays = cloud.xyz - image.origin
-    ranges = np.linalg.norm(rays, axis=1)
-    row, column = _cells(rays, image.nearest.shape)
-    hidden = ranges > 1.5 * image.nearest[row, column] + SEE_THROUGH
-    return float(np.mean(hidden)) <= MAX_SELF_CONTRADICTION
 
 
 def judge(
@@ -165,7 +155,6 @@ def judge(
     surface = as_surface(points[0])
     trees = cKDTree(points[0]), cKDTree(points[1])
     images = range_image(target), range_image(source)
-    known = origin_is_plausible(target, images[0]), origin_is_plausible(source, images[1])
     sampled = tuple(left[:: 1 + len(left) // SAMPLE] for left in points)
     hypotheses = []
     for match in matches:
@@ -176,12 +165,10 @@ def judge(
             for tree, xyz in zip(trees, moved, strict=True)
         ]
         overlap = float(np.mean([np.mean(d <= OVERLAP_DISTANCE) for d in distances]))
-        against = [contradiction(images[k], moved[k]) for k in (0, 1) if known[k]]
-        free_space = float(np.mean(against)) if against else None
+        free_space = float(np.mean([contradiction(images[k], moved[k]) for k in (0, 1)]))
         e_r, e_t = icp_motion(surface, sampled[1][distances[0] <= ICP_REACH], T)
-        hypotheses.append(
-            Hypothesis(match, e_r, e_t, overlap, free_space, overlap - (free_space or 0.0))
-        )
+        score = overlap - free_space
+        hypotheses.append(Hypothesis(match, e_r, e_t, overlap, free_space, score))
     return tuple(sorted(hypotheses, key=lambda h: (not h.match.exact, -h.score)))
 
 

@@ -57,7 +57,7 @@ class HypothesisDoc(msgspec.Struct):
     icp_rotation_rad: float | None
     icp_translation_m: float | None
     overlap: float
-    free_space: float | None
+    free_space: float
     score: float
     chosen: bool
 

@@ -61,7 +61,7 @@ def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
         _number(hypothesis.icp_rotation_rad, 4),
         _number(hypothesis.icp_translation_m, 4),
         f"{hypothesis.overlap:.3f}",
-        _number(hypothesis.free_space, 3),
+        f"{hypothesis.free_space:.3f}",
         f"{hypothesis.score:.3f}",
     ]
 
