@@ -14,7 +14,7 @@ import numpy as np
 
 from ..datatypes import Array, Detection, PointCloud
 from ..files import write_atomically
-from . import sections
+from . import evidence, sections
 from .points import pack_cloud
 
 MAX_POINTS = 60_000
@@ -62,10 +62,10 @@ def render_report(
         "clouds": clouds,
         "poles": [_pole_lines(result, which) for which in ("target", "source")],
         "rejected": [
-            [{"at": r.centre.tolist(), "label": f"{which}{k}"} for k, r in enumerate(d.rejected)]
+            [{"at": r.centre.tolist(), "label": str(k)} for k, r in enumerate(d.rejected)]
             if d
             else []
-            for which, d in zip("ts", found, strict=True)
+            for d in found
         ],
         "poses": _poses(result),
         "ellipsoid": _ellipsoid(result),
@@ -84,9 +84,9 @@ def render_report(
         verdict=sections.verdict(result),
         transform=sections.transform(result),
         hypotheses=sections.hypotheses(result),
-        poles=sections.poles(result, detections),
-        uncertainty=sections.uncertainty(result),
-        provenance=sections.provenance(result),
+        poles=evidence.poles(result, detections),
+        uncertainty=evidence.uncertainty(result),
+        provenance=evidence.provenance(result),
         shown=escape(shown),
         style=(assets / "style.css").read_text(encoding="utf-8"),
         data=embed_json(view),

@@ -1,21 +1,19 @@
-"""The report's text: pure functions from the result document to HTML, everything escaped."""
+"""What the report answers: verdict, transform, hypotheses; from the result document to HTML."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .. import se3
-from ..datatypes import Array, Detection
+from ..datatypes import Array
 
 Result = Mapping[str, Any]
-Detections = tuple[Detection | None, Detection | None]
 
 FRAMES = "lidar_target", "lidar_source"
 """Frame names in the lines to copy, until the reader types others into the page."""
@@ -61,12 +59,25 @@ def number(value: Any, digits: int, scale: float = 1.0, unit: str = "") -> str:
     return f"{value * scale:.{digits}f}{unit}"
 
 
-def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out a table that scrolls sideways on narrow screens; every cell is escaped."""
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in header)
+def table(
+    caption: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    text: Collection[int] = (),
+) -> str:
+    """Lay out a table that scrolls sideways on narrow screens; every cell is escaped.
+
+    The columns in ``text`` are words, set from the left; all but the first are else numbers.
+    """
+    kind = ["" if k not in text else ' class="text"' for k in range(len(header))]
+    head = "".join(
+        f'<th scope="col"{c}>{escape(name)}</th>' for c, name in zip(kind, header, strict=True)
+    )
     body = "".join(
         f'<tr><th scope="row">{escape(str(row[0]))}</th>'
-        + "".join(f"<td>{escape(str(cell))}</td>" for cell in row[1:])
+        + "".join(
+            f"<td{c}>{escape(str(cell))}</td>" for c, cell in zip(kind[1:], row[1:], strict=True)
+        )
         + "</tr>"
         for row in rows
     )
@@ -105,7 +116,7 @@ def verdict(result: Result) -> str:
 def _figures(result: Result) -> str:
     """Predicted error at each range, and the margin, as tiles."""
     tiles = [
-        (f"± {number(e.get('sigma_m'), 1, 100)} cm", f"at {e.get('range_m'):g} m, 1 σ")
+        (f"± {number(e.get('sigma_m'), 1, 100)} cm", f"predicted at {e.get('range_m'):g} m, 1 σ")
         for e in result.get("predicted_error") or []
     ]
     if result.get("margin") is not None:
@@ -128,16 +139,19 @@ def transform(result: Result) -> str:
     cells = "".join(
         "<tr>" + "".join(f"<td>{value:.6f}</td>" for value in row) + "</tr>" for row in T
     )
-    rows = [
-        ("translation, m", *(f"{n} {v:.4f}" for n, v in zip("xyz", t, strict=True)), ""),
-        ("quaternion", *(f"{n} {v:.6f}" for n, v in zip("xyzw", q, strict=True))),
-        (
-            "angles, deg",
-            *(f"{n} {v:.3f}" for n, v in zip(("roll", "pitch", "yaw"), rpy, strict=True)),
-            "",
-        ),
-    ]
-    named = table("T_target_source in parts", ("part", "", "", "", ""), rows)
+    parts = (
+        ("translation", "xyz", t, ".4f", " m"),
+        ("quaternion", "xyzw", q, ".6f", ""),
+        ("angles", ("roll", "pitch", "yaw"), rpy, ".3f", "°"),
+    )
+    named = "".join(
+        f"<dt>{part}</dt><dd>"
+        + "".join(
+            f"<span><b>{n}</b> {v:{form}}{unit}</span>" for n, v in zip(names, values, strict=True)
+        )
+        + "</dd>"
+        for part, names, values, form, unit in parts
+    )
     fields = "".join(
         f'<label>{which} frame <input name="{which}" value="{name}" data-frame="{name}" '
         'spellcheck="false" autocomplete="off"></label>'
@@ -156,7 +170,8 @@ def transform(result: Result) -> str:
         "about the fixed axes x, then y, then z.</p>"
         f'<div class="columns"><div class="scroll" tabindex="0" role="region" aria-label="matrix">'
         f'<table class="matrix"><caption>T_target_source</caption>{cells}</table></div>'
-        f'{named}</div><h3>To copy</h3><div class="frames">{fields}</div>{copies}</section>'
+        f'<dl class="parts">{named}</dl></div><h3>To copy</h3>'
+        f'<div class="frames">{fields}</div>{copies}</section>'
     )
 
 
@@ -241,167 +256,13 @@ def hypotheses(result: Result) -> str:
     )
     return (
         '<section aria-labelledby="hypotheses"><h2 id="hypotheses">Hypotheses</h2>'
-        "<p>The poles alone cannot say which pole is which, nor which end is up; each way of laying "
-        "them on each other is a hypothesis, and the scene decides. Press one to see it in the "
-        "view above. In the right one walls and ground of both clouds coincide.</p>"
-        f'<div class="panels">{panels}</div>{table("Hypotheses, best first", header, rows)}'
+        "<p>The poles alone cannot say which pole is which, nor which end is up; each way of "
+        "laying them on each other is a hypothesis, and the scene decides. Press one to see it in "
+        "the view above. In the right one walls and ground of both clouds coincide.</p>"
+        f'<div class="panels">{panels}</div>{table("Hypotheses, best first", header, rows, (1,))}'
         '<p class="note">Exact: the lines themselves fit. e_r, e_t: how far ICP on the whole '
         "clouds moves from here. Overlap: share of the points with a neighbour in the other cloud. "
         "Against free space: share of the points that lie where the other LiDAR looked through. "
         "The largest score is chosen. T0, S1: pole 0 of the target, pole 1 of the source.</p>"
         "</section>"
-    )
-
-
-def poles(result: Result, detections: Detections | None) -> str:
-    """List the poles, their residuals under the transform, and the rejected clusters."""
-    found = result.get("poles") or {}
-    rows = [
-        (
-            f"{which} {which[0].upper()}{k}",
-            *(number(value, 3) for value in pole["point_m"]),
-            number(pole.get("length_m"), 2),
-            pole.get("points", "–"),
-            number(pole.get("rms_m"), 1, 1000),
-        )
-        for which in ("target", "source")
-        for k, pole in enumerate(found.get(which) or [])
-    ]
-    header = ("pole", "x, m", "y, m", "z, m", "length, m", "points", "rms about its line, mm")
-    parts = ['<section aria-labelledby="poles"><h2 id="poles">Poles</h2>']
-    parts.append(
-        table("Poles, each in its LiDAR's frame", header, rows)
-        if rows
-        else "<p>No pole was found in either cloud.</p>"
-    )
-    parts.append(_residuals(result, detections))
-    for which, detection in zip(("target", "source"), detections or (None, None), strict=True):
-        if detection is None:
-            continue
-        rejected = [
-            (f"{which[0]}{k}", *(number(v, 2) for v in r.centre.tolist()), len(r.index), r.code)
-            + (r.reason,)
-            for k, r in enumerate(detection.rejected)
-        ]
-        if rejected:
-            clusters = table(
-                f"Rejected clusters of the {which}",
-                ("mark", "x, m", "y, m", "z, m", "points", "code", "reason"),
-                rejected,
-            )
-            count = f"{len(rejected)} rejected cluster{'s' * (len(rejected) != 1)} of the {which}"
-            opened = " open" if result.get("status") == "refused" or len(rejected) <= 4 else ""
-            parts.append(f"<details{opened}><summary>{count}</summary>{clusters}</details>")
-    return "".join([*parts, "</section>"])
-
-
-def _residuals(result: Result, detections: Detections | None) -> str:
-    """Distance of each source pole from its target pole's line, under the transform."""
-    chosen = next((h for h in result.get("hypotheses") or [] if h.get("chosen")), None)
-    if chosen is None or result.get("T_target_source") is None:
-        return ""
-    T = np.asarray(result["T_target_source"], dtype=float)
-    rows = []
-    for i, j in chosen.get("pairs") or []:
-        a, b = result["poles"]["target"][i], result["poles"]["source"][j]
-        n = np.asarray(a["direction"], dtype=float)
-        full = detections is not None and detections[1] is not None
-        points = detections[1].poles[j].xyz if full else np.array([b["point_m"]])  # type: ignore[index,union-attr]
-        away = se3.apply(T, points) - np.asarray(a["point_m"])
-        off = away - (away @ n)[:, None] * n
-        distance = np.linalg.norm(off, axis=1)
-        turned = T[:3, :3] @ np.asarray(b["direction"], dtype=float)
-        rows.append(
-            (
-                f"T{i}–S{j}",
-                number(
-                    float(np.degrees(np.arcsin(min(1, np.linalg.norm(np.cross(turned, n)))))), 2
-                ),
-                number(float(np.linalg.norm(off.mean(axis=0))), 1, 1000),
-                number(float(np.sqrt(np.mean(distance**2))), 1, 1000) if full else "–",
-                number(float(distance.max()), 1, 1000) if full else "–",
-            )
-        )
-    radius = (result.get("config") or {}).get("radius_m")
-    note = (
-        f'<p class="note">Returns lie on the side of the pole that faces their LiDAR: at a radius '
-        f"of {1000 * radius:g} mm two LiDARs may see lines up to {1000 * radius * np.pi / 2:.0f} mm "
-        "apart though the transform is exact.</p>"
-        if isinstance(radius, int | float)
-        else ""
-    )
-    header = ("pair", "angle, deg", "mean offset, mm", "rms, mm", "largest, mm")
-    return table("Source pole from the target pole's line, with the transform", header, rows) + note
-
-
-def uncertainty(result: Result) -> str:
-    """Show the covariance and what it means at each range."""
-    if result.get("T_target_source") is None:
-        return ""
-    parts = ['<section aria-labelledby="uncertainty"><h2 id="uncertainty">Uncertainty</h2>']
-    if result.get("covariance") is None:
-        parts.append("<p>This run gives no covariance.</p>")
-    else:
-        covariance = np.asarray(result["covariance"], dtype=float)
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        order = [str(name) for name in result.get("covariance_order") or range(6)]
-        rows = [
-            (
-                name,
-                number(float(s), 4, 180 / math.pi, " deg")
-                if k < 3
-                else number(float(s), 2, 100, " cm"),
-            )
-            for k, (name, s) in enumerate(zip(order, sigma, strict=True))
-        ]
-        full = [(n, *(f"{v:.3e}" for v in row)) for n, row in zip(order, covariance, strict=True)]
-        parts.append(f"<p>{escape(str(result.get('covariance_frame', '')))}</p>")
-        parts.append('<div class="columns">' + table("1 σ of the pose", ("state", "1 σ"), rows))
-        errors = [
-            (f"{e.get('range_m'):g} m", f"± {number(e.get('sigma_m'), 2, 100)} cm")
-            for e in result.get("predicted_error") or []
-        ]
-        if errors:
-            parts.append(table("Predicted error of a point, 1 σ", ("range", "error"), errors))
-        parts.append("</div><details><summary>Covariance matrix</summary>")
-        parts.append(table("Covariance, rad and m", ("", *order), full) + "</details>")
-    stages = result.get("stages") or {}
-    rows = [
-        (name, number(stage.get("rms_m"), 1, 1000))
-        for name, stage in stages.items()
-        if stage is not None
-    ]
-    if rows:
-        parts.append(table("Stages", ("stage", "rms residual, mm"), rows))
-    return "".join([*parts, "</section>"])
-
-
-def provenance(result: Result) -> str:
-    """List inputs, options, version and times."""
-    inputs = [
-        (
-            which,
-            item.get("path", "–"),
-            f"{item.get('points', 0):,}",
-            f"{item.get('dropped', 0):,}",
-            item.get("sensor") or "–",
-            "–" if item.get("threshold") is None else f"{item['threshold']:g}",
-            item.get("sha256", "–"),
-        )
-        for which, item in zip(("target", "source"), result.get("inputs") or [], strict=False)
-    ]
-    header = ("input", "path", "points", "dropped", "sensor", "threshold", "sha256")
-    config = [(k, "default" if v is None else v) for k, v in (result.get("config") or {}).items()]
-    seconds = dict(result.get("seconds") or {})
-    times = [(k, number(v, 3)) for k, v in seconds.items()]
-    times.append(("sum", number(float(sum(seconds.values())), 3)))
-    return (
-        '<section aria-labelledby="run"><h2 id="run">This run</h2>'
-        f"<p>retropole {escape(str(result.get('version', '?')))}, "
-        f"{escape(str(result.get('created', 'time unknown')))}</p>"
-        + table("Inputs", header, inputs)
-        + '<div class="columns">'
-        + table("Options", ("option", "value"), config)
-        + table("Time", ("step", "seconds"), times)
-        + "</div></section>"
     )

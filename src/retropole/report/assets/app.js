@@ -162,7 +162,8 @@
     const pose = poses.get(state.pose);
     const shown = state.pose === "result" && scene.ellipsoid && layers.ellipsoid
       ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
-    return `After: source moved by ${pose.id === "result" ? "the result" : pose.label}.${shown}`;
+    const doubt = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
+    return `After: source moved by ${pose.id === "result" ? "the result" : pose.label}.${doubt}${shown}`;
   }
   function refresh() {
     root.dataset.mode = state.mode;
@@ -197,6 +198,7 @@
   $('[data-layer="rejected"]').hidden = !scene.rejected.flat().length;
   $('[data-layer="poles"]').hidden = !scene.poles.flat().length;
   $('[data-layer="intensity"]').hidden = !scene.clouds.some((c) => c.counts[2]);
+  for (const name of ["top", "side"]) $(`[data-preset="${name}"]`).hidden = view.kind === "top";
   all("button[data-mode]").forEach((b) => b.addEventListener("click", () => setMode(b.dataset.mode)));
   all("[data-layer]").forEach((b) => b.addEventListener("click", () => toggle(b.dataset.layer)));
   all("[data-preset]").forEach((b) => b.addEventListener("click", () => { view.preset(b.dataset.preset); repaint(); }));

@@ -66,7 +66,7 @@ uniform vec3 colour, ground;
 uniform float shade;
 varying float level;
 void main() {
-  gl_FragColor = vec4(mix(colour, mix(ground, colour, 0.3 + 0.7 * level), shade), 1.0);
+  gl_FragColor = vec4(mix(colour, mix(ground, colour, 0.4 + 0.6 * level), shade), 1.0);
 }`;
 
 /** Painter through WebGL; `pad` is the element that takes the pointer. */
@@ -248,7 +248,7 @@ function topView(canvas, pad, clouds) {
       };
     },
     paint(panes, look) {
-      const dot = Math.max(1, Math.round(look.size * dpr * 0.8));
+      const dot = Math.max(1, Math.round(look.size * dpr));
       for (const pane of panes) {
         const w = Math.round(pane.w * dpr), h = Math.round(pane.h * dpr);
         const image = context.createImageData(w, h), pixels = new Uint32Array(image.data.buffer);
@@ -259,7 +259,7 @@ function topView(canvas, pad, clouds) {
           const T = pane.poses[k];
           if (!T || !look.visible[k]) return;
           const shades = Array.from({ length: 256 }, (_, v) => {
-            const level = 1 - look.shade * 0.7 * (1 - v / 255);
+            const level = 1 - look.shade * 0.6 * (1 - v / 255);
             return pack(look.colours[k].map((c, n) => Math.round(look.ground[n] + (c - look.ground[n]) * level)));
           });
           const xyz = metres[k];
@@ -308,11 +308,10 @@ function drawMarks(context, pane, lens, scene, look) {
       before = v;
     }
   }
-  function line(points, colour, width, dash = []) {
+  function line(points, colour, width, dash = [], edge = 3) {
     trace(points);
-    context.setLineDash([]);
     context.strokeStyle = halo;
-    context.lineWidth = width + 3;
+    context.lineWidth = width + edge;
     context.stroke();
     context.setLineDash(dash);
     context.strokeStyle = colour;
@@ -348,6 +347,20 @@ function drawMarks(context, pane, lens, scene, look) {
     const at = spot([base.origin[0], base.origin[1] + range, base.origin[2]]);
     if (at) { context.font = "11px system-ui, sans-serif"; context.fillStyle = look.soft; context.textAlign = "center"; context.fillText(`${range} m`, at[0], at[1] - 5); }
   }
+  if (scene.ellipsoid && pane.ellipsoid && look.layers.ellipsoid) {
+    const { centre, axes, factor } = scene.ellipsoid;
+    context.strokeStyle = look.text;
+    context.lineWidth = 1.5;
+    for (const [i, j] of [[0, 1], [1, 2], [2, 0]]) {
+      trace(Array.from({ length: 49 }, (_, k) => {
+        const a = (2 * Math.PI * k) / 48;
+        return centre.map((v, n) => v + Math.cos(a) * axes[i][n] + Math.sin(a) * axes[j][n]);
+      }));
+      context.stroke();
+    }
+    const at = spot(centre);
+    if (at) label(`1 σ × ${factor.toLocaleString("en")}`, [at[0] - 16, at[1]], look.text, "right", 11);
+  }
   scene.clouds.forEach((cloud, k) => {
     const T = pane.poses[k];
     if (!T || !look.visible[k]) return;
@@ -363,7 +376,9 @@ function drawMarks(context, pane, lens, scene, look) {
     if (look.layers.poles) {
       for (const pole of scene.poles[k]) {
         const ends = [to(pole.a), to(pole.b)];
-        line(ends, colour, look.plain ? 2 : 3.5, k === 1 ? [7, 5] : []);
+        // The target's line is the wider one, so that both are seen where they coincide.
+        const width = (k === 0 ? 7 : 3) * (look.plain ? 0.6 : 1);
+        line(ends, colour, width, [], k === 0 ? 3 : 1);
         const seen = ends.map(spot).filter(Boolean).sort((p, q) => p[1] - q[1])[0];
         if (seen && !look.plain) label(pole.label, [seen[0] + (k === 0 ? -8 : 8), seen[1] - 10], colour, k === 0 ? "right" : "left", 13);
       }
@@ -372,28 +387,16 @@ function drawMarks(context, pane, lens, scene, look) {
       for (const cluster of scene.rejected[k]) {
         const c = spot(to(cluster.at));
         if (!c) continue;
-        for (const [width, stroke] of [[5, halo], [2, colour]]) {
+        const arms = k === 0 ? [[5, 5], [5, -5]] : [[7, 0], [0, 7]];  // × and +
+        for (const [width, stroke] of [[5, halo], [2.5, colour]]) {
           context.beginPath();
-          context.moveTo(c[0] - 5, c[1] - 5); context.lineTo(c[0] + 5, c[1] + 5);
-          context.moveTo(c[0] - 5, c[1] + 5); context.lineTo(c[0] + 5, c[1] - 5);
+          for (const [x, y] of arms) { context.moveTo(c[0] - x, c[1] - y); context.lineTo(c[0] + x, c[1] + y); }
           context.lineWidth = width; context.strokeStyle = stroke; context.stroke();
         }
-        label(cluster.label, [c[0] + 9, c[1]], colour, "left", 11);
+        label(cluster.label, [c[0] + (k === 0 ? -9 : 9), c[1] - 8], colour, k === 0 ? "right" : "left", 11);
       }
     }
   });
-  if (scene.ellipsoid && pane.ellipsoid && look.layers.ellipsoid) {
-    const { centre, axes } = scene.ellipsoid;
-    for (const [i, j] of [[0, 1], [1, 2], [2, 0]]) {
-      trace(Array.from({ length: 49 }, (_, k) => {
-        const a = (2 * Math.PI * k) / 48;
-        return centre.map((v, n) => v + Math.cos(a) * axes[i][n] + Math.sin(a) * axes[j][n]);
-      }));
-      context.strokeStyle = look.text;
-      context.lineWidth = 1.5;
-      context.stroke();
-    }
-  }
   if (pane.title) label(pane.title, [pane.x + 12, pane.y + 18], look.text, "left", 13);
   context.restore();
 }
