@@ -45,11 +45,24 @@ FINEST_REACH = 0.10
 COARSEST_REACH = 1.5
 """Reach of the correspondences at most, metres."""
 
+RANGE_BIAS = 0.005
+"""1 σ of the range error that all returns of one beam share, metres. Makers state an accuracy of
+10 to 30 mm; part of it is common to all beams of both LiDARs and cancels."""
+
+BEAM = np.radians(0.5)
+"""Returns within a band of elevation of this width are taken as one beam's."""
+
 CLUSTER = 2.0
 """Residuals of patches within a cube of this side, metres, are counted as correlated."""
 
-MAX_ITERATIONS = 40
+MAX_PATCHES = 6000
+"""Patches of each cloud: every n-th is taken so that about so many are left."""
+
 MIN_PATCHES = 30
+MIN_SIGMA = 1e-4
+MAX_ITERATIONS = 40
+STEP_ROTATION, STEP_TRANSLATION = 1e-6, 1e-5
+"""Stop where a step is below these, rad and m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +75,38 @@ class Patches:
         (M, 3) mean of the points of each patch, metres.
     normals
         (M, 3) unit normals, turned to the sensor.
+    rays
+        (M, 3) unit vectors from the beam origin to the centres.
     """
 
     centres: Array
     normals: Array
+    rays: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Patches of both clouds that lie on one surface under a pose, and how far they are apart.
+
+    Attributes
+    ----------
+    residuals
+        (P,) signed distance along the normal, metres.
+    jacobian
+        (P, 6) derivative with respect to ``[φ, δ]``.
+    cluster, beam_target, beam_source
+        (P,) which residuals share a place, a beam of the target, a beam of the source.
+    range_target, range_source
+        (P,) derivative of the residual with respect to the range that the LiDAR measured.
+    """
+
+    residuals: Array
+    jacobian: Array
+    cluster: IntArray
+    beam_target: IntArray
+    beam_source: IntArray
+    range_target: Array
+    range_source: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,18 +133,22 @@ def surface_patches(cloud: PointCloud) -> Patches:
     """Fit planes to the neighbourhoods of a thinned cloud and keep the flat ones."""
     points = thin(cloud.xyz, VOXEL)
     if len(points) < NEIGHBOURS:
-        return Patches(np.zeros((0, 3)), np.zeros((0, 3)))
+        return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
     tree = small_gicp.KdTree(points, num_threads=THREADS)
-    index, _ = tree.batch_knn_search(points, NEIGHBOURS, num_threads=THREADS)
+    at = points[:: 1 + len(points) // MAX_PATCHES]
+    index, _ = tree.batch_knn_search(at, NEIGHBOURS, num_threads=THREADS)
     neighbours = points[np.asarray(index, dtype=np.intp)]
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
-    values, vectors = np.linalg.eigh(np.einsum("mki,mkj->mij", centred, centred) / NEIGHBOURS)
+    spread = np.matmul(centred.transpose(0, 2, 1), centred) / NEIGHBOURS
+    values, vectors = np.linalg.eigh(spread)
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < 0.1 * values[:, 1]
     centres, normals = centres[flat], vectors[flat, :, 0]
-    facing = np.einsum("mi,mi->m", normals, cloud.origin - centres) >= 0
-    return Patches(centres, np.where(facing[:, None], normals, -normals))
+    rays = centres - cloud.origin
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    away = np.einsum("mi,mi->m", normals, rays) > 0
+    return Patches(centres, np.where(away[:, None], -normals, normals), rays)
 
 
 def refine(
@@ -132,26 +177,26 @@ def refine(
         return None
     tree = cKDTree(target_patches.centres)
     prior = np.linalg.inv(poles.covariance)
-    T, covariance = poles.T_target_source, poles.covariance
+    T: Array = poles.T_target_source
+    covariance: Array = poles.covariance
     for _ in range(MAX_ITERATIONS):
         pairs = _pairs(target_patches, source_patches, tree, T, covariance, origins_known)
         if pairs is None:
             return None
-        residuals, J, cell = pairs
-        sigma = max(1.4826 * float(np.median(np.abs(residuals))), 1e-4)
-        weights = 1.0 / (1.0 + (residuals / (2.0 * sigma)) ** 2) ** 2
+        r, J = pairs.residuals, pairs.jacobian
+        sigma = max(1.4826 * float(np.median(np.abs(r))), MIN_SIGMA)
+        weights = 1.0 / (1.0 + (r / (2.0 * sigma)) ** 2) ** 2
         JW = J * (weights / sigma**2)[:, None]
-        step_to_prior = se3.local(poles.T_target_source, T)
         H = JW.T @ J + prior
-        gradient = JW.T @ residuals + prior @ step_to_prior
-        step = -np.linalg.solve(H, gradient)
+        gradient = JW.T @ r + prior @ se3.local(poles.T_target_source, T)
+        step: Array = -np.linalg.solve(H, gradient)
         T = se3.retract(T, step)
-        covariance = _sandwich(H, JW, residuals, cell, prior)
-        if np.linalg.norm(step[:3]) < 1e-6 and np.linalg.norm(step[3:]) < 1e-5:
+        covariance = _covariance(H, JW, pairs, prior)
+        if np.linalg.norm(step[:3]) < STEP_ROTATION and np.linalg.norm(step[3:]) < STEP_TRANSLATION:
             break
     e = se3.local(poles.T_target_source, T)
-    rms = float(np.sqrt(np.average(residuals**2, weights=weights)))
-    return Refinement(Stage(T, covariance, rms), len(residuals), float(e @ prior @ e))
+    rms = float(np.sqrt(np.average(r**2, weights=weights)))
+    return Refinement(Stage(T, covariance, rms), len(r), float(e @ prior @ e))
 
 
 def _pairs(
@@ -161,44 +206,65 @@ def _pairs(
     T: Array,
     covariance: Array,
     origins_known: bool,
-) -> tuple[Array, Array, IntArray] | None:
-    """Residuals, Jacobian and cluster of each pair of patches within reach, or None if too few."""
+) -> Pairs | None:
+    """Pair each source patch with the target patch on its surface; None where too few do."""
     rotated = source.centres @ T[:3, :3].T
     moved = rotated + T[:3, 3]
-    # How far each patch may still be off, from the covariance of the pose: J Σ Jᵀ.
+    # How far each patch may still be off, from the covariance of the pose: tr(J Σ Jᵀ).
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
-    spread = np.sqrt(np.einsum("mij,jk,mik->m", lever, covariance, lever))
+    spread = np.sqrt(np.einsum("mik,mik->m", lever @ covariance, lever))
     reach = np.minimum(FINEST_REACH + 3.0 * spread, COARSEST_REACH)
     distance, nearest = tree.query(moved, distance_upper_bound=float(reach.max()), workers=THREADS)
-    kept = distance <= reach
-    nearest = nearest[kept]
-    n_source = source.normals[kept] @ T[:3, :3].T
-    n_target = target.normals[nearest]
-    cosine = np.einsum("mi,mi->m", n_source, n_target)
+    s = np.flatnonzero(distance <= reach)
+    t = nearest[s]
+    normal_source = source.normals[s] @ T[:3, :3].T
+    cosine = np.einsum("mi,mi->m", normal_source, target.normals[t])
     if not origins_known:
-        n_source, cosine = n_source * np.sign(cosine)[:, None], np.abs(cosine)
+        normal_source, cosine = normal_source * np.sign(cosine)[:, None], np.abs(cosine)
     agree = cosine > np.cos(MAX_NORMAL_ANGLE)
     if np.count_nonzero(agree) < MIN_PATCHES:
         return None
-    kept_rows = np.flatnonzero(kept)[agree]
-    normal = n_source[agree] + n_target[agree]
+    s, t = s[agree], t[agree]
+    normal = normal_source[agree] + target.normals[t]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    gap = moved[kept_rows] - target.centres[nearest[agree]]
-    residuals = np.einsum("mi,mi->m", normal, gap)
-    J = np.concatenate([np.cross(rotated[kept_rows], normal), normal], axis=1)
-    cells = np.floor(moved[kept_rows] / CLUSTER).astype(np.int64)
-    _, cell = np.unique(cells, axis=0, return_inverse=True)
-    return residuals, J, cell.reshape(-1)
+    rays_source = source.rays[s] @ T[:3, :3].T
+    return Pairs(
+        residuals=np.einsum("mi,mi->m", normal, moved[s] - target.centres[t]),
+        jacobian=np.concatenate([np.cross(rotated[s], normal), normal], axis=1),
+        cluster=_labels(np.floor(moved[s] / CLUSTER)),
+        beam_target=_labels(np.floor(np.arcsin(target.rays[t, 2:]) / BEAM)),
+        beam_source=_labels(np.floor(np.arcsin(source.rays[s, 2:]) / BEAM)),
+        range_target=-np.einsum("mi,mi->m", normal, target.rays[t]),
+        range_source=np.einsum("mi,mi->m", normal, rays_source),
+    )
 
 
-def _sandwich(H: Array, JW: Array, residuals: Array, cell: IntArray, prior: Array) -> Array:
-    """Covariance that holds when the residuals of one cluster are correlated as they please.
+def _labels(cells: Array) -> IntArray:
+    """Number the rows of (P, D) cell coordinates: equal rows, equal numbers."""
+    whole = cells.astype(np.int64) - cells.min(axis=0).astype(np.int64)
+    flat = np.ravel_multi_index(tuple(whole.T), tuple(whole.max(axis=0) + 1))
+    return np.unique(flat, return_inverse=True)[1].astype(np.int64)
 
-    ``H⁻¹ (Σ_c g_c g_cᵀ + Σ_poles⁻¹) H⁻¹``, g_c the gradient of cluster c (Liang and Zeger 1986).
+
+def _grouped(rows: Array, label: IntArray) -> Array:
+    """Outer products of the sums of rows (P, 6) over each label, added up: (6, 6)."""
+    sums = np.stack([np.bincount(label, weights=column) for column in rows.T], axis=1)
+    return np.asarray(sums.T @ sums)
+
+
+def _covariance(H: Array, JW: Array, pairs: Pairs, prior: Array) -> Array:
+    """Covariance of the minimum, of residuals that are anything but independent.
+
+    ``H⁻¹ (Σ_c g_c g_cᵀ + Σ_b s_b s_bᵀ σ_b² + Σ_poles⁻¹) H⁻¹``: g_c is the gradient of all residuals
+    at one place, correlated as they please (Liang and Zeger 1986); s_b is what a range error shared
+    by all returns of beam b does to the gradient. The first is seen in the residuals; the second
+    moves the answer and leaves few traces there, so its size is an assumption, `RANGE_BIAS`.
     """
-    scores = np.zeros((int(cell.max()) + 1, 6))
-    np.add.at(scores, cell, JW * residuals[:, None])
-    clusters = len(scores)
-    meat = scores.T @ scores * (clusters / max(clusters - 6, 1)) + prior
+    meat = _grouped(JW * pairs.residuals[:, None], pairs.cluster) + prior
+    for beam, derivative in (
+        (pairs.beam_target, pairs.range_target),
+        (pairs.beam_source, pairs.range_source),
+    ):
+        meat = meat + _grouped(JW * derivative[:, None], beam) * RANGE_BIAS**2
     inverse = np.linalg.inv(H)
     return np.asarray(inverse @ meat @ inverse)
