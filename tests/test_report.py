@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import base64
+import copy
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from retropole import se3
 from retropole.datatypes import Detection, PointCloud, Pole, RejectedCluster
+from retropole.report import render_report, write_report
+from retropole.report.points import FAR, STEPS, pack_cloud
+from retropole.report.render import embed_json
+from retropole.report.sections import export_lines
 
 T_TRUE = se3.from_rt(
     Rotation.from_euler("xyz", [3.0, -2.0, 38.0], degrees=True).as_matrix(),
@@ -183,6 +194,234 @@ def made_up(
     return result, target, source, (found_target, found_source)
 
 
-def test_page_is_rendered() -> None:
-    result, target, source, detections = made_up(count=500)
-    assert "T_target_source" in render_report(result, target, source, detections)
+class Page(HTMLParser):
+    """Tags with their attributes, and the text outside of scripts and styles."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.data = ""
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "link", "input", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, "every element is closed where it was opened"
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script" and self.tags[-1][1].get("id") == "data":
+            self.data += data
+        elif not {"script", "style"} & set(self.open):
+            self.text += data
+
+
+def page_of(status: str = "ok", **changes: Any) -> Page:
+    result, target, source, detections = made_up(status, 500)
+    return Page(render_report({**result, **changes}, target, source, detections))
+
+
+@pytest.mark.parametrize("status", ["ok", "warn", "refused"])
+def test_page_is_well_formed_and_names_each_reason(status: str) -> None:
+    result, *_ = made_up(status, 500)
+    page = page_of(status)
+    assert page.open == []
+    for reason in result["reasons"]:
+        assert reason["code"] in page.text
+        assert reason["message"] in page.text
+        assert "What to do:" in page.text
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+
+
+def test_every_button_and_field_has_a_name() -> None:
+    html = render_report(*made_up(count=500))
+    for tag, attributes in Page(html).tags:
+        if tag == "button":
+            assert attributes.get("type") == "button"
+    for body in re.findall(r"<button[^>]*>(.*?)</button>", html.split("<script")[0], re.S):
+        assert re.sub("<[^>]*>", "", body).strip()
+    assert len(re.findall(r"<(?:input|select)\b", html.split("<script")[0])) == len(
+        re.findall(r"<label[^>]*>[^<]*<(?:input|select)\b", html.split("<script")[0])
+    )
+
+
+def test_page_asks_for_nothing_from_anywhere() -> None:
+    html = render_report(*made_up(count=500))
+    for tag, attributes in Page(html).tags:
+        for name in ("src", "href", "action", "srcset", "data", "poster"):
+            if tag != "a":
+                assert str(attributes.get(name) or "data:").startswith("data:")
+    style = html.split("<style>")[1].split("</style>")[0]
+    assert "url(" not in style
+    assert "@import" not in style
+    # The one address in the page is the name of XHTML, by which three.js makes a canvas.
+    assert set(re.findall(r"https?://[^\s\"'`)]+", html)) <= {"http://www.w3.org/1999/xhtml"}
+    (policy,) = (a for tag, a in Page(html).tags if tag == "meta" and "http-equiv" in a)
+    assert policy["http-equiv"] == "Content-Security-Policy"
+    assert str(policy["content"]).startswith("default-src 'none';")
+
+
+HOSTILE = "</script><script>window.injected=1</script>\u2028<!--'\"&"
+
+
+def test_text_of_the_run_stays_text() -> None:
+    result, target, source, _ = made_up("refused", 500)
+    for item in result["inputs"]:
+        item["path"] = f"/data/{HOSTILE.replace('/', '')}.pcd"
+        item["sensor"] = HOSTILE
+    result["reasons"][0]["message"] = HOSTILE
+    result["reasons"][0]["code"] = HOSTILE
+    result["config"][HOSTILE] = HOSTILE
+    result["seconds"][HOSTILE] = 1.0
+    result["status"] = HOSTILE
+    result["version"] = result["created"] = HOSTILE
+    page = Page(render_report(result, target, source))
+    assert [tag for tag, _ in page.tags].count("script") == 4
+    assert page.open == []
+    assert page.text.count("window.injected=1") >= 9
+    assert json.loads(page.data)["status"] == HOSTILE
+
+
+def test_embedded_json_says_the_same_and_no_markup() -> None:
+    value = {"a": [HOSTILE, 1.5, None, {"b": (float("nan"), float("-inf"), 2)}]}
+    text = embed_json(value)
+    assert not set("<>&") & set(text)
+    assert json.loads(text) == {"a": [HOSTILE, 1.5, None, {"b": [None, None, 2]}]}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"hypotheses": [], "margin": None},
+        {"stages": {"poles": None, "refined": None}, "covariance": None, "predicted_error": None},
+        {"poles": {"target": [], "source": []}, "hypotheses": []},
+        {"inputs": [], "config": {}, "seconds": {}},
+    ],
+)
+@pytest.mark.parametrize("status", ["ok", "refused"])
+def test_what_may_be_missing_may_be_missing(status: str, changes: dict[str, Any]) -> None:
+    result, target, source, _ = made_up(status, 500)
+    for detections in (None, (None, None)):
+        assert Page(render_report({**result, **changes}, target, source, detections)).open == []
+
+
+def test_hypotheses_without_icp_figures() -> None:
+    result, *rest = made_up(count=500)
+    for hypothesis in result["hypotheses"]:
+        hypothesis.update(icp_rotation_rad=None, icp_translation_m=None, free_space=None)
+    assert "–" in Page(render_report(result, *rest)).text
+
+
+def test_refused_page_gives_no_transform_to_copy() -> None:
+    html = render_report(*made_up("refused", 500))
+    assert "data-export" not in html.split("<script")[0]
+    assert "Refused: no transform" in html
+    assert "too_wide" in html
+    assert all(pose["id"] != "result" for pose in json.loads(Page(html).data)["poses"])
+
+
+def test_result_is_not_changed() -> None:
+    result, *rest = made_up(count=500)
+    before = copy.deepcopy(result)
+    render_report(result, *rest)
+    assert result == before
+
+
+def test_thinned_clouds_are_said_to_be_thinned() -> None:
+    result, target, source, detections = made_up(count=2000)
+    page = Page(render_report(result, target, source, detections, max_points=700))
+    assert "target: showing 700 of 2,160 points" in page.text
+    assert "source: showing 700 of 2,160 points" in page.text
+    whole = Page(render_report(result, target, source, detections))
+    assert "target: showing 2,160 of 2,160 points" in whole.text
+
+
+def test_page_stays_small() -> None:
+    rng = np.random.default_rng(5)
+    cloud = PointCloud(rng.uniform(-80, 80, (100_000, 3)), rng.uniform(0, 255, 100_000))
+    result, *_ = made_up(count=500)
+    assert len(render_report(result, cloud, cloud).encode()) < 2.5e6
+    assert len(render_report(result, cloud, cloud, max_points=100_000).encode()) < 8e6
+
+
+def unpacked(packed: dict[str, Any]) -> np.ndarray:
+    steps = np.frombuffer(base64.b64decode(packed["xyz"]), "<u2").reshape(-1, 3)
+    return np.array(packed["low"]) + np.array(packed["size"]) * steps / STEPS
+
+
+def test_unpacked_points_are_the_clouds_points() -> None:
+    _, target, _, (found, _) = made_up(count=900)
+    packed = pack_cloud(target, found, max_points=10_000)
+    points = unpacked(packed)
+    assert len(points) == len(target) == packed["counts"][2]
+    size = np.ptp(target.xyz, axis=0)
+    nearest = np.abs(points[:, None] - target.xyz).sum(axis=2).argmin(axis=1)
+    assert len(set(nearest.tolist())) > 0.99 * len(points)
+    assert np.all(np.abs(points - target.xyz[nearest]) <= size / STEPS)
+
+
+def test_points_on_poles_and_rejected_clusters_come_first_and_stay() -> None:
+    _, target, _, (found, _) = made_up(count=3000)
+    packed = pack_cloud(target, found, max_points=300)
+    assert packed["counts"] == [120, 40, 300]
+    on_poles = np.concatenate([pole.xyz for pole in found.poles])
+    assert np.allclose(unpacked(packed)[:120], on_poles, atol=2e-3)
+    assert pack_cloud(target, found, max_points=130)["counts"] == [120, 10, 130]
+
+
+def test_stray_points_do_not_coarsen_the_others() -> None:
+    xyz = np.r_[np.random.default_rng(0).uniform(-5, 5, (50, 3)), [[1e9, 0, 0], [0, -2 * FAR, 0]]]
+    packed = pack_cloud(PointCloud(xyz), max_points=100)
+    assert packed["far"] == 2
+    assert packed["counts"][2] == 50
+    assert max(packed["size"]) < 10.1
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_clouds_of_hardly_any_points(count: int) -> None:
+    result, *_ = made_up("refused", 500)
+    cloud = PointCloud(np.full((count, 3), 2.0), np.zeros(count))
+    assert Page(render_report(result, cloud, cloud)).open == []
+
+
+def test_lines_to_copy_are_the_transform() -> None:
+    lines = {key: text for key, _, text in export_lines(T_TRUE)}
+    matrix = np.array([line.split() for line in lines["matrix"].splitlines()], dtype=float)
+    assert np.allclose(matrix, T_TRUE, atol=1e-11)
+    document = json.loads(lines["json"])
+    assert np.array_equal(document["T_target_source"], T_TRUE)
+    named = dict(re.findall(r"--([a-z-]+) (\S+)", lines["ros2"]))
+    assert (named["frame-id"], named["child-frame-id"]) == ("lidar_target", "lidar_source")
+    bare = lines["ros1"].split()[3:10]
+    for t, q in (
+        ([named[n] for n in "xyz"], [named["q" + n] for n in "xyzw"]),
+        (bare[:3], bare[3:]),
+        (document["translation_m"].values(), [document["quaternion"][n] for n in "xyzw"]),
+    ):
+        T = se3.from_quaternion_xyzw(np.array(q, dtype=float), np.array(list(t), dtype=float))
+        assert np.allclose(T, T_TRUE, atol=1e-8)
+
+
+def test_ellipsoid_is_the_covariance_of_the_translation() -> None:
+    result, *rest = made_up(count=500)
+    rng = np.random.default_rng(3)
+    root = 1e-3 * rng.standard_normal((6, 6))
+    result["covariance"] = (root @ root.T).tolist()
+    ellipsoid = json.loads(Page(render_report(result, *rest)).data)["ellipsoid"]
+    axes = np.array(ellipsoid["axes"]) / ellipsoid["factor"]
+    assert np.allclose(axes.T @ axes, (root @ root.T)[3:, 3:], atol=1e-12)
+    assert np.allclose(ellipsoid["centre"], T_TRUE[:3, 3])
+
+
+def test_write_report_writes_the_page(tmp_path: Path) -> None:
+    arguments = made_up(count=500)
+    write_report(tmp_path / "new" / "report.html", *arguments)
+    written = (tmp_path / "new" / "report.html").read_text(encoding="utf-8")
+    assert written == render_report(*arguments)
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["report.html"]

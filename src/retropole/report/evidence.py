@@ -30,19 +30,19 @@ def poles(result: Result, detections: Detections | None) -> str:
         for k, pole in enumerate(found.get(which) or [])
     ]
     header = ("pole", "x, m", "y, m", "z, m", "length, m", "points", "rings", "rms, mm")
-    parts = ['<section aria-labelledby="poles"><h2 id="poles">Poles</h2>']
-    parts.append(
-        table("Poles, each in its LiDAR's frame", header, rows)
-        if rows
-        else "<p>No pole was found in either cloud.</p>"
-    )
-    parts.append(_residuals(result, detections))
+    listed = table("Poles, each in its LiDAR's frame", header, rows)
+    parts = [
+        '<section aria-labelledby="poles"><h2 id="poles">Poles</h2>',
+        "" if rows else "<p>No pole was found in either cloud.</p>",
+        f'<div class="columns">{listed if rows else ""}{_residuals(result, detections)}</div>',
+        _radius_note(result),
+    ]
     for which, mark, detection in zip(
         ("target", "source"), "×+", detections or (None, None), strict=True
     ):
         if detection is None or not detection.rejected:
             continue
-        count = f"{len(detection.rejected)} rejected of the {which}"
+        count = f"Rejected in the {which}: {len(detection.rejected)}"
         clusters = [
             (
                 f"{mark} {k}",
@@ -55,8 +55,8 @@ def poles(result: Result, detections: Detections | None) -> str:
         ]
         opened = " open" if result.get("status") == "refused" or len(clusters) <= 4 else ""
         columns = ("mark", "code", "reason", "points", "x, m", "y, m", "z, m")
-        listed = table(f"Rejected clusters of the {which}", columns, clusters, (1, 2))
-        parts.append(f"<details{opened}><summary>{count}</summary>{listed}</details>")
+        refused = table(f"Rejected clusters of the {which}", columns, clusters, (1, 2))
+        parts.append(f"<details{opened}><summary>{count}</summary>{refused}</details>")
     return "".join([*parts, "</section>"])
 
 
@@ -85,53 +85,47 @@ def _residuals(result: Result, detections: Detections | None) -> str:
                 number(float(distance.max()), 1, 1000) if seen else "–",
             )
         )
-    radius = (result.get("config") or {}).get("radius_m")
-    note = ""
-    if isinstance(radius, int | float):
-        apart = 1000 * radius * math.pi / 2
-        note = (
-            '<p class="note">Returns lie on the side of the pole that faces their LiDAR: at a '
-            f"radius of {1000 * radius:g} mm two LiDARs may see lines up to {apart:.0f} mm apart "
-            "though the transform is exact.</p>"
-        )
     header = ("pair", "angle, deg", "mean offset, mm", "rms, mm", "largest, mm")
-    return table("Source pole from the target pole's line, with the transform", header, rows) + note
+    return table("Source pole from the target pole's line, with the transform", header, rows)
+
+
+def _radius_note(result: Result) -> str:
+    radius = (result.get("config") or {}).get("radius_m")
+    if result.get("T_target_source") is None or not isinstance(radius, int | float):
+        return ""
+    return (
+        '<p class="note">Returns lie on the side of the pole that faces their LiDAR: at a radius '
+        f"of {1000 * radius:g} mm two LiDARs may see lines up to {1000 * radius * math.pi / 2:.0f} "
+        "mm apart though the transform is exact.</p>"
+    )
 
 
 def uncertainty(result: Result) -> str:
     """Show the covariance and what it means at each range."""
     if result.get("T_target_source") is None:
         return ""
-    parts = ['<section aria-labelledby="uncertainty"><h2 id="uncertainty">Uncertainty</h2>']
-    if result.get("covariance") is None:
-        parts.append("<p>This run gives no covariance.</p>")
-    else:
+    stages = (result.get("stages") or {}).items()
+    rows = [(name, number(s.get("rms_m"), 1, 1000)) for name, s in stages if s is not None]
+    tables = [table("Stages", ("stage", "rms residual, mm"), rows)] if rows else []
+    matrix = "<p>This run gives no covariance.</p>"
+    if result.get("covariance") is not None:
         covariance = np.asarray(result["covariance"], dtype=float)
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
         order = [str(name) for name in result.get("covariance_order") or range(6)]
-        rows = [
-            (
-                name,
-                number(float(s), 4, 180 / math.pi, " deg")
-                if k < 3
-                else number(float(s), 2, 100, " cm"),
-            )
-            for k, (name, s) in enumerate(zip(order, sigma, strict=True))
-        ]
+        turned = [number(s, 4, 180 / math.pi, " deg") for s in sigma[:3]]
+        shifted = [number(s, 2, 100, " cm") for s in sigma[3:]]
+        rows = list(zip(order, turned + shifted, strict=True))
+        tables.insert(0, table("1 σ of the pose", ("state", "1 σ"), rows))
         full = [(n, *(f"{v:.3e}" for v in row)) for n, row in zip(order, covariance, strict=True)]
-        parts.append(f"<p>{escape(str(result.get('covariance_frame', '')))}</p>")
-        parts.append(table("1 σ of the pose", ("state", "1 σ"), rows))
-        parts.append("<details><summary>Covariance matrix</summary>")
-        parts.append(table("Covariance, rad and m", ("", *order), full) + "</details>")
-    stages = result.get("stages") or {}
-    rows = [
-        (name, number(stage.get("rms_m"), 1, 1000))
-        for name, stage in stages.items()
-        if stage is not None
-    ]
-    if rows:
-        parts.append(table("Stages", ("stage", "rms residual, mm"), rows))
-    return "".join([*parts, "</section>"])
+        matrix = (
+            f"<p>{escape(str(result.get('covariance_frame', '')))}</p>"
+            "<details><summary>Covariance matrix</summary>"
+            f"{table('Covariance, rad and m', ('', *order), full)}</details>"
+        )
+    return (
+        '<section aria-labelledby="uncertainty"><h2 id="uncertainty">Uncertainty</h2>'
+        f'<div class="columns">{"".join(tables)}</div>{matrix}</section>'
+    )
 
 
 def provenance(result: Result) -> str:

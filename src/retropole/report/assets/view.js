@@ -348,7 +348,7 @@ function drawMarks(context, pane, lens, scene, look) {
     if (at) { context.font = "11px system-ui, sans-serif"; context.fillStyle = look.soft; context.textAlign = "center"; context.fillText(`${range} m`, at[0], at[1] - 5); }
   }
   if (scene.ellipsoid && pane.ellipsoid && look.layers.ellipsoid) {
-    const { centre, axes, factor } = scene.ellipsoid;
+    const { centre, axes } = scene.ellipsoid;
     context.strokeStyle = look.text;
     context.lineWidth = 1.5;
     for (const [i, j] of [[0, 1], [1, 2], [2, 0]]) {
@@ -358,8 +358,6 @@ function drawMarks(context, pane, lens, scene, look) {
       }));
       context.stroke();
     }
-    const at = spot(centre);
-    if (at) label(`1 σ × ${factor.toLocaleString("en")}`, [at[0] - 16, at[1]], look.text, "right", 11);
   }
   scene.clouds.forEach((cloud, k) => {
     const T = pane.poses[k];
@@ -373,6 +371,9 @@ function drawMarks(context, pane, lens, scene, look) {
     });
     const at = look.plain ? null : spot(to(o));
     if (at) label(["target", "source"][k], [at[0], at[1] + 14], colour, "center");
+    if (at && k === 1 && scene.ellipsoid && pane.ellipsoid && look.layers.ellipsoid) {
+      label(`1 σ × ${scene.ellipsoid.factor.toLocaleString("en")}`, [at[0], at[1] + 28], look.text, "center", 11);
+    }
     if (look.layers.poles) {
       for (const pole of scene.poles[k]) {
         const ends = [to(pole.a), to(pole.b)];
