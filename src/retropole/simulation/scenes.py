@@ -1,0 +1,245 @@
+"""Places to calibrate in: surfaces, poles, and where the LiDARs stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import se3
+from ..datatypes import Array
+from .raycast import Box, Cylinder, Material, Rectangle, Surface
+
+TAPE = Material(0.9, retro=True)
+PLASTER, ASPHALT, METAL, BARK = Material(0.7), Material(0.2), Material(0.5), Material(0.3)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """A place without poles.
+
+    Attributes
+    ----------
+    surfaces
+        What stands there, the ground included.
+    clear
+        (2,) half extents in x and y, metres, of the middle that is kept clear for poles and LiDARs.
+    """
+
+    surfaces: list[Surface]
+    clear: tuple[float, float]
+
+
+def _ground(material: Material) -> Rectangle:
+    return Rectangle(
+        np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), (120, 120), material
+    )
+
+
+def _wall(centre: Array, along: Array, half: tuple[float, float], material: Material) -> Rectangle:
+    return Rectangle(np.asarray(centre), np.asarray(along), UP, half, material)
+
+
+def _box(centre: Array, half: Array, yaw: float, material: Material) -> Box:
+    axes = Rotation.from_euler("z", yaw).as_matrix()
+    return Box(np.asarray(centre), axes, np.asarray(half), material)
+
+
+def _post(at: Array, height: float, radius: float, material: Material) -> Cylinder:
+    return Cylinder(np.array([at[0], at[1], height / 2]), UP, radius, height, material)
+
+
+def _sign(at: Array, yaw: float) -> list[Surface]:
+    """A retro-reflective plate on a bare post."""
+    along = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    plate = np.array([at[0], at[1], 2.2]) + 0.06 * np.cross(along, UP)
+    return [
+        _post(at, 2.5, 0.03, METAL),
+        _wall(plate, along, (0.3, 0.3), TAPE),
+    ]
+
+
+def _vest(at: Array, yaw: float) -> list[Surface]:
+    """A person with two retro-reflective bands about the body."""
+    bands = [
+        _box(np.array([at[0], at[1], z]), np.array([0.24, 0.14, 0.025]), yaw, TAPE)
+        for z in (1.05, 1.3)
+    ]
+    return [_box(np.array([at[0], at[1], 0.85]), np.array([0.22, 0.12, 0.85]), yaw, BARK), *bands]
+
+
+def _cone(at: Array) -> list[Surface]:
+    """A traffic cone: a slim body with one retro-reflective band."""
+    band = Cylinder(np.array([at[0], at[1], 0.4]), UP, 0.11, 0.15, TAPE)
+    return [_post(at, 0.7, 0.1, METAL), band]
+
+
+def _car(at: Array, yaw: float) -> list[Surface]:
+    """A parked car with a number plate at its rear."""
+    along = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    across = np.array([-along[1], along[0], 0.0])
+    centre = np.array([at[0], at[1], 0.0])
+    return [
+        _box(centre + 0.55 * UP, np.array([2.2, 0.9, 0.4]), yaw, METAL),
+        _box(centre + 1.15 * UP - 0.2 * along, np.array([1.2, 0.8, 0.3]), yaw, METAL),
+        _wall(centre + 0.5 * UP - 2.21 * along, across, (0.26, 0.055), TAPE),
+    ]
+
+
+def corridor(rng: np.random.Generator) -> Surroundings:
+    """Draw a corridor: two walls, two ends, a ceiling, door niches, pillars and boxes."""
+    half_width, half_length = rng.uniform(1.6, 2.6), rng.uniform(7, 13)
+    height, shift = rng.uniform(2.5, 3.2), rng.uniform(-3, 3)
+    x, y = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    surfaces: list[Surface] = [_ground(PLASTER)]
+    surfaces.append(Rectangle(np.array([0, 0, height]), x, y, (60, 60), PLASTER))
+    for side in (-1, 1):
+        wall = np.array([shift, side * half_width, height / 2])
+        surfaces.append(_wall(wall, x, (half_length, height / 2), PLASTER))
+        end = np.array([shift + side * half_length, 0, height / 2])
+        surfaces.append(_wall(end, y, (half_width, height / 2), PLASTER))
+    for _ in range(rng.integers(5, 10)):
+        side, at = rng.choice([-1, 1]), shift + rng.uniform(-0.95, 0.95) * half_length
+        depth, width, tall = rng.uniform(0.05, 0.3), rng.uniform(0.2, 0.9), rng.uniform(0.4, height)
+        centre = np.array([at, side * (half_width - depth), tall / 2])
+        surfaces.append(_box(centre, np.array([width, depth, tall / 2]), 0.0, METAL))
+    return Surroundings(surfaces, (half_length - abs(shift) - 0.5, half_width - 0.75))
+
+
+def street(rng: np.random.Generator) -> Surroundings:
+    """Draw a street: fronts, trunks, parked cars, a sign, a person in a vest and a cone."""
+    surfaces: list[Surface] = [_ground(ASPHALT)]
+    x = np.array([1.0, 0, 0])
+    for side in (-1, 1):
+        at, front = rng.uniform(-30, -10), side * rng.uniform(8, 12)
+        for _ in range(3):
+            half, height = rng.uniform(4, 9), rng.uniform(4, 12)
+            middle = np.array([at + half, front + side * rng.uniform(0, 2), height / 2])
+            surfaces.append(_wall(middle, x, (half, height / 2), PLASTER))
+            at += 2 * half + rng.uniform(0.5, 4)
+        for _ in range(rng.integers(1, 4)):
+            place = np.array([rng.uniform(-25, 25), side * rng.uniform(6.2, 7.2)])
+            surfaces.append(_post(place, rng.uniform(4, 8), rng.uniform(0.1, 0.3), BARK))
+        for _ in range(rng.integers(1, 4)):
+            place = np.array([rng.uniform(-25, 25), side * rng.uniform(4.8, 5.2)])
+            surfaces += _car(place, rng.choice([0, np.pi]) + rng.normal() * 0.05)
+    side = rng.choice([-1, 1])
+    surfaces += _sign(np.array([rng.uniform(-15, 15), side * 6.0]), rng.uniform(0, np.pi))
+    surfaces += _vest(np.array([rng.uniform(-8, 8), -side * 4.0]), rng.uniform(0, np.pi))
+    surfaces += _cone(np.array([rng.uniform(-8, 8), side * 3.7]))
+    return Surroundings(surfaces, (6.0, 3.2))
+
+
+def harbor(rng: np.random.Generator) -> Surroundings:
+    """Draw a quay: open ground, containers, bollards, masts and the legs of a crane."""
+    surfaces: list[Surface] = [_ground(ASPHALT)]
+    for _ in range(rng.integers(4, 9)):
+        bearing, distance = rng.uniform(0, 2 * np.pi), rng.uniform(14, 45)
+        stacked = rng.integers(1, 3)
+        centre = np.array(
+            [distance * np.cos(bearing), distance * np.sin(bearing), 1.3 * float(stacked)]
+        )
+        half = np.array([rng.choice([3.0, 6.1]), 1.22, 1.3 * float(stacked)])
+        surfaces.append(_box(centre, half, rng.choice([0.1, 1.67]) + 0.05 * rng.normal(), METAL))
+    for _ in range(rng.integers(3, 7)):
+        place = np.array([rng.uniform(-25, 25), rng.choice([-1, 1]) * rng.uniform(7, 9)])
+        surfaces.append(_post(place, rng.uniform(0.5, 0.9), 0.25, METAL))
+    for _ in range(rng.integers(1, 4)):
+        place = np.array([rng.uniform(-25, 25), rng.choice([-1, 1]) * rng.uniform(9, 20)])
+        surfaces.append(_post(place, rng.uniform(6, 12), rng.uniform(0.08, 0.2), METAL))
+    leg = np.array([rng.uniform(8, 14), rng.uniform(8, 14)]) * rng.choice([-1, 1], 2)
+    for step in (0.0, 8.0):
+        surfaces.append(
+            _box(np.array([leg[0] + step, leg[1], 5]), np.array([0.5, 0.5, 5]), 0, METAL)
+        )
+    return Surroundings(surfaces, (6.0, 5.0))
+
+
+def bare(rng: np.random.Generator) -> Surroundings:
+    """Give flat ground and nothing else."""
+    return Surroundings([_ground(ASPHALT)], (6.0, 5.0))
+
+
+SURROUNDINGS: dict[str, Callable[[np.random.Generator], Surroundings]] = {
+    "corridor": corridor,
+    "street": street,
+    "harbor": harbor,
+    "bare": bare,
+}
+
+
+def draw_poles(
+    rng: np.random.Generator,
+    count: int,
+    clear: tuple[float, float],
+    angles: tuple[float, float],
+    radius: float,
+) -> list[Cylinder]:
+    """Draw taped poles on the ground, leaning up to 35°, all pairs apart by ``angles`` (rad)."""
+    while True:
+        lean = rng.uniform(0, np.radians(35), count)
+        toward = rng.uniform(0, 2 * np.pi, count)
+        axes = np.stack(
+            [np.sin(lean) * np.cos(toward), np.sin(lean) * np.sin(toward), np.cos(lean)], axis=1
+        )
+        i, j = np.triu_indices(count, 1)
+        between = np.arccos(np.clip(np.abs(np.einsum("pi,pi->p", axes[i], axes[j])), 0, 1))
+        if np.all((between >= angles[0]) & (between <= angles[1])):
+            break
+    while True:
+        feet = rng.uniform(-1, 1, (count, 2)) * (min(clear[0], 3.0), clear[1])
+        gaps = np.linalg.norm(feet[i] - feet[j], axis=1)
+        if np.all((gaps >= 1.2) & (gaps <= 6.0)):
+            break
+    lengths = rng.uniform(1.8, 2.5, count)
+    return [
+        Cylinder(np.r_[foot, 0.05] + axis * length / 2, axis, radius, float(length), TAPE)
+        for foot, axis, length in zip(feet, axes, lengths, strict=True)
+    ]
+
+
+def symmetric_poles(rng: np.random.Generator, radius: float) -> list[Cylinder]:
+    """Draw two poles that a half turn about the vertical lays on each other."""
+    lean, toward = np.radians(rng.uniform(9, 20)), rng.uniform(0, 2 * np.pi)
+    axis = np.array([np.sin(lean) * np.cos(toward), np.sin(lean) * np.sin(toward), np.cos(lean)])
+    foot = rng.uniform(0.8, 1.5) * np.array([np.cos(toward + 1.2), np.sin(toward + 1.2)])
+    turn = np.diag([-1.0, -1.0, 1.0])
+    first = np.r_[foot, 0.05] + 1.1 * axis
+    return [
+        Cylinder(first, axis, radius, 2.2, TAPE),
+        Cylinder(turn @ first, turn @ axis, radius, 2.2, TAPE),
+    ]
+
+
+def half_turned(surfaces: list[Surface]) -> list[Surface]:
+    """Turn surfaces by half a turn about the vertical through the origin."""
+    turn = np.diag([-1.0, -1.0, 1.0])
+    turned: list[Surface] = []
+    for s in surfaces:
+        if isinstance(s, Rectangle):
+            turned.append(Rectangle(turn @ s.centre, turn @ s.u, turn @ s.v, s.half, s.material))
+        elif isinstance(s, Box):
+            turned.append(Box(turn @ s.centre, turn @ s.axes, s.half, s.material))
+        else:
+            turned.append(Cylinder(turn @ s.centre, turn @ s.axis, s.radius, s.length, s.material))
+    return turned
+
+
+def draw_lidar(
+    rng: np.random.Generator, poles: list[Cylinder], clear: tuple[float, float]
+) -> Array | None:
+    """Draw a pose (4, 4) within 2.2 to 8 m of every pole, or None where this draw has none.
+
+    Mostly roughly upright, a sixth upside down, at any heading.
+    """
+    place = np.r_[rng.uniform(-1, 1, 2) * clear, rng.uniform(0.5, 2.0)]
+    distance = [float(np.linalg.norm((pole.centre - place)[:2])) for pole in poles]
+    if min(distance) < 2.2 or max(distance) > 8.0:
+        return None
+    tilt = np.r_[rng.normal(0, np.radians(7), 2), rng.uniform(0, 2 * np.pi)]
+    if rng.uniform() < 1 / 6:
+        tilt[0] += np.pi
+    return se3.from_rt(np.asarray(Rotation.from_euler("xyz", tilt).as_matrix()), place)
