@@ -15,7 +15,7 @@ import numpy as np
 from ..datatypes import Array, Detection, PointCloud
 from ..files import write_atomically
 from . import evidence, sections
-from .points import pack_cloud
+from .points import FAR, pack_cloud
 
 MAX_POINTS = 60_000
 """Points of each cloud in the page: about 0.6 MB, and a picture on any machine in a second."""
@@ -132,7 +132,7 @@ def _finite(value: Any) -> Any:
 def _shown(which: str, cloud: Mapping[str, Any]) -> str:
     count, total = cloud["counts"][2], cloud["total"]
     text = f"{which}: showing {count:,} of {total:,} points"
-    return text + (f", {cloud['far']:,} of them too far for the view" if cloud["far"] else "")
+    return text + (f", {cloud['far']:,} beyond {FAR:g} m left out" if cloud["far"] else "")
 
 
 def _pole_lines(result: Mapping[str, Any], which: str) -> list[dict[str, Any]]:

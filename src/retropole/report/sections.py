@@ -229,8 +229,7 @@ def hypotheses(result: Result) -> str:
     )
     rows = [
         (
-            letter(k),
-            "chosen" if h.get("chosen") else "",
+            letter(k) + (" · chosen" if h.get("chosen") else ""),
             " ".join(f"T{i}–S{j}" for i, j in h.get("pairs") or []),
             {True: "yes", False: "no"}.get(h.get("exact", ""), "–"),
             number(h.get("pole_rms_m"), 1, 1000),
@@ -244,7 +243,6 @@ def hypotheses(result: Result) -> str:
     ]
     header = (
         "hypothesis",
-        "",
         "pairs",
         "exact",
         "pole rms, mm",

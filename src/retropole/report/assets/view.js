@@ -347,33 +347,33 @@ function drawMarks(context, pane, lens, scene, look) {
     const at = spot([base.origin[0], base.origin[1] + range, base.origin[2]]);
     if (at) { context.font = "11px system-ui, sans-serif"; context.fillStyle = look.soft; context.textAlign = "center"; context.fillText(`${range} m`, at[0], at[1] - 5); }
   }
-  if (scene.ellipsoid && pane.ellipsoid && look.layers.ellipsoid) {
-    const { centre, axes } = scene.ellipsoid;
-    context.strokeStyle = look.text;
-    context.lineWidth = 1.5;
-    for (const [i, j] of [[0, 1], [1, 2], [2, 0]]) {
-      trace(Array.from({ length: 49 }, (_, k) => {
-        const a = (2 * Math.PI * k) / 48;
-        return centre.map((v, n) => v + Math.cos(a) * axes[i][n] + Math.sin(a) * axes[j][n]);
-      }));
-      context.stroke();
-    }
-  }
+  const ellipsoid = pane.ellipsoid && look.layers.ellipsoid ? scene.ellipsoid : null;
+  const circles = !ellipsoid ? [] : [[0, 1], [1, 2], [2, 0]].map(([i, j]) => Array.from({ length: 49 }, (_, k) => {
+    const a = (2 * Math.PI * k) / 48, { centre, axes } = ellipsoid;
+    return centre.map((v, n) => v + Math.cos(a) * axes[i][n] + Math.sin(a) * axes[j][n]);
+  }));
   scene.clouds.forEach((cloud, k) => {
     const T = pane.poses[k];
     if (!T || !look.visible[k]) return;
     const to = (p) => applyPose(T, p), o = cloud.origin, colour = css(look.colours[k]);
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]].forEach((axis, n) => {
       const end = to(o.map((v, m) => v + axis[m]));
-      line([to(o), end], colour, look.plain ? 1 : 2, n === 2 ? [] : n === 1 ? [5, 4] : [1, 4]);
+      line([to(o), end], colour, look.plain ? 1 : 2, n === 2 ? [] : n === 1 ? [5, 4] : [1, 4], k === 1 && ellipsoid ? 0 : 3);
       const at = look.plain ? null : spot(end);
       if (at) label("xyz"[n], at, colour, "center", 11);
     });
     const at = look.plain ? null : spot(to(o));
-    if (at) label(["target", "source"][k], [at[0], at[1] + 14], colour, "center");
-    if (at && k === 1 && scene.ellipsoid && pane.ellipsoid && look.layers.ellipsoid) {
-      label(`1 σ × ${scene.ellipsoid.factor.toLocaleString("en")}`, [at[0], at[1] + 28], look.text, "center", 11);
-    }
+    if (at && k === 1 && ellipsoid) {
+      for (const circle of circles) {
+        trace(circle);
+        context.strokeStyle = look.text;
+        context.lineWidth = 1.5;
+        context.stroke();
+      }
+      const low = Math.max(...circles.flat().map(spot).filter(Boolean).map((p) => p[1]), at[1]);
+      label("source", [at[0], low + 12], colour, "center");
+      label(`1 σ × ${ellipsoid.factor.toLocaleString("en")}`, [at[0], low + 26], look.text, "center", 11);
+    } else if (at) label(["target", "source"][k], [at[0], at[1] + 14], colour, "center");
     if (look.layers.poles) {
       for (const pole of scene.poles[k]) {
         const ends = [to(pole.a), to(pole.b)];
