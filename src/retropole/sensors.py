@@ -214,10 +214,13 @@ class Threshold:
 
 
 BRIGHT_TAIL = 2.5
-"""The threshold lies so many times the spread of the diffuse returns above their median."""
+"""The threshold lies so many times the spread of the diffuse returns above their median, …"""
 
-MAX_OF_SCALE = 0.78
-"""The threshold never lies above this part of the brightest returns (200 of 255)."""
+OF_BRIGHTEST = (0.4, 0.78)
+"""… but between these parts of the brightest returns (100 and 200 of 255)."""
+
+BRIGHTEST = 6
+"""The brightest return is taken as the sixth: a single glint says nothing of the scale."""
 
 
 def auto_threshold(intensity: Array) -> Threshold:
@@ -232,12 +235,16 @@ def auto_threshold(intensity: Array) -> Threshold:
     intensity
         (N,) on a scale of 0–1, 8 bit, 16 bit or any other from zero up.
     """
-    median, high, top = np.quantile(intensity, [0.5, 0.95, 1.0])
+    median, high = np.quantile(intensity, [0.5, 0.95])
     tail = float(median + BRIGHT_TAIL * (high - median))
-    ceiling = MAX_OF_SCALE * float(top)
-    if tail <= ceiling:
-        return Threshold(tail, f"auto: {BRIGHT_TAIL:g} spreads above the diffuse returns")
-    return Threshold(ceiling, f"auto: {MAX_OF_SCALE:.0%} of the brightest; nothing stands out")
+    rank = min(BRIGHTEST, len(intensity))
+    top = float(np.partition(intensity, -rank)[-rank])
+    low, high = (part * top for part in OF_BRIGHTEST)
+    if tail > high:
+        return Threshold(high, f"auto: {OF_BRIGHTEST[1]:.0%} of the brightest; little stands out")
+    if tail < low:
+        return Threshold(low, f"auto: {OF_BRIGHTEST[0]:.0%} of the brightest")
+    return Threshold(tail, "auto: well above the diffuse returns")
 
 
 def threshold_for(intensity: Array, sensor: Sensor | None, given: float | None) -> Threshold:
