@@ -349,13 +349,13 @@ def simulate(
 
     with _progress(quiet) as progress:
         progress("simulate")
-        sensors = {
-            name: value
-            for name, value in (("sensor_target", sensor_target), ("sensor_source", sensor_source))
-            if value is not None
-        }
         pair = simulate_pair(
-            scene, np.random.default_rng(seed), poles=poles, radius=radius, **sensors
+            scene,
+            np.random.default_rng(seed),
+            sensor_target=sensor_target,
+            sensor_source=sensor_source,
+            poles=poles,
+            radius=radius,
         )
         write_pair(pair, out)
     if not quiet:

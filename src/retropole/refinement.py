@@ -176,7 +176,7 @@ def refine(
     if min(len(target_patches.centres), len(source_patches.centres)) < MIN_PATCHES:
         return None
     tree = cKDTree(target_patches.centres)
-    prior = np.linalg.inv(poles.covariance)
+    prior: Array = np.asarray(np.linalg.inv(poles.covariance))
     T: Array = poles.T_target_source
     covariance: Array = poles.covariance
     for _ in range(MAX_ITERATIONS):
@@ -189,7 +189,7 @@ def refine(
         JW = J * (weights / sigma**2)[:, None]
         H = JW.T @ J + prior
         gradient = JW.T @ r + prior @ se3.local(poles.T_target_source, T)
-        step: Array = -np.linalg.solve(H, gradient)
+        step = -np.asarray(np.linalg.solve(H, gradient), dtype=np.float64)
         T = se3.retract(T, step)
         covariance = _covariance(H, JW, pairs, prior)
         if np.linalg.norm(step[:3]) < STEP_ROTATION and np.linalg.norm(step[3:]) < STEP_TRANSLATION:

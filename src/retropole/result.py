@@ -151,7 +151,7 @@ def _stage(stage: Stage | None) -> StageDoc | None:
 
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
     return HypothesisDoc(
-        pairs=[tuple(pair) for pair in hypothesis.match.pairs],
+        pairs=list(hypothesis.match.pairs),
         T_target_source=_matrix(hypothesis.match.T_target_source),
         pole_rms_m=hypothesis.match.pole_rms,
         exact=hypothesis.match.exact,

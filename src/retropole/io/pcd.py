@@ -1,0 +1,302 @@
+"""PCD, the Point Cloud Library's format: ascii, binary and binary_compressed.
+
+The header is read here, so that its promises are checked against the size of the file before any
+memory is taken; the data are one NumPy record array. Only the compression is a library's.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datatypes import Array, PointCloud
+from ..errors import ReadError
+from ..files import write_atomically
+from .fields import cloud_from_columns
+
+MAX_HEADER = 64 * 1024
+MAX_LZF_RATIO = 300
+"""LZF writes at least three bytes for 264: a file that promises more holds something else."""
+
+KEYS = (
+    *("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT"),
+    *("VIEWPOINT", "POINTS", "DATA"),
+)
+TYPES = {"F": {4: "<f4", 8: "<f8"}, "I": {}, "U": {}}
+for _size in (1, 2, 4, 8):
+    TYPES["I"][_size], TYPES["U"][_size] = f"<i{_size}", f"<u{_size}"
+
+
+@dataclass(frozen=True, eq=False)
+class Header:
+    """What the header of a PCD file promises."""
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    counts: tuple[int, ...]
+    points: int
+    origin: Array
+    encoding: str
+    start: int
+    lines: int
+
+    @property
+    def record(self) -> np.dtype[np.void]:
+        """Data type of one point; padding and repeated names get names of their own."""
+        fields = []
+        for k, (name, kind, count) in enumerate(
+            zip(self.names, self.kinds, self.counts, strict=True)
+        ):
+            own = name if name != "_" and name not in self.names[:k] else f"_{k}"
+            fields.append((own, kind, (count,)) if count > 1 else (own, kind))
+        return np.dtype(fields)
+
+
+def read_pcd(path: Path) -> PointCloud:
+    """Read a PCD file; the translation of its VIEWPOINT is the beam origin.
+
+    Raises
+    ------
+    ReadError
+        Where the header or the data are not what they should be.
+    """
+    data = path.read_bytes()
+    header = _parse_header(path, data)
+    record = header.record
+    body = data[header.start :]
+    if header.points == 0:
+        raise ReadError(f"{path}: POINTS is 0, expected at least one point")
+    if header.encoding == "ascii":
+        columns = _read_ascii(path, body, header)
+    else:
+        size = header.points * record.itemsize
+        if header.encoding == "binary":
+            if len(body) < size:
+                raise ReadError(
+                    f"{path}: the header promises {header.points} points of {record.itemsize} "
+                    f"bytes, {size} in all, the file holds {len(body)} after it"
+                )
+            points = np.frombuffer(body, record, header.points)
+            columns = {name: points[name] for name in record.names or ()}
+        else:
+            columns = _split(_decompress(path, body, size), header)
+    return cloud_from_columns(path, columns, header.origin)
+
+
+def _parse_header(path: Path, data: bytes) -> Header:
+    if not data:
+        raise ReadError(f"{path}: is empty, expected a PCD header")
+    entries: dict[str, tuple[int, list[str]]] = {}
+    position, number = 0, 0
+    while "DATA" not in entries:
+        end = data.find(b"\n", position, position + MAX_HEADER)
+        if end < 0 or position > MAX_HEADER:
+            raise ReadError(f"{path}: the header ends at line {number} without a DATA line")
+        number += 1
+        words = data[position:end].decode("ascii", errors="replace").split()
+        position = end + 1
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in KEYS:
+            expected = "one of " + ", ".join(KEYS)
+            raise ReadError(f"{path}, line {number}: starts with {words[0]!r}, expected {expected}")
+        entries["FIELDS" if words[0] == "COLUMNS" else words[0]] = (number, words[1:])
+
+    def whole(key: str, low: int, default: list[int] | None = None) -> list[int]:
+        if key not in entries:
+            if default is not None:
+                return default
+            raise ReadError(f"{path}: the header has no {key} line")
+        line, words = entries[key]
+        try:
+            values = [int(word) for word in words]
+        except ValueError:
+            values = []
+        if not values or min(values) < low or max(values) > 2**62:
+            raise ReadError(
+                f"{path}, line {line}: {key} {' '.join(words)}, expected whole numbers from {low}"
+            )
+        return values
+
+    if "FIELDS" not in entries:
+        raise ReadError(f"{path}: the header has no FIELDS line")
+    names = entries["FIELDS"][1]
+    sizes, counts = whole("SIZE", 1), whole("COUNT", 1, [1] * len(names))
+    if "TYPE" not in entries:
+        raise ReadError(f"{path}: the header has no TYPE line")
+    line, types = entries["TYPE"]
+    if not len(names) == len(sizes) == len(counts) == len(types):
+        raise ReadError(
+            f"{path}, line {line}: FIELDS, SIZE, TYPE and COUNT name {len(names)}, {len(sizes)}, "
+            f"{len(types)} and {len(counts)} fields, expected the same number"
+        )
+    for name, letter, size in zip(names, types, sizes, strict=True):
+        if size not in TYPES.get(letter, {}):
+            raise ReadError(
+                f"{path}, line {line}: field {name} has type {letter} of {size} bytes, expected F "
+                "of 4 or 8, I or U of 1, 2, 4 or 8"
+            )
+    kinds = tuple(TYPES[letter][size] for letter, size in zip(types, sizes, strict=True))
+    width = whole("WIDTH", 0)[0]
+    height = whole("HEIGHT", 0, [1])[0]
+    points = whole("POINTS", 0, [width * height])[0]
+    if width * height != points:
+        raise ReadError(
+            f"{path}: WIDTH {width} times HEIGHT {height} is not POINTS {points}: the header "
+            "contradicts itself"
+        )
+    if sum(counts) > 10_000:
+        raise ReadError(f"{path}: a point has {sum(counts)} values, expected 10,000 at most")
+    line, words = entries["DATA"]
+    if words not in (["ascii"], ["binary"], ["binary_compressed"]):
+        raise ReadError(
+            f"{path}, line {line}: DATA {' '.join(words)}, expected ascii, binary or "
+            "binary_compressed"
+        )
+    return Header(
+        names=tuple(names),
+        kinds=kinds,
+        counts=tuple(counts),
+        points=points,
+        origin=_viewpoint(path, entries),
+        encoding=words[0],
+        start=position,
+        lines=number,
+    )
+
+
+def _viewpoint(path: Path, entries: dict[str, tuple[int, list[str]]]) -> Array:
+    if "VIEWPOINT" not in entries:
+        return np.zeros(3)
+    line, words = entries["VIEWPOINT"]
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != 7 or not np.all(np.isfinite(values)):
+        raise ReadError(
+            f"{path}, line {line}: VIEWPOINT {' '.join(words)}, expected seven numbers tx ty tz qw "
+            "qx qy qz"
+        )
+    return values[:3]
+
+
+def _read_ascii(path: Path, body: bytes, header: Header) -> dict[str, NDArray[Any]]:
+    values = sum(header.counts)
+    # Each value takes a character and a blank or line end; the last line may lack its end.
+    if len(body) + 1 < 2 * values * header.points:
+        raise ReadError(
+            f"{path}: the header promises {header.points} points of {values} values, the "
+            f"{len(body)} bytes after it cannot hold them"
+        )
+    try:
+        table = np.loadtxt(io.BytesIO(body), dtype=np.float64, ndmin=2, comments="#")
+    except ValueError as error:
+        number = header.lines + _line_of_bad_text(body, values)
+        raise ReadError(f"{path}, line {number}: expected {values} numbers ({error})") from None
+    if table.shape[0] == 0 or table.shape[1] != values:
+        have = table.shape[1] if table.size else 0
+        raise ReadError(f"{path}: lines of {have} values, expected {values} by FIELDS and COUNT")
+    if len(table) < header.points:
+        raise ReadError(
+            f"{path}: the header promises {header.points} points, the file holds {len(table)} lines"
+        )
+    table = table[: header.points]
+    ends = np.cumsum(header.counts)
+    names = header.record.names or ()
+    # The declared type rules, as it does in the other encodings: 0.1 as a float32 is float32(0.1).
+    return {
+        name: table[:, end - count : end].astype(kind)
+        for name, kind, end, count in zip(names, header.kinds, ends, header.counts, strict=True)
+    }
+
+
+def _line_of_bad_text(body: bytes, values: int) -> int:
+    """Number of the first line of the data that is not so many numbers."""
+    for number, line in enumerate(body.decode("ascii", errors="replace").splitlines(), 1):
+        words = line.split("#")[0].split()
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            return number
+        if numbers and len(numbers) != values:
+            return number
+    return 0
+
+
+def _decompress(path: Path, body: bytes, size: int) -> bytes:
+    import lzf
+
+    if len(body) < 8:
+        raise ReadError(f"{path}: ends before the two sizes of its compressed data")
+    packed, unpacked = struct.unpack_from("<II", body)
+    if unpacked != size:
+        raise ReadError(f"{path}: its data unpack to {unpacked} bytes, the header promises {size}")
+    if packed > len(body) - 8:
+        raise ReadError(
+            f"{path}: promises {packed} bytes of compressed data, the file holds {len(body) - 8}"
+        )
+    if unpacked > MAX_LZF_RATIO * max(packed, 1):
+        raise ReadError(f"{path}: {packed} bytes cannot unpack to {unpacked}")
+    if packed == unpacked:
+        return body[8 : 8 + packed]
+    try:
+        plain = lzf.decompress(body[8 : 8 + packed], unpacked)
+    except ValueError as error:
+        raise ReadError(f"{path}: its compressed data are damaged ({error})") from None
+    if plain is None or len(plain) != unpacked:
+        raise ReadError(f"{path}: its compressed data are damaged: they do not unpack")
+    return bytes(plain)
+
+
+def _split(plain: bytes, header: Header) -> dict[str, Array]:
+    """Take apart compressed data, which come field by field, not point by point."""
+    columns, position = {}, 0
+    names = header.record.names or ()
+    for name, kind, count in zip(names, header.kinds, header.counts, strict=True):
+        values = np.frombuffer(plain, kind, header.points * count, position)
+        position += values.nbytes
+        columns[name] = values.reshape(header.points, count) if count > 1 else values
+    return columns
+
+
+def write_pcd(path: str | Path, cloud: PointCloud) -> None:
+    """Write a cloud as binary PCD, whole or not at all.
+
+    Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT holds the beam
+    origin, unturned.
+    """
+    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    values: list[NDArray[Any]] = [cloud.xyz[:, 0], cloud.xyz[:, 1], cloud.xyz[:, 2]]
+    for name, kind, column in (
+        ("intensity", "<f4", cloud.intensity),
+        ("ring", "<u2", cloud.ring),
+        ("timestamp", "<f8", cloud.time),
+    ):
+        if column is not None:
+            fields.append((name, kind))
+            values.append(column)
+    points = np.empty(len(cloud), np.dtype(fields))
+    for (name, _), column in zip(fields, values, strict=True):
+        points[name] = column
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        "FIELDS " + " ".join(name for name, _ in fields),
+        "SIZE " + " ".join(kind[2] for _, kind in fields),
+        "TYPE " + " ".join(kind[1].upper() for _, kind in fields),
+        "COUNT " + " ".join("1" for _ in fields),
+        f"WIDTH {len(cloud)}",
+        "HEIGHT 1",
+        "VIEWPOINT " + " ".join(repr(float(v)) for v in cloud.origin) + " 1 0 0 0",
+        f"POINTS {len(cloud)}",
+        "DATA binary",
+        "",
+    ]
+    write_atomically(Path(path), "\n".join(header).encode("ascii") + points.tobytes())
