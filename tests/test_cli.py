@@ -110,15 +110,9 @@ def test_swapping_the_clouds_inverts_the_answer(scene: Path, truth: Array, tmp_p
     assert_close(transform_of(tmp_path), se3.inverse(truth))
 
 
-def test_a_refusal_exits_with_3_and_leaves_its_reason(
-    clouds: tuple[PointCloud, PointCloud], tmp_path: Path
-) -> None:
-    target, source = clouds
-    assert source.intensity is not None
-    dull = source.select(source.intensity < 50)
-    write_pcd(tmp_path / "target.pcd", target)
-    write_pcd(tmp_path / "dull.pcd", dull)
-    done = retropole("calibrate", "target.pcd", "dull.pcd", "--out", "r", cwd=tmp_path)
+def test_a_refusal_exits_with_3_and_leaves_its_reason(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("calibrate", *files, "--threshold-source", 1e9, "--out", "r", cwd=tmp_path)
     assert done.returncode == 3
     result = json.loads((tmp_path / "r" / "result.json").read_text())
     assert result["status"] == "refused"

@@ -37,6 +37,9 @@ of the axis of a 2 cm pole, towards itself."""
 EXACT_RMS = 0.05
 """Pole residual, metres, up to which a start counts as an exact match of the lines."""
 
+MAX_PAIRS = 200
+"""How many pairs of pole pairs are tried, the most alike first."""
+
 MAX_HYPOTHESES = 16
 """How many hypotheses go on to be judged by the scene, most poles and least residual first."""
 
@@ -126,37 +129,60 @@ def _direction_sigma(pole: Pole) -> float:
     return float(pole.rms * np.sqrt(12.0 / len(pole.xyz)) / max(pole.length, 1e-3))
 
 
-def _fits(target: tuple[Pole, Pole], source: tuple[Pole, Pole]) -> bool:
-    """Whether two pairs of poles have the same angle and the same distance, within their noise."""
-    a = line_pair(target[0].point, target[0].direction, target[1].point, target[1].direction)
-    b = line_pair(source[0].point, source[0].direction, source[1].point, source[1].direction)
-    if min(a.angle, b.angle) < MIN_ANGLE:
-        return False
-    sigma = float(np.sqrt(sum(_direction_sigma(p) ** 2 for p in (*target, *source))))
-    if abs(a.angle - b.angle) > ANGLE_TOLERANCE + 3 * sigma:
-        return False
-    # The common perpendicular of leaning poles can lie metres beyond what is seen of them; there
-    # an error of direction moves the feet by that lever.
-    lever = max(
-        float(np.linalg.norm(pair.frame[:3, 3] - pole.point))
-        for pair, poles in ((a, target), (b, source))
-        for pole in poles
-    )
-    tolerance = DISTANCE_TOLERANCE + 3 * sigma * lever
-    if abs(a.distance - b.distance) > tolerance:
-        return False
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """All pairs of poles of one LiDAR that are far enough from parallel, and their shapes."""
+
+    index: list[tuple[int, int]]
+    angle: Array
+    distance: Array
+    handedness: Array
+    sigma: Array
+    lever: Array
+
+
+def _all_pairs(poles: Sequence[Pole]) -> _Pairs:
+    index, rows = [], []
+    for i, j in combinations(range(len(poles)), 2):
+        first, second = poles[i], poles[j]
+        if _angle_between(first, second) < MIN_ANGLE:
+            continue
+        pair = line_pair(first.point, first.direction, second.point, second.direction)
+        sigma = float(np.hypot(_direction_sigma(first), _direction_sigma(second)))
+        # The common perpendicular of leaning poles can lie metres beyond what is seen of them;
+        # there an error of direction moves the feet by that lever.
+        feet = np.linalg.norm(pair.frame[:3, 3] - np.stack([first.point, second.point]), axis=1)
+        index.append((i, j))
+        rows.append((pair.angle, pair.distance, pair.handedness, sigma, float(feet.max())))
+    return _Pairs(index, *np.array(rows).reshape(-1, 5).T)
+
+
+def _alike(target: _Pairs, source: _Pairs) -> list[tuple[int, int]]:
+    """Rows of the pairs that have the same angle, distance and hand, within their noise."""
+    sigma = np.hypot(target.sigma[:, None], source.sigma[None])
+    angle_gap = np.abs(target.angle[:, None] - source.angle[None])
+    angle_room = ANGLE_TOLERANCE + 3 * sigma
+    room = DISTANCE_TOLERANCE + 3 * sigma * np.maximum(target.lever[:, None], source.lever[None])
+    distance_gap = np.abs(target.distance[:, None] - source.distance[None])
+    hand_gap = np.abs(target.handedness[:, None] - source.handedness[None])
     # The bisectors change roles at 90°, and with them the handedness; only then let it pass.
-    near_right_angle = max(a.angle, b.angle) > np.pi / 2 - ANGLE_TOLERANCE - 3 * sigma
-    return near_right_angle or abs(a.handedness - b.handedness) <= 2 * tolerance
+    right_angle = np.maximum(target.angle[:, None], source.angle[None]) > np.pi / 2 - angle_room
+    fits = (angle_gap <= angle_room) & (distance_gap <= room)
+    fits &= right_angle | (hand_gap <= 2 * room)
+    rows, columns = np.nonzero(fits)
+    misfit = (angle_gap / angle_room + distance_gap / room)[rows, columns]
+    best = np.argsort(misfit, kind="stable")[:MAX_PAIRS]
+    return [(int(rows[k]), int(columns[k])) for k in best]
+
+
+def _angle_between(a: Pole, b: Pole) -> float:
+    sine = float(np.linalg.norm(np.cross(a.direction, b.direction)))
+    return float(np.arctan2(sine, abs(a.direction @ b.direction)))
 
 
 def widest_angle(poles: Sequence[Pole]) -> float:
     """Largest angle between any two poles, radians; 0 for fewer than two."""
-    if len(poles) < 2:
-        return 0.0
-    n = np.array([pole.direction for pole in poles])
-    sines = np.linalg.norm(np.cross(n[:, None], n[None]), axis=-1)
-    return float(np.arctan2(sines, np.abs(n @ n.T)).max())
+    return max((_angle_between(a, b) for a, b in combinations(poles, 2)), default=0.0)
 
 
 def _solve(
@@ -227,21 +253,19 @@ def match_poles(
     _check_poles(target, source, count or 2)
     two_and_two = len(target) == len(source) == 2
     matches: list[Match] = []
-    for i, j in combinations(range(len(target)), 2):
-        for k, l in combinations(range(len(source)), 2):
-            pair_t, pair_s = (target[i], target[j]), (source[k], source[l])
-            if not _fits(pair_t, pair_s):
-                continue
-            for T_start, order in pair_starts(pair_t, pair_s):
-                first, second = (k, l) if order == (0, 1) else (l, k)
-                match = _solve(target, source, ((i, first), (j, second)), T_start)
-                if two_and_two:
-                    matches.append(match)
-                elif match.exact:
-                    pairs = _extend(target, source, match.T_target_source, 3 * EXACT_RMS)
-                    if len(pairs) > 2 and set(match.pairs) <= set(pairs):
-                        match = _solve(target, source, pairs, match.T_target_source)
-                    matches.append(match)
+    pairs_target, pairs_source = _all_pairs(target), _all_pairs(source)
+    for row, column in _alike(pairs_target, pairs_source):
+        (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
+        for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):
+            first, second = (k, l) if order == (0, 1) else (l, k)
+            match = _solve(target, source, ((i, first), (j, second)), T_start)
+            if two_and_two:
+                matches.append(match)
+            elif match.exact:
+                pairs = _extend(target, source, match.T_target_source, 3 * EXACT_RMS)
+                if len(pairs) > 2 and set(match.pairs) <= set(pairs):
+                    match = _solve(target, source, pairs, match.T_target_source)
+                matches.append(match)
     matches = _distinct(matches, np.array([pole.point for pole in source]))
     if not any(match.exact for match in matches):
         raise Refusal(

@@ -66,8 +66,9 @@ sign, or bright ground?"""
 BEHIND = 0.08
 """A surface that passes the line at this distance is not the one it lies on, metres."""
 
-ROW = np.radians(0.06)
-"""Where a cloud has no rings, returns whose elevations differ by more come from two beams, rad."""
+ROW = np.radians(0.1)
+"""Where a cloud has no rings, returns in different steps of elevation of this height count as
+different rows, rad."""
 
 MAX_PAIRS = 1500
 MAX_SEARCHED = 1200
@@ -301,14 +302,14 @@ def _fit(cloud: PointCloud, left: IntArray, point: Array, direction: Array, radi
 def _rows_hit(cloud: PointCloud, rows: IntArray) -> int:
     """How many beams hit a line: by ring where the cloud has rings, else by steps of elevation.
 
-    Seen from a wrong origin the elevations scatter, and the test passes what it should not; the
-    others remain.
+    Seen from a wrong origin the elevations of one beam scatter: then the test passes a single row
+    that it should not, but never fails a pole.
     """
     if cloud.ring is not None:
         return len(np.unique(cloud.ring[rows]))
     rays = cloud.xyz[rows] - cloud.origin
-    elevation = np.sort(np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1])))
-    return 1 + int(np.count_nonzero(np.diff(elevation) > ROW))
+    elevation = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+    return len(np.unique(np.floor(elevation / ROW)))
 
 
 def _test_surroundings(cloud: PointCloud, line: _Line, is_retro: BoolArray, radius: float) -> _Line:
