@@ -13,12 +13,12 @@ LAYERS = [
     {
         *("io", "sensors", "extraction", "beams", "correspondence", "alignment"),
         *("beam_alignment", "disambiguation", "registration", "refinement", "uncertainty"),
-        *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
+        *("verdict", "evaluation", "simulation", "figures", "clustering"),
     },
     {"pipeline"},
     {"result"},
     {"summary", "report"},
-    {"cli"},
+    {"cli", "__main__"},
 ]
 
 

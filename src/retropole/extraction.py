@@ -12,17 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
+from .clustering import clusters_of
 from .datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole, RejectedCluster
 from .errors import Refusal
 from .sensors import Sensor, threshold_for
-
-LINK = 0.8
-"""Retro-reflective points nearer than this are one cluster, metres. The beams of a 16-beam sensor
-are 2° apart: 0.35 m at 10 m, twice that where one is lost."""
 
 MIN_POINTS = 6
 MIN_ROWS = 3
@@ -137,32 +131,13 @@ def extract_poles(
     retro = np.flatnonzero(is_retro)
     poles: list[Pole] = []
     rejected: list[RejectedCluster] = []
-    for cluster in _clusters(cloud.xyz[retro]):
+    for cluster in clusters_of(cloud.xyz[retro]):
         found, refused = _search(cloud, retro[cluster], is_retro, radius)
         poles += found
         rejected += refused
     poles.sort(key=lambda pole: (-len(pole.index), pole.rms))
     rejected.sort(key=lambda cluster: -len(cluster.index))
     return Detection(tuple(poles), tuple(rejected), chosen.value, chosen.found, len(retro))
-
-
-def _clusters(xyz: Array) -> list[IntArray]:
-    """Group points that chains of steps shorter than `LINK` connect."""
-    if len(xyz) == 0:
-        return []
-    # One point per small cube stands for all in it: a saturated surface has millions of pairs.
-    cell, member = np.unique(
-        np.floor(xyz / (LINK / 8)).astype(np.int64), axis=0, return_inverse=True
-    )
-    member = member.reshape(-1)
-    sums = np.stack([np.bincount(member, weights=column) for column in xyz.T], axis=1)
-    centre = sums / np.bincount(member)[:, None]
-    pairs = cKDTree(centre).query_pairs(LINK, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cell),) * 2)
-    count, label = connected_components(graph, directed=False)
-    label = label[member]
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.cumsum(np.bincount(label, minlength=count))[:-1])
 
 
 def _search(

@@ -1,0 +1,91 @@
+"""The command ``retropole detect``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .common import (
+    CLOUD,
+    CONTEXT,
+    EXIT_REFUSED,
+    OUT,
+    SENSOR_HELP,
+    progress_on_terminal,
+    radius_option,
+    read_input,
+)
+
+
+@click.command(context_settings=CONTEXT)
+@click.argument("file", type=CLOUD)
+@click.option(
+    "--out",
+    type=OUT,
+    default=Path("retropole-out"),
+    show_default=True,
+    help="Folder for detect.png.",
+)
+@radius_option
+@click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
+@click.option("--threshold", type=float, help="Intensity from which a return is retro-reflective.")
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def detect(
+    file: Path,
+    out: Path,
+    radius: float,
+    sensor: str,
+    threshold: float | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Show the poles in FILE, and why every other retro-reflective thing is none.
+
+    Writes a picture, detect.png (needs the optional part 'figures').
+
+    \b
+    Examples:
+      retropole detect front.pcd
+      retropole detect front.pcd --threshold 120 --out look
+      retropole detect front.pcd --json | jq .poles
+
+    \b
+    Exit code:
+      0    looked, and found poles or none
+      2    the file or an option is wrong
+      3    refused: the file has no intensity
+    """
+    from ..errors import MissingExtraError, Refusal
+    from ..extraction import extract_poles
+    from ..result import detection_document, encode
+    from ..summary import describe_detection
+
+    with progress_on_terminal(quiet) as progress:
+        progress("read")
+        given = read_input(file, sensor, threshold)
+        progress("extract")
+        try:
+            found = extract_poles(
+                given.cloud, sensor=given.sensor, threshold=threshold, radius=radius
+            )
+        except Refusal as refusal:
+            click.echo(f"retropole: refused ({refusal.code}): {refusal}", err=True)
+            return EXIT_REFUSED
+        given.document.threshold = found.threshold
+        written: list[str] = []
+        progress("draw")
+        try:
+            from ..figures import draw_detection
+
+            draw_detection(given.cloud, found, out / "detect.png", title=file.name)
+            written.append(str(out / "detect.png"))
+        except MissingExtraError as error:
+            click.echo(f"retropole: no picture: {error}", err=True)
+    result = detection_document(found, given.document)
+    if as_json:
+        click.echo(encode(result), nl=False)
+    elif not quiet:
+        click.echo(describe_detection(result, written))
+    return 0
