@@ -9,30 +9,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array, PointCloud
+from ..datatypes import Array, IntArray, PointCloud
 from ..errors import ReadError
 
 INTENSITY = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission")
 RING = ("ring", "channel", "laser_id", "line", "beam")
 TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpstime")
 
+LAST_SECOND = 1e11
+"""Later than any clock counts in seconds (year 5138), earlier than any counts its milliseconds."""
+
 Columns = Mapping[str, NDArray[Any]]
 
 
 def _find(columns: Columns, names: tuple[str, ...]) -> NDArray[Any] | None:
-    """Take the first column that has one of the names; CloudCompare puts ``scalar_`` in front."""
-    plain = {name.lower().removeprefix("scalar_"): name for name in columns}
-    for name in names:
-        if name in plain:
-            return columns[plain[name]]
-    return None
+    """Take the first column that has one of the names, in any case; exact spelling goes first.
+
+    CloudCompare puts ``scalar_`` in front of what it does not know.
+    """
+    plain = {name: name for name in columns}
+    for name in columns:
+        plain.setdefault(name.lower(), name)
+    for name in columns:
+        plain.setdefault(name.lower().removeprefix("scalar_"), name)
+    return next((columns[plain[name]] for name in names if name in plain), None)
 
 
 def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None) -> PointCloud:
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
-    Of several values of an intensity, a ring or a time, the first is taken. Integer times are kept
-    as they are: what unit they have, files do not say.
+    Of several values of a field (a dual return's intensities), the first is taken. An intensity
+    that is not finite counts as 0: a return without a measured strength cannot be tape. Where none
+    is finite, the file has no intensity. Colours (rgb) are no intensity.
 
     Parameters
     ----------
@@ -53,43 +61,80 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
     if missing:
         have = ", ".join(columns) or "none"
         raise ReadError(f"{path}: field {', '.join(missing)} is missing; the fields are: {have}")
-    first = {name: _first(column) for name, column in found.items() if column is not None}
-    xyz = np.stack([first[name].astype(np.float64) for name in "xyz"], axis=1)
+    xyz = np.stack(
+        [
+            _numbers(path, name, column).astype(np.float64)
+            for name, column in found.items()
+            if column is not None
+        ],
+        axis=1,
+    )
     if len(xyz) == 0:
         raise ReadError(f"{path}: holds no points, expected at least one")
     start = np.zeros(3) if origin is None else origin
-    with np.errstate(over="ignore", invalid="ignore"):
-        kept = np.all(np.isfinite(xyz), axis=1)
-        kept &= np.any(xyz != 0, axis=1) & np.any(xyz != start, axis=1)
+    kept = np.all(np.isfinite(xyz), axis=1)
+    kept &= np.any(xyz != 0, axis=1) & np.any(xyz != start, axis=1)
     if not kept.any():
         raise ReadError(
             f"{path}: none of its {len(xyz)} points is finite and away from the sensor; expected "
             "coordinates in metres"
         )
-    intensity, ring, time = (_find(columns, names) for names in (INTENSITY, RING, TIME))
+
+    def optional(names: tuple[str, ...]) -> NDArray[Any] | None:
+        column = _find(columns, names)
+        if column is None:
+            return None
+        if len(column) != len(xyz):
+            raise ReadError(
+                f"{path}: {names[0]} has {len(column)} values for {len(xyz)} points, expected one "
+                "each"
+            )
+        return _numbers(path, names[0], column)[kept]
+
     return PointCloud(
         xyz=np.ascontiguousarray(xyz[kept]),
-        intensity=None if intensity is None else _strength(_first(intensity)[kept]),
-        ring=None if ring is None else _whole(_first(ring)[kept]),
-        time=None if time is None else _first(time)[kept].astype(np.float64),
+        intensity=_strength(optional(INTENSITY)),
+        ring=_whole(optional(RING)),
+        time=_seconds(optional(TIME)),
         origin=start,
         dropped=int(np.count_nonzero(~kept)),
         source=str(path),
     )
 
 
-def _first(column: NDArray[Any]) -> NDArray[Any]:
+def _numbers(path: Path, name: str, column: NDArray[Any]) -> NDArray[Any]:
+    """One number a point, the first of several; refuse text, complex numbers and the like."""
+    if column.dtype.kind not in "fiub" or column.ndim > 2 or column.shape[1:] == (0,):
+        raise ReadError(
+            f"{path}: field {name} is {column.dtype} {list(column.shape[1:]) or ''}, expected "
+            "numbers"
+        )
     return column if column.ndim == 1 else column[:, 0]
 
 
-def _strength(values: NDArray[Any]) -> Array:
+def _strength(values: NDArray[Any] | None) -> Array | None:
+    if values is None:
+        return None
     intensity = values.astype(np.float64)
-    if not np.all(np.isfinite(intensity)):
-        # A return without a measured strength is a weak one; it cannot be tape.
-        intensity = np.nan_to_num(intensity, nan=0.0, posinf=0.0, neginf=0.0)
-    return intensity
+    finite = np.isfinite(intensity)
+    return np.where(finite, intensity, 0.0) if finite.any() else None
 
 
-def _whole(values: NDArray[Any]) -> NDArray[np.int64]:
-    numbers = np.nan_to_num(values.astype(np.float64), nan=-1.0, posinf=-1.0, neginf=-1.0)
-    return np.clip(numbers, -(2**31), 2**31).astype(np.int64)
+def _whole(values: NDArray[Any] | None) -> IntArray | None:
+    """Beam indices; a table stores them as floats. What is no index at all is no ring."""
+    if values is None:
+        return None
+    numbers = values.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        indices = np.all(np.abs(numbers) < 2**31) and np.all(numbers == np.round(numbers))
+    return numbers.astype(np.int64) if indices else None
+
+
+def _seconds(values: NDArray[Any] | None) -> Array | None:
+    """Floats that can be seconds; of counts of ticks no file says how long one is."""
+    if values is None or values.dtype.kind != "f":
+        return None
+    seconds = values.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        plausible = np.all(np.abs(seconds) < LAST_SECOND)
+    return seconds if plausible else None

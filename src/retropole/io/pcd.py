@@ -6,7 +6,6 @@ memory is taken; the data are one NumPy record array. Only the compression is a 
 
 from __future__ import annotations
 
-import io
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datatypes import Array, PointCloud
-from ..errors import ReadError
+from ..errors import ReadError, UsageError
 from ..files import write_atomically
-from .fields import cloud_from_columns
+from .fields import Columns, cloud_from_columns
+from .table import read_table
 
 MAX_HEADER = 64 * 1024
 MAX_LZF_RATIO = 300
@@ -49,11 +49,14 @@ class Header:
     @property
     def record(self) -> np.dtype[np.void]:
         """Data type of one point; padding and repeated names get names of their own."""
+        seen: set[str] = set()
         fields = []
         for k, (name, kind, count) in enumerate(
             zip(self.names, self.kinds, self.counts, strict=True)
         ):
-            own = name if name != "_" and name not in self.names[:k] else f"_{k}"
+            # A blank cannot be in a name of the file, so these meet none.
+            own = f"_ {k}" if name == "_" or name in seen else name
+            seen.add(name)
             fields.append((own, kind, (count,)) if count > 1 else (own, kind))
         return np.dtype(fields)
 
@@ -68,24 +71,14 @@ def read_pcd(path: Path) -> PointCloud:
     """
     data = path.read_bytes()
     header = _parse_header(path, data)
-    record = header.record
-    body = data[header.start :]
     if header.points == 0:
         raise ReadError(f"{path}: POINTS is 0, expected at least one point")
     if header.encoding == "ascii":
-        columns = _read_ascii(path, body, header)
+        columns = _read_ascii(path, data[header.start :], header)
+    elif header.encoding == "binary":
+        columns = _read_binary(path, data, header)
     else:
-        size = header.points * record.itemsize
-        if header.encoding == "binary":
-            if len(body) < size:
-                raise ReadError(
-                    f"{path}: the header promises {header.points} points of {record.itemsize} "
-                    f"bytes, {size} in all, the file holds {len(body)} after it"
-                )
-            points = np.frombuffer(body, record, header.points)
-            columns = {name: points[name] for name in record.names or ()}
-        else:
-            columns = _split(_decompress(path, body, size), header)
+        columns = _read_compressed(path, data, header)
     return cloud_from_columns(path, columns, header.origin)
 
 
@@ -106,7 +99,10 @@ def _parse_header(path: Path, data: bytes) -> Header:
         if words[0] not in KEYS:
             expected = "one of " + ", ".join(KEYS)
             raise ReadError(f"{path}, line {number}: starts with {words[0]!r}, expected {expected}")
-        entries["FIELDS" if words[0] == "COLUMNS" else words[0]] = (number, words[1:])
+        key = "FIELDS" if words[0] == "COLUMNS" else words[0]
+        if key in entries:
+            raise ReadError(f"{path}, line {number}: {key} again, after line {entries[key][0]}")
+        entries[key] = (number, words[1:])
 
     def whole(key: str, low: int, default: list[int] | None = None) -> list[int]:
         if key not in entries:
@@ -187,7 +183,7 @@ def _viewpoint(path: Path, entries: dict[str, tuple[int, list[str]]]) -> Array:
     return values[:3]
 
 
-def _read_ascii(path: Path, body: bytes, header: Header) -> dict[str, NDArray[Any]]:
+def _read_ascii(path: Path, body: bytes, header: Header) -> Columns:
     values = sum(header.counts)
     # Each value takes a character and a blank or line end; the last line may lack its end.
     if len(body) + 1 < 2 * values * header.points:
@@ -195,82 +191,98 @@ def _read_ascii(path: Path, body: bytes, header: Header) -> dict[str, NDArray[An
             f"{path}: the header promises {header.points} points of {values} values, the "
             f"{len(body)} bytes after it cannot hold them"
         )
-    try:
-        table = np.loadtxt(io.BytesIO(body), dtype=np.float64, ndmin=2, comments="#")
-    except ValueError as error:
-        number = header.lines + _line_of_bad_text(body, values)
-        raise ReadError(f"{path}, line {number}: expected {values} numbers ({error})") from None
-    if table.shape[0] == 0 or table.shape[1] != values:
-        have = table.shape[1] if table.size else 0
-        raise ReadError(f"{path}: lines of {have} values, expected {values} by FIELDS and COUNT")
+    table = read_table(path, body, values, line=header.lines + 1, rows=header.points)
     if len(table) < header.points:
         raise ReadError(
             f"{path}: the header promises {header.points} points, the file holds {len(table)} lines"
         )
-    table = table[: header.points]
     ends = np.cumsum(header.counts)
     names = header.record.names or ()
-    # The declared type rules, as it does in the other encodings: 0.1 as a float32 is float32(0.1).
     return {
-        name: table[:, end - count : end].astype(kind)
+        name: _as_declared(table[:, end - count : end], kind)
         for name, kind, end, count in zip(names, header.kinds, ends, header.counts, strict=True)
     }
 
 
-def _line_of_bad_text(body: bytes, values: int) -> int:
-    """Number of the first line of the data that is not so many numbers."""
-    for number, line in enumerate(body.decode("ascii", errors="replace").splitlines(), 1):
-        words = line.split("#")[0].split()
-        try:
-            numbers = [float(word) for word in words]
-        except ValueError:
-            return number
-        if numbers and len(numbers) != values:
-            return number
-    return 0
+def _as_declared(values: Array, kind: str) -> NDArray[Any]:
+    """Give text the type the header declares, so that all encodings of a cloud read the same.
+
+    Whole numbers that the type cannot hold stay as they are, rather than wrap around.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        typed = values.astype(kind)
+        return typed if kind[1] == "f" or np.array_equal(typed, values) else values
 
 
-def _decompress(path: Path, body: bytes, size: int) -> bytes:
-    import lzf
-
-    if len(body) < 8:
-        raise ReadError(f"{path}: ends before the two sizes of its compressed data")
-    packed, unpacked = struct.unpack_from("<II", body)
-    if unpacked != size:
-        raise ReadError(f"{path}: its data unpack to {unpacked} bytes, the header promises {size}")
-    if packed > len(body) - 8:
+def _read_binary(path: Path, data: bytes, header: Header) -> Columns:
+    record = header.record
+    size, left = header.points * record.itemsize, len(data) - header.start
+    if left < size:
         raise ReadError(
-            f"{path}: promises {packed} bytes of compressed data, the file holds {len(body) - 8}"
+            f"{path}: the header promises {header.points} points of {record.itemsize} bytes, "
+            f"{size} in all, the file holds {left} after it"
         )
-    if unpacked > MAX_LZF_RATIO * max(packed, 1):
-        raise ReadError(f"{path}: {packed} bytes cannot unpack to {unpacked}")
-    if packed == unpacked:
-        return body[8 : 8 + packed]
-    try:
-        plain = lzf.decompress(body[8 : 8 + packed], unpacked)
-    except ValueError as error:
-        raise ReadError(f"{path}: its compressed data are damaged ({error})") from None
-    if plain is None or len(plain) != unpacked:
-        raise ReadError(f"{path}: its compressed data are damaged: they do not unpack")
-    return bytes(plain)
+    points = np.frombuffer(data, record, header.points, header.start)
+    return {name: points[name] for name in record.names or ()}
 
 
-def _split(plain: bytes, header: Header) -> dict[str, Array]:
+def _read_compressed(path: Path, data: bytes, header: Header) -> Columns:
     """Take apart compressed data, which come field by field, not point by point."""
-    columns, position = {}, 0
     names = header.record.names or ()
-    for name, kind, count in zip(names, header.kinds, header.counts, strict=True):
+    fields = list(zip(names, header.kinds, header.counts, strict=True))
+    # PCL leaves padding out of compressed data, other writers keep it: the size tells which.
+    bare = [field for field, name in zip(fields, header.names, strict=True) if name != "_"]
+    sizes = {
+        header.points * sum(np.dtype(kind).itemsize * count for _, kind, count in layout): layout
+        for layout in (bare, fields)
+    }
+    plain = _decompress(path, data, header.start, sorted(sizes))
+    columns: dict[str, NDArray[Any]] = {}
+    position = 0
+    for name, kind, count in sizes[len(plain)]:
         values = np.frombuffer(plain, kind, header.points * count, position)
         position += values.nbytes
         columns[name] = values.reshape(header.points, count) if count > 1 else values
     return columns
 
 
+def _decompress(path: Path, data: bytes, start: int, sizes: list[int]) -> bytes:
+    import lzf
+
+    left = len(data) - start - 8
+    if left < 0:
+        raise ReadError(f"{path}: ends before the two sizes of its compressed data")
+    packed, unpacked = struct.unpack_from("<II", data, start)
+    if unpacked not in sizes:
+        raise ReadError(
+            f"{path}: its data unpack to {unpacked} bytes, the header promises {sizes[-1]}"
+        )
+    if packed > left:
+        raise ReadError(f"{path}: promises {packed} bytes of compressed data, holds {left}")
+    if unpacked > MAX_LZF_RATIO * packed:
+        raise ReadError(f"{path}: {packed} bytes cannot unpack to {unpacked}")
+    try:
+        plain: bytes | None = lzf.decompress(data[start + 8 : start + 8 + packed], unpacked)
+    except ValueError as error:
+        raise ReadError(f"{path}: its compressed data are damaged ({error})") from None
+    if plain is None or len(plain) != unpacked:
+        have = "more" if plain is None else f"only {len(plain)}"
+        raise ReadError(
+            f"{path}: its compressed data are damaged: they unpack to {have}, not {unpacked} bytes"
+        )
+    return plain
+
+
 def write_pcd(path: str | Path, cloud: PointCloud) -> None:
     """Write a cloud as binary PCD, whole or not at all.
 
     Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT holds the beam
-    origin, unturned.
+    origin, unturned. The frame index has no field of its own and is not written.
+
+    Raises
+    ------
+    UsageError
+        Where float32 or uint16 cannot hold a value.
     """
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     values: list[NDArray[Any]] = [cloud.xyz[:, 0], cloud.xyz[:, 1], cloud.xyz[:, 2]]
@@ -284,6 +296,13 @@ def write_pcd(path: str | Path, cloud: PointCloud) -> None:
             values.append(column)
     points = np.empty(len(cloud), np.dtype(fields))
     for (name, _), column in zip(fields, values, strict=True):
+        limit = np.iinfo("u2").max if name == "ring" else np.finfo(points[name].dtype).max
+        low = 0 if name == "ring" else -limit
+        if column.size and not (low <= column.min() and column.max() <= limit):
+            raise UsageError(
+                f"{path}: {name} runs from {column.min():g} to {column.max():g}, a PCD holds "
+                f"{low:g} to {limit:g}"
+            )
         points[name] = column
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
