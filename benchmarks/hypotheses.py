@@ -20,7 +20,7 @@ from retropole import se3
 from retropole.datatypes import Hypothesis
 from retropole.pipeline import calibrate
 
-RIGHT_ANGLE, RIGHT_DISTANCE = np.radians(5.0), 0.3
+RIGHT_ANGLE, RIGHT_DISTANCE = np.radians(10.0), 1.0
 """A hypothesis is the right one if it is so near the truth: the others are half a turn away."""
 
 RULES = {

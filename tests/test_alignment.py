@@ -84,3 +84,25 @@ def test_parallel_lines_are_refused() -> None:
     with pytest.raises(Refusal) as refusal:
         align_poles(lines, points_on(lines, np.eye(4)), np.eye(4))
     assert refusal.value.code == "degenerate_poles"
+
+
+@pytest.mark.parametrize("radius", [1e-2, 1e-5, 1e-11])
+def test_the_error_vanishes_with_the_radius(radius: float) -> None:
+    """Points on the side of a pole that faces the sensor bias the pose in proportion to it."""
+    rng = np.random.default_rng(8)
+    T_true, lines = se3.random(rng, 2.0), skew_lines(rng)
+    along = np.linspace(-1, 1, 15)[:, None]
+
+    def facing(origin: Array, p: Array, n: Array) -> Array:
+        toward = origin - p - ((origin - p) @ n) * n
+        return p + along * n + radius * toward / np.linalg.norm(toward)
+
+    seen = [facing(np.zeros(3), p, n) for p, n in lines]
+    fitted = [(xyz.mean(axis=0), n) for xyz, (_, n) in zip(seen, lines, strict=True)]
+    there = [facing(T_true[:3, 3], p, n) for p, n in lines]
+    points = [se3.apply(se3.inverse(T_true), xyz) for xyz in there]
+    fit = align_poles(fitted, points, T_true)
+    error = np.abs(se3.local(fit.T_target_source, T_true)).max()
+    assert error < 50 * radius + 1e-12
+    if radius <= 1e-11:
+        assert error < 1e-9

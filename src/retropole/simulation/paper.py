@@ -14,9 +14,10 @@ RADIUS = 0.02
 NOISE = Nuisances(0.0, 0.006, 0.0, False, 0.0, 0.0, 0.0)
 """Zero-mean Gaussian of 6 mm in each coordinate, and nothing else."""
 
-POLE_LENGTH = 6.0
-"""The paper names none. So long a pole reaches beyond the top and the bottom beam at its distance,
-and is never the limit."""
+POLE_LENGTH = 2.0
+"""Centred on z = 0. The paper names none; with poles of 2 m, which a person carries, its estimator
+comes to the error that was measured at its set-up, with 6 m it is a sixth better, with 1 m half as
+bad again."""
 
 _LIDARS = (
     (np.array([0.094, 0.079, 0.094, 0.988]), np.array([1.0, -1.0, 0.0])),
