@@ -3,6 +3,4 @@
 Read `retropole.pipeline` first: it is the method on one page.
 """
 
-from importlib.metadata import version
-
-__version__ = version("retropole")
+__version__ = "0.1.0"

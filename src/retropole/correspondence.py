@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from . import se3
 from .alignment import align_poles
@@ -203,6 +202,9 @@ def _extend(
     target: Sequence[Pole], source: Sequence[Pole], T: Array, gate: float
 ) -> tuple[tuple[int, int], ...]:
     """Pair all poles one to one that lie on each other under ``T``, within ``gate`` metres."""
+    # Imported here: it takes a quarter of a second, and two poles on each side do not need it.
+    from scipy.optimize import linear_sum_assignment
+
     distance = np.empty((len(target), len(source)))
     for j, pole in enumerate(source):
         moved = se3.apply(T, np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]))

@@ -225,7 +225,7 @@ def draw_result(
             offset = xyz - ours.point
             axes.scatter(100 * offset @ across, offset @ up, s=8, c=color, linewidths=0)
         axes.set_xlim(-12, 12)
-        axes.set_title(f"pole {k}, both LiDARs")
+        axes.set_title(f"pole {k}: both on it", fontsize=10)
         axes.set_xlabel("across, cm")
         axes.set_ylabel("along, m")
     _save(figure, path)

@@ -1,0 +1,35 @@
+"""Simulate a street, calibrate it, and draw both clouds before and after.
+
+    python examples/draw_result.py docs/images/result.png
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from retropole.figures import draw_result
+from retropole.pipeline import calibrate
+from retropole.simulation import simulate_pair
+
+
+def main() -> None:
+    path = Path(sys.argv[1] if len(sys.argv) > 1 else "result.png")
+    pair = simulate_pair("street", np.random.default_rng(1))
+    answer = calibrate(pair.target, pair.source)
+    target_found, source_found = answer.detections
+    if answer.T_target_source is None or target_found is None or source_found is None:
+        raise SystemExit(f"refused: {answer.reasons[0].message}")
+    pairs = answer.hypotheses[0].match.pairs
+    poles = (
+        [target_found.poles[i] for i, _ in pairs],
+        [source_found.poles[j] for _, j in pairs],
+    )
+    draw_result(pair.target, pair.source, answer.T_target_source, poles, path)
+    print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()
