@@ -49,7 +49,7 @@ def read_cloud(path: str | Path) -> PointCloud:
     -------
     PointCloud
         In the file's own frame; points that are not finite or at zero range are dropped and
-        counted. A field that not all frames have is left out.
+        counted.
 
     Raises
     ------
@@ -59,12 +59,19 @@ def read_cloud(path: str | Path) -> PointCloud:
         Where the format needs an optional part that is not installed.
     """
     path = Path(path)
-    if not path.exists():
-        raise ReadError(f"{path}: there is no such file or folder")
-    if not path.is_dir():
-        return _read_file(path)
-    files = frames_of(path)
-    return _joined(path, [_read_file(file) for file in files])
+    files = _files(path)
+    clouds = [_read_file(file) for file in files]
+    return _joined(path, clouds) if path.is_dir() else clouds[0]
+
+
+def _files(path: Path) -> list[Path]:
+    """The file itself, or the frames of a folder."""
+    try:
+        if not path.exists():
+            raise ReadError(f"{path}: there is no such file or folder")
+        return frames_of(path) if path.is_dir() else [path]
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
 def _read_file(path: Path) -> PointCloud:
@@ -96,25 +103,36 @@ def frames_of(folder: Path) -> list[Path]:
             f"{folder}: holds files of different kinds ({', '.join(suffixes)}), expected the "
             "frames of one recording"
         )
-    return sorted(clouds, key=lambda p: [int(w) if w.isdigit() else w for w in _words(p.name)])
+    return sorted(clouds, key=_natural)
 
 
-def _words(name: str) -> list[str]:
-    return re.split(r"(\d+)", name)
+def _natural(path: Path) -> tuple[list[str | int], str]:
+    """Sort key: the digits of a name as numbers; the name itself where these are the same."""
+    words = re.split(r"([0-9]+)", path.name)
+    return [int(word) if k % 2 else word for k, word in enumerate(words)], path.name
 
 
 def _joined(path: Path, clouds: list[PointCloud]) -> PointCloud:
+    first = clouds[0]
     for cloud in clouds[1:]:
-        if not np.allclose(cloud.origin, clouds[0].origin):
-            raise ReadError(f"{cloud.source}: its viewpoint differs from the first frame's")
+        if not np.allclose(cloud.origin, first.origin):
+            raise ReadError(
+                f"{cloud.source}: its viewpoint {cloud.origin} differs from {first.origin} of "
+                f"{first.source}, expected frames of one resting sensor"
+            )
 
     def column(name: str) -> NDArray[Any] | None:
         columns = [getattr(cloud, name) for cloud in clouds]
-        return None if any(c is None for c in columns) else np.concatenate(columns)
+        missing = [cloud for cloud, values in zip(clouds, columns, strict=True) if values is None]
+        if name == "intensity" and 0 < len(missing) < len(clouds):
+            raise ReadError(
+                f"{missing[0].source}: has no intensity, other frames of the folder have"
+            )
+        return None if missing else np.concatenate(columns)
 
     frame = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
     return replace(
-        clouds[0],
+        first,
         xyz=np.concatenate([cloud.xyz for cloud in clouds]),
         intensity=column("intensity"),
         ring=column("ring"),
@@ -126,9 +144,18 @@ def _joined(path: Path, clouds: list[PointCloud]) -> PointCloud:
 
 
 def sha256_of(path: str | Path) -> str:
-    """SHA-256 of a file's bytes; of a folder, of its frames' bytes one after the other."""
+    """SHA-256 of a file's bytes; of a folder, of its frames' bytes one after the other.
+
+    Raises
+    ------
+    ReadError
+        Where the file or folder cannot be read.
+    """
     path = Path(path)
     digest = hashlib.sha256()
-    for file in frames_of(path) if path.is_dir() else [path]:
-        digest.update(file.read_bytes())
+    for file in _files(path):
+        try:
+            digest.update(file.read_bytes())
+        except OSError as error:
+            raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
     return digest.hexdigest()

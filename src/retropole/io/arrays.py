@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import codecs
 import io
+import math
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..datatypes import PointCloud
 from ..errors import ReadError
-from .fields import cloud_from_columns
+from .fields import INTENSITY, RING, TIME, cloud_from_columns
+from .table import is_number, read_table
 
-PLAIN_COLUMNS = ("x", "y", "z", "intensity", "ring", "time")
-"""What the columns of a table without names are."""
+PLAIN_COLUMNS = ("x", "y", "z", "intensity")
+"""What the columns of a table without names are; more may as well be colours or normals."""
+
+TABLE_KEYS = ("xyz", "points", "arr_0")
+"""What a table of points is called in an NPZ."""
+
+MAX_DEFLATE_RATIO = 1100
+"""Deflate packs 1032 bytes into one at best."""
 
 
 def _nonempty(path: Path) -> bytes:
@@ -39,18 +48,16 @@ def _from_table(path: Path, table: NDArray[Any]) -> PointCloud:
     if table.dtype.names is not None:
         table = table.reshape(-1)
         return cloud_from_columns(path, {name: table[name] for name in table.dtype.names or ()})
-    if table.ndim != 2 or not 3 <= table.shape[1] <= len(PLAIN_COLUMNS):
+    if table.ndim != 2 or table.shape[1] not in (3, 4):
         raise ReadError(
-            f"{path}: an array of shape {table.shape}, expected (N, 3) to (N, 6): "
-            f"{' '.join(PLAIN_COLUMNS)}"
+            f"{path}: a table of shape {table.shape} without names of columns, expected (N, 3) "
+            f"or (N, 4): {' '.join(PLAIN_COLUMNS)}"
         )
-    if not (np.issubdtype(table.dtype, np.floating) or np.issubdtype(table.dtype, np.integer)):
-        raise ReadError(f"{path}: an array of {table.dtype}, expected numbers")
     return cloud_from_columns(path, dict(zip(PLAIN_COLUMNS, table.T, strict=False)))
 
 
-def _load(path: Path, file: Any) -> NDArray[Any]:
-    """Read one ``.npy`` from an open file, its promise checked against the bytes there are."""
+def _load(path: Path, file: IO[bytes], left: int) -> NDArray[Any]:
+    """Read one ``.npy`` from an open file of `left` bytes, its promise checked against these."""
     version = np.lib.format.read_magic(file)
     reader = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -61,95 +68,119 @@ def _load(path: Path, file: Any) -> NDArray[Any]:
     shape, fortran, dtype = reader(file)
     if dtype.hasobject:
         raise ReadError(f"{path}: holds Python objects, expected numbers")
-    body = file.read()
-    size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
+    if not dtype.itemsize or any(n < 0 for n in shape):
+        raise ReadError(f"{path}: an array of {dtype} and shape {shape}, expected numbers")
+    size = math.prod(int(n) for n in shape) * dtype.itemsize
+    if size > left:
+        raise ReadError(f"{path}: promises {size} bytes of data, the file holds {left} in all")
+    body = file.read(size)
     if len(body) < size:
-        raise ReadError(f"{path}: promises {size} bytes of data, holds {len(body)}")
-    flat = np.frombuffer(body[:size], dtype)
-    return flat.reshape(shape, order="F" if fortran else "C")
+        raise ReadError(f"{path}: promises {size} bytes of data, the file holds {len(body)}")
+    return np.frombuffer(body, dtype).reshape(shape, order="F" if fortran else "C")
 
 
 def read_npy(path: Path) -> PointCloud:
-    """Read an NPY array: (N, 3) to (N, 6), or one with named fields."""
+    """Read an NPY array: (N, 3), (N, 4), or one with named fields."""
+    data = _nonempty(path)
     try:
-        return _from_table(path, _load(path, io.BytesIO(_nonempty(path))))
-    except (ValueError, EOFError, SyntaxError, TypeError, OverflowError) as error:
+        array = _load(path, io.BytesIO(data), len(data))
+    except ReadError:
+        raise
+    except Exception as error:
+        # The header is Python text: NumPy raises whatever reading a damaged one raises.
         raise ReadError(f"{path}: is no readable NPY file ({error})") from None
+    return _from_table(path, array)
 
 
 def read_npz(path: Path) -> PointCloud:
-    """Read an NPZ: arrays x, y, z, or xyz or points (N, 3 and more), with intensity, ring, time."""
+    """Read an NPZ: x, y and z, or one table xyz or points (N, 3 or 4); intensity, ring, time.
+
+    An NPZ of one array may call it what it likes. Arrays of other names are passed over.
+    """
+    data = _nonempty(path)
+    arrays: dict[str, NDArray[Any]] = {}
     try:
-        with zipfile.ZipFile(io.BytesIO(_nonempty(path))) as archive:
-            arrays = {}
-            for name in archive.namelist():
-                with archive.open(name) as file:
-                    arrays[name.removesuffix(".npy")] = _load(path, file)
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for entry in archive.infolist():
+                if entry.file_size > MAX_DEFLATE_RATIO * max(entry.compress_size, 1):
+                    raise ReadError(
+                        f"{path}: {entry.filename}: {entry.compress_size} bytes cannot unpack to "
+                        f"{entry.file_size}"
+                    )
+                name = entry.filename.removesuffix(".npy")
+                if len(archive.infolist()) > 1 and not _has_meaning(name):
+                    continue
+                with archive.open(entry) as file:
+                    arrays[name] = _load(path, file, entry.file_size)
     except ReadError:
         raise
     except Exception as error:
         # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
         raise ReadError(f"{path}: is no readable NPZ file ({error})") from None
+    if len(arrays) == 1:
+        return _from_table(path, *arrays.values())
+    tables = [name for name in TABLE_KEYS if name in arrays]
+    if len(tables) > 1:
+        raise ReadError(f"{path}: holds {' and '.join(tables)}, expected one table of points")
     columns: dict[str, NDArray[Any]] = {}
     for name, array in arrays.items():
-        if name in ("xyz", "points", "arr_0") and array.ndim == 2 and array.shape[1] >= 3:
+        if name not in tables:
+            columns[name] = array
+        elif array.ndim == 2 and array.shape[1] in (3, 4):
             columns |= dict(zip(PLAIN_COLUMNS, array.T, strict=False))
         else:
-            columns[name] = array
-    lengths = {len(column) if column.ndim else -1 for column in columns.values()}
-    if len(lengths) > 1 or -1 in lengths:
-        raise ReadError(f"{path}: its arrays have different lengths, expected one value a point")
+            raise ReadError(f"{path}: {name} has shape {array.shape}, expected (N, 3) or (N, 4)")
+    # An intensity of its own goes before a fourth column.
+    columns |= {name: array for name, array in arrays.items() if name not in tables}
     return cloud_from_columns(path, columns)
 
 
-def read_text(path: Path) -> PointCloud:
-    """Read a table of text: columns by name where the first line names them, else x y z intensity.
+def _has_meaning(name: str) -> bool:
+    known = {"x", "y", "z", *TABLE_KEYS, *INTENSITY, *RING, *TIME}
+    return name.lower().removeprefix("scalar_") in known
 
-    Values are parted by commas, semicolons, tabs or blanks.
+
+def read_text(path: Path) -> PointCloud:
+    """Read a table of text: columns by name where a first line names them, else x y z intensity.
+
+    Values are parted by semicolons, tabs, commas or blanks, whichever of these the first line of
+    numbers holds, in this order. Lines that start with ``#`` or ``//`` are comments; the last one
+    before the numbers that names x, y and z names the columns.
     """
-    text = _nonempty(path).decode("utf-8-sig", errors="replace")
-    for mark in ",;\t":
-        text = text.replace(mark, " ")
-    lines = text.splitlines()
-    first = next((k for k, line in enumerate(lines) if line.split()), None)
-    if first is None:
-        raise ReadError(f"{path}: holds no lines, expected x y z and more in columns")
-    names = lines[first].lstrip("/#").split()
-    header = not all(_is_number(name) for name in names)
-    rows = lines[first + 1 :] if header else lines[first:]
-    try:
-        table = np.loadtxt(io.StringIO("\n".join(rows)), ndmin=2)
-    except ValueError as error:
-        number = first + header + 1 + _first_bad(rows)
-        raise ReadError(f"{path}, line {number}: expected {len(names)} numbers ({error})") from None
-    if table.size == 0:
-        raise ReadError(f"{path}: holds no points, expected at least one")
-    if not header:
+    body = _nonempty(path).removeprefix(codecs.BOM_UTF8)
+    body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    names, first, position = _names(path, body)
+    end = body.find(b"\n", position)
+    line = body[position : end if end >= 0 else len(body)].decode("ascii", errors="replace")
+    mark = _mark(line)
+    columns = len(names) or len(line.split("#")[0].split(mark))
+    table = read_table(path, body[position:], columns, line=first, mark=mark)
+    if not names:
         return _from_table(path, table)
-    if table.shape[1] != len(names):
-        raise ReadError(
-            f"{path}, line {first + 1}: names {len(names)} columns, the lines have {table.shape[1]}"
-        )
+    if len({name.lower() for name in names}) < len(names):
+        raise ReadError(f"{path}: two columns have one name, the names are: {', '.join(names)}")
     return cloud_from_columns(path, dict(zip(names, table.T, strict=True)))
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
+    """Names of the columns, none where not given; line number and position of the first numbers."""
+    names, commented, position = list[str](), True, 0
+    for number, raw in enumerate(body.splitlines(keepends=True), 1):
+        line = raw.decode("utf-8", errors="replace").strip()
+        plain = line.lstrip("#/").strip()
+        words = [word.strip(" \"'") for word in plain.split(_mark(plain))]
+        if plain == line and any(is_number(word) for word in words):
+            return names, number, position
+        if plain == line and plain:
+            if not commented:
+                raise ReadError(f"{path}, line {number}: {line[:60]!r}, expected numbers")
+            names, commented = words, False
+        elif commented and {"x", "y", "z"} <= {word.lower() for word in words}:
+            # Of the comments, only one that names the coordinates names the columns.
+            names = words
+        position += len(raw)
+    raise ReadError(f"{path}: holds no lines of numbers, expected x y z and more in columns")
 
 
-def _first_bad(rows: list[str]) -> int:
-    """Index of the first row that is not numbers, or not as many as the first."""
-    expected = None
-    for k, row in enumerate(rows):
-        words = row.split("#")[0].split()
-        if words and not all(_is_number(word) for word in words):
-            return k
-        if words:
-            expected = expected or len(words)
-            if len(words) != expected:
-                return k
-    return 0
+def _mark(line: str) -> str | None:
+    return next((mark for mark in ";\t," if mark in line), None)

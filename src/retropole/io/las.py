@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from ..datatypes import PointCloud
 from ..errors import MissingExtraError, ReadError
-from .fields import cloud_from_columns
+from .fields import INTENSITY, RING, TIME, cloud_from_columns
+
+PART = 200_000
+"""Points read at a time."""
 
 
 def read_las(path: Path) -> PointCloud:
@@ -37,13 +41,31 @@ def read_las(path: Path) -> PointCloud:
                     f"{path}: the header promises {header.point_count} points, {size} bytes; the "
                     f"file holds {left} after it"
                 )
-            points = file.read()
+            names = _wanted(header.point_format.dimension_names)
+            # In parts, so that memory follows what the file holds, not what its header promises.
+            parts = [[np.array(part[name]) for name in names] for part in file.chunk_iterator(PART)]
     except ReadError:
         raise
-    except Exception as error:
-        # laspy and its decoders raise a dozen unrelated types for damaged files.
+    except (KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
+    except BaseException as error:
+        # For damaged files laspy and its decoders raise a dozen unrelated types; a panic of the
+        # LAZ decoder is not even an Exception.
         raise ReadError(f"{path}: is no readable LAS file ({error})") from None
-    columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", "intensity")}
-    if "gps_time" in points.point_format.dimension_names:
-        columns["gps_time"] = np.asarray(points["gps_time"])
+    columns = {name: np.concatenate(column) for name, *column in zip(names, *parts, strict=True)}
+    count = sum(len(part[0]) for part in parts)
+    if count != header.point_count:
+        raise ReadError(
+            f"{path}: the header promises {header.point_count} points, the file holds {count}"
+        )
+    if not parts:
+        raise ReadError(f"{path}: holds no points, expected at least one")
     return cloud_from_columns(path, columns)
+
+
+def _wanted(dimensions: Iterable[str]) -> list[str]:
+    """Names of the scaled coordinates and of the other fields that mean something here."""
+    known = {*INTENSITY, *RING, *TIME}
+    return ["x", "y", "z"] + [
+        name for name in dimensions if name.lower().removeprefix("scalar_") in known
+    ]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import io
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..datatypes import Array, PointCloud
+from ..datatypes import PointCloud
 from ..errors import ReadError
 from .fields import cloud_from_columns
+from .table import read_table
 
 TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1"},
@@ -21,16 +24,23 @@ TYPES = {
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
-@dataclass
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    kind: str
+    length: str = ""
+    """Type of the count in front of a list; empty where there is one value."""
+
+
+@dataclass(frozen=True)
 class _Element:
     name: str
     count: int
-    properties: list[tuple[str, str]] = field(default_factory=list)
-    has_list: bool = False
+    properties: list[_Property]
 
 
 def read_ply(path: Path) -> PointCloud:
-    """Read the vertices of a PLY file; they must come before any element that holds lists.
+    """Read the vertices of a PLY file; other elements, and lists, are passed over.
 
     Raises
     ------
@@ -38,98 +48,169 @@ def read_ply(path: Path) -> PointCloud:
         Where the header or the data are not what they should be.
     """
     data = path.read_bytes()
-    encoding, elements, body = _parse_header(path, data)
-    before, vertex = _vertex(path, elements)
+    encoding, elements, start, lines = _parse_header(path, data)
+    k = next((k for k, element in enumerate(elements) if element.name == "vertex"), None)
+    if k is None:
+        have = ", ".join(element.name for element in elements) or "none"
+        raise ReadError(f"{path}: the header has no element vertex; the elements are: {have}")
+    before, vertex = elements[:k], elements[k]
     if vertex.count == 0:
         raise ReadError(f"{path}: element vertex 0, expected at least one")
-    if encoding == "ascii":
-        return cloud_from_columns(path, _read_ascii(path, body, before, vertex))
-    order = ORDERS[encoding]
-
-    def record(element: _Element) -> np.dtype[np.void]:
-        return np.dtype([(name, order + kind) for name, kind in element.properties])
-
-    start = sum(element.count * record(element).itemsize for element in before)
-    size = vertex.count * record(vertex).itemsize
-    if len(body) < start + size:
+    if not any(not prop.length for prop in vertex.properties):
+        raise ReadError(f"{path}: element vertex has no values, expected x, y and z at least")
+    # Each value or list takes a byte; in a text, a blank or line end besides, but for the last.
+    least = sum(e.count * len(e.properties) for e in (*before, vertex))
+    left = len(data) - start if encoding != "ascii" else (len(data) - start + 1) // 2
+    if left < least:
         raise ReadError(
-            f"{path}: the header promises {vertex.count} vertices, {start + size} bytes; the file "
-            f"holds {len(body)} after it"
+            f"{path}: the header promises {vertex.count} vertices and more, {least} values in "
+            f"all; the {len(data) - start} bytes after it cannot hold them"
         )
-    points = np.frombuffer(body, record(vertex), vertex.count, start)
-    return cloud_from_columns(path, {name: points[name] for name, _ in vertex.properties})
+    if encoding == "ascii":
+        columns = _read_ascii(path, data[start:], before, vertex, lines + 1)
+    else:
+        for element in before:
+            _, start = _read_element(path, data, start, element, ORDERS[encoding])
+        columns, _ = _read_element(path, data, start, vertex, ORDERS[encoding])
+    return cloud_from_columns(path, columns)
 
 
-def _vertex(path: Path, elements: list[_Element]) -> tuple[list[_Element], _Element]:
-    for k, element in enumerate(elements):
-        if element.name == "vertex":
-            if element.has_list:
-                raise ReadError(f"{path}: element vertex holds a list, expected numbers only")
-            return elements[:k], element
-        if element.has_list and element.count:
-            raise ReadError(f"{path}: element {element.name} with lists comes before vertex")
-    raise ReadError(f"{path}: the header has no element vertex")
+def _read_element(
+    path: Path, data: bytes, start: int, element: _Element, order: str
+) -> tuple[dict[str, NDArray[Any]], int]:
+    """Read the values, not the lists, of all rows of a binary element; also say where it ends."""
+    if not element.count or not element.properties:
+        return {}, start
+    # Lists are mostly equally long (triangles): then all rows are records like the first.
+    record, end = _record(path, data, start, element, order)
+    names = [prop.name for prop in element.properties if not prop.length]
+    size = element.count * record.itemsize
+    if start + size <= len(data):
+        rows = np.frombuffer(data, record, element.count, start)
+        lengths = [name for name in record.names or () if name.startswith("length ")]
+        if all(np.all(rows[name] == rows[name][0]) for name in lengths):
+            return {name: rows[name] for name in names}, start + size
+    elif not any(prop.length for prop in element.properties):
+        raise ReadError(
+            f"{path}: the header promises {element.count} of element {element.name}, {size} bytes "
+            f"from byte {start} on, the file holds {len(data) - start}"
+        )
+    columns: dict[str, list[Any]] = {name: [] for name in names}
+    for _ in range(element.count):
+        record, end = _record(path, data, start, element, order)
+        row = np.frombuffer(data, record, 1, start)[0]
+        for name in names:
+            columns[name].append(row[name])
+        start = end
+    return {name: np.array(column) for name, column in columns.items()}, start
 
 
-def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], bytes]:
+def _record(
+    path: Path, data: bytes, start: int, element: _Element, order: str
+) -> tuple[np.dtype[np.void], int]:
+    """Data type of the row at `start`, its lists as long as they are there, and where it ends."""
+    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+    end = start
+    for k, prop in enumerate(element.properties):
+        count = 1
+        if prop.length:
+            kind = np.dtype(order + prop.length)
+            if end + kind.itemsize > len(data):
+                raise ReadError(f"{path}: ends within element {element.name}")
+            # A blank cannot be in a name of the file, so these meet none.
+            fields.append((f"length {k}", order + prop.length))
+            count = int(np.frombuffer(data, kind, 1, end)[0])
+            end += kind.itemsize
+            if count < 0:
+                raise ReadError(f"{path}: element {element.name} has a list of {count} values")
+            fields.append((f"list {k}", order + prop.kind, (count,)))
+        else:
+            fields.append((prop.name, order + prop.kind))
+        end += count * np.dtype(prop.kind).itemsize
+        if end > len(data):
+            raise ReadError(f"{path}: ends within element {element.name}")
+    return np.dtype(fields), end
+
+
+def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]:
     if not data:
         raise ReadError(f"{path}: is empty, expected a PLY header")
-    end = data.find(b"end_header")
-    stop = data.find(b"\n", end)
-    if not data.startswith(b"ply") or end < 0 or stop < 0:
+    end = re.search(rb"^end_header[ \t]*(\r\n|\n|\r)", data, re.MULTILINE)
+    if end is None:
+        # Old Macintosh files end their lines with a carriage return alone.
+        end = re.search(rb"\rend_header[ \t]*\r", data)
+    if data[:3] != b"ply" or end is None:
         raise ReadError(f"{path}: expected a header from 'ply' to 'end_header'")
     encoding, elements = "", list[_Element]()
-    for number, line in enumerate(data[:end].decode("ascii", errors="replace").splitlines(), 1):
+    header = data[: end.start()].decode("ascii", errors="replace")
+    lines = header.replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
+    for number, line in enumerate(lines, 1):
         words = line.split()
         try:
             match words:
-                case ["format", name, _] if name in ORDERS:
+                case ["format", name, _] if name in ORDERS and not encoding:
                     encoding = name
-                case ["element", name, count] if int(count) >= 0:
-                    elements.append(_Element(name, int(count)))
-                case ["property", "list", length, kind, _] if length in TYPES and kind in TYPES:
-                    elements[-1].has_list = True
+                case ["element", name, count] if 0 <= int(count) < 2**62:
+                    elements.append(_Element(name, int(count), []))
+                case ["property", "list", length, kind, name] if TYPES[length][0] != "f":
+                    elements[-1].properties.append(_Property(name, TYPES[kind], TYPES[length]))
                 case ["property", kind, name]:
-                    if name in dict(elements[-1].properties):
+                    if any(name == prop.name for prop in elements[-1].properties):
                         raise ValueError
-                    elements[-1].properties.append((name, TYPES[kind]))
+                    elements[-1].properties.append(_Property(name, TYPES[kind]))
                 case [] | ["ply"] | ["comment" | "obj_info", *_]:
                     pass
                 case _:
                     raise ValueError
         except (ValueError, KeyError, IndexError):
             raise ReadError(
-                f"{path}, line {number}: {line.strip()!r}, expected format, element or property "
-                "as PLY has them"
+                f"{path}, line {number}: {line.strip()[:60]!r}, expected format, element or "
+                "property as PLY has them"
             ) from None
     if not encoding:
         raise ReadError(f"{path}: the header has no format line, expected {', '.join(ORDERS)}")
-    return encoding, elements, data[stop + 1 :]
+    return encoding, elements, end.end(), len(lines) + 1
 
 
 def _read_ascii(
-    path: Path, body: bytes, before: list[_Element], vertex: _Element
-) -> dict[str, Array]:
-    values = len(vertex.properties)
-    if len(body) + 1 < 2 * values * vertex.count:
+    path: Path, body: bytes, before: list[_Element], vertex: _Element, line: int
+) -> dict[str, NDArray[Any]]:
+    # One row a line, as all writers have it; blank lines are none.
+    rows = [(k, row) for k, row in enumerate(body.splitlines()) if row.strip()]
+    skipped = sum(element.count for element in before)
+    rows = rows[skipped : skipped + vertex.count]
+    if len(rows) < vertex.count:
         raise ReadError(
-            f"{path}: the header promises {vertex.count} vertices of {values} values, the "
-            f"{len(body)} bytes after it cannot hold them"
+            f"{path}: holds {len(rows)} lines of vertices, the header promises {vertex.count}"
         )
-    try:
-        table = np.loadtxt(
-            io.BytesIO(body),
-            skiprows=sum(element.count for element in before),
-            max_rows=vertex.count,
-            ndmin=2,
-        )
-    except ValueError as error:
+    names = [prop.name for prop in vertex.properties if not prop.length]
+    if any(prop.length for prop in vertex.properties):
+        rows = [(k, _without_lists(path, row, vertex, line + k)) for k, row in rows]
+    # Blank lines stay in, so that a message names the line of the file.
+    first, texts = rows[0][0], dict(rows)
+    body = b"\n".join(texts.get(k, b"") for k in range(first, rows[-1][0] + 1))
+    table = read_table(path, body, len(names), line=line + first, rows=vertex.count)
+    if len(table) != vertex.count:
         raise ReadError(
-            f"{path}: its vertices are not lines of {values} numbers ({error})"
-        ) from None
-    if table.shape != (vertex.count, values):
-        raise ReadError(
-            f"{path}: holds {len(table)} lines of vertices, expected {vertex.count} of {values} "
-            "values"
+            f"{path}: holds {len(table)} lines of vertices, the header promises {vertex.count}"
         )
-    return {name: table[:, k] for k, (name, _) in enumerate(vertex.properties)}
+    return {name: table[:, k] for k, name in enumerate(names)}
+
+
+def _without_lists(path: Path, row: bytes, vertex: _Element, line: int) -> bytes:
+    words, kept = row.split(), list[bytes]()
+    position = 0
+    for prop in vertex.properties:
+        if position >= len(words):
+            raise ReadError(f"{path}, line {line}: ends before property {prop.name}")
+        word = words[position]
+        position += 1
+        if not prop.length:
+            kept.append(word)
+        elif word.isdigit():
+            position += int(word)
+        else:
+            raise ReadError(f"{path}, line {line}: the length of list {prop.name} is no number")
+    if position != len(words):
+        raise ReadError(f"{path}, line {line}: holds {len(words)} values, expected {position}")
+    return b" ".join(kept)

@@ -12,7 +12,13 @@ from ..errors import ReadError
 
 
 def read_table(
-    path: Path, body: bytes, columns: int, *, line: int = 1, rows: int, mark: str | None = None
+    path: Path,
+    body: bytes,
+    columns: int,
+    *,
+    line: int,
+    rows: int | None = None,
+    mark: str | None = None,
 ) -> Array:
     """Read the first lines of a text as a table of numbers; blank lines and # comments are none.
 
@@ -27,7 +33,7 @@ def read_table(
     line
         Number that the first line of `body` has in the file.
     rows
-        How many lines of values to read at most; the rest is not looked at.
+        How many lines of values to read at most, the rest is not looked at; None is all.
     mark
         What parts the values; None is any blank.
 
