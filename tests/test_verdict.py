@@ -4,12 +4,14 @@ import pytest
 from conftest import PoleMaker
 from retropole.datatypes import Hypothesis, Match
 from retropole.errors import Refusal
-from retropole.verdict import MIN_MARGIN, MIN_OVERLAP, check_choice, margin_of, weaknesses
+from retropole.verdict import MIN_OVERLAP, check_choice, margin_of, weaknesses
 
 
-def hypothesis(score: float, overlap: float = 0.9) -> Hypothesis:
-    match = Match(((0, 0), (1, 1)), np.eye(4), 0.01, True, np.eye(6))
-    return Hypothesis(match, 0.1, 0.1, overlap, 0.0, score)
+def hypothesis(
+    score: float, overlap: float = 0.9, free_space: float = 0.0, exact: bool = True
+) -> Hypothesis:
+    match = Match(((0, 0), (1, 1)), np.eye(4), 0.01, exact, np.eye(6))
+    return Hypothesis(match, 0.1, 0.1, overlap, free_space, score)
 
 
 def test_margin_is_over_the_best_of_the_others() -> None:
@@ -19,11 +21,16 @@ def test_margin_is_over_the_best_of_the_others() -> None:
 
 
 def test_a_scene_that_does_not_decide_is_refused() -> None:
-    check_choice([hypothesis(0.9), hypothesis(0.9 - 2 * MIN_MARGIN)])
+    poor, contradicted = hypothesis(0.3, 0.3), hypothesis(0.6, 0.8, free_space=0.2)
+    check_choice([hypothesis(0.9), poor, contradicted])
     with pytest.raises(Refusal) as refusal:
-        check_choice([hypothesis(0.9), hypothesis(0.9 - MIN_MARGIN / 2), hypothesis(0.1)])
+        check_choice([hypothesis(0.9), hypothesis(0.75, 0.75), poor, contradicted])
     assert refusal.value.code == "ambiguous"
     assert "2 hypotheses" in str(refusal.value)
+
+
+def test_a_match_that_does_not_fit_is_no_rival() -> None:
+    check_choice([hypothesis(0.9), hypothesis(0.9, exact=False)])
 
 
 def test_scenes_that_do_not_overlap_are_refused() -> None:

@@ -36,11 +36,14 @@ of the axis of a 2 cm pole, towards itself."""
 EXACT_RMS = 0.05
 """Pole residual, metres, up to which a start counts as an exact match of the lines."""
 
+SAME_ANGLE, SAME_DISTANCE = np.radians(10.0), 0.5
+"""Matches nearer to each other than this, rad and m, are one."""
+
 MAX_PAIRS = 200
 """How many pairs of pole pairs are tried, the most alike first."""
 
 MAX_HYPOTHESES = 16
-"""How many hypotheses go on to be judged by the scene, most poles and least residual first."""
+"""How many hypotheses go on to be judged by the scene: most poles, least expected error first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +246,7 @@ def match_poles(
     Returns
     -------
     list of Match
-        Most poles first, then least residual; at most `MAX_HYPOTHESES`.
+        Exact ones, most poles, least expected error first; at most `MAX_HYPOTHESES`.
 
     Raises
     ------
@@ -309,19 +312,32 @@ def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) ->
             )
 
 
+def _expected_error(match: Match) -> float:
+    """Roughly how far a match may put a point 10 m away, metres: residual times lever."""
+    variance = np.diag(np.linalg.inv(match.information))
+    lever = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0])
+    return float(max(match.pole_rms, 1e-6) * np.sqrt(np.sum(lever**2 * variance)))
+
+
 def _distinct(matches: list[Match], source_points: Array) -> list[Match]:
-    """Sort matches, most poles and least residual first, and keep one of each pose."""
+    """Sort matches, most poles and least expected error first, and keep one of each pose.
+
+    The right pose and the wrong ones lie half a turn apart; what lies nearer is the same pose by
+    other poles.
+    """
     kept: list[Match] = []
-    for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), m.pole_rms)):
-        moved = se3.apply(match.T_target_source, source_points)
-        for other in kept:
-            turn = match.T_target_source[:3, :3] @ other.T_target_source[:3, :3].T
-            shift = moved - se3.apply(other.T_target_source, source_points)
-            if (
-                se3.rotation_angle(turn) < np.radians(2.0)
-                and np.linalg.norm(shift, axis=1).max() < 0.2
-            ):
-                break
-        else:
+    for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), _expected_error(m))):
+        if not any(same_pose(match, other, source_points) for other in kept):
             kept.append(match)
     return kept
+
+
+def same_pose(one: Match, other: Match, source_points: Array) -> bool:
+    """Whether two matches put the source, and points (N, 3) of it, in nearly the same place."""
+    turn = one.T_target_source[:3, :3] @ other.T_target_source[:3, :3].T
+    shift = se3.apply(one.T_target_source, source_points)
+    shift = shift - se3.apply(other.T_target_source, source_points)
+    return (
+        se3.rotation_angle(turn) < SAME_ANGLE
+        and float(np.linalg.norm(shift, axis=1).max()) < SAME_DISTANCE
+    )

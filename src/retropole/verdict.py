@@ -10,10 +10,14 @@ from .correspondence import widest_angle
 from .datatypes import Hypothesis, Pole, Reason
 from .errors import Refusal
 
-MIN_MARGIN = 0.04
-"""Score by which the chosen hypothesis must beat the next (see docs/hypotheses.md)."""
+RIVAL_OVERLAP = 0.62
+RIVAL_FREE_SPACE = 0.025
+"""A hypothesis is a rival of the best where it has so much of its overlap, and where no more than
+this share of the points beyond the best's own speaks against it. The score alone does not do: it
+favours, by up to 0.2, whatever brings the LiDARs near each other, since near each other they see
+the same things (see docs/hypotheses.md)."""
 
-WARN_MARGIN = 0.08
+WARN_MARGIN = 0.1
 """Below this margin the answer stands, but a person should look at the hypotheses."""
 
 MIN_OVERLAP = 0.25
@@ -50,21 +54,31 @@ def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
             "and the same two poles?",
             {"overlap": best.overlap, "needed": MIN_OVERLAP},
         )
-    margin = margin_of(hypotheses)
-    if margin is not None and margin < MIN_MARGIN:
+    rivals = [h for h in hypotheses[1:] if _is_rival(h, best)]
+    if rivals:
+        rival = max(rivals, key=lambda h: h.score)
         raise Refusal(
             "ambiguous",
-            f"the scene does not tell {_count_close(hypotheses)} hypotheses apart (scores "
-            f"{best.score:.3f} and {best.score - margin:.3f}, {MIN_MARGIN:g} between them is "
-            "needed): put a third pole, or move the poles or a car or a box so that the "
-            "surroundings are not symmetric about the poles",
-            {"margin": margin, "needed": MIN_MARGIN},
+            f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
+            f"{best.overlap:.2f} and {rival.overlap:.2f}, contradicted {best.free_space:.3f} and "
+            f"{rival.free_space:.3f}): add a third pole, or move the poles, a car or a box so "
+            "that the surroundings are not symmetric about the poles",
+            {
+                "rivals": len(rivals),
+                "overlap": best.overlap,
+                "rival_overlap": rival.overlap,
+                "free_space": best.free_space,
+                "rival_free_space": rival.free_space,
+            },
         )
 
 
-def _count_close(hypotheses: Sequence[Hypothesis]) -> int:
-    best = hypotheses[0].score
-    return sum(h.score > best - MIN_MARGIN for h in hypotheses)
+def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
+    return (
+        hypothesis.match.exact
+        and hypothesis.overlap >= RIVAL_OVERLAP * best.overlap
+        and hypothesis.free_space <= best.free_space + RIVAL_FREE_SPACE
+    )
 
 
 def weaknesses(

@@ -1,0 +1,149 @@
+"""The whole method: right where it can be, refused where it cannot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.pipeline import calibrate
+from retropole.simulation import SimulatedPair, simulate_pair
+
+
+@pytest.fixture(scope="module")
+def corridor() -> SimulatedPair:
+    return simulate_pair("corridor", np.random.default_rng(3))
+
+
+def off_by(T: Array, T_true: Array, at: Array) -> tuple[float, float]:
+    """Angle in degrees, and distance of where both put points (N, 3), between two transforms."""
+    turn = np.degrees(se3.rotation_angle(T[:3, :3] @ T_true[:3, :3].T))
+    return turn, float(np.linalg.norm(se3.apply(T, at) - se3.apply(T_true, at), axis=1).max())
+
+
+def assert_refused(answer: Calibration, *codes: str) -> None:
+    assert answer.status == "refused"
+    assert answer.T_target_source is None
+    assert answer.covariance is None
+    assert answer.reasons[0].code in codes, answer.reasons[0]
+    assert any(character.isdigit() for character in answer.reasons[0].message)
+
+
+@pytest.mark.parametrize("scene", ["corridor", "street", "harbor"])
+@pytest.mark.parametrize("seed", [11, 12])
+def test_finds_the_truth(scene: str, seed: int) -> None:
+    pair = simulate_pair(scene, np.random.default_rng(seed))
+    answer = calibrate(pair.target, pair.source)
+    assert answer.status in ("ok", "warn"), answer.reasons
+    assert answer.T_target_source is not None
+    degrees, metres = off_by(answer.T_target_source, pair.T_target_source, np.zeros((1, 3)))
+    assert degrees < 2.0
+    assert metres < 0.2
+    assert answer.margin is not None
+    assert answer.margin > 0
+
+
+def test_moving_both_clouds_moves_the_answer(corridor: SimulatedPair) -> None:
+    rng = np.random.default_rng(0)
+    A, B = se3.random(rng), se3.random(rng)
+    plain = calibrate(corridor.target, corridor.source)
+    moved = calibrate(corridor.target.transformed(A), corridor.source.transformed(B))
+    assert plain.T_target_source is not None
+    assert moved.T_target_source is not None
+    expected = A @ plain.T_target_source @ se3.inverse(B)
+    degrees, metres = off_by(moved.T_target_source, expected, se3.apply(B, np.eye(3)))
+    assert degrees < 0.05
+    assert metres < 0.005
+
+
+def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None:
+    forth = calibrate(corridor.target, corridor.source)
+    back = calibrate(corridor.source, corridor.target)
+    assert forth.T_target_source is not None
+    assert back.T_target_source is not None
+    degrees, metres = off_by(se3.inverse(back.T_target_source), forth.T_target_source, np.eye(3))
+    assert degrees < 0.3
+    assert metres < 0.03
+
+
+def test_the_order_of_the_points_does_not_matter(corridor: SimulatedPair) -> None:
+    rng = np.random.default_rng(1)
+    shuffled = [
+        cloud.select(rng.permutation(len(cloud))) for cloud in (corridor.target, corridor.source)
+    ]
+    plain, other = calibrate(corridor.target, corridor.source), calibrate(*shuffled)
+    assert plain.T_target_source is not None
+    assert other.T_target_source is not None
+    degrees, metres = off_by(other.T_target_source, plain.T_target_source, np.eye(3))
+    assert degrees < 1e-3
+    assert metres < 1e-4
+
+
+def test_three_poles_are_solved_together() -> None:
+    pair = simulate_pair("harbor", np.random.default_rng(2), poles=3)
+    answer = calibrate(pair.target, pair.source)
+    assert answer.T_target_source is not None
+    assert len(answer.hypotheses[0].match.pairs) == 3
+    degrees, metres = off_by(answer.T_target_source, pair.T_target_source, np.zeros((1, 3)))
+    assert degrees < 1.0
+    assert metres < 0.1
+    assert calibrate(pair.target, pair.source, poles=3).status == answer.status
+    assert_refused(calibrate(pair.target, pair.source, poles=4), "too_few_poles")
+
+
+def without_poles(pair: SimulatedPair, which: tuple[int, ...]) -> PointCloud:
+    first = len(pair.surfaces) - len(pair.poles)
+    return pair.source.select(~np.isin(pair.labels[1], [first + k for k in which]))
+
+
+@pytest.mark.parametrize("which", [(0,), (0, 1)])
+def test_a_hidden_pole_is_refused(corridor: SimulatedPair, which: tuple[int, ...]) -> None:
+    answer = calibrate(corridor.target, without_poles(corridor, which))
+    assert_refused(answer, "too_few_poles")
+    assert answer.reasons[0].values["lidar"] == "source"
+
+
+def test_no_intensity_is_refused(corridor: SimulatedPair) -> None:
+    for value in (None, np.full(len(corridor.source), 7.0)):
+        answer = calibrate(corridor.target, replace(corridor.source, intensity=value))
+        assert_refused(answer, "no_intensity")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_parallel_poles_are_refused(seed: int) -> None:
+    pair = simulate_pair(
+        "street",
+        np.random.default_rng(seed),
+        min_pole_angle=0.0,
+        max_pole_angle=float(np.radians(3)),
+        sensor_target="VLP-16",
+        sensor_source="VLP-16",
+    )
+    assert_refused(calibrate(pair.target, pair.source), "parallel_poles", "no_match", "no_overlap")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scenes_that_have_nothing_in_common_are_refused(seed: int) -> None:
+    one = simulate_pair("street", np.random.default_rng(seed))
+    other = simulate_pair("harbor", np.random.default_rng(seed + 50))
+    answer = calibrate(one.target, other.source)
+    assert_refused(answer, "no_match", "no_overlap", "ambiguous")
+
+
+@pytest.mark.parametrize("scene", ["corridor", "harbor", "bare"])
+def test_symmetric_surroundings_are_refused_as_ambiguous(scene: str) -> None:
+    pair = simulate_pair(scene, np.random.default_rng(5), symmetric=True)
+    assert_refused(calibrate(pair.target, pair.source), "ambiguous")
+
+
+def test_an_empty_cloud_is_refused(corridor: SimulatedPair) -> None:
+    nothing = corridor.source.select(np.zeros(0, dtype=np.int64))
+    assert_refused(calibrate(corridor.target, nothing), "no_intensity")
+
+
+def test_progress_names_the_steps(corridor: SimulatedPair) -> None:
+    steps: list[str] = []
+    answer = calibrate(corridor.target, corridor.source, progress=steps.append)
+    assert steps[:3] == ["extract", "match", "disambiguate"]
+    assert set(answer.seconds) == set(steps)
