@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import io
 import math
+import re
 import zipfile
 from pathlib import Path
 from typing import IO, Any
@@ -169,7 +170,10 @@ def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
         line = raw.decode("utf-8", errors="replace").strip()
         plain = line.lstrip("#/").strip()
         words = [word.strip(" \"'") for word in plain.split(_mark(plain))]
-        if plain == line and any(is_number(word) for word in words):
+        # Also what only starts like a number is no name: 1,5 is an error to be told, not a title.
+        if plain == line and any(
+            is_number(word) or re.match(r"[-+.]?[0-9]", word) for word in words
+        ):
             return names, number, position
         if plain == line and plain:
             if not commented:

@@ -22,8 +22,8 @@ LAST_SECOND = 1e11
 Columns = Mapping[str, NDArray[Any]]
 
 
-def _find(columns: Columns, names: tuple[str, ...]) -> NDArray[Any] | None:
-    """Take the first column that has one of the names, in any case; exact spelling goes first.
+def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
+    """Name the first column that means one of the names, in any case; exact spelling goes first.
 
     CloudCompare puts ``scalar_`` in front of what it does not know.
     """
@@ -32,7 +32,7 @@ def _find(columns: Columns, names: tuple[str, ...]) -> NDArray[Any] | None:
         plain.setdefault(name.lower(), name)
     for name in columns:
         plain.setdefault(name.lower().removeprefix("scalar_"), name)
-    return next((columns[plain[name]] for name in names if name in plain), None)
+    return next((plain[name] for name in names if name in plain), None)
 
 
 def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None) -> PointCloud:
@@ -57,18 +57,17 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
         Without x, y or z, without points, or with none that is finite and away from the origin.
     """
     found = {name: _find(columns, (name,)) for name in ("x", "y", "z")}
-    missing = [name for name, column in found.items() if column is None]
+    missing = [name for name, own in found.items() if own is None]
     if missing:
         have = ", ".join(columns) or "none"
         raise ReadError(f"{path}: field {', '.join(missing)} is missing; the fields are: {have}")
-    xyz = np.stack(
-        [
-            _numbers(path, name, column).astype(np.float64)
-            for name, column in found.items()
-            if column is not None
-        ],
-        axis=1,
-    )
+    parts = [_numbers(path, own, columns[own]) for own in found.values() if own is not None]
+    if len({len(part) for part in parts}) > 1:
+        raise ReadError(
+            f"{path}: x, y and z have {', '.join(str(len(part)) for part in parts)} values, "
+            "expected one each a point"
+        )
+    xyz = np.stack([part.astype(np.float64) for part in parts], axis=1)
     if len(xyz) == 0:
         raise ReadError(f"{path}: holds no points, expected at least one")
     start = np.zeros(3) if origin is None else origin
@@ -81,15 +80,15 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
         )
 
     def optional(names: tuple[str, ...]) -> NDArray[Any] | None:
-        column = _find(columns, names)
-        if column is None:
+        own = _find(columns, names)
+        if own is None:
             return None
-        if len(column) != len(xyz):
+        values = _numbers(path, own, columns[own])
+        if len(values) != len(xyz):
             raise ReadError(
-                f"{path}: {names[0]} has {len(column)} values for {len(xyz)} points, expected one "
-                "each"
+                f"{path}: {own} has {len(values)} values for {len(xyz)} points, expected one each"
             )
-        return _numbers(path, names[0], column)[kept]
+        return values[kept]
 
     return PointCloud(
         xyz=np.ascontiguousarray(xyz[kept]),
@@ -104,7 +103,7 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> NDArray[Any]:
     """One number a point, the first of several; refuse text, complex numbers and the like."""
-    if column.dtype.kind not in "fiub" or column.ndim > 2 or column.shape[1:] == (0,):
+    if column.dtype.kind not in "fiub" or column.ndim not in (1, 2) or column.shape[1:] == (0,):
         raise ReadError(
             f"{path}: field {name} is {column.dtype} {list(column.shape[1:]) or ''}, expected "
             "numbers"

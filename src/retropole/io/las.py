@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import numpy as np
 from ..datatypes import PointCloud
 from ..errors import MissingExtraError, ReadError
 from .fields import INTENSITY, RING, TIME, cloud_from_columns
+
+VLR_HEADER, EVLR_HEADER = 54, 60
+"""Bytes before the content of an (extended) variable length record."""
 
 PART = 200_000
 """Points read at a time."""
@@ -29,8 +33,7 @@ def read_las(path: Path) -> PointCloud:
         import laspy
     except ImportError:
         raise MissingExtraError("las", "reading LAS and LAZ") from None
-    if path.stat().st_size == 0:
-        raise ReadError(f"{path}: is empty, expected a LAS header")
+    _check_header(path)
     try:
         with laspy.open(path) as file:
             header = file.header
@@ -61,6 +64,30 @@ def read_las(path: Path) -> PointCloud:
     if not parts:
         raise ReadError(f"{path}: holds no points, expected at least one")
     return cloud_from_columns(path, columns)
+
+
+def _check_header(path: Path) -> None:
+    """Refuse counts that the file cannot hold: laspy would try to read that many, for minutes."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(375)
+    if not head:
+        raise ReadError(f"{path}: is empty, expected a LAS header")
+    if head[:4] != b"LASF" or len(head) < 227:
+        raise ReadError(f"{path}: starts with {head[:4]!r}, expected a LAS header from 'LASF' on")
+    start, points, records = struct.unpack_from("<HII", head, 94)
+    if points > size or start + VLR_HEADER * records > points:
+        raise ReadError(
+            f"{path}: the header promises points from byte {points} on after {records} records of "
+            f"{VLR_HEADER} bytes or more, the file holds {size} bytes"
+        )
+    if tuple(head[24:26]) >= (1, 4) and len(head) == 375:
+        start, records = struct.unpack_from("<QI", head, 235)
+        if records and start + EVLR_HEADER * records > size:
+            raise ReadError(
+                f"{path}: the header promises {records} extended records from byte {start} on, "
+                f"the file holds {size} bytes"
+            )
 
 
 def _wanted(dimensions: Iterable[str]) -> list[str]:
