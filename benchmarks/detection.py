@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 
 import numpy as np
-from retropole.simulation import SimulatedPair, simulate_pair
 
 from retropole import se3
 from retropole.datatypes import Array, Detection, PointCloud
 from retropole.extraction import extract_poles
+from retropole.simulation import SimulatedPair, simulate_pair
 
 ENOUGH_RETURNS, ENOUGH_RINGS = 6, 3
 """A pole with so many returns above the threshold, on so many rings, ought to be found."""

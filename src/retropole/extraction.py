@@ -11,7 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from .clustering import MAX_POINTS, clusters, in_canonical_order, on_surface, propose_lines
+from .clustering import (
+    MAX_POINTS,
+    TUBE,
+    Line,
+    clusters,
+    fit_line,
+    in_canonical_order,
+    on_surface,
+    propose_lines,
+)
 from .datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole, RejectedCluster
 from .errors import Refusal
 from .pole_test import (
@@ -19,10 +28,9 @@ from .pole_test import (
     MAX_LENGTH,
     MIN_LENGTH,
     MIN_POINTS,
-    TUBE,
-    Line,
-    fit_line,
-    test_standing_free,
+    Failure,
+    shape_failure,
+    surroundings_failure,
 )
 from .sensors import Sensor, threshold_for
 
@@ -163,23 +171,23 @@ def _best_line(
     if not proposals:
         return None, ("too_short", f"no two of its points are {MIN_LENGTH:g} m apart")
     best: Line | None = None
-    failure = ("", "")
+    first: Failure | None = None
     for point, direction in proposals:
         line = fit_line(cloud, left, point, direction, radius)
-        if not line.code:
+        failure = shape_failure(cloud, line)
+        if failure is None:
             # A pole that something hides in part is two clusters: take all that lies on its line.
-            reach = near[free[near]]
-            whole = fit_line(cloud, reach, line.point, line.direction, radius)
-            if not whole.code and len(whole.rows) > len(line.rows):
+            whole = fit_line(cloud, near[free[near]], line.point, line.direction, radius)
+            if len(whole.rows) > len(line.rows) and shape_failure(cloud, whole) is None:
                 line = whole
-            line = test_standing_free(cloud, near, free, line)
-        if line.code:
-            failure = failure if failure[0] else (line.code, line.reason)
+            failure = surroundings_failure(cloud, near, free, line)
+        if failure is not None:
+            first = first or failure
         elif best is None or (len(line.rows), -line.rms) > (len(best.rows), -best.rms):
             best = line
             if len(line.rows) >= 0.9 * len(left):
                 break
-    return best, failure
+    return best, first or ("", "")
 
 
 def _pole(cloud: PointCloud, line: Line) -> Pole:

@@ -1,16 +1,16 @@
 """Is this line a pole? Its shape, and whether it stands free.
 
 A pole is thin, straight and long for its width, and has free air beside it. Stripes, edges of
-signs and rows of a scan are thin and straight as well, but they are part of something.
+signs and rows of a scan are thin and straight as well, but they are part of something. Nothing
+here needs the sensor's place: it would tell more, but clouds that were moved have lost it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .clustering import Line, distance_and_place, principal_line
 from .datatypes import Array, BoolArray, IntArray, PointCloud
 
 MIN_POINTS = 6
@@ -23,51 +23,32 @@ MIN_LENGTH = 0.25
 MAX_LENGTH = 4.0
 """Most extent along the line, metres: what is longer is a fence or a kerb."""
 
-TUBE = 0.10
-"""Room about the radius in which returns of a pole lie, metres: wide enough for a thick post and
-for a sensor with 3 cm of noise."""
-
 THICK = 0.045
 """Root mean square distance from the line from which a pole is a thick post, metres. A pole of
 6 cm radius seen with 3 cm of noise is below."""
 
-THICK_POINTS = 10
-"""A thick post needs so many points: a few returns of a far sign look the same."""
+TOO_THICK, THICK_LENGTH = 0.06, 1.5
+"""A thick post is no thicker than the first and no longer than the second, metres."""
 
 SLENDERNESS = 1.5
 """Least ratio of the extent along the line to that across it."""
 
+FEW = 10
+"""With fewer points a line passes for a pole only if it is slim and has next to nothing beside it:
+a few returns of a far sign look the same."""
+
 TAPED = 0.8
-"""A line that may be shorter than this is a pole only if it does not go on without tape, metres:
-a sign seen edge-on stands on its post."""
+"""A line that may be shorter than this, metres, is a pole only under the stricter tests below."""
 
-EXTENDED = 0.6
-"""It goes on where so many of the rows that fit beyond its end are there."""
+MAX_CROWDED_STRICT = 0.25
+"""The limit of both shares below for thick, short and few."""
 
-FILE_STEP, FILE_SHARE = 0.08, 0.7
-"""So short a line whose rows are nearer than this, metres, and have mostly one point each, is what
-one beam leaves on a plate, unless the rings tell otherwise."""
-
-DIM = 0.5
-"""A return below this part of the threshold has no tape; those between may be tape seen badly."""
-
-MAX_BARE = 0.5
-"""So many returns without tape may lie between the points of a pole for each of these."""
-
-ROW = 0.015
-"""Returns whose places along the line differ by less come from one row, metres."""
-
-GAP = 1.2
-"""Points beyond such a gap along the line belong to something else, metres."""
-
-BESIDE = 0.35
-"""A return from the edge of the tube to this distance of the line is beside it, metres."""
+BESIDE, FAR_BESIDE = 0.35, 0.6
+"""A return from the edge of the tube to this distance of the line is beside it, metres: to the
+second where rows are as far apart, and so may be the columns of a sign."""
 
 PIECES = 8
 """Pieces that a line is cut into, to see along how much of it other returns are beside it."""
-
-MAX_CROWDED_SHORT = 0.25
-"""The limit of both shares below for a thick post, and a line that may be shorter than `TAPED`."""
 
 CROWD, MAX_CROWDED = 0.7, 0.5
 """A piece is crowded with so many returns beside it for one of its own; no pole is crowded along
@@ -81,19 +62,21 @@ CROSSING, CROSSING_LENGTH, CROSSING_REST = np.radians(8.0), 0.9, 0.15
 """Beside a line of this length, metres, returns that all but this share of it owes to one other
 line, so far from parallel, are a second pole. Of a sign, more is left."""
 
-CROSSING_TUBE = 0.06
-"""How near that line, metres."""
+CROSSING_TUBE, CROSSING_SAMPLE = 0.06, 40
+"""How near that line they are, metres, and how many of them propose it."""
 
-CROSSING_SAMPLE = 40
-"""Points beside a line that propose the other line."""
+BEHIND, FLAT, FLAT_SHARE = 0.08, 0.05, 0.7
+"""A wall that passes the line at the first distance, metres, is not one that it lies on. A wall is
+where so much of the points beside the line lie within the second distance of a plane."""
 
-BEHIND = 0.08
-"""A surface that passes the line at this distance is not the one it lies on, metres."""
+DIM = 0.5
+"""A return below this part of the line's dimmest has no tape; others may be tape seen badly."""
 
-STREAK_NEIGHBOURS, STREAK_COSINE, STREAK_SHARE = 6, 0.85, 0.75
-"""Where so much of the nearest neighbours of nearby returns lie in the direction of the line, the
-line runs along one beam's sweep: such a row is no pole however straight."""
+MAX_BARE = 0.5
+"""So many returns without tape may lie between the points of a pole for each of these."""
 
+EXTENDED = 0.6
+"""A line goes on beyond its end where so many of the rows that fit there are there."""
 
 SWEEP = 0.15
 """Points of one ring of a pole lie no farther apart along it, metres, even where it leans most."""
@@ -102,106 +85,24 @@ FAR_STEP, EVEN = 0.2, 1.3
 """Single points, metres apart, as evenly spaced as this ratio: one beam's returns far away. Where
 rows of a pole are so far apart, they have two points or more, or gaps in between."""
 
+FILE_STEP, FILE_SHARE = 0.15, 0.7
+"""A short line whose rows are nearer than this, metres, and have mostly one point each, is what
+one beam leaves on a plate, unless the rings tell otherwise."""
 
-@dataclass(frozen=True, eq=False)
-class Line:
-    """A line through some retro-reflective points, and why it is no pole, if it is none."""
+STREAK_NEIGHBOURS, STREAK_COSINE, STREAK_SHARE = 4, 0.85, 0.88
+"""Where so much of the nearest neighbours of the returns around lie in the direction of the line,
+it runs along one beam's sweep: such a row is no pole however straight."""
 
-    rows: IntArray
-    point: Array
-    direction: Array
-    length: float
-    rms: float
-    rings: int
-    tube: float
-    code: str = ""
-    reason: str = ""
+Failure = tuple[str, str]
+"""Code, and reason in words and numbers."""
 
 
-def distance_and_place(xyz: Array, point: Array, direction: Array) -> tuple[Array, Array]:
-    """Distances (N,) of points from a line, and their places (N,) along it, metres."""
-    offset = xyz - point
-    along = offset @ direction
-    across = offset - along[:, None] * direction
-    return np.sqrt(np.einsum("ni,ni->n", across, across)), along
-
-
-def principal_line(xyz: Array) -> tuple[Array, Array]:
-    """Centroid (3,) and direction (3,) of the line with the least squared distance to points."""
-    centre = xyz.mean(axis=0)
-    offset = xyz - centre
-    return centre, np.asarray(np.linalg.eigh(offset.T @ offset)[1][:, 2])
-
-
-def fit_line(
-    cloud: PointCloud, left: IntArray, point: Array, direction: Array, radius: float
-) -> Line:
-    """Fit a line to those of the points ``left`` that are about a first guess; test its shape."""
-    xyz = cloud.xyz[left]
-    tube = radius + TUBE
-    inside = np.zeros(len(left), dtype=bool)
-    for _ in range(4):
-        distance, along = distance_and_place(xyz, point, direction)
-        inside = _in_one_piece(distance <= tube, along)
-        if np.count_nonzero(inside) < 3:
-            break
-        # Neighbours that touch the pole are many near it but few along it: the median holds.
-        scale = 1.4826 * float(np.median(distance[inside]))
-        tube = min(radius + TUBE, radius + 0.02 + 2.5 * scale)
-        point, direction = principal_line(xyz[inside])
-    distance, along = distance_and_place(xyz, point, direction)
-    inside = _in_one_piece(distance <= tube, along)
-    rows = left[inside]
-    if len(rows) < MIN_POINTS:
-        reason = f"{len(rows)} points, a pole needs {MIN_POINTS}"
-        return Line(rows, point, direction, 0.0, 0.0, 0, tube, "too_few_points", reason)
-    length = float(np.ptp(along[inside]))
-    rms = float(np.sqrt(np.mean(distance[inside] ** 2)))
-    rings = _rows_hit(cloud, rows, along[inside])
-    line = Line(rows, point, direction, length, rms, rings, tube)
-    code, reason = _shape(line)
-    if not code and _is_a_sweep(cloud, rows, along[inside]):
-        code, reason = "along_a_beam", f"{len(rows)} points lie in the beams' direction of sweep"
-    return replace(line, code=code, reason=reason)
-
-
-def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
-    """Keep of the points inside the piece with the most points, where a `GAP` parts them."""
-    index = np.flatnonzero(inside)
-    order = index[np.argsort(along[index], kind="stable")]
-    cuts = np.flatnonzero(np.diff(along[order]) > GAP) + 1
-    kept = np.zeros_like(inside)
-    if len(order):
-        kept[max(np.split(order, cuts), key=len)] = True
-    return kept
-
-
-def _rows_hit(cloud: PointCloud, rows: IntArray, along: Array) -> int:
-    """How many beams hit a line: by ring where the cloud has rings, else by gaps along it."""
-    if cloud.ring is not None:
-        return len(np.unique(cloud.ring[rows]))
-    places = np.sort(along)
-    pieces = np.split(places, np.flatnonzero(np.diff(places) > ROW) + 1)
-    # Rows nearer than that leave no gaps, but fill a length that no single row has.
-    return sum(max(1, int(np.ptp(piece) / (2 * ROW))) for piece in pieces)
-
-
-def _is_a_sweep(cloud: PointCloud, rows: IntArray, along: Array) -> bool:
-    """Whether the points of a line are returns that follow each other in a beam's sweep."""
-    if cloud.ring is not None:
-        _, member, counts = np.unique(cloud.ring[rows], return_inverse=True, return_counts=True)
-        order = np.lexsort((along, member.reshape(-1)))
-        ends = np.cumsum(counts)
-        spans = along[order][ends - 1] - along[order][ends - counts]
-        return float(np.median(spans)) > SWEEP
-    gaps = np.diff(np.sort(along))
-    low, high = np.quantile(gaps, [0.2, 0.8])
-    return bool(low > FAR_STEP and high < EVEN * low)
-
-
-def _shape(line: Line) -> tuple[str, str]:
-    """Code and reason why a line has not the shape of a pole; empty where it has."""
-    width = 4.0 * line.rms
+def shape_failure(cloud: PointCloud, line: Line) -> Failure | None:
+    """Say why a line has not the shape of a pole; None where it has."""
+    count, width = len(line.rows), 4.0 * line.rms
+    size = f"{line.length:.2f} m long and {width:.2f} m wide"
+    if count < MIN_POINTS:
+        return "too_few_points", f"{count} points in line, a pole needs {MIN_POINTS}"
     if line.length < MIN_LENGTH:
         return "too_short", f"{line.length:.2f} m long, a pole needs {MIN_LENGTH:g} m"
     if line.length > MAX_LENGTH:
@@ -209,16 +110,34 @@ def _shape(line: Line) -> tuple[str, str]:
     if line.rings < MIN_ROWS:
         return "too_few_rows", f"{line.rings} rows of points, a pole needs {MIN_ROWS}"
     if line.length < SLENDERNESS * width:
-        reason = f"{line.length:.2f} m long and {width:.2f} m wide"
-        return "too_wide", f"{reason}, a pole is {SLENDERNESS:g} times longer"
-    if line.rms > THICK and len(line.rows) < THICK_POINTS:
-        reason = f"{width:.2f} m wide with {len(line.rows)} points"
-        return "too_wide", f"{reason}, so thick a pole needs {THICK_POINTS}"
-    return "", ""
+        return "too_wide", f"{size}, a pole is {SLENDERNESS:g} times longer than wide"
+    if line.rms > TOO_THICK or (line.rms > THICK and line.length > THICK_LENGTH):
+        return "too_wide", f"{size}, more than any post"
+    if line.rms > THICK and count < FEW:
+        return "too_wide", f"{size} with {count} points, so thick a post needs {FEW}"
+    if _is_a_sweep(cloud, line):
+        return "along_a_beam", f"{count} points that follow each other in a beam's sweep"
+    return None
 
 
-def test_standing_free(cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line) -> Line:
-    """Test that a line stands free: along most of it, no surface that it is part of.
+def _is_a_sweep(cloud: PointCloud, line: Line) -> bool:
+    """Whether the points of a line are returns that follow each other in a beam's sweep."""
+    if cloud.ring is not None:
+        _, member, counts = np.unique(
+            cloud.ring[line.rows], return_inverse=True, return_counts=True
+        )
+        along = line.along[np.lexsort((line.along, member.reshape(-1)))]
+        last = np.cumsum(counts) - 1
+        return float(np.median(along[last] - along[last + 1 - counts])) > SWEEP
+    gaps = np.diff(np.sort(line.along))
+    low, high = np.quantile(gaps, [0.1, 0.6])
+    return bool(low > FAR_STEP and high < EVEN * low)
+
+
+def surroundings_failure(
+    cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
+) -> Failure | None:
+    """Say what a line is part of; None where it stands free.
 
     The line is cut into pieces, and in each the returns beside it are weighed against its own. A
     stripe on a wall has the wall beside it all along; a pole that is held or touched somewhere
@@ -228,87 +147,75 @@ def test_standing_free(cloud: PointCloud, near: IntArray, is_retro: BoolArray, l
     Parameters
     ----------
     cloud, near
-        The cloud, and the index (M,) of its points about the line: all within `BESIDE`, and more.
+        The cloud, and the index (M,) of its points about the line: all within `TAPED`, or more.
     is_retro
-        (N,) which points of the cloud are retro-reflective.
+        (N,) which points of the cloud are retro-reflective and on no other pole.
     line
-        What `fit_line` gave.
-
-    Returns
-    -------
-    Line
-        The same, with code and reason where it is no pole.
+        One that `shape_failure` finds nothing wrong with.
     """
+    assert cloud.intensity is not None
     distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
-    _, ours = distance_and_place(cloud.xyz[line.rows], line.point, line.direction)
-    low, high = float(ours.min()), float(ours.max())
+    low, high = float(line.along.min()), float(line.along.max())
     edges = np.linspace(low, high + 1e-9, PIECES + 1)
-    own = np.histogram(ours, edges)[0]
-    beside = (distance > line.tube) & (distance < BESIDE) & (along >= low) & (along <= high)
-    where = f"{line.tube:.2f} to {BESIDE:.2f} m beside it"
+    own = np.histogram(line.along, edges)[0]
+    thick, short = line.rms > THICK, line.length + line.step < TAPED
+    few = len(line.rows) < FEW
+    strict = thick or short or few
+    reach = float(np.clip(1.2 * line.step, BESIDE, FAR_BESIDE))
+    beside = (distance > line.tube) & (distance < reach) & (along >= low) & (along <= high)
+    where = f"{line.tube:.2f} to {reach:.2f} m beside it"
 
-    def crowded(places: Array, crowd: float) -> float:
-        neighbours = np.histogram(places, edges)[0]
+    def crowded(which: BoolArray, crowd: float) -> float:
+        neighbours = np.histogram(along[which], edges)[0]
         return float(np.mean(neighbours[own > 0] >= crowd * own[own > 0]))
 
-    def failed(code: str, reason: str) -> Line:
-        return replace(line, code=code, reason=reason)
-
-    step = line.length / max(line.rings - 1, 1)
-    short = line.length + step < TAPED
-    slender = line.rms <= THICK and len(line.rows) >= THICK_POINTS
-    most = MAX_CROWDED_SHORT if short or line.rms > THICK else 1.0
     retro = beside & is_retro[near]
-    by_retro = crowded(along[retro], RETRO_CROWD)
-    if by_retro > min(most, MAX_RETRO_CROWDED) and line.length >= CROSSING_LENGTH and slender:
+    by_retro = crowded(retro, RETRO_CROWD)
+    if few:
+        by_retro = max(by_retro, min(1.0, np.count_nonzero(retro) / len(line.rows)))
+    if by_retro > MAX_RETRO_CROWDED and line.length >= CROSSING_LENGTH and not strict:
         rest = retro.copy()
         rest[retro] = ~_on_another_line(cloud.xyz[near[retro]], line)
-        if crowded(along[rest], RETRO_CROWD) <= CROSSING_REST:
+        if crowded(rest, RETRO_CROWD) <= CROSSING_REST:
             retro, by_retro = rest, 0.0
-    if by_retro > min(most, MAX_RETRO_CROWDED):
-        return failed(
-            "part_of_a_surface",
+    if by_retro > (MAX_CROWDED_STRICT if strict else MAX_RETRO_CROWDED):
+        return "part_of_a_surface", (
             f"along {by_retro:.0%} of it other retro-reflective returns lie {where}: a plate, "
-            "a stripe or bright ground, no free-standing pole",
+            "a stripe or bright ground, no free-standing pole"
         )
-    assert cloud.intensity is not None
     bare = ~is_retro[near] & (cloud.intensity[near] < DIM * cloud.intensity[line.rows].min())
     slim = distance <= 2 * line.rms + 0.02
     between = int(np.count_nonzero(bare & slim & (along > low) & (along < high)))
     if between > MAX_BARE * len(line.rows):
-        return failed(
-            "part_of_a_surface",
-            f"{between} returns without tape lie between its {len(line.rows)} points",
-        )
+        reason = f"{between} returns without tape lie between its {len(line.rows)} points"
+        return "part_of_a_surface", reason
     other = beside & (~is_retro[near] | retro)
-    by_all = crowded(along[other], CROWD)
-    if by_all > min(most, MAX_CROWDED) and not _passes_behind(cloud.xyz[near[other]], line):
-        return failed(
-            "part_of_a_surface",
+    by_all = crowded(other, CROWD)
+    if by_all > (MAX_CROWDED_STRICT if strict else MAX_CROWDED) and (
+        short or not _passes_behind(cloud.xyz[near[other]], cloud.xyz[line.rows])
+    ):
+        return "part_of_a_surface", (
             f"along {by_all:.0%} of it other returns lie {where}: a plate, a stripe or an edge, "
-            "no free-standing pole",
+            "no free-standing pole"
         )
     if cloud.ring is None and _runs_along_a_sweep(cloud.xyz, near, line):
-        return failed(
-            "along_a_beam", f"{len(line.rows)} points in the direction in which the beams sweep"
+        reason = f"{len(line.rows)} points in the direction in which the beams sweep"
+        return "along_a_beam", reason
+    if not short:
+        return None
+    if cloud.ring is None and line.step < FILE_STEP and line.rings > FILE_SHARE * len(line.rows):
+        return "along_a_beam", (
+            f"{len(line.rows)} points in single file, {100 * line.step:.0f} cm apart along "
+            f"{line.length:.2f} m: as one beam leaves them on a plate"
         )
-    if not short or line.rms > THICK:
-        return line
-    if cloud.ring is None and step < FILE_STEP and line.rings > FILE_SHARE * len(line.rows):
-        return failed(
-            "along_a_beam",
-            f"{len(line.rows)} points in single file, {100 * step:.0f} cm apart along "
-            f"{line.length:.2f} m: as one beam leaves them on a plate",
-        )
-    bare &= distance < BESIDE
-    needed = EXTENDED * min(PIECES, TAPED / step)
+    bare &= distance < reach
     ends = [beyond[bare & (beyond > 0)] for beyond in (along - high, low - along)]
-    if by_all <= MAX_CROWDED_SHORT and max(_pieces_hit(end) for end in ends) >= needed:
-        return failed(
-            "goes_on_without_tape",
-            f"{line.length:.2f} m long, and goes on without tape: a sign on its post",
+    needed = EXTENDED * min(PIECES, TAPED / line.step)
+    if not thick and max(_pieces_hit(end) for end in ends) >= needed:
+        return "goes_on_without_tape", (
+            f"{line.length:.2f} m long, and goes on without tape: a sign on its post"
         )
-    return line
+    return None
 
 
 def _pieces_hit(places: Array) -> int:
@@ -319,8 +226,8 @@ def _pieces_hit(places: Array) -> int:
 def _on_another_line(beside: Array, line: Line) -> BoolArray:
     """Which of the points beside a line lie on one other line that is not parallel to it."""
     _, along = distance_and_place(beside, line.point, line.direction)
-    beside_sorted = np.argsort(along, kind="stable")
-    sample = beside[beside_sorted[:: 1 + (len(beside) - 1) // CROSSING_SAMPLE]]
+    order = np.argsort(along, kind="stable")
+    sample = beside[order[:: 1 + (len(beside) - 1) // CROSSING_SAMPLE]]
     i, j = np.triu_indices(len(sample), 1)
     span = sample[j] - sample[i]
     apart = np.linalg.norm(span, axis=1)
@@ -333,38 +240,46 @@ def _on_another_line(beside: Array, line: Line) -> BoolArray:
     places = np.einsum("pni,pi->pn", offset, direction)
     square = np.einsum("pni,pni->pn", offset, offset) - places**2
     best = int(np.argmax(np.count_nonzero(square <= CROSSING_TUBE**2, axis=1)))
-    point, direction = start[best], direction[best]
+    at, to = start[best], direction[best]
     for _ in range(2):
-        inside = distance_and_place(beside, point, direction)[0] <= CROSSING_TUBE
+        inside = distance_and_place(beside, at, to)[0] <= CROSSING_TUBE
         if np.count_nonzero(inside) >= 2:
-            point, direction = principal_line(beside[inside])
-    return np.asarray(distance_and_place(beside, point, direction)[0] <= CROSSING_TUBE)
+            at, to = principal_line(beside[inside])
+    return np.asarray(distance_and_place(beside, at, to)[0] <= CROSSING_TUBE)
 
 
-def _passes_behind(beside: Array, line: Line) -> bool:
-    """Whether the surface of the points beside a line misses the line by `BEHIND` or more.
+def _passes_behind(beside: Array, own: Array) -> bool:
+    """Whether the points beside a line lie on one plane that misses its own points by `BEHIND`.
 
-    Seen along the line the surface is a curve; its straight fit passes through the line where the
-    line lies on it.
+    A stripe lies in the plane; at a corner or a rounded edge there is no single plane.
     """
-    offset = beside - line.point
-    across = offset - (offset @ line.direction)[:, None] * line.direction
-    centre = across.mean(axis=0)
-    _, _, axes = np.linalg.svd(across - centre, full_matrices=False)
-    return float(np.linalg.norm(centre - (centre @ axes[0]) * axes[0])) >= BEHIND
+    kept = np.ones(len(beside), dtype=bool)
+    for _ in range(4):
+        if np.count_nonzero(kept) < 4:
+            return False
+        centre = beside[kept].mean(axis=0)
+        offset = beside[kept] - centre
+        normal = np.linalg.eigh(offset.T @ offset)[1][:, 0]
+        distance = np.abs((beside - centre) @ normal)
+        kept = distance <= max(FLAT, 1.5 * float(np.median(distance)))
+    gap = float(np.median(np.abs((own - centre) @ normal)))
+    return float(np.mean(distance <= FLAT)) >= FLAT_SHARE and gap >= BEHIND
 
 
 def _runs_along_a_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
     """Whether the line runs along a beam's sweep, as the returns about it show.
 
     The returns of one beam are much nearer to each other than to those of the next: around a row
-    of them, neighbours lie in its direction. Beams that are as close as their returns tell nothing.
+    of them, neighbours lie in its direction. Beams as close as their returns tell nothing.
     """
     others = np.setdiff1d(near, line.rows, assume_unique=True)
     if len(others) < 4 * STREAK_NEIGHBOURS:
         return False
     points = xyz[others]
-    _, neighbour = cKDTree(points).query(points[:: 1 + len(points) // 200], STREAK_NEIGHBOURS + 1)
-    span = points[neighbour[:, 1:]] - points[:: 1 + len(points) // 200][:, None]
+    # A sample that does not depend on the order of the points: those nearest to the line.
+    distance, _ = distance_and_place(points, line.point, line.direction)
+    asked = points[np.argsort(distance, kind="stable")[:200]]
+    _, neighbour = cKDTree(points).query(asked, STREAK_NEIGHBOURS + 1)
+    span = points[neighbour[:, 1:]] - asked[:, None]
     cosine = np.abs(span @ line.direction) / np.maximum(np.linalg.norm(span, axis=-1), 1e-9)
     return float(np.mean(cosine > STREAK_COSINE)) > STREAK_SHARE
