@@ -6,13 +6,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from .alignment import align_axes
 from .correspondence import match_poles
-from .datatypes import Calibration, Detection, Hypothesis, Match, PointCloud, Reason, Stage
+from .datatypes import Calibration, Detection, Hypothesis, Match, PointCloud, Reason
 from .disambiguation import judge
 from .errors import Refusal
 from .extraction import extract_poles
+from .refinement import refine
 from .sensors import Sensor
-from .verdict import check_choice, margin_of, weaknesses
+from .uncertainty import predicted_error
+from .verdict import check_choice, check_pull, margin_of, weaknesses
 
 RADIUS = 0.02
 """Radius of the taped poles, metres (Xue et al. 2019)."""
@@ -26,6 +29,7 @@ def calibrate(
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
     poles: int | None = None,
+    scene: bool = True,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -43,6 +47,8 @@ def calibrate(
         sensor, or else the cloud itself.
     poles
         Exact number of poles that both LiDARs see; None takes any number from two up.
+    scene
+        Whether the scene refines the pose that the poles give.
     progress
         Called with the name of each step as it starts.
 
@@ -77,6 +83,20 @@ def calibrate(
         with step("disambiguate"):
             hypotheses = judge(target, source, matches)
             check_choice(hypotheses)
+        chosen: Match = hypotheses[0].match
+        paired = (
+            [target_found.poles[i] for i, _ in chosen.pairs],
+            [source_found.poles[j] for _, j in chosen.pairs],
+        )
+        with step("align"):
+            aligned = align_axes(
+                *paired,
+                chosen.T_target_source,
+                radius=radius,
+                origins=(target.origin, source.origin),
+            )
+        with step("refine"):
+            refined = refine(target, source, aligned) if scene else None
     except Refusal as refusal:
         return Calibration(
             status="refused",
@@ -91,23 +111,18 @@ def calibrate(
             detections=(target_found, source_found),
             seconds=seconds,
         )
-    chosen: Match = hypotheses[0].match
-    paired = (
-        [target_found.poles[i] for i, _ in chosen.pairs],
-        [source_found.poles[j] for _, j in chosen.pairs],
-    )
-    stage = Stage(chosen.T_target_source, None, chosen.pole_rms)
-    reasons = weaknesses(*paired, hypotheses)
+    answer = aligned if refined is None else refined.stage
+    reasons = weaknesses(*paired, hypotheses) + check_pull(refined)
     return Calibration(
         status="warn" if reasons else "ok",
         reasons=tuple(reasons),
-        T_target_source=stage.T_target_source,
-        covariance=stage.covariance,
-        poles=stage,
-        refined=None,
+        T_target_source=answer.T_target_source,
+        covariance=answer.covariance,
+        poles=aligned,
+        refined=None if refined is None else refined.stage,
         hypotheses=hypotheses,
         margin=margin_of(hypotheses),
-        predicted_error=(),
+        predicted_error=predicted_error(answer.covariance),
         detections=(target_found, source_found),
         seconds=seconds,
     )

@@ -122,11 +122,15 @@ class Refinement:
     pull
         Squared Mahalanobis distance of the pose from the poles' own: χ² with 6 degrees of freedom
         where both tell the truth.
+    turned, moved
+        The same step in rad, and in metres at the source's own origin.
     """
 
     stage: Stage
     patches: int
     pull: float
+    turned: float
+    moved: float
 
 
 def surface_patches(cloud: PointCloud) -> Patches:
@@ -152,7 +156,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
 
 
 def refine(
-    target: PointCloud, source: PointCloud, poles: Stage, *, origins_known: bool = True
+    target: PointCloud, source: PointCloud, poles: Stage, *, origins_known: bool = False
 ) -> Refinement | None:
     """Let the scene sharpen the pose that the poles give.
 
@@ -196,7 +200,13 @@ def refine(
             break
     e = se3.local(poles.T_target_source, T)
     rms = float(np.sqrt(np.average(r**2, weights=weights)))
-    return Refinement(Stage(T, covariance, rms), len(r), float(e @ prior @ e))
+    return Refinement(
+        Stage(T, covariance, rms),
+        len(r),
+        float(e @ prior @ e),
+        float(np.linalg.norm(e[:3])),
+        float(np.linalg.norm(e[3:])),
+    )
 
 
 def _pairs(

@@ -9,6 +9,7 @@ import numpy as np
 from .correspondence import widest_angle
 from .datatypes import Hypothesis, Pole, Reason
 from .errors import Refusal
+from .refinement import Refinement
 
 RIVAL_OVERLAP = 0.62
 RIVAL_FREE_SPACE = 0.025
@@ -25,6 +26,10 @@ MIN_OVERLAP = 0.25
 
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""
+
+MAX_PULL = 30.0
+"""Squared Mahalanobis distance of the refined pose from the poles' own: χ² with 6 degrees of
+freedom exceeds it once in 25,000 times."""
 
 FEW_POINTS = 12
 """Returns on a pole below which its line is weak."""
@@ -127,3 +132,19 @@ def weaknesses(
                 )
             )
     return reasons
+
+
+def check_pull(refined: Refinement | None) -> list[Reason]:
+    """Warn where the scene draws the pose further away than the poles' uncertainty allows."""
+    if refined is None or refined.pull <= MAX_PULL:
+        return []
+    return [
+        Reason(
+            "poles_and_scene_disagree",
+            f"the scene draws the pose {1000 * refined.moved:.0f} mm and "
+            f"{np.degrees(refined.turned):.2f}° away from the poles, "
+            f"{np.sqrt(refined.pull / 6):.1f} times what their uncertainty allows: did "
+            "something move between the two recordings, or is --radius wrong?",
+            {"pull": refined.pull, "moved_m": refined.moved, "turned_rad": refined.turned},
+        )
+    ]

@@ -111,6 +111,7 @@ def calibrate(
             sensors=(inputs[0].sensor, inputs[1].sensor),
             thresholds=(threshold_target, threshold_source),
             poles=poles,
+            scene=refine,
             progress=progress,
         )
     for given, detection in zip(inputs, calibration.detections, strict=True):
