@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import small_gicp
+from scipy.linalg import eigh
 from scipy.spatial import cKDTree
 
 from . import se3
@@ -58,6 +59,10 @@ CLUSTER = 2.0
 MAX_PATCHES = 6000
 """Patches of each cloud: every n-th is taken so that about so many are left."""
 
+MIN_HOLD = 6.0
+"""A direction of the pose counts as held by the scene with so many times the information that the
+noise of the normals alone would feign."""
+
 MIN_PATCHES = 30
 MIN_SIGMA = 1e-4
 MAX_ITERATIONS = 40
@@ -77,11 +82,14 @@ class Patches:
         (M, 3) unit normals, turned to the sensor.
     rays
         (M, 3) unit vectors from the beam origin to the centres.
+    tilt
+        (M,) variance of the normals, rad².
     """
 
     centres: Array
     normals: Array
     rays: Array
+    tilt: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +102,10 @@ class Pairs:
         (P,) signed distance along the normal, metres.
     jacobian
         (P, 6) derivative with respect to ``[φ, δ]``.
+    levers
+        (P, 3, 6) derivative of the place of the source's patch.
+    normal, tilt
+        (P, 3) the mean normal, (P,) its variance, rad².
     cluster, beam_target, beam_source
         (P,) which residuals share a place, a beam of the target, a beam of the source.
     range_target, range_source
@@ -102,6 +114,9 @@ class Pairs:
 
     residuals: Array
     jacobian: Array
+    levers: Array
+    normal: Array
+    tilt: Array
     cluster: IntArray
     beam_target: IntArray
     beam_source: IntArray
@@ -137,7 +152,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
     """Fit planes to the neighbourhoods of a thinned cloud and keep the flat ones."""
     points = thin(cloud.xyz, VOXEL)
     if len(points) < NEIGHBOURS:
-        return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+        return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     tree = small_gicp.KdTree(points, num_threads=THREADS)
     at = points[:: 1 + len(points) // MAX_PATCHES]
     index, _ = tree.batch_knn_search(at, NEIGHBOURS, num_threads=THREADS)
@@ -152,7 +167,8 @@ def surface_patches(cloud: PointCloud) -> Patches:
     rays = centres - cloud.origin
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     away = np.einsum("mi,mi->m", normals, rays) > 0
-    return Patches(centres, np.where(away[:, None], -normals, normals), rays)
+    tilt = values[flat, 0] / (NEIGHBOURS * values[flat, 1])
+    return Patches(centres, np.where(away[:, None], -normals, normals), rays, tilt)
 
 
 def refine(
@@ -190,8 +206,9 @@ def refine(
         r, J = pairs.residuals, pairs.jacobian
         sigma = max(1.4826 * float(np.median(np.abs(r))), MIN_SIGMA)
         weights = 1.0 / (1.0 + (r / (2.0 * sigma)) ** 2) ** 2
-        JW = J * (weights / sigma**2)[:, None]
-        H = JW.T @ J + prior
+        held = _held(pairs, weights / sigma**2)
+        JW = (J * (weights / sigma**2)[:, None]) @ held
+        H = held.T @ (J.T * (weights / sigma**2)) @ J @ held + prior
         gradient = JW.T @ r + prior @ se3.local(poles.T_target_source, T)
         step = -np.asarray(np.linalg.solve(H, gradient), dtype=np.float64)
         T = se3.retract(T, step)
@@ -240,13 +257,37 @@ def _pairs(
     rays_source = source.rays[s] @ T[:3, :3].T
     return Pairs(
         residuals=np.einsum("mi,mi->m", normal, moved[s] - target.centres[t]),
-        jacobian=np.concatenate([np.cross(rotated[s], normal), normal], axis=1),
+        jacobian=np.einsum("mi,mij->mj", normal, lever[s]),
+        levers=lever[s],
+        normal=normal,
+        tilt=(source.tilt[s] + target.tilt[t]) / 4,
         cluster=_labels(np.floor(moved[s] / CLUSTER)),
         beam_target=_labels(np.floor(np.arcsin(target.rays[t, 2:]) / BEAM)),
         beam_source=_labels(np.floor(np.arcsin(source.rays[s, 2:]) / BEAM)),
         range_target=-np.einsum("mi,mi->m", normal, target.rays[t]),
         range_source=np.einsum("mi,mi->m", normal, rays_source),
     )
+
+
+def _held(pairs: Pairs, weights: Array) -> Array:
+    """Projection (6, 6) onto the steps that the surfaces hold, and not the noise of their normals.
+
+    The normal of flat ground errs by a degree here and there, and thousands of such errors seem to
+    hold a pose along the ground: information of that kind is what ``H_n``, the sum over the two
+    tangents of each patch by the variance of its normal, says. Of the generalised eigenvectors of
+    ``H_s v = λ H_n v``, those with λ below `MIN_HOLD` are left to the poles.
+    """
+    across = np.eye(3) - pairs.normal[:, :, None] * pairs.normal[:, None, :]
+    tangents = across @ pairs.levers
+    noise = np.einsum("m,mij,mik->jk", weights * pairs.tilt, tangents, tangents)
+    scene = (pairs.jacobian.T * weights) @ pairs.jacobian
+    scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
+    noise = noise * np.outer(scale, scale) + 1e-9 * np.eye(6)
+    values, vectors = eigh(scene * np.outer(scale, scale), noise)
+    kept = vectors[:, values >= MIN_HOLD]
+    # The vectors are orthonormal under H_n: v vᵀ H_n projects onto them.
+    projection = kept @ kept.T @ noise
+    return np.asarray(scale[:, None] * projection / scale[None, :])
 
 
 def _labels(cells: Array) -> IntArray:
