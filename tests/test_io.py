@@ -137,7 +137,35 @@ def test_las_counts_are_checked_before_they_are_believed(tmp_path: Path) -> None
         read_cloud(path)
 
 
+def test_laz_chunks_are_checked_before_they_are_believed(tmp_path: Path) -> None:
+    """The decoder would end the process where it cannot have the memory it asks for."""
+    path = tmp_path / "a.laz"
+    make_las(path)
+    assert len(read_cloud(path)) == 3
+    content = bytearray(path.read_bytes())
+    points = struct.unpack_from("<I", content, 96)[0]
+    table = struct.unpack_from("<q", content, points)[0]
+    struct.pack_into("<I", content, table + 4, 2**32 - 1)
+    path.write_bytes(bytes(content))
+    with pytest.raises(ReadError, match="promises 4294967295 chunks"):
+        read_cloud(path)
+    struct.pack_into("<q", content, points, 2**60)
+    path.write_bytes(bytes(content))
+    with pytest.raises(ReadError, match="table of chunks"):
+        read_cloud(path)
+
+
 class TestPoints:
+    @pytest.mark.filterwarnings("error")
+    def test_signalling_nan_is_dropped_without_a_warning(self, tmp_path: Path) -> None:
+        bits = np.array([0x7F800001, 0x3F800000, 0x3F800000, 0x3F800000] * 2, "<u4")
+        bits[4] = 0x3F800000
+        bits[7] = 0x7F800001
+        (tmp_path / "a.bin").write_bytes(bits.tobytes())
+        cloud = read_cloud(tmp_path / "a.bin")
+        np.testing.assert_array_equal(cloud.xyz, [[1, 1, 1]])
+        assert (cloud.intensity, cloud.dropped) == (None, 1)
+
     def test_no_returns_are_dropped_and_counted(self, tmp_path: Path) -> None:
         rows = np.array([[1, 2, 3, 7], [0, 0, 0, 8], [np.nan, 1, 1, 9], [1, np.inf, 1, 9]])
         np.save(tmp_path / "a.npy", np.vstack([rows, [4, 5, 6, 10]]))

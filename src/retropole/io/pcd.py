@@ -191,11 +191,12 @@ def _read_ascii(path: Path, body: bytes, header: Header) -> Columns:
             f"{path}: the header promises {header.points} points of {values} values, the "
             f"{len(body)} bytes after it cannot hold them"
         )
-    table = read_table(path, body, values, line=header.lines + 1, rows=header.points)
+    table = read_table(path, body, values, line=header.lines + 1)
     if len(table) < header.points:
         raise ReadError(
             f"{path}: the header promises {header.points} points, the file holds {len(table)} lines"
         )
+    table = table[: header.points]
     ends = np.cumsum(header.counts)
     names = header.record.names or ()
     return {

@@ -189,7 +189,7 @@ def _read_ascii(
     # Blank lines stay in, so that a message names the line of the file.
     first, texts = rows[0][0], dict(rows)
     body = b"\n".join(texts.get(k, b"") for k in range(first, rows[-1][0] + 1))
-    table = read_table(path, body, len(names), line=line + first, rows=vertex.count)
+    table = read_table(path, body, len(names), line=line + first)
     if len(table) != vertex.count:
         raise ReadError(
             f"{path}: holds {len(table)} lines of vertices, the header promises {vertex.count}"

@@ -17,10 +17,9 @@ def read_table(
     columns: int,
     *,
     line: int,
-    rows: int | None = None,
     mark: str | None = None,
 ) -> Array:
-    """Read the first lines of a text as a table of numbers; blank lines and # comments are none.
+    """Read the lines of a text as a table of numbers; blank lines and # comments are none.
 
     Parameters
     ----------
@@ -32,14 +31,12 @@ def read_table(
         How many values each line must have.
     line
         Number that the first line of `body` has in the file.
-    rows
-        How many lines of values to read at most, the rest is not looked at; None is all.
     mark
         What parts the values; None is any blank.
 
     Returns
     -------
-    (N, columns) array, N at most `rows`.
+    (N, columns) array.
 
     Raises
     ------
@@ -52,9 +49,7 @@ def read_table(
     if not any(part.split("#", 1)[0].strip() for part in text.split("\n")):
         return np.empty((0, columns))
     try:
-        table = np.loadtxt(
-            io.StringIO(text), delimiter=mark, max_rows=rows, ndmin=2, dtype=np.float64
-        )
+        table = np.loadtxt(io.StringIO(text), delimiter=mark, ndmin=2, dtype=np.float64)
     except ValueError:
         bad = _first_bad(text, columns, mark)
         if bad is None:
