@@ -13,7 +13,7 @@ LAYERS = [
     {
         *("io", "sensors", "extraction", "beams", "correspondence", "alignment"),
         *("beam_alignment", "disambiguation", "registration", "refinement", "uncertainty"),
-        *("verdict", "evaluation", "simulation", "figures", "clustering"),
+        *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
     },
     {"pipeline"},
     {"result"},
