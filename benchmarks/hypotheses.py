@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 
 import numpy as np
-from retropole.simulation import simulate_pair
 
 from retropole import se3
 from retropole.datatypes import Hypothesis
 from retropole.pipeline import calibrate
+from retropole.simulation import simulate_pair
 
 RIGHT_ANGLE, RIGHT_DISTANCE = np.radians(10.0), 1.0
 """A hypothesis is the right one if it is so near the truth: the others are half a turn away."""

@@ -44,9 +44,7 @@ def main() -> None:
     print("| noise | median e_rt m | mean | 90 % |\n| --- | --- | --- | --- |")
     for name, nuisances in NOISES.items():
         errors = [
-            error_of(
-                simulate_pair("paper", np.random.default_rng(seed), nuisances=nuisances)
-            )
+            error_of(simulate_pair("paper", np.random.default_rng(seed), nuisances=nuisances))
             for seed in range(arguments.setups)
         ]
         median, mean, most = np.median(errors), np.mean(errors), np.quantile(errors, 0.9)

@@ -17,10 +17,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from retropole.simulation import simulate_pair
 
 from retropole.io import write_pcd
 from retropole.pipeline import calibrate
+from retropole.simulation import simulate_pair
 
 
 def median_seconds(work: Callable[[], object], runs: int) -> float:

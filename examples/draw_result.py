@@ -1,6 +1,6 @@
 """Simulate a street, calibrate it, and draw both clouds before and after.
 
-    python examples/draw_result.py docs/images/result.png
+python examples/draw_result.py docs/images/result.png
 """
 
 from __future__ import annotations
