@@ -125,6 +125,39 @@ def test_missing_laspy_says_what_to_install(
         read_cloud(tmp_path / "a.las")
 
 
+@pytest.mark.parametrize("point_format", [3, 6, 7, 8])
+@pytest.mark.parametrize("count", [1, 50_001])
+def test_every_packing_of_laz_is_read(tmp_path: Path, point_format: int, count: int) -> None:
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=point_format, file_version="1.4")
+    las.header.scales = [0.001] * 3
+    las.add_extra_dim(laspy.ExtraBytesParams("ring", "u2"))
+    las.x, las.y, las.z = np.random.default_rng(1).uniform(1, 9, (3, count))
+    las.ring = np.arange(count) % 64
+    las.write(tmp_path / "a.laz")
+    cloud = read_cloud(tmp_path / "a.laz")
+    np.testing.assert_array_equal(cloud.xyz, np.column_stack([las.x, las.y, las.z]))
+    np.testing.assert_array_equal(cloud.ring, las.ring)
+
+
+def test_laz_layers_are_checked_before_they_are_believed(tmp_path: Path) -> None:
+    """The decoder would make room for such a layer, and end the process where there is none."""
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.x, las.y, las.z = XYZ.T
+    path = tmp_path / "a.laz"
+    las.write(path)
+    content = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<I", content, 96)
+    # After the place of the table come the first point, the count of points, and the sizes.
+    for layer in range(9):
+        damaged = content.copy()
+        struct.pack_into("<I", damaged, start + 8 + 30 + 4 + 4 * layer, 2**32 - 1)
+        path.write_bytes(damaged)
+        with pytest.raises(ReadError, match="promises layers up to byte"):
+            read_cloud(path)
+
+
 def test_las_counts_are_checked_before_they_are_believed(tmp_path: Path) -> None:
     path = tmp_path / "a.las"
     make_las(path)

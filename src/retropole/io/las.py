@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -31,6 +32,15 @@ SMALLEST_POINT = 20
 
 FORMAT, PACKED = 104, 0x80
 """Byte of the header that holds the format of the points, and its bit for LAZ."""
+
+LAYERED = 3
+"""How LAZ calls the packing of formats 6 to 10, which puts each kind of value in its own layer."""
+
+LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""How many layers the items of a point have: the point itself, RGB, RGB and NIR, wave packet."""
+
+EXTRA_BYTES = 14
+"""The item whose every byte is a layer."""
 
 
 def read_las(path: Path) -> PointCloud:
@@ -59,6 +69,8 @@ def read_las(path: Path) -> PointCloud:
                 path.stat().st_size - header.offset_to_point_data,
                 packed=header.are_points_compressed,
             )
+            for record in header.vlrs.get("LasZipVlr"):
+                _check_layers(path, header.offset_to_point_data, record.record_data)
             names = _wanted(header.point_format.dimension_names)
             # In parts, so that memory follows what the file holds, not what its header promises.
             size = max(1, PART // header.point_format.size)
@@ -125,21 +137,57 @@ def _check_chunks(path: Path, start: int) -> None:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        file.seek(start)
-        head = file.read(8)
-        table = struct.unpack("<q", head)[0] if len(head) == 8 else 0
-        if table == -1:  # a writer that could not go back put the place at the very end
-            file.seek(size - 8)
-            table = struct.unpack("<q", file.read(8))[0]
-        if not start < table <= size - 8:
-            raise ReadError(
-                f"{path}: its table of chunks is said to be at byte {table}, expected between "
-                f"{start} and {size - 8}"
-            )
-        file.seek(table + 4)
+        file.seek(_chunk_table(path, file, start) + 4)
         chunks = struct.unpack("<I", file.read(4))[0]
     if chunks * SMALLEST_POINT > size:
         raise ReadError(f"{path}: promises {chunks} chunks, its {size} bytes cannot hold them")
+
+
+def _chunk_table(path: Path, file: BinaryIO, start: int) -> int:
+    """Find the byte where the LAZ chunks end and their table begins."""
+    size = path.stat().st_size
+    file.seek(start)
+    head = file.read(8)
+    table: int = struct.unpack("<q", head)[0] if len(head) == 8 else 0
+    if table == -1:  # a writer that could not go back put the place at the very end
+        file.seek(size - 8)
+        table = struct.unpack("<q", file.read(8))[0]
+    if not start < table <= size - 8:
+        raise ReadError(
+            f"{path}: its table of chunks is said to be at byte {table}, expected between "
+            f"{start} and {size - 8}"
+        )
+    return table
+
+
+def _check_layers(path: Path, start: int, packing: bytes) -> None:
+    """Refuse LAZ layers that the file cannot hold, for the same reason as chunks.
+
+    A chunk of layers is its first point, how many points it has, how long each layer is, and the
+    layers; the next one follows at once.
+    """
+    if len(packing) < 34 or struct.unpack_from("<H", packing)[0] != LAYERED:
+        return
+    items = list(struct.iter_unpack("<HHH", packing[34 : 34 + (len(packing) - 34) // 6 * 6]))
+    first = sum(length for _, length, _ in items)
+    layers = sum(
+        length if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, length, _ in items
+    )
+    with path.open("rb") as file:
+        end = _chunk_table(path, file, start)
+        position = start + 8
+        while position < end:
+            file.seek(position + first + 4)
+            sizes = file.read(4 * layers)
+            # An item of no known kind makes no layers; the place still moves on, by 4 at least.
+            position += first + 4 + 4 * layers
+            if len(sizes) == 4 * layers:
+                position += sum(struct.unpack(f"<{layers}I", sizes))
+            if len(sizes) < 4 * layers or position > end:
+                raise ReadError(
+                    f"{path}: a chunk promises layers up to byte {position}, the chunks end at "
+                    f"{end}"
+                )
 
 
 def _wanted(dimensions: Iterable[str]) -> list[str]:
