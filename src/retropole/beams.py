@@ -13,6 +13,14 @@ import numpy as np
 
 from .datatypes import Array, BoolArray
 
+OUTLIERS, OUTLIER_REACH = 0.02, 0.3
+"""Share of returns that may be no part of a pole, and how far from it they may lie, metres."""
+
+NODES = 20
+"""Of the integral over the arc that returns come from."""
+
+_GAUSS, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(NODES)
+
 
 @dataclass(frozen=True, eq=False)
 class Passage:
@@ -122,14 +130,10 @@ def meet_cylinder(
             + (by.miss / (chord * by.sine))[:, None] * by.miss_axis
             + (chord / by.sine**2)[:, None] * by.sine_axis
         )
-    return Meeting(
-        np.where(hit, ranges, np.inf), hit, np.where(hit[:, None], jacobian, 0.0)
-    )
+    return Meeting(np.where(hit, ranges, np.inf), hit, np.where(hit[:, None], jacobian, 0.0))
 
 
-def line_error(
-    centre: Array, direction: Array, heights: tuple[float, float]
-) -> float:
+def line_error(centre: Array, direction: Array, heights: tuple[float, float]) -> float:
     """Mean-square distance of a line from the z axis between two heights, square metres.
 
     ``E = n_z/(z_max − z_min) ∫ [(x_c + n_x s)² + (y_c + n_y s)²] ds`` with s from
@@ -157,3 +161,89 @@ def expected_line_error(radius: float) -> float:
     towards the sensor, which no number of returns averages away.
     """
     return (np.pi * radius / 4.0) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class ArcLikelihood:
+    """Log-likelihood of returns on a pole, and its derivatives.
+
+    Attributes
+    ----------
+    log
+        (N,) logarithm of p(g, m), per square metre.
+    score
+        (N, 2) its derivative with respect to g and m.
+    information
+        (N, 2, 2) its negative second derivative.
+    inlier
+        (N,) probability that the return is one of the pole.
+    noise
+        (N, 2) expected square of the noise in g and in m, in units of its variance.
+    noise_variance
+        (N, 2) variance of those squares, given the return.
+    """
+
+    log: Array
+    score: Array
+    information: Array
+    inlier: Array
+    noise: Array
+    noise_variance: Array
+
+
+def arc_likelihood(
+    depth: Array, miss: Array, sigma_depth: Array, sigma_miss: Array, radius: float, facing: bool
+) -> ArcLikelihood:
+    """Likelihood of returns that beams made on a pole; see the head of this module.
+
+    Parameters
+    ----------
+    depth, miss
+        (N,) g and m, metres.
+    sigma_depth, sigma_miss
+        (N,) noise of g and m, metres.
+    radius
+        Of the pole, metres.
+    facing
+        Whether returns come from the facing half only, or from all around.
+    """
+    if facing:
+        # Only what lies within a few sigma sideways counts; the integral is cut to that.
+        reach = 5.0 * sigma_miss
+        low = np.clip(miss - reach, -radius, radius - np.minimum(reach, radius))
+        high = np.clip(miss + reach, np.minimum(reach, radius) - radius, radius)
+        safe = max(radius, 1e-300)
+        start, end = np.arcsin(low / safe), np.arcsin(high / safe)
+        theta = start[:, None] + (end - start)[:, None] * (0.5 + 0.5 * _GAUSS)
+        weight = (end - start)[:, None] * 0.25 * _GAUSS_WEIGHT * np.cos(theta)
+        if radius <= 1e-9:
+            weight = np.full_like(theta, 1.0 / NODES)
+    else:
+        theta = np.broadcast_to(np.arange(2 * NODES) * (np.pi / NODES), (len(depth), 2 * NODES))
+        weight = np.full_like(theta, 0.5 / NODES)
+    inverse = np.stack([1.0 / sigma_depth, 1.0 / sigma_miss], axis=1)
+    off_depth = (radius * np.cos(theta) - depth[:, None]) * inverse[:, :1]
+    off_miss = (radius * np.sin(theta) - miss[:, None]) * inverse[:, 1:]
+    square_depth, square_miss = off_depth**2, off_miss**2
+    exponent = -0.5 * (square_depth + square_miss)
+    top = exponent.max(axis=1)
+    part = weight * np.exp(exponent - top[:, None])
+    total = part.sum(axis=1)
+    part /= total[:, None]
+    log_pole = top + np.log(total * (1 - OUTLIERS) / (2 * np.pi) * inverse[:, 0] * inverse[:, 1])
+    log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_REACH**2)))
+    inlier = np.exp(log_pole - log)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.einsum("nk,nk->n", part, values))
+
+    noise = np.stack([mean(square_depth), mean(square_miss)], axis=1)
+    fourth = np.stack([mean(square_depth**2), mean(square_miss**2)], axis=1)
+    score = inlier[:, None] * inverse * np.stack([mean(off_depth), mean(off_miss)], axis=1)
+    information = np.empty((len(depth), 2, 2))
+    information[:, 0, 0] = inlier * (1.0 - noise[:, 0]) * inverse[:, 0] ** 2
+    information[:, 1, 1] = inlier * (1.0 - noise[:, 1]) * inverse[:, 1] ** 2
+    cross = -inlier * mean(off_depth * off_miss) * inverse[:, 0] * inverse[:, 1]
+    information[:, 0, 1] = information[:, 1, 0] = cross
+    information += score[:, :, None] * score[:, None, :]
+    return ArcLikelihood(log, score, information, inlier, noise, fourth - noise**2)
