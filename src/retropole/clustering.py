@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from .datatypes import Array, BoolArray, IntArray, PointCloud
 
-LINK = 0.8
+LINK = 1.2
 """Points nearer than this are one cluster, metres. The beams of a 16-beam sensor are 2° apart:
 0.35 m at 10 m, twice that where one is lost."""
 
@@ -169,7 +169,9 @@ def propose_lines(
         A point (3,) and a unit direction (3,) for each line; none where all points are near each
         other.
     """
-    points = xyz[:: 1 + (len(xyz) - 1) // MAX_POINTS]
+    # About their middle: squares of map coordinates, millions of metres, leave no room for more.
+    middle = xyz.mean(axis=0)
+    points = xyz[:: 1 + (len(xyz) - 1) // MAX_POINTS] - middle
     i, j = np.triu_indices(len(points), 1)
     apart = np.linalg.norm(points[i] - points[j], axis=1)
     usable = np.flatnonzero((apart >= shortest) & (apart <= longest))
@@ -196,7 +198,7 @@ def propose_lines(
         best = int(np.argmax(score))
         if score[best] == -np.inf or size[best] < 3:
             break
-        lines.append((start[best], direction[best]))
+        lines.append((start[best] + middle, direction[best]))
         score[inside @ inside[best] >= SAME_LINE * size] = -np.inf
     return lines
 

@@ -25,9 +25,11 @@ from .datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole, 
 from .errors import Refusal
 from .pole_test import (
     BESIDE,
+    FEW,
     MAX_LENGTH,
     MIN_LENGTH,
     MIN_POINTS,
+    THICK,
     Failure,
     shape_failure,
     surroundings_failure,
@@ -42,6 +44,10 @@ MARGIN = 0.8
 
 REGROUP = 0.4
 """Points of a large cluster that are on no surface are grouped again with this step, metres."""
+
+SATURATED = 0.5
+"""Where more of a large cluster is inside a bright surface, its brightness says nothing, and only
+a line that is slim and has many points is a pole."""
 
 MAX_LINES = 12
 """Poles taken out of one cluster at most."""
@@ -124,14 +130,15 @@ def _search(
     ``free`` marks the retro-reflective points that no pole has claimed yet, and is updated.
     """
     near = _surroundings(columns, cluster)
-    searched = [cluster]
+    searched, saturated = [cluster], False
     failure = ("", "")
     if len(cluster) > MAX_POINTS:
         flat = on_surface(cloud.xyz[cluster])
         rest = cluster[~flat]
         searched = [rest[group] for group in clusters(cloud.xyz[rest], REGROUP)]
         share = np.count_nonzero(flat) / len(cluster)
-        if share > 0.5:
+        saturated = bool(share > SATURATED)
+        if saturated:
             reason = f"{share:.0%} of {len(cluster)} points are inside a bright surface"
             failure = ("part_of_a_surface", reason)
     found: list[Line] = []
@@ -140,7 +147,9 @@ def _search(
             left = part[free[part]]
             if len(left) < MIN_POINTS:
                 break
-            line, why = _best_line(cloud, near, in_canonical_order(cloud.xyz, left), free, radius)
+            line, why = _best_line(
+                cloud, near, in_canonical_order(cloud.xyz, left), free, radius, saturated
+            )
             if line is None:
                 failure = failure if failure[0] else why
                 break
@@ -162,7 +171,12 @@ def _surroundings(columns: Array, cluster: IntArray) -> IntArray:
 
 
 def _best_line(
-    cloud: PointCloud, near: IntArray, left: IntArray, free: BoolArray, radius: float
+    cloud: PointCloud,
+    near: IntArray,
+    left: IntArray,
+    free: BoolArray,
+    radius: float,
+    saturated: bool,
 ) -> tuple[Line | None, tuple[str, str]]:
     """Find the best supported pole among some points; if there is none, why."""
     proposals = propose_lines(
@@ -181,6 +195,8 @@ def _best_line(
             if len(whole.rows) > len(line.rows) and shape_failure(cloud, whole) is None:
                 line = whole
             failure = surroundings_failure(cloud, near, free, line)
+        if failure is None and saturated and (line.rms > THICK or len(line.rows) < FEW):
+            failure = "part_of_a_surface", f"{len(line.rows)} points amid a bright surface"
         if failure is not None:
             first = first or failure
         elif best is None or (len(line.rows), -line.rms) > (len(best.rows), -best.rms):

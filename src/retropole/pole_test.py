@@ -1,8 +1,8 @@
 """Is this line a pole? Its shape, and whether it stands free.
 
 A pole is thin, straight and long for its width, and has free air beside it. Stripes, edges of
-signs and rows of a scan are thin and straight as well, but they are part of something. Nothing
-here needs the sensor's place: it would tell more, but clouds that were moved have lost it.
+signs and rows of a scan are thin and straight as well, but they are part of something. The
+sensor's place is asked only to find a row of one beam: clouds that were moved have lost it.
 """
 
 from __future__ import annotations
@@ -47,12 +47,13 @@ BESIDE, FAR_BESIDE = 0.35, 0.6
 """A return from the edge of the tube to this distance of the line is beside it, metres: to the
 second where rows are as far apart, and so may be the columns of a sign."""
 
-AROUND, MAX_AROUND = 0.4, 0.3
-"""About a short line or one of few points, so far beyond its ends, metres, little else shines, by
-the share of its own points: kerbs, tussocks and stones on bright ground have plenty about them."""
+AROUND, MAX_AROUND = 0.4, 0.2
+"""About a thick or short line or one of few points, so far beyond its ends, metres, little else
+shines, by the share of its own points: kerbs, tussocks and stones on bright ground have plenty."""
 
-ONE_ROW = np.radians(0.1)
-"""Returns whose elevations span less than this come from one beam, rad."""
+ONE_ROW, IN_SIGHT = np.radians(0.1), 200.0
+"""Returns whose elevations span less than this come from one beam, rad. Beyond this distance,
+metres, the origin is none that a pole was seen from, and elevations say nothing."""
 
 PIECES = 8
 """Pieces that a line is cut into, to see along how much of it other returns are beside it."""
@@ -71,6 +72,9 @@ line, so far from parallel, are a second pole. Of a sign, more is left."""
 
 CROSSING_TUBE, CROSSING_SAMPLE = 0.06, 40
 """How near that line they are, metres, and how many of them propose it."""
+
+HUGGED = 0.09
+"""What crowds a line nearer than this, metres, is not behind it."""
 
 BEHIND, FLAT, FLAT_SHARE = 0.08, 0.05, 0.7
 """A wall that passes the line at the first distance, metres, is not one that it lies on. A wall is
@@ -131,7 +135,8 @@ def _is_a_sweep(cloud: PointCloud, line: Line) -> bool:
     """Whether the points of a line are returns that follow each other in a beam's sweep."""
     if cloud.ring is None:
         rays = cloud.xyz[line.rows] - cloud.origin
-        if np.ptp(np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))) < ONE_ROW:
+        elevation = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+        if np.linalg.norm(rays[0]) < IN_SIGHT and np.ptp(elevation) < ONE_ROW:
             return True
     else:
         _, member, counts = np.unique(
@@ -184,7 +189,7 @@ def surroundings_failure(
     by_retro = crowded(retro, RETRO_CROWD)
     if few:
         by_retro = max(by_retro, min(1.0, np.count_nonzero(retro) / len(line.rows)))
-    if few or short:
+    if strict:
         away = np.linalg.norm(cloud.xyz[near] - line.point, axis=1)
         around = is_retro[near] & (distance > line.tube) & (away < line.length / 2 + AROUND)
         others = int(np.count_nonzero(around))
@@ -211,8 +216,9 @@ def surroundings_failure(
         return "part_of_a_surface", reason
     other = beside & (~is_retro[near] | retro)
     by_all = crowded(other, CROWD)
-    if by_all > (MAX_CROWDED_STRICT if strict else MAX_CROWDED) and (
-        short or not _passes_behind(cloud.xyz[near[other]], cloud.xyz[line.rows])
+    hugged = crowded(~is_retro[near] & ~slim & (distance < HUGGED), CROWD) > MAX_CROWDED
+    if by_all > (MAX_CROWDED_STRICT if strict and not thick else MAX_CROWDED) and (
+        short or hugged or not _passes_behind(cloud.xyz[near[other]], cloud.xyz[line.rows])
     ):
         return "part_of_a_surface", (
             f"along {by_all:.0%} of it other returns lie {where}: a plate, a stripe or an edge, "
@@ -269,9 +275,10 @@ def _on_another_line(beside: Array, line: Line) -> BoolArray:
 
 
 def _passes_behind(beside: Array, own: Array) -> bool:
-    """Whether the points beside a line lie on one plane that misses its own points by `BEHIND`.
+    """Whether the points beside a line lie on one plane that misses part of the line by `BEHIND`.
 
-    A stripe lies in the plane; at a corner or a rounded edge there is no single plane.
+    A stripe lies in the plane all along, a pole that leans on it does not; at a corner or a rounded
+    edge there is no single plane.
     """
     kept = np.ones(len(beside), dtype=bool)
     for _ in range(4):
@@ -282,7 +289,7 @@ def _passes_behind(beside: Array, own: Array) -> bool:
         normal = np.linalg.eigh(offset.T @ offset)[1][:, 0]
         distance = np.abs((beside - centre) @ normal)
         kept = distance <= max(FLAT, 1.5 * float(np.median(distance)))
-    gap = float(np.median(np.abs((own - centre) @ normal)))
+    gap = float(np.quantile(np.abs((own - centre) @ normal), 0.75))
     return float(np.mean(distance <= FLAT)) >= FLAT_SHARE and gap >= BEHIND
 
 
