@@ -35,7 +35,7 @@ from .errors import Refusal
 RETRO_BIAS = 0.005
 """1 σ of a range error that all retro-reflective returns of one LiDAR share, metres."""
 
-MIN_NOISE = 2e-4
+MIN_NOISE, MIN_SIDEWAYS = 2e-4, 1e-3
 """Least noise of a return, in depth and sideways, metres."""
 
 MAX_NOISE = 0.05
@@ -49,8 +49,9 @@ MAX_TURN, MAX_SHIFT = 0.1, 0.5
 
 MIN_POINTS = 3
 MAX_ITERATIONS = 60
-STEP_TOLERANCE = 1e-4
-"""Stop where the step is below this in units of each parameter's own 1 σ."""
+STEP_TOLERANCE = 0.02
+"""Step from which the noise is kept and only the geometry is polished, in units of each
+parameter's own 1 σ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +233,7 @@ def _evaluate(
         slope = arc.inlier @ (arc.noise - 1.0)
         curve = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
         step = slope / np.maximum(curve, 0.2 * arc.inlier.sum())
-        noise_step[i] = step if facing[i] else step.mean()
+        noise_step[i] = step if facing[i] else 0.6 * step.mean()
         inliers += float(arc.inlier.sum())
         order = one.order
         neighbour = one.pole[order][1:] == one.pole[order][:-1]
@@ -259,33 +260,37 @@ def _maximise(
     radius: float,
     facing: tuple[bool, bool],
     bias: float,
+    iterations: int = MAX_ITERATIONS,
 ) -> _Fit:
     """Climb to the nearest maximum of the posterior, noise and all (Levenberg–Marquardt)."""
     # A whole circle is summed at fixed nodes, which noise below a tenth of it would fall between.
     floor = np.log(
-        [[MIN_NOISE] * 2 if side else [max(MIN_NOISE, 0.1 * radius)] * 2 for side in facing]
+        [
+            [MIN_NOISE, MIN_SIDEWAYS] if side else [max(MIN_NOISE, 0.1 * radius)] * 2
+            for side in facing
+        ]
     )
     now = _evaluate(state, np.maximum(log_noise, floor), returns, radius, facing, bias)
-    damping = 1e-4
-    for _ in range(MAX_ITERATIONS):
+    damping, polish = 1e-4, 0
+    for _ in range(iterations):
         scale = np.sqrt(np.diag(now.safe_information)) + 1e-12
         curve = now.safe_information / np.outer(scale, scale) + damping * np.eye(len(scale))
         step = np.linalg.solve(curve, now.gradient / scale)
-        noise = np.maximum(now.log_noise + now.log_noise_step / (1.0 + damping), floor)
-        # The ratio is bounded: returns sharp in depth and blurred sideways escape the integral.
-        noise[:, 0] = np.maximum(noise[:, 0], noise[:, 1] - np.log(2.0))
-        moved = now.state.moved(step / scale)
-        new = _evaluate(moved, noise, returns, radius, facing, bias)
-        change = float(np.abs(noise - now.log_noise).max())
-        if new.log >= now.log - 1e-7:
-            gain = new.log - now.log
+        noise = now.log_noise
+        if not polish:
+            noise = np.maximum(noise + now.log_noise_step / (1.0 + damping), floor)
+            # Returns sharp in depth and blurred sideways would fall between the nodes.
+            noise[:, 0] = np.maximum(noise[:, 0], noise[:, 1] - np.log(2.0))
+        new = _evaluate(now.state.moved(step / scale), noise, returns, radius, facing, bias)
+        gain = new.log - now.log
+        if gain >= -1e-9 * abs(now.log):
             now, damping = new, max(damping / 10.0, 1e-9)
-            if np.abs(step).max() < STEP_TOLERANCE and (change < 0.01 or gain < 1e-3):
-                break
+            small = np.abs(step).max() < STEP_TOLERANCE and gain < 0.01
+            polish = polish + 1 if small or polish else 0
         else:
             damping *= 10.0
-            if damping > 1e6:
-                break
+        if polish > 2 or damping > 1e6:
+            break
     return now
 
 
@@ -353,7 +358,9 @@ def align_beams(
             other = (False, facing[1]) if i == 0 else (facing[0], False)
             noise = fit.log_noise.copy()
             noise[i] = noise[i].mean()
-            around = _maximise(fit.state, noise, returns, radius, other, bias)
+            around = _maximise(fit.state, noise, returns, radius, other, bias, 5)
+            if around.log > fit.log - 20.0:
+                around = _maximise(around.state, around.log_noise, returns, radius, other, bias)
             if around.log > fit.log:
                 fit, facing = around, other
     return _answer(fit, facing, sum(counts), returns)
