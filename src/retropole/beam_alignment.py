@@ -35,7 +35,7 @@ from .errors import Refusal
 RETRO_BIAS = 0.005
 """1 σ of a range error that all retro-reflective returns of one LiDAR share, metres."""
 
-MIN_NOISE, MIN_SIDEWAYS = 2e-4, 1e-3
+MIN_NOISE, MIN_SIDEWAYS = 2e-4, 4e-4
 """Least noise of a return, in depth and sideways, metres."""
 
 MAX_NOISE = 0.05
@@ -232,7 +232,7 @@ def _evaluate(
         # Newton in the logarithm of the noise; expectation-maximisation where that is no hill.
         slope = arc.inlier @ (arc.noise - 1.0)
         curve = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
-        step = slope / np.maximum(curve, 0.2 * arc.inlier.sum())
+        step = slope / np.maximum(curve, 0.05 * arc.inlier.sum())
         noise_step[i] = step if facing[i] else 0.6 * step.mean()
         inliers += float(arc.inlier.sum())
         order = one.order
@@ -289,7 +289,7 @@ def _maximise(
             polish = polish + 1 if small or polish else 0
         else:
             damping *= 10.0
-        if polish > 2 or damping > 1e6:
+        if polish > 1 or damping > 1e6:
             break
     return now
 
@@ -358,8 +358,8 @@ def align_beams(
             other = (False, facing[1]) if i == 0 else (facing[0], False)
             noise = fit.log_noise.copy()
             noise[i] = noise[i].mean()
-            around = _maximise(fit.state, noise, returns, radius, other, bias, 5)
-            if around.log > fit.log - 20.0:
+            around = _maximise(fit.state, noise, returns, radius, other, bias, 3)
+            if around.log > fit.log - 40.0:
                 around = _maximise(around.state, around.log_noise, returns, radius, other, bias)
             if around.log > fit.log:
                 fit, facing = around, other

@@ -46,6 +46,12 @@ class Passage:
     sine_axis: Array
 
 
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products of (N, 3) rows; np.cross takes twice as long over so few."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
 def pass_axis(origin: Array, directions: Array, point: Array, axis: Array) -> Passage:
     """Pass beams by an axis.
 
@@ -73,14 +79,14 @@ def pass_axis(origin: Array, directions: Array, point: Array, axis: Array) -> Pa
         sine = np.sqrt(square)
         b = np.sum(w * d, axis=1) - w_axis * cosine
         nearest = -b / square
-        miss = np.sum(w * np.cross(d, n), axis=1) / sine
+        miss = np.sum(w * _cross(d, n), axis=1) / sine
         sine_n = -(cosine / sine)[:, None] * d
         b_q = -d + cosine[:, None] * n
         b_n = -cosine[:, None] * w - w_axis[:, None] * d
         nearest_q = -b_q / square[:, None]
         nearest_n = -b_n / square[:, None] + (2 * b / (square * sine))[:, None] * sine_n
-        miss_q = -np.cross(d, n) / sine[:, None]
-        miss_n = np.cross(w, d) / sine[:, None] - (miss / sine)[:, None] * sine_n
+        miss_q = -_cross(d, n) / sine[:, None]
+        miss_n = _cross(w, d) / sine[:, None] - (miss / sine)[:, None] * sine_n
     return Passage(
         nearest,
         miss,
