@@ -39,7 +39,7 @@ def error_of(pair: SimulatedPair) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--setups", type=int, default=60)
+    parser.add_argument("--setups", type=int, default=180)
     arguments = parser.parse_args()
     print("| noise | median e_rt m | mean | 90 % |\n| --- | --- | --- | --- |")
     for name, nuisances in NOISES.items():

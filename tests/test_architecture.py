@@ -11,8 +11,8 @@ PACKAGE = Path(__file__).parents[1] / "src" / "retropole"
 LAYERS = [
     {"datatypes", "errors", "se3", "files"},
     {
-        *("io", "sensors", "extraction", "beams", "correspondence", "alignment"),
-        *("beam_alignment", "disambiguation", "registration", "refinement", "uncertainty"),
+        *("io", "sensors", "extraction", "correspondence", "alignment"),
+        *("disambiguation", "registration", "refinement", "uncertainty"),
         *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
     },
     {"pipeline"},

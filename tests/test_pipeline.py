@@ -31,7 +31,7 @@ def assert_refused(answer: Calibration, *codes: str) -> None:
 
 
 @pytest.mark.parametrize("scene", ["corridor", "street", "harbor"])
-@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("seed", [12, 13])
 def test_finds_the_truth(scene: str, seed: int) -> None:
     pair = simulate_pair(scene, np.random.default_rng(seed))
     answer = calibrate(pair.target, pair.source)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from . import __version__
 from .datatypes import Array, Calibration, Detection, Hypothesis, Pole, Stage
 
-SCHEMA = "retropole/result/1"
+SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
 COVARIANCE_FRAME = "target axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
 RANGES_M = (1.0, 10.0, 30.0, 60.0)
@@ -110,7 +110,7 @@ class ErrorAtRange(msgspec.Struct):
 class ResultDoc(msgspec.Struct, kw_only=True):
     """The whole document."""
 
-    schema: str = SCHEMA
+    schema: Literal["retropole/result/1"] = SCHEMA
     status: str
     reasons: list[ReasonDoc]
     T_target_source: Matrix | None

@@ -195,10 +195,12 @@ def simulate_pair(
         surfaces = place.surfaces
         if symmetric:
             surfaces = [*surfaces, *half_turned(surfaces)]
-            standing = symmetric_poles(rng, radius)
+            standing: list[Cylinder] | None = symmetric_poles(rng, radius)
         else:
             angles = (min_pole_angle, max_pole_angle)
             standing = draw_poles(rng, poles, place.clear, angles, radius)
+        if standing is None:
+            continue
         target_pose = draw_lidar(rng, standing, place.clear)
         source_pose = draw_lidar(rng, standing, place.clear)
         if target_pose is None or source_pose is None:

@@ -16,6 +16,9 @@ TAPE = Material(0.9, retro=True)
 PLASTER, ASPHALT, METAL, BARK = Material(0.7), Material(0.2), Material(0.5), Material(0.3)
 UP = np.array([0.0, 0.0, 1.0])
 
+MAX_POLE_DRAWS = 200
+"""Draws of leans, and of feet, before a place is given up."""
+
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
@@ -177,23 +180,30 @@ def draw_poles(
     clear: tuple[float, float],
     angles: tuple[float, float],
     radius: float,
-) -> list[Cylinder]:
-    """Draw taped poles on the ground, leaning up to 35°, all pairs apart by ``angles`` (rad)."""
-    while True:
+) -> list[Cylinder] | None:
+    """Draw taped poles on the ground, leaning up to 35°, all pairs apart by ``angles`` (rad).
+
+    None where `MAX_POLE_DRAWS` draws give no such poles.
+    """
+    i, j = np.triu_indices(count, 1)
+    for _ in range(MAX_POLE_DRAWS):
         lean = rng.uniform(0, np.radians(35), count)
         toward = rng.uniform(0, 2 * np.pi, count)
         axes = np.stack(
             [np.sin(lean) * np.cos(toward), np.sin(lean) * np.sin(toward), np.cos(lean)], axis=1
         )
-        i, j = np.triu_indices(count, 1)
         between = np.arccos(np.clip(np.abs(np.einsum("pi,pi->p", axes[i], axes[j])), 0, 1))
         if np.all((between >= angles[0]) & (between <= angles[1])):
             break
-    while True:
+    else:
+        return None
+    for _ in range(MAX_POLE_DRAWS):
         feet = rng.uniform(-1, 1, (count, 2)) * (min(clear[0], 3.0), clear[1])
         gaps = np.linalg.norm(feet[i] - feet[j], axis=1)
         if np.all((gaps >= 1.2) & (gaps <= 6.0)):
             break
+    else:
+        return None
     lengths = rng.uniform(1.8, 2.5, count)
     return [
         Cylinder(np.r_[foot, 0.05] + axis * length / 2, axis, radius, float(length), TAPE)
