@@ -323,15 +323,17 @@ def test_saturated_ground_has_no_poles(name: str, threshold: float | None) -> No
 @pytest.mark.parametrize("name", ["pandar64", "pandargt"])
 def test_signs_and_trucks_are_no_poles(name: str) -> None:
     found = extract_poles(read_cloud(DATA / "pandaset" / f"pandaset002_00_{name}.pcd"))
-    assert found.retro_points > 400
+    assert found.retro_points > 150
     assert found.poles == ()
 
 
 @needs_data
-def test_short_posts_stand_in_parallel() -> None:
+@pytest.mark.parametrize(("threshold", "least"), [(None, 9), (150.0, 9), (200.0, 8)])
+def test_posts_along_the_road_are_found_and_no_car(threshold: float | None, least: int) -> None:
     cloud = read_cloud(DATA / "pandar_scene1" / "p64.pcd")
-    found = extract_poles(cloud, threshold=200)
-    assert len(found.poles) >= 5
-    upright = [p for p in found.poles if abs(p.direction[2]) > np.cos(np.radians(20))]
-    assert upright == list(found.poles)
-    assert all(p.length < 0.6 for p in found.poles)
+    found = extract_poles(cloud, threshold=threshold)
+    assert len(found.poles) >= least
+    for pole in found.poles:  # two rows of short posts line the road, nothing else is a pole
+        assert 4.5 < abs(pole.point[0]) < 6.5
+        assert abs(pole.direction[2]) > np.cos(np.radians(20))
+        assert pole.length < 0.6

@@ -37,6 +37,9 @@ FEW = 10
 """With fewer points a line passes for a pole only if it is slim and has next to nothing beside it:
 a few returns of a far sign look the same."""
 
+FEW_THICK = 0.035
+"""Root mean square distance from the line above which a few points are no slim pole, metres."""
+
 TAPED = 0.8
 """A line that may be shorter than this, metres, is a pole only under the stricter tests below."""
 
@@ -124,7 +127,7 @@ def shape_failure(cloud: PointCloud, line: Line) -> Failure | None:
         return "too_wide", f"{size}, a pole is {SLENDERNESS:g} times longer than wide"
     if line.rms > TOO_THICK or (line.rms > THICK and line.length > THICK_LENGTH):
         return "too_wide", f"{size}, more than any post"
-    if line.rms > THICK and count < FEW:
+    if line.rms > FEW_THICK and count < FEW:
         return "too_wide", f"{size} with {count} points, so thick a post needs {FEW}"
     if _is_a_sweep(cloud, line):
         return "along_a_beam", f"{count} points that follow each other in a beam's sweep"

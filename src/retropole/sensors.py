@@ -216,8 +216,8 @@ class Threshold:
 BRIGHT_TAIL = 2.5
 """The threshold lies so many times the spread of the diffuse returns above their median, …"""
 
-OF_BRIGHTEST = (0.4, 0.78)
-"""… but between these parts of the brightest returns (100 and 200 of 255)."""
+OF_BRIGHTEST = (0.55, 0.78)
+"""… but between these parts of the brightest returns (140 and 200 of 255)."""
 
 BRIGHTEST = 6
 """The brightest return is taken as the sixth: a single glint says nothing of the scale."""
