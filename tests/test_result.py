@@ -30,7 +30,9 @@ def refusal() -> Calibration:
 
 
 def document(calibration: Calibration) -> ResultDoc:
-    return result_document(calibration, inputs=INPUTS, config={"radius": 0.02}, seconds={"read": 1.0})
+    return result_document(
+        calibration, inputs=INPUTS, config={"radius": 0.02}, seconds={"read": 1.0}
+    )
 
 
 def test_it_reads_back_as_it_was_written(answer: Calibration) -> None:
