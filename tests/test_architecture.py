@@ -11,7 +11,8 @@ PACKAGE = Path(__file__).parents[1] / "src" / "retropole"
 LAYERS = [
     {"datatypes", "errors", "se3", "files"},
     {
-        *("io", "sensors", "extraction", "correspondence", "alignment"),
+        *("io", "sensors", "extraction", "frames", "correspondence", "prior", "placements"),
+        *("alignment", "beams", "pole_beams", "beam_model", "beam_alignment"),
         *("disambiguation", "registration", "refinement", "uncertainty"),
         *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
     },

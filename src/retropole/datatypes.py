@@ -238,6 +238,69 @@ class Stage:
 
 
 @dataclass(frozen=True, eq=False)
+class Placement:
+    """One placement of the poles: what both LiDARs recorded, and what was found in it.
+
+    Attributes
+    ----------
+    target, source
+        The clouds that were used: of several frames, without what moved.
+    found
+        The detection in the target and in the source, as far as it came to that.
+    left_out
+        How far the poles' pose lies from that without this placement, rad and m; None where it is
+        the only one, or where the rest gives no pose.
+    """
+
+    target: PointCloud
+    source: PointCloud
+    found: tuple[Detection | None, Detection | None] = (None, None)
+    left_out: tuple[float, float] | None = None
+
+    @property
+    def target_poles(self) -> tuple[Pole, ...]:
+        """Poles found in the target."""
+        return self.found[0].poles if self.found[0] else ()
+
+    @property
+    def source_poles(self) -> tuple[Pole, ...]:
+        """Poles found in the source."""
+        return self.found[1].poles if self.found[1] else ()
+
+    def with_detection(self, side: int, detection: Detection) -> Placement:
+        """Add what was found in the target (side 0) or the source (1)."""
+        found = (detection, self.found[1]) if side == 0 else (self.found[0], detection)
+        return replace(self, found=found)
+
+    def with_left_out(self, apart: tuple[float, float]) -> Placement:
+        """Add how far the pose lies from that without this placement."""
+        return replace(self, left_out=apart)
+
+
+@dataclass(frozen=True, eq=False)
+class WeakDirection:
+    """The direction in which a pose is least sure, at the poles.
+
+    Attributes
+    ----------
+    direction
+        (3,) unit vector, target axes.
+    sigma
+        1 σ of where the poles lie along it, metres.
+    words
+        The direction, and how far it may be off, for a person.
+    condition
+        Ratio of the largest to the least 1 σ of the six directions of the pose, in metres at the
+        poles (a turn counts by how far it moves what is 10 m away).
+    """
+
+    direction: Array
+    sigma: float
+    words: str
+    condition: float
+
+
+@dataclass(frozen=True, eq=False)
 class Reason:
     """Why a verdict is not a plain ok: a stable code, words with numbers, and the numbers."""
 
@@ -268,8 +331,10 @@ class Calibration:
         Score of the first hypothesis over the second; None where there is no second.
     predicted_error
         (range, 1 σ error of a point at that range), metres; empty when refused.
-    detections
-        What was found in the target and in the source.
+    weakest
+        The direction in which the pose is least sure; None when refused.
+    placements
+        What was recorded and found, one for each placement of the poles.
     seconds
         Time of each step.
     """
@@ -283,5 +348,11 @@ class Calibration:
     hypotheses: tuple[Hypothesis, ...]
     margin: float | None
     predicted_error: tuple[tuple[float, float], ...]
-    detections: tuple[Detection | None, Detection | None]
+    weakest: WeakDirection | None
+    placements: tuple[Placement, ...]
     seconds: Mapping[str, float]
+
+    @property
+    def detections(self) -> tuple[Detection | None, Detection | None]:
+        """What was found in the target and in the source of the first placement."""
+        return self.placements[0].found if self.placements else (None, None)

@@ -1,14 +1,20 @@
-"""What a covariance means where it matters: at the far end of a scan."""
+"""What a covariance means where it matters: at the far end of a scan, and at the poles."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from . import se3
-from .datatypes import Array
+from .datatypes import Array, Stage, WeakDirection
 
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
+
+LEVER = 10.0
+"""Distance at which a turn is counted beside a shift in the condition number, metres."""
+
+ALONG = np.cos(np.radians(30.0))
+"""A direction within this angle of another goes by its name."""
 
 
 def predicted_error(
@@ -42,3 +48,55 @@ def predicted_error(
         variance = np.einsum("mij,jk,mik->m", J, covariance, J)
         predictions.append((distance, float(np.sqrt(variance.mean()))))
     return tuple(predictions)
+
+
+def covariance_at(covariance: Array, T: Array, point: Array) -> Array:
+    """Express a covariance about another point: (6, 6) over ``[φ, δ at the point]``.
+
+    Parameters
+    ----------
+    covariance
+        (6, 6) over ``[φ, δ]``, rad and m, target axes: δ is the shift of the source's origin.
+    T
+        (4, 4) the pose, target from source.
+    point
+        (3,) in the target frame: δ becomes the shift of what is there, ``δ + φ × (point − t)``.
+    """
+    J = np.eye(6)
+    J[3:, :3] = -se3.hat(point - T[:3, 3])
+    return np.asarray(J @ covariance @ J.T)
+
+
+def weakest_direction(stage: Stage, axis_points: Array, axis_directions: Array) -> WeakDirection:
+    """Name the direction in which the poles' place is least sure.
+
+    Parameters
+    ----------
+    stage
+        Pose with its covariance.
+    axis_points, axis_directions
+        (K, 3) the axes of the poles, target frame.
+    """
+    assert stage.covariance is not None
+    middle = axis_points.mean(axis=0)
+    at = covariance_at(stage.covariance, stage.T_target_source, middle)
+    values, vectors = np.linalg.eigh(at[3:, 3:])
+    direction, sigma = vectors[:, 2], float(np.sqrt(max(values[2], 0.0)))
+    # Poles have no sign: their mean direction is that of their scatter.
+    mean = np.linalg.eigh(axis_directions.T @ axis_directions)[1][:, 2]
+    between = axis_points[-1] - axis_points[0]
+    between = between - (between @ mean) * mean
+    between = between / max(float(np.linalg.norm(between)), 1e-9)
+    if abs(float(direction @ mean)) > ALONG:
+        name = "height along the poles"
+    elif abs(float(direction @ between)) > ALONG:
+        name = "sideways, from pole to pole"
+    elif abs(float(direction @ np.cross(mean, between))) > ALONG:
+        name = "across the plane of the poles"
+    else:
+        name = "aslant, along ({:+.2f} {:+.2f} {:+.2f}) of the target".format(*direction)
+    scale = np.diag([LEVER, LEVER, LEVER, 1.0, 1.0, 1.0])
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(scale @ at @ scale), 1e-30))
+    return WeakDirection(
+        direction, sigma, f"{name}: {100 * sigma:.1f} cm", float(spread[-1] / spread[0])
+    )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from .beam_alignment import BeamAlignment
 from .correspondence import widest_angle
-from .datatypes import Hypothesis, Pole, Reason
+from .datatypes import Hypothesis, Pole, Reason, WeakDirection
 from .errors import Refusal
 from .refinement import Refinement
+from .sensors import Sensor
 
 RIVAL_OVERLAP = 0.62
 RIVAL_FREE_SPACE = 0.025
@@ -33,6 +35,20 @@ freedom exceeds it once in 25,000 times."""
 
 FEW_POINTS = 12
 """Returns on a pole below which its line is weak."""
+
+FEW_RINGS = 3
+"""Beams on a pole up to which its direction is weak."""
+
+NOISE_RATIO, ANY_NOISE = 3.0, 0.03
+"""Returns on poles scatter no more than this many times the noise that the sensor's maker states,
+or, of a sensor not known, than this, metres."""
+
+WEAK_SIGMA = 0.05
+"""1 σ of the poles' place above which a direction is called weak, metres."""
+
+OFFSET_SHARE = 2.0
+"""By this factor a range offset or the radius, were they known, would sharpen the pose, before it
+is said that they are what limits it."""
 
 
 def margin_of(hypotheses: Sequence[Hypothesis]) -> float | None:
@@ -87,51 +103,115 @@ def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
 
 
 def weaknesses(
-    target: Sequence[Pole], source: Sequence[Pole], hypotheses: Sequence[Hypothesis]
+    paired: Sequence[tuple[Sequence[Pole], Sequence[Pole]]],
+    hypotheses: Sequence[Hypothesis],
+    aligned: BeamAlignment,
+    sensors: Sequence[Sensor | None],
+    weakest: WeakDirection,
+    refined: Refinement | None,
 ) -> list[Reason]:
     """Say what makes an answer weak that is good enough to give.
 
     Parameters
     ----------
-    target, source
-        The poles that the chosen hypothesis pairs, in the same order.
+    paired
+        Per placement, the poles of the target and of the source that the choice pairs.
     hypotheses
         All hypotheses, the chosen one first.
+    aligned
+        The poles' pose.
+    sensors
+        What the target and the source are; None where not known.
+    weakest
+        The direction in which the answer is least sure.
+    refined
+        The pose of poles and scene; None where the scene was not asked, or had nothing to say.
     """
-    reasons = []
+    return [
+        *_weak_choice(hypotheses),
+        *_weak_poles(paired),
+        *_noisy_poles(aligned, sensors),
+        *_weak_pose(aligned, weakest),
+        *check_pull(refined),
+    ]
+
+
+def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:
     margin = margin_of(hypotheses)
     if margin is not None and margin < WARN_MARGIN:
-        reasons.append(
-            Reason(
-                "small_margin",
-                f"the chosen hypothesis leads by {margin:.3f} only (comfortable: {WARN_MARGIN:g}); "
-                "look at the hypotheses in the report before you use the transform",
-                {"margin": margin, "comfortable": WARN_MARGIN},
-            )
+        yield Reason(
+            "small_margin",
+            f"the chosen hypothesis leads by {margin:.3f} only (comfortable: {WARN_MARGIN:g}); "
+            "look at the hypotheses in the report before you use the transform",
+            {"margin": margin, "comfortable": WARN_MARGIN},
         )
-    angle = min(widest_angle(target), widest_angle(source))
+
+
+def _weak_poles(paired: Sequence[tuple[Sequence[Pole], Sequence[Pole]]]) -> Iterator[Reason]:
+    angle = widest_angle([pole for target, _ in paired for pole in target])
     if angle < WEAK_ANGLE:
         degrees = float(np.degrees(angle))
-        reasons.append(
-            Reason(
-                "nearly_parallel_poles",
-                f"the poles are {degrees:.1f}° apart, which leaves height weak; lean one by 15° "
-                "or more",
-                {"angle_deg": degrees},
-            )
+        yield Reason(
+            "nearly_parallel_poles",
+            f"the poles are {degrees:.1f}° apart, which leaves height weak; lean one by 15° "
+            "or more",
+            {"angle_deg": degrees},
         )
-    for name, poles in (("target", target), ("source", source)):
-        fewest = min(len(pole.xyz) for pole in poles)
-        if fewest < FEW_POINTS:
-            reasons.append(
-                Reason(
-                    "few_points",
-                    f"a pole has {fewest} returns from the {name} LiDAR; move it nearer or record "
-                    "more frames",
-                    {"lidar": name, "points": fewest},
-                )
+    for side, name in enumerate(("target", "source")):
+        poles = [pole for pair in paired for pole in pair[side]]
+        points, rings = min(len(p.xyz) for p in poles), min(p.rings for p in poles)
+        if points < FEW_POINTS:
+            yield Reason(
+                "few_points",
+                f"a pole has {points} returns from the {name} LiDAR; move it nearer or record "
+                "more frames",
+                {"lidar": name, "points": points},
             )
-    return reasons
+        elif rings <= FEW_RINGS:
+            yield Reason(
+                "few_rings",
+                f"a pole meets {rings} beams of the {name} LiDAR; move it nearer, or take a longer "
+                "one",
+                {"lidar": name, "rings": rings},
+            )
+
+
+def _noisy_poles(aligned: BeamAlignment, sensors: Sequence[Sensor | None]) -> Iterator[Reason]:
+    for name, noise, sensor in zip(("target", "source"), aligned.noise, sensors, strict=True):
+        expected = ANY_NOISE if sensor is None else sensor.range_noise
+        allowed = ANY_NOISE if sensor is None else NOISE_RATIO * sensor.range_noise
+        if noise > allowed:
+            yield Reason(
+                "noisy_poles",
+                f"the {name}'s returns on the poles scatter by {1000 * noise:.0f} mm along the "
+                f"beam, {1000 * allowed:.0f} mm are the most to expect: is --radius right, and "
+                "did the poles stand still?",
+                {"lidar": name, "noise_m": noise, "expected_m": expected},
+            )
+
+
+def _weak_pose(aligned: BeamAlignment, weakest: WeakDirection) -> Iterator[Reason]:
+    if weakest.sigma > WEAK_SIGMA:
+        yield Reason(
+            "weak_direction",
+            f"least sure is {weakest.words} (1 σ); lean the poles more against each other, move "
+            "them nearer, or add a placement",
+            {"sigma_m": weakest.sigma, "allowed_m": WEAK_SIGMA, "condition": weakest.condition},
+        )
+        assert aligned.stage.covariance is not None
+        with_offset, without = (
+            float(np.sqrt(np.trace(c[3:, 3:])))
+            for c in (aligned.stage.covariance, aligned.covariance_sure)
+        )
+        if with_offset > OFFSET_SHARE * without:
+            yield Reason(
+                "offset_not_separable",
+                "the returns cannot tell the pose from a range offset that the tape may cause, or "
+                f"from an error of the radius: with these known the poles' pose would be sure to "
+                f"{100 * without:.1f} cm, so it is to {100 * with_offset:.1f} cm; put poles on "
+                "different sides of the LiDARs",
+                {"sigma_m": with_offset, "sigma_if_known_m": without},
+            )
 
 
 def check_pull(refined: Refinement | None) -> list[Reason]:

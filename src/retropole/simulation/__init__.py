@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,7 @@ __all__ = [
     "Rectangle",
     "SimulatedPair",
     "SimulationError",
+    "place_again",
     "scan",
     "simulate_pair",
     "write_pair",
@@ -75,6 +76,8 @@ class SimulatedPair:
         Per pole, how many points the target and the source have on it.
     sensors
         The two models.
+    clear
+        Half sides of the ground, about the world's origin, where poles may stand, metres.
     """
 
     target: PointCloud
@@ -87,6 +90,7 @@ class SimulatedPair:
     labels: tuple[IntArray, IntArray]
     returns_on_poles: tuple[tuple[int, int], ...]
     sensors: tuple[Sensor, Sensor]
+    clear: tuple[float, float] = (0.0, 0.0)
 
 
 def _seen(scanned: Scan, label: int) -> tuple[int, bool]:
@@ -210,11 +214,50 @@ def simulate_pair(
         poses = (target_pose, source_pose)
         pair, enough = _pair(surfaces, standing, poses, sensors, rng, noise, frames)
         if enough:
-            return pair
+            return replace(pair, clear=place.clear)
     raise SimulationError(
         f"{MAX_DRAWS} draws of {scene!r} gave none where {sensors[0].name} and {sensors[1].name} "
         f"both see {poles} poles with {MIN_RETURNS} returns on {MIN_RINGS} rings"
     )
+
+
+def place_again(
+    pair: SimulatedPair,
+    rng: np.random.Generator,
+    *,
+    nuisances: Nuisances = TYPICAL,
+    frames: int = 1,
+) -> SimulatedPair:
+    """Set the poles of a pair anew, before the same LiDARs in the same surroundings.
+
+    Parameters
+    ----------
+    pair
+        From `simulate_pair`; its poles are taken away.
+    rng, nuisances, frames
+        As there.
+
+    Raises
+    ------
+    SimulationError
+        No arrangement was found in which both LiDARs see every pole.
+    """
+    count, radius = len(pair.poles), pair.poles[0].radius
+    surroundings = list(pair.surfaces[:-count])
+    angles = float(np.radians(15)), float(np.radians(60))
+    for _ in range(MAX_DRAWS):
+        standing = (
+            draw_poles(rng, count, pair.clear, angles, radius)
+            if min(pair.clear) > 0
+            else paper.draw_poles(rng, radius)
+        )
+        if standing is None:
+            continue
+        poses = pair.T_world_target, pair.T_world_source
+        again, enough = _pair(surroundings, standing, poses, pair.sensors, rng, nuisances, frames)
+        if enough:
+            return replace(again, clear=pair.clear)
+    raise SimulationError(f"{MAX_DRAWS} draws gave no other place for {count} poles")
 
 
 def write_pair(pair: SimulatedPair, out: Path) -> None:

@@ -14,7 +14,7 @@ RADIUS = 0.02
 NOISE = Nuisances(0.0, 0.006, 0.0, False, 0.0, 0.0, 0.0)
 """Zero-mean Gaussian of 6 mm in each coordinate, and nothing else."""
 
-POLE_LENGTH = 2.0
+POLE_LENGTH = 6.0
 """Centred on z = 0. The paper names none; with poles of 2 m, which a person carries, its estimator
 comes to the error that was measured at its set-up, with 6 m it is a sixth better, with 1 m half as
 bad again."""

@@ -1,0 +1,151 @@
+"""The poles alone at the paper's simulated set-up, beside the Cramér–Rao bound (M7, eq. 12).
+
+Each set-up is drawn anew and each trial draws its noise: the paper's estimator, the beam model, and
+errors drawn from the bound of the same set-up. Prints a Markdown table of e_rt.
+
+    python benchmarks/bound.py --setups 200 --trials 10
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+
+import numpy as np
+
+from retropole import se3
+from retropole.alignment import align_poles
+from retropole.beam_alignment import align_beams
+from retropole.beam_model import SHARED, State, look
+from retropole.beams import arc_likelihood
+from retropole.datatypes import Array, PointCloud, Pole
+from retropole.evaluation import e_rt
+from retropole.pole_beams import Beams, beams_of
+from retropole.simulation import EXACT, SimulatedPair, simulate_pair
+
+SIGMA = 0.006
+DRAWS = 200
+"""Noisy versions of each return over which its Fisher information is averaged."""
+
+Poles = tuple[list[Pole], list[Pole]]
+
+
+def poles_of(pair: SimulatedPair, noise: str, rng: np.random.Generator) -> Poles:
+    """Give the returns on the poles, with noise, as poles with fitted lines."""
+    both = []
+    for cloud, labels in zip((pair.target, pair.source), pair.labels, strict=True):
+        first = len(pair.surfaces) - len(pair.poles)
+        poles = []
+        for k in range(len(pair.poles)):
+            index = np.flatnonzero(labels == first + k)
+            xyz = cloud.xyz[index]
+            if noise == "isotropic":
+                xyz = xyz + SIGMA * rng.normal(size=xyz.shape)
+            elif noise == "along the beam":
+                ranges = np.linalg.norm(xyz, axis=1, keepdims=True)
+                xyz = xyz * (1 + SIGMA * rng.normal(size=ranges.shape) / ranges)
+            centre = xyz.mean(axis=0)
+            n = np.linalg.svd(xyz - centre, full_matrices=False)[2][0]
+            assert cloud.ring is not None
+            rings = len(np.unique(cloud.ring[index]))
+            poles.append(Pole(centre, n, xyz, float(np.ptp((xyz - centre) @ n)), 0.0, rings, index))
+        both.append(poles)
+    return both[0], both[1]
+
+
+def as_beams(pair: SimulatedPair, poles: Poles) -> tuple[Beams, Beams]:
+    clouds: tuple[PointCloud, PointCloud] = (pair.target, pair.source)
+    target, source = (
+        beams_of(some, [replace(cloud)] * len(some))
+        for some, cloud in zip(poles, clouds, strict=True)
+    )
+    return target, source
+
+
+def truth_of(pair: SimulatedPair) -> State:
+    T = se3.inverse(pair.T_world_target)
+    return State(
+        pair.T_target_source,
+        np.zeros(2),
+        pair.poles[0].radius,
+        se3.apply(T, np.array([pole.centre for pole in pair.poles])),
+        np.array([pole.axis for pole in pair.poles]) @ T[:3, :3].T,
+    )
+
+
+def bound(pair: SimulatedPair, noise: str, rng: np.random.Generator) -> Array:
+    """Cramér–Rao bound (6, 6) of the pose; radius known, axes estimated, no offsets.
+
+    Noise along the beam: the beams are known, a return tells its range. Isotropic noise: which beam
+    a return came from is not known, so its place on the facing side is integrated out.
+    """
+    truth = truth_of(pair)
+    beams = as_beams(pair, poles_of(pair, "none", rng))
+    information = np.zeros((SHARED + 4 * len(pair.poles),) * 2)
+    for i, one in enumerate(beams):
+        if noise == "along the beam":
+            sight = look(truth, i, one.origin, one.directions, one.ranges, one.pole)
+            chord = np.sqrt(np.maximum(truth.radius**2 - sight.miss**2, 1e-12))
+            slope = sight.jacobian[:, 0] + (sight.miss / chord)[:, None] * sight.jacobian[:, 1]
+            slope /= (SIGMA * sight.sine)[:, None]
+            information += slope.T @ slope
+            continue
+        for _ in range(DRAWS):
+            xyz = one.ranges[:, None] * one.directions
+            xyz = xyz + SIGMA * rng.normal(size=xyz.shape)
+            ranges = np.linalg.norm(xyz, axis=1)
+            sight = look(truth, i, one.origin, xyz / ranges[:, None], ranges, one.pole)
+            sigma = np.full(len(ranges), SIGMA)
+            arc = arc_likelihood(sight.depth, sight.miss, sigma, sigma, truth.radius)
+            slope = np.einsum("na,nai->ni", arc.score[:, :2], sight.jacobian)
+            information += slope.T @ slope / DRAWS
+    free = np.r_[0:6, SHARED : len(information)]
+    return np.asarray(np.linalg.inv(information[np.ix_(free, free)])[:6, :6])
+
+
+def run(job: tuple[int, str, int]) -> list[tuple[float, float, float]]:
+    """e_rt of the paper's estimator, of ours, and of a draw from the bound, for each trial."""
+    seed, noise, trials = job
+    rng = np.random.default_rng([seed, 1])
+    pair = simulate_pair("paper", np.random.default_rng(seed), nuisances=EXACT)
+    T = pair.T_target_source
+    limit = np.zeros((6, 6)) if noise == "none" else bound(pair, noise, rng)
+    errors = []
+    for _ in range(trials):
+        target, source = poles_of(pair, noise, rng)
+        paper = align_poles(
+            [(pole.point, pole.direction) for pole in target], [pole.xyz for pole in source], T
+        ).T_target_source
+        ours = align_beams(*as_beams(pair, (target, source)), paper, radius=0.02, bias=0.0)
+        drawn = se3.retract(T, rng.multivariate_normal(np.zeros(6), limit))
+        errors.append((e_rt(paper, T), e_rt(ours.stage.T_target_source, T), e_rt(drawn, T)))
+    return errors
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--setups", type=int, default=200)
+    parser.add_argument("--trials", type=int, default=10)
+    parser.add_argument("--processes", type=int, default=2)
+    arguments = parser.parse_args()
+    print("| noise, 6 mm | e_rt m | paper's estimator | beam model | bound | beam model / bound |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
+        for noise in ("isotropic", "along the beam", "none"):
+            trials = 1 if noise == "none" else arguments.trials
+            jobs = [(seed, noise, trials) for seed in range(arguments.setups)]
+            errors = np.concatenate(list(pool.map(run, jobs, chunksize=4)))
+            for name, row in (
+                ("median", np.median(errors, axis=0)),
+                ("mean", np.mean(errors, axis=0)),
+                ("90 %", np.quantile(errors, 0.9, axis=0)),
+            ):
+                ratio = "" if noise == "none" else f"{row[1] / row[2]:.2f}"
+                cells = " | ".join(f"{value:.4f}" for value in row)
+                print(f"| {noise} | {name} | {cells} | {ratio} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
