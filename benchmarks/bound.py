@@ -56,10 +56,11 @@ def poles_of(pair: SimulatedPair, noise: str, rng: np.random.Generator) -> Poles
 
 
 def as_beams(pair: SimulatedPair, poles: Poles) -> tuple[Beams, Beams]:
+    """Turn poles into beams, which have no width in this set-up."""
+    thin = replace(pair.sensors[0], divergence=0.0)
     clouds: tuple[PointCloud, PointCloud] = (pair.target, pair.source)
     target, source = (
-        beams_of(some, [replace(cloud)] * len(some))
-        for some, cloud in zip(poles, clouds, strict=True)
+        beams_of(some, [cloud] * len(some), thin) for some, cloud in zip(poles, clouds, strict=True)
     )
     return target, source
 

@@ -30,12 +30,9 @@ of beams that it counts for beside those of the poles themselves."""
 MIN_NOISE = 2e-5
 """Least noise of a return, metres."""
 
-MIN_SIDEWAYS = 1 / 15
-"""Least noise sideways, of that in depth: an edge of the pole is no wall."""
-
-SURE_SIDEWAYS = 1 / 5
-"""The same for the covariance. Where the edges of the pole say most, the likelihood is no parabola,
-and its curvature at the top promises too much."""
+MIN_SIDEWAYS = 1 / 5
+"""Least noise sideways, of that in depth. With less, the edges of the pole are walls: the posterior
+is no parabola, its curvature promises too much, and the climb takes long."""
 
 START_NOISE = (0.005, 0.5)
 """Bounds of the noise that the search starts from, metres."""
@@ -56,7 +53,7 @@ parameter's own 1 σ."""
 def maximise(state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors) -> Fit:
     """Climb to the nearest maximum of the posterior, noise and all (Levenberg–Marquardt)."""
     floor = np.log(MIN_NOISE)
-    now = evaluate(state, np.maximum(log_noise, floor), beams, priors, MIN_SIDEWAYS)
+    now = evaluate(state, np.maximum(log_noise, floor), beams, priors)
     damping, polish = 1e-4, 0
     for _ in range(MAX_ITERATIONS):
         scale = np.sqrt(np.diag(now.safe_information)) + 1e-12
@@ -68,7 +65,7 @@ def maximise(state: State, log_noise: Array, beams: Sequence[Beams], priors: Pri
             # Returns sharp in depth and blurred sideways would fall between the nodes.
             noise[:, 0] = np.maximum(noise[:, 0], noise[:, 1] - np.log(2.0))
             noise[:, 1] = np.maximum(noise[:, 1], noise[:, 0] + np.log(MIN_SIDEWAYS))
-        new = evaluate(now.state.moved(step / scale), noise, beams, priors, MIN_SIDEWAYS)
+        new = evaluate(now.state.moved(step / scale), noise, beams, priors)
         gain = new.log - now.log
         if gain >= -1e-9 * abs(now.log):
             now, damping = new, max(damping / 10.0, 1e-9)
@@ -164,9 +161,8 @@ def align_beams(
             "pole",
             {"noise_m": float(sigma[:, 0].max()), "inliers": fit.inliers, "points": total},
         )
-    top = evaluate(fit.state, fit.log_noise, (target, source), priors, SURE_SIDEWAYS)
-    covariance = _covariance(top)
-    sure = _covariance(top, known=slice(6, SHARED))
+    covariance = _covariance(fit)
+    sure = _covariance(fit, known=slice(6, SHARED))
     turn, shift = (
         float(np.sqrt(np.linalg.eigvalsh(covariance[i, i])[-1])) for i in (slice(3), slice(3, 6))
     )

@@ -130,9 +130,7 @@ class Priors:
     radius_sigma: float
 
 
-def evaluate(
-    state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors, least: float
-) -> Fit:
+def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors) -> Fit:
     """Posterior of the state under given noise, its slopes, and where the noise should go."""
     size = SHARED + 4 * len(state.points)
     x, prior = np.zeros(size), np.zeros(size)
@@ -143,7 +141,6 @@ def evaluate(
     noise_step, inliers, rings = np.zeros((2, 2)), 0.0, []
     for i, one in enumerate(beams):
         sigma = np.exp(log_noise[i])
-        sigma[1] = max(sigma[1], least * sigma[0])
         sight = look(state, i, one.origin, one.directions, one.ranges, one.pole)
         sigma_depth = np.hypot(sigma[0] * sight.sine, sigma[1] * np.sqrt(1.0 - sight.sine**2))
         sigma_miss = np.full_like(sigma_depth, sigma[1])
