@@ -34,6 +34,12 @@ NEIGHBOURS = 16
 MAX_THICKNESS = 0.03
 """RMS distance of a patch's points from its plane, metres, above which it is no surface."""
 
+MAX_LEVERAGE = 0.35
+"""Share of a patch's lesser extent that a single point may account for."""
+
+MIN_THICKNESS = 0.001
+"""Least RMS thickness of a patch, metres: no surface is flatter, nor any LiDAR finer."""
+
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
@@ -84,12 +90,15 @@ class Patches:
         (M, 3) unit vectors from the beam origin to the centres.
     tilt
         (M,) variance of the normals, rad².
+    thickness
+        (M,) variance of the points across the patch, m².
     """
 
     centres: Array
     normals: Array
     rays: Array
     tilt: Array
+    thickness: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +115,9 @@ class Pairs:
         (P, 3, 6) derivative of the place of the source's patch.
     normal, tilt
         (P, 3) the mean normal, (P,) its variance, rad².
+    variance
+        (P,) of the residual as the patches' own scatter has it, m²: of their centres, and of their
+        normals over the distance between the centres.
     cluster, beam_target, beam_source
         (P,) which residuals share a place, a beam of the target, a beam of the source.
     range_target, range_source
@@ -117,6 +129,7 @@ class Pairs:
     levers: Array
     normal: Array
     tilt: Array
+    variance: Array
     cluster: IntArray
     beam_target: IntArray
     beam_source: IntArray
@@ -152,7 +165,8 @@ def surface_patches(cloud: PointCloud) -> Patches:
     """Fit planes to the neighbourhoods of a thinned cloud and keep the flat ones."""
     points = thin(cloud.xyz, VOXEL)
     if len(points) < NEIGHBOURS:
-        return Patches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+        none, nothing = np.zeros((0, 3)), np.zeros(0)
+        return Patches(none, none, none, nothing, nothing)
     tree = small_gicp.KdTree(points, num_threads=THREADS)
     at = points[:: 1 + len(points) // MAX_PATCHES]
     index, _ = tree.batch_knn_search(at, NEIGHBOURS, num_threads=THREADS)
@@ -163,12 +177,21 @@ def surface_patches(cloud: PointCloud) -> Patches:
     values, vectors = np.linalg.eigh(spread)
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < 0.1 * values[:, 1]
+    # Of a row and one point beside it the plane goes through that point, whatever its error.
+    aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
+    flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
     centres, normals = centres[flat], vectors[flat, :, 0]
     rays = centres - cloud.origin
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     away = np.einsum("mi,mi->m", normals, rays) > 0
-    tilt = values[flat, 0] / (NEIGHBOURS * values[flat, 1])
-    return Patches(centres, np.where(away[:, None], -normals, normals), rays, tilt)
+    # A plane goes through a point that lies apart from the others, whatever its error: a patch is
+    # not taken for thinner than most are.
+    thickness = (
+        np.maximum(values[flat, 0], np.median(values[flat, 0])) if flat.any() else values[flat, 0]
+    )
+    tilt = thickness / (NEIGHBOURS * values[flat, 1])
+    normals = np.where(away[:, None], -normals, normals)
+    return Patches(centres, normals, rays, tilt, np.maximum(thickness, MIN_THICKNESS**2))
 
 
 def refine(
@@ -204,15 +227,18 @@ def refine(
         if pairs is None:
             return None
         r, J = pairs.residuals, pairs.jacobian
-        sigma = max(1.4826 * float(np.median(np.abs(r))), MIN_SIGMA)
-        weights = 1.0 / (1.0 + (r / (2.0 * sigma)) ** 2) ** 2
-        held = _held(pairs, weights / sigma**2)
-        JW = (J * (weights / sigma**2)[:, None]) @ held
-        H = held.T @ (J.T * (weights / sigma**2)) @ J @ held + prior
+        spread = np.sqrt(pairs.variance)
+        scale = max(1.4826 * float(np.median(np.abs(r) / spread)), MIN_SIGMA)
+        spread = scale * spread
+        weights = 1.0 / (spread * (1.0 + (r / (2.0 * spread)) ** 2)) ** 2
+        held = _held(pairs, weights)
+        J = J @ held
+        JW = J * weights[:, None]
+        H = JW.T @ J + prior
         gradient = JW.T @ r + prior @ se3.local(poles.T_target_source, T)
         step = -np.asarray(np.linalg.solve(H, gradient), dtype=np.float64)
         T = se3.retract(T, step)
-        covariance = _covariance(H, JW, pairs, prior)
+        covariance = _covariance(H, J, JW, pairs, prior)
         if np.linalg.norm(step[:3]) < STEP_ROTATION and np.linalg.norm(step[3:]) < STEP_TRANSLATION:
             break
     e = se3.local(poles.T_target_source, T)
@@ -261,6 +287,8 @@ def _pairs(
         levers=lever[s],
         normal=normal,
         tilt=(source.tilt[s] + target.tilt[t]) / 4,
+        variance=(source.thickness[s] + target.thickness[t]) / NEIGHBOURS
+        + (source.tilt[s] + target.tilt[t]) / 4 * distance[s] ** 2,
         cluster=_labels(np.floor(moved[s] / CLUSTER)),
         beam_target=_labels(np.floor(np.arcsin(target.rays[t, 2:]) / BEAM)),
         beam_source=_labels(np.floor(np.arcsin(source.rays[s, 2:]) / BEAM)),
@@ -299,23 +327,33 @@ def _labels(cells: Array) -> IntArray:
 
 def _grouped(rows: Array, label: IntArray) -> Array:
     """Outer products of the sums of rows (P, 6) over each label, added up: (6, 6)."""
-    sums = np.stack([np.bincount(label, weights=column) for column in rows.T], axis=1)
+    sums = _summed(rows, label)
     return np.asarray(sums.T @ sums)
 
 
-def _covariance(H: Array, JW: Array, pairs: Pairs, prior: Array) -> Array:
+def _summed(rows: Array, label: IntArray) -> Array:
+    """Sums of rows (P, D) over each label."""
+    return np.stack([np.bincount(label, weights=column) for column in rows.T], axis=1)
+
+
+def _covariance(H: Array, J: Array, JW: Array, pairs: Pairs, prior: Array) -> Array:
     """Covariance of the minimum, of residuals that are anything but independent.
 
-    ``H⁻¹ (Σ_c g_c g_cᵀ + Σ_b s_b s_bᵀ σ_b² + Σ_poles⁻¹) H⁻¹``: g_c is the gradient of all residuals
-    at one place, correlated as they please (Liang and Zeger 1986); s_b is what a range error shared
-    by all returns of beam b does to the gradient. The first is seen in the residuals; the second
-    moves the answer and leaves few traces there, so its size is an assumption, `RANGE_BIAS`.
+    ``Σ_c d_c d_cᵀ + H⁻¹ (Σ_b s_b s_bᵀ σ_b² + Σ_poles⁻¹) H⁻¹``: ``d_c = (H − H_c)⁻¹ g_c`` is how far
+    the answer goes without all residuals at one place, which may be correlated as they please (the
+    jackknife over clusters, Bell and McCaffrey 2002); s_b is what a range error shared by all
+    returns of beam b does to the gradient. The first is seen in the residuals; the second moves the
+    answer and leaves few traces there, so its size is an assumption, `RANGE_BIAS`.
     """
-    meat = _grouped(JW * pairs.residuals[:, None], pairs.cluster) + prior
+    slopes = _summed(JW * pairs.residuals[:, None], pairs.cluster)
+    outer = (JW[:, :, None] * J[:, None, :]).reshape(-1, 36)
+    without = H - _summed(outer, pairs.cluster).reshape(-1, 6, 6)
+    moves = np.linalg.solve(without, slopes[:, :, None])[:, :, 0]
+    meat = prior
     for beam, derivative in (
         (pairs.beam_target, pairs.range_target),
         (pairs.beam_source, pairs.range_source),
     ):
         meat = meat + _grouped(JW * derivative[:, None], beam) * RANGE_BIAS**2
     inverse = np.linalg.inv(H)
-    return np.asarray(inverse @ meat @ inverse)
+    return np.asarray(inverse @ meat @ inverse + moves.T @ moves)
