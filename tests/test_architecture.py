@@ -13,7 +13,7 @@ LAYERS = [
     {
         *("io", "sensors", "extraction", "frames", "correspondence", "prior", "placements"),
         *("alignment", "beams", "pole_beams", "beam_model", "beam_alignment"),
-        *("disambiguation", "registration", "refinement", "uncertainty"),
+        *("disambiguation", "registration", "refinement", "patches", "uncertainty"),
         *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
     },
     {"pipeline"},

@@ -4,8 +4,9 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Array, PointCloud, Stage
 from retropole.evaluation import e_rt
+from retropole.patches import surface_patches
 from retropole.pipeline import calibrate
-from retropole.refinement import _pairs, cKDTree, refine, surface_patches
+from retropole.refinement import _pairs, cKDTree, refine
 from retropole.simulation import simulate_pair
 from retropole.verdict import check_pull
 

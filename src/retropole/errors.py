@@ -53,3 +53,7 @@ class Refusal(RetropoleError):
         self.code = code
         self.message = message
         self.values = dict(values or {})
+
+    def __reduce__(self) -> tuple[type[Refusal], tuple[str, str, dict[str, float | int | str]]]:
+        """Rebuild from all three, so that a refusal gets across processes."""
+        return Refusal, (self.code, self.message, self.values)

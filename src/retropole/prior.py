@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from . import se3
 from .datatypes import Array, Match
-from .errors import Refusal
+from .errors import Refusal, UsageError
 
 MAX_SIGMAS = 3.0
 """A hypothesis that lies further from the prior, in 1 σ of it, is passed over."""
@@ -38,6 +39,26 @@ class RotationPrior:
         else:
             angle = se3.rotation_angle(T[:3, :3] @ self.rotation.T)
         return angle / self.sigma
+
+
+def rotation_prior(
+    up: bool, rpy_deg: Sequence[float] | None, sigma_deg: float
+) -> RotationPrior | None:
+    """Take the prior as a user gives it: upright, or roll, pitch and yaw in degrees, or neither.
+
+    Raises
+    ------
+    UsageError
+        Where both are given.
+    """
+    if up and rpy_deg is not None:
+        raise UsageError("--up and --prior-rpy-deg exclude each other")
+    sigma = float(np.radians(sigma_deg))
+    if rpy_deg is not None:
+        # Lower case: about fixed axes, x first, which is what ROS calls rpy.
+        rotation = Rotation.from_euler("xyz", np.radians(rpy_deg)).as_matrix()
+        return RotationPrior(np.asarray(rotation), sigma)
+    return RotationPrior(None, sigma) if up else None
 
 
 def agreeing(matches: Sequence[Match], prior: RotationPrior | None) -> list[Match]:

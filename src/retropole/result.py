@@ -14,7 +14,16 @@ import msgspec
 import numpy as np
 
 from . import __version__
-from .datatypes import Array, Calibration, Detection, Hypothesis, Pole, Stage
+from .datatypes import (
+    Array,
+    Calibration,
+    Detection,
+    Hypothesis,
+    Placement,
+    Pole,
+    Stage,
+    WeakDirection,
+)
 
 SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
@@ -107,6 +116,24 @@ class ErrorAtRange(msgspec.Struct):
     sigma_m: float
 
 
+class WeakestDoc(msgspec.Struct):
+    """The direction in which the pose is least sure, at the poles, target axes."""
+
+    direction: list[float]
+    sigma_m: float
+    words: str
+    condition: float
+
+
+class PlacementDoc(msgspec.Struct):
+    """One of several placements: its poles, and how far the pose without it is from the whole."""
+
+    poles_target: int
+    poles_source: int
+    left_out_rotation_rad: float | None
+    left_out_translation_m: float | None
+
+
 class ResultDoc(msgspec.Struct, kw_only=True):
     """The whole document."""
 
@@ -118,10 +145,12 @@ class ResultDoc(msgspec.Struct, kw_only=True):
     covariance_order: tuple[str, ...] = COVARIANCE_ORDER
     covariance_frame: str = COVARIANCE_FRAME
     predicted_error: list[ErrorAtRange] | None
+    weakest: WeakestDoc | None = None
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
     margin: float | None
     poles: PolesDoc
+    placements: list[PlacementDoc] = []
     inputs: list[InputDoc]
     config: dict[str, Any]
     version: str
@@ -162,6 +191,22 @@ def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
         score=hypothesis.score,
         chosen=chosen,
     )
+
+
+def _weakest(weakest: WeakDirection | None) -> WeakestDoc | None:
+    if weakest is None:
+        return None
+    return WeakestDoc(weakest.direction.tolist(), weakest.sigma, weakest.words, weakest.condition)
+
+
+def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
+    """Write several placements; a single one is told by the rest of the document."""
+    if len(placements) < 2:
+        return []
+    return [
+        PlacementDoc(len(p.target_poles), len(p.source_poles), *(p.left_out or (None, None)))
+        for p in placements
+    ]
 
 
 def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
@@ -224,6 +269,7 @@ def result_document(
             ErrorAtRange(range_m, sigma) for range_m, sigma in calibration.predicted_error
         ]
         or None,
+        weakest=_weakest(calibration.weakest),
         stages=StagesDoc(_stage(calibration.poles), _stage(calibration.refined)),
         hypotheses=[
             _hypothesis(h, answered and k == 0) for k, h in enumerate(calibration.hypotheses)
@@ -233,6 +279,7 @@ def result_document(
             pole_documents(found[0].poles if found[0] else ()),
             pole_documents(found[1].poles if found[1] else ()),
         ),
+        placements=_placements(calibration.placements),
         inputs=list(inputs),
         config=config,
         version=__version__,

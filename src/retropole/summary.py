@@ -52,6 +52,10 @@ def _number(value: float | None, digits: int) -> str:
     return "unknown" if value is None else f"{value:.{digits}f}"
 
 
+def _degrees(value: float | None) -> float | None:
+    return None if value is None else float(np.degrees(value))
+
+
 def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
     return [
         f"{chr(ord('a') + k)}{' *' if hypothesis.chosen else ''}",
@@ -105,8 +109,9 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
     written
         Paths of the files that hold it.
     """
-    target, source = result.inputs
-    parts = [_input_line("target", target), _input_line("source", source), ""]
+    names = ("target", "source")
+    parts = [_input_line(names[k % 2], document) for k, document in enumerate(result.inputs)]
+    parts.append("")
     poles = _pole_rows("target", result.poles.target) + _pole_rows("source", result.poles.source)
     if poles:
         parts += [table(_POLE_HEADER, poles), ""]
@@ -124,6 +129,20 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
                 f"{100 * e.sigma_m:.1f} cm at {e.range_m:g} m" for e in result.predicted_error
             )
             parts.append(f"  predicted error, 1 sigma: {at}")
+        if result.weakest is not None:
+            parts.append(f"  least sure, 1 sigma: {result.weakest.words}")
+        if result.placements:
+            rows = [
+                [
+                    f"{k}",
+                    f"{p.poles_target} + {p.poles_source}",
+                    _number(_degrees(p.left_out_rotation_rad), 3),
+                    _number(p.left_out_translation_m, 4),
+                ]
+                for k, p in enumerate(result.placements)
+            ]
+            header = ("placement", "poles", "without it: deg", "m")
+            parts += ["", table(header, rows)]
         parts.append("")
     parts.append(f"verdict: {result.status}")
     parts += [f"  {reason.code}: {reason.message}" for reason in result.reasons]

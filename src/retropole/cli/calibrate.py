@@ -19,8 +19,16 @@ from .common import (
 
 
 @click.command(context_settings=CONTEXT)
-@click.argument("target", type=CLOUD)
-@click.argument("source", type=CLOUD)
+@click.argument("target", type=CLOUD, required=False)
+@click.argument("source", type=CLOUD, required=False)
+@click.option(
+    "--placement",
+    "placements",
+    type=(CLOUD, CLOUD),
+    multiple=True,
+    metavar="TARGET SOURCE",
+    help="Instead of TARGET and SOURCE: one placement of the poles of several; repeat it.",
+)
 @click.option(
     "--out",
     type=OUT,
@@ -29,6 +37,13 @@ from .common import (
     help="Folder for result.json and report.html.",
 )
 @radius_option
+@click.option(
+    "--radius-sigma",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    show_default=True,
+    help="1 sigma of the radius, m; above 0 the radius is estimated.",
+)
 @click.option("--sensor-target", default="auto", show_default=True, help=SENSOR_HELP)
 @click.option("--sensor-source", default="auto", show_default=True, help="The same for SOURCE.")
 @click.option(
@@ -43,6 +58,20 @@ from .common import (
     type=click.IntRange(min=2),
     help="Exact number of poles that both see.  [default: any, at least 2]",
 )
+@click.option("--up", is_flag=True, help="Both LiDARs stand roughly upright: choose by it.")
+@click.option(
+    "--prior-rpy-deg",
+    type=(float, float, float),
+    metavar="R P Y",
+    help="Expected roll, pitch and yaw of the source in the target's frame: choose by it.",
+)
+@click.option(
+    "--prior-sigma-deg",
+    type=click.FloatRange(min=0, min_open=True),
+    default=10.0,
+    show_default=True,
+    help="1 sigma of --up or --prior-rpy-deg.",
+)
 @click.option("--no-refine", "refine", flag_value=False, default=True, help="Use the poles only.")
 @click.option(
     "--seed",
@@ -54,15 +83,20 @@ from .common import (
 @click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def calibrate(
-    target: Path,
-    source: Path,
+    target: Path | None,
+    source: Path | None,
+    placements: tuple[tuple[Path, Path], ...],
     out: Path,
     radius: float,
+    radius_sigma: float,
     sensor_target: str,
     sensor_source: str,
     threshold_target: float | None,
     threshold_source: float | None,
     poles: int | None,
+    up: bool,
+    prior_rpy_deg: tuple[float, float, float] | None,
+    prior_sigma_deg: float,
     refine: bool,
     seed: int,
     as_json: bool,
@@ -79,6 +113,8 @@ def calibrate(
       retropole calibrate front.pcd rear.pcd --radius 0.03 --out today
       retropole calibrate front/ rear/ --sensor-target VLP-16 --threshold-source 150
       retropole calibrate front.pcd rear.pcd --json | jq .T_target_source
+      retropole calibrate front.pcd rear.pcd --up
+      retropole calibrate --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
 
     \b
     Exit code:
@@ -92,29 +128,39 @@ def calibrate(
 
     from ..files import write_atomically
     from ..pipeline import calibrate as run
+    from ..prior import rotation_prior
     from ..report import render_report
     from ..result import encode, result_document
     from ..summary import describe_result
 
+    pairs = _pairs(target, source, placements)
+    prior = rotation_prior(up, prior_rpy_deg, prior_sigma_deg)
     with progress_on_terminal(quiet) as progress:
         progress("read")
         start = time.perf_counter()
-        inputs = (
-            read_input(target, sensor_target, threshold_target),
-            read_input(source, sensor_source, threshold_source),
-        )
+        inputs = [
+            given
+            for of_target, of_source in pairs
+            for given in (
+                read_input(of_target, sensor_target, threshold_target),
+                read_input(of_source, sensor_source, threshold_source),
+            )
+        ]
         seconds = {"read": time.perf_counter() - start}
         calibration = run(
-            inputs[0].cloud,
-            inputs[1].cloud,
+            [given.cloud for given in inputs[::2]],
+            [given.cloud for given in inputs[1::2]],
             radius=radius,
+            radius_sigma=radius_sigma,
             sensors=(inputs[0].sensor, inputs[1].sensor),
             thresholds=(threshold_target, threshold_source),
             poles=poles,
             scene=refine,
+            prior=prior,
             progress=progress,
         )
-    for given, detection in zip(inputs, calibration.detections, strict=True):
+    found = [detection for placement in calibration.placements for detection in placement.found]
+    for given, detection in zip(inputs, found, strict=False):
         if detection is not None:
             given.document.threshold = detection.threshold
     result = result_document(
@@ -122,6 +168,10 @@ def calibrate(
         inputs=[given.document for given in inputs],
         config={
             "radius_m": radius,
+            "radius_sigma_m": radius_sigma,
+            "up": up,
+            "prior_rpy_deg": prior_rpy_deg,
+            "prior_sigma_deg": prior_sigma_deg,
             "poles": poles,
             "refine": refine,
             "seed": seed,
@@ -135,7 +185,8 @@ def calibrate(
     written = [out / "result.json", out / "report.html"]
     data = encode(result)
     write_atomically(written[0], data)
-    page = render_report(json.loads(data), inputs[0].cloud, inputs[1].cloud, calibration.detections)
+    first = calibration.placements[0]
+    page = render_report(json.loads(data), first.target, first.source, first.found)
     write_atomically(written[1], page.encode())
     if as_json:
         click.echo(data, nl=False)
@@ -146,3 +197,16 @@ def calibrate(
             click.echo(f"retropole: refused ({reason.code}): {reason.message}", err=True)
         return EXIT_REFUSED
     return 0
+
+
+def _pairs(
+    target: Path | None, source: Path | None, placements: tuple[tuple[Path, Path], ...]
+) -> list[tuple[Path, Path]]:
+    """Take the two arguments, or the placements; never both, never none."""
+    if placements and target is not None:
+        raise click.UsageError("give TARGET and SOURCE, or --placement for each, not both")
+    if placements:
+        return list(placements)
+    if target is None or source is None:
+        raise click.UsageError("TARGET and SOURCE are needed, or --placement TARGET SOURCE")
+    return [(target, source)]
