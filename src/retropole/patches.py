@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import small_gicp
 
-from .datatypes import Array, PointCloud
+from .datatypes import Array, IntArray, PointCloud
 from .registration import THREADS, thin
 
 VOXELS = (0.15, 0.3, 0.6)
@@ -29,6 +29,9 @@ MIN_THICKNESS = 0.001
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
+BEAM = np.radians(0.5)
+"""Returns within a band of elevation of this width are taken as one beam's."""
+
 MAX_PATCHES = 3000
 """Patches of each cloud: every n-th is taken so that about so many are left."""
 
@@ -49,6 +52,8 @@ class Patches:
         (M,) variance of the normals, rad².
     thickness
         (M,) variance of the points across the patch, m².
+    beams
+        (M, NEIGHBOURS) the band of elevation that each point of the patch came from.
     """
 
     centres: Array
@@ -56,6 +61,7 @@ class Patches:
     rays: Array
     tilt: Array
     thickness: Array
+    beams: IntArray
 
 
 def surface_patches(cloud: PointCloud) -> Patches:
@@ -73,11 +79,14 @@ def _patches_of(cloud: PointCloud, voxel: float) -> Patches:
     points = thin(cloud.xyz, voxel)
     if len(points) < NEIGHBOURS:
         none, nothing = np.zeros((0, 3)), np.zeros(0)
-        return Patches(none, none, none, nothing, nothing)
+        bands = np.zeros((0, NEIGHBOURS), dtype=np.int64)
+        return Patches(none, none, none, nothing, nothing, bands)
     tree = small_gicp.KdTree(points, num_threads=THREADS)
     at = points[:: 1 + len(points) // MAX_PATCHES]
     index, _ = tree.batch_knn_search(at, NEIGHBOURS, num_threads=THREADS)
     neighbours = points[np.asarray(index, dtype=np.intp)]
+    ray = points - cloud.origin
+    band = np.floor(np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1)) / BEAM).astype(np.int64)
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / NEIGHBOURS
@@ -98,4 +107,6 @@ def _patches_of(cloud: PointCloud, voxel: float) -> Patches:
     )
     tilt = thickness / (NEIGHBOURS * values[flat, 1])
     normals = np.where(away[:, None], -normals, normals)
-    return Patches(centres, normals, rays, tilt, np.maximum(thickness, MIN_THICKNESS**2))
+    return Patches(
+        centres, normals, rays, tilt, np.maximum(thickness, MIN_THICKNESS**2), band[index][flat]
+    )

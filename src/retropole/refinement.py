@@ -31,18 +31,24 @@ MAX_NORMAL_ANGLE = np.radians(35.0)
 FINEST_REACH = 0.10
 """Reach of the correspondences beyond three sigma of the pose, metres."""
 
+SPAN = 0.5
+"""Patches as far from each other along their surface may be one surface, metres; how well the one's
+normal foretells the other's place is counted."""
+
 COARSEST_REACH = 1.5
 """Reach of the correspondences at most, metres."""
 
-RANGE_BIAS = 0.0035
-"""1 σ of the range error that all returns of one beam share, metres. Makers state an accuracy of
-10 to 30 mm; part of it is common to all beams of both LiDARs and cancels."""
-
-BEAM = np.radians(0.5)
-"""Returns within a band of elevation of this width are taken as one beam's."""
+RANGE_BIAS, BIAS_WEIGHT, BIAS_RANGE = 0.0035, 10.0, (0.001, 0.03)
+"""1 σ of the range error that all returns of one beam share, metres: what is assumed, the number of
+beams it counts for beside those that show theirs, and the bounds of the outcome. Makers state an
+accuracy of 10 to 30 mm; part of it is common to all beams of both LiDARs and cancels."""
 
 CLUSTER = 2.0
 """Residuals of patches within a cube of this side, metres, are counted as correlated."""
+
+PLACE_BIAS = 0.0008
+"""1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the
+thinning, which leaves more of the far tail of the noise than of the middle."""
 
 MIN_HOLD = 6.0
 """A direction of the pose counts as held by the scene with so many times the information that the
@@ -72,8 +78,10 @@ class Pairs:
     variance
         (P,) of the residual as the patches' own scatter has it, m²: of their centres, and of their
         normals over the distance between the centres.
-    cluster, beam_target, beam_source
-        (P,) which residuals share a place, a beam of the target, a beam of the source.
+    cluster
+        (P,) which residuals share a place.
+    beams_target, beams_source
+        (P, NEIGHBOURS) the beam of each point of the target's, of the source's patch.
     range_target, range_source
         (P,) derivative of the residual with respect to the range that the LiDAR measured.
     """
@@ -85,8 +93,8 @@ class Pairs:
     tilt: Array
     variance: Array
     cluster: IntArray
-    beam_target: IntArray
-    beam_source: IntArray
+    beams_target: IntArray
+    beams_source: IntArray
     range_target: Array
     range_source: Array
 
@@ -143,6 +151,7 @@ def refine(
     prior: Array = np.asarray(np.linalg.inv(poles.covariance))
     T: Array = poles.T_target_source
     covariance: Array = poles.covariance
+    bias = RANGE_BIAS
     for _ in range(MAX_ITERATIONS):
         pairs = _pairs(target_patches, source_patches, tree, T, covariance, origins_known)
         if pairs is None:
@@ -153,13 +162,14 @@ def refine(
         spread = scale * spread
         weights = 1.0 / (spread * (1.0 + (r / (2.0 * spread)) ** 2)) ** 2
         held = _held(pairs, weights)
-        J = J @ held
-        JW = J * weights[:, None]
-        H = JW.T @ J + prior
-        gradient = JW.T @ r + prior @ se3.local(poles.T_target_source, T)
+        offsets = _beam_offsets(pairs, J @ held, weights, bias)
+        bias = offsets.sigma
+        H = offsets.jacobian.T @ (offsets.jacobian * weights[:, None]) + offsets.lost + prior
+        gradient = (offsets.jacobian * weights[:, None]).T @ r
+        gradient = gradient + prior @ se3.local(poles.T_target_source, T)
         step = -np.asarray(np.linalg.solve(H, gradient), dtype=np.float64)
         T = se3.retract(T, step)
-        covariance = _covariance(H, J, JW, pairs, prior)
+        covariance = _covariance(H, offsets, weights, pairs, prior)
         if np.linalg.norm(step[:3]) < STEP_ROTATION and np.linalg.norm(step[3:]) < STEP_TRANSLATION:
             break
     e = se3.local(poles.T_target_source, T)
@@ -188,8 +198,9 @@ def _pairs(
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
     spread = np.sqrt(np.einsum("mik,mik->m", lever @ covariance, lever))
     reach = np.minimum(FINEST_REACH + 3.0 * spread, COARSEST_REACH)
-    distance, nearest = tree.query(moved, distance_upper_bound=float(reach.max()), workers=THREADS)
-    s = np.flatnonzero(distance <= reach)
+    span = max(float(reach.max()), SPAN)
+    distance, nearest = tree.query(moved, distance_upper_bound=span, workers=THREADS)
+    s = np.flatnonzero(distance <= np.maximum(reach, SPAN))
     t = nearest[s]
     normal_source = source.normals[s] @ T[:3, :3].T
     cosine = np.einsum("mi,mi->m", normal_source, target.normals[t])
@@ -201,6 +212,10 @@ def _pairs(
     s, t = s[agree], t[agree]
     normal = normal_source[agree] + target.normals[t]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    near = np.abs(np.einsum("mi,mi->m", normal, moved[s] - target.centres[t])) <= reach[s]
+    if np.count_nonzero(near) < MIN_PATCHES:
+        return None
+    s, t, normal = s[near], t[near], normal[near]
     rays_source = source.rays[s] @ T[:3, :3].T
     return Pairs(
         residuals=np.einsum("mi,mi->m", normal, moved[s] - target.centres[t]),
@@ -211,8 +226,8 @@ def _pairs(
         variance=(source.thickness[s] + target.thickness[t]) / NEIGHBOURS
         + (source.tilt[s] + target.tilt[t]) / 4 * distance[s] ** 2,
         cluster=_labels(np.floor(moved[s] / CLUSTER)),
-        beam_target=_labels(np.floor(np.arcsin(target.rays[t, 2:]) / BEAM)),
-        beam_source=_labels(np.floor(np.arcsin(source.rays[s, 2:]) / BEAM)),
+        beams_target=target.beams[t],
+        beams_source=source.beams[s],
         range_target=-np.einsum("mi,mi->m", normal, target.rays[t]),
         range_source=np.einsum("mi,mi->m", normal, rays_source),
     )
@@ -246,35 +261,95 @@ def _labels(cells: Array) -> IntArray:
     return np.unique(flat, return_inverse=True)[1].astype(np.int64)
 
 
-def _grouped(rows: Array, label: IntArray) -> Array:
-    """Outer products of the sums of rows (P, 6) over each label, added up: (6, 6)."""
-    sums = _summed(rows, label)
-    return np.asarray(sums.T @ sums)
-
-
-def _summed(rows: Array, label: IntArray) -> Array:
+def _summed(rows: Array, label: IntArray, count: int | None = None) -> Array:
     """Sums of rows (P, D) over each label."""
-    return np.stack([np.bincount(label, weights=column) for column in rows.T], axis=1)
+    size = 0 if count is None else count
+    return np.stack([np.bincount(label, column, size) for column in rows.T], axis=1)
 
 
-def _covariance(H: Array, J: Array, JW: Array, pairs: Pairs, prior: Array) -> Array:
+def _share_of_beams(beams: IntArray) -> Array:
+    """Share (P, B) of each patch's points (P, NEIGHBOURS) that came from each beam."""
+    found, label = np.unique(beams, return_inverse=True)
+    rows = np.arange(len(beams))[:, None] * len(found) + label.reshape(beams.shape)
+    counts = np.bincount(rows.reshape(-1), minlength=len(beams) * len(found))
+    return np.asarray(counts.reshape(len(beams), len(found)) / beams.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class BeamOffsets:
+    """Range offsets of the single beams of both LiDARs, which the patches feel.
+
+    Attributes
+    ----------
+    jacobian
+        (P, 6) derivative of the residuals by the pose, the offsets following along.
+    residuals
+        (P,) without what the offsets explain.
+    lost
+        (6, 6) what the offsets' own prior adds to the information, since following costs.
+    spread
+        (6, 6) variance of the gradient that comes of the offsets.
+    sigma
+        1 σ of an offset, metres.
+    """
+
+    jacobian: Array
+    residuals: Array
+    lost: Array
+    spread: Array
+    sigma: float
+
+
+def _beam_offsets(pairs: Pairs, J: Array, weights: Array, sigma: float) -> BeamOffsets:
+    """Take the range offsets of single beams out of the problem.
+
+    With an offset b for each beam of either LiDAR, ``b ~ N(0, σ_b²)``, the residuals are
+    ``r + J x + D b``. The best b is linear in x and put in its place: ``M = DᵀWD + σ_b⁻²``,
+    ``J' = J − D M⁻¹ DᵀWJ``. σ_b is what the offsets themselves show (expectation-maximisation).
+    """
+    D = np.concatenate(
+        [
+            _share_of_beams(pairs.beams_target) * pairs.range_target[:, None],
+            _share_of_beams(pairs.beams_source) * pairs.range_source[:, None],
+        ],
+        axis=1,
+    )
+    count = D.shape[1]
+    DW = (D * weights[:, None]).T
+    M = DW @ D + np.eye(count) / sigma**2
+    inverse = np.linalg.inv(M)
+    by_pose, by_residual = inverse @ (DW @ J), inverse @ (DW @ pairs.residuals)
+    # Beams that hardly any patch feels keep their prior, and say nothing of its width.
+    told = 1.0 - np.diag(inverse) / sigma**2
+    square = float(np.sum(by_residual**2) + np.sum(told * np.diag(inverse)))
+    assumed = BIAS_WEIGHT * RANGE_BIAS**2
+    new = np.sqrt((assumed + square) / (BIAS_WEIGHT + float(np.sum(told))))
+    return BeamOffsets(
+        J - D @ by_pose,
+        pairs.residuals - D @ by_residual,
+        by_pose.T @ by_pose / sigma**2,
+        by_pose.T @ by_pose / sigma**2,
+        float(np.clip(new, *BIAS_RANGE)),
+    )
+
+
+def _covariance(
+    H: Array, offsets: BeamOffsets, weights: Array, pairs: Pairs, prior: Array
+) -> Array:
     """Covariance of the minimum, of residuals that are anything but independent.
 
-    ``Σ_c d_c d_cᵀ + H⁻¹ (Σ_b s_b s_bᵀ σ_b² + Σ_poles⁻¹) H⁻¹``: ``d_c = (H − H_c)⁻¹ g_c`` is how far
-    the answer goes without all residuals at one place, which may be correlated as they please (the
-    jackknife over clusters, Bell and McCaffrey 2002); s_b is what a range error shared by all
-    returns of beam b does to the gradient. The first is seen in the residuals; the second moves the
-    answer and leaves few traces there, so its size is an assumption, `RANGE_BIAS`.
+    ``Σ_c d_c d_cᵀ + H⁻¹ (V_b + V_c + Σ_poles⁻¹) H⁻¹``: ``d_c = (H − H_c)⁻¹ g_c`` is how far the
+    answer goes without all residuals at one place, which may be correlated as they please (the
+    jackknife over clusters, Bell and McCaffrey 2002); V_b is what the beams' offsets do to the
+    gradient, V_c what an error of `PLACE_BIAS` does that all residuals of a cluster share.
     """
-    slopes = _summed(JW * pairs.residuals[:, None], pairs.cluster)
+    J = offsets.jacobian
+    JW = J * weights[:, None]
+    slopes = _summed(JW * offsets.residuals[:, None], pairs.cluster)
     outer = (JW[:, :, None] * J[:, None, :]).reshape(-1, 36)
     without = H - _summed(outer, pairs.cluster).reshape(-1, 6, 6)
     moves = np.linalg.solve(without, slopes[:, :, None])[:, :, 0]
-    meat = prior
-    for beam, derivative in (
-        (pairs.beam_target, pairs.range_target),
-        (pairs.beam_source, pairs.range_source),
-    ):
-        meat = meat + _grouped(JW * derivative[:, None], beam) * RANGE_BIAS**2
+    places = _summed(JW, pairs.cluster)
+    meat = prior + offsets.spread + places.T @ places * PLACE_BIAS**2
     inverse = np.linalg.inv(H)
     return np.asarray(inverse @ meat @ inverse + moves.T @ moves)
