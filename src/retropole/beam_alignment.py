@@ -20,7 +20,7 @@ from .datatypes import Array, Stage
 from .errors import Refusal
 from .pole_beams import Beams
 
-RETRO_BIAS = 0.005
+RETRO_BIAS = 0.004
 """1 σ of a range error that all retro-reflective returns of one LiDAR share, metres."""
 
 RING_BIAS, RING_BIAS_WEIGHT = 0.003, 8.0

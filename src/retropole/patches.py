@@ -32,7 +32,7 @@ MIN_SPREAD = 0.15
 BEAM = np.radians(0.5)
 """Returns within a band of elevation of this width are taken as one beam's."""
 
-MAX_PATCHES = 3000
+MAX_PATCHES = 2000
 """Patches of each cloud: every n-th is taken so that about so many are left."""
 
 

@@ -57,7 +57,7 @@ noise of the normals alone would feign."""
 MIN_PATCHES = 30
 MIN_SIGMA = 1e-4
 MAX_ITERATIONS = 40
-STEP_ROTATION, STEP_TRANSLATION = 1e-6, 1e-5
+STEP_ROTATION, STEP_TRANSLATION = 3e-6, 3e-5
 """Stop where a step is below these, rad and m."""
 
 
