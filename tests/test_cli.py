@@ -167,3 +167,42 @@ def test_help_has_worked_examples(command: str) -> None:
     done = retropole(command, "--help")
     assert done.returncode == 0
     assert f"retropole {command} " in done.stdout.split("Examples:")[1]
+
+
+def test_placements_give_one_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole(
+        "calibrate", "--placement", *files, "--placement", *files, "--out", tmp_path / "r"
+    )
+    assert done.returncode == 0, done.stderr
+    assert_close(transform_of(tmp_path / "r"), truth)
+    assert "without it" in done.stdout
+    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    assert len(result["inputs"]) == 4
+    assert len(result["placements"]) == 2
+
+
+def test_a_prior_is_taken_and_a_wrong_one_refused(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("calibrate", *files, "--up", "--out", "up", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = retropole(
+        *("calibrate", *files, "--prior-rpy-deg", 0, 0, 170, "--prior-sigma-deg", 5),
+        *("--out", "wrong", "-q"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 3
+    assert "prior_contradicted" in done.stderr or "no_overlap" in done.stderr
+
+
+def test_arguments_that_contradict_each_other(scene: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    for words in (
+        ("calibrate", files[0]),
+        ("calibrate",),
+        ("calibrate", *files, "--placement", *files),
+        ("calibrate", *files, "--up", "--prior-rpy-deg", 0, 0, 0),
+    ):
+        done = retropole(*words)
+        assert done.returncode == 2
+        assert "Error" in done.stderr or "retropole:" in done.stderr

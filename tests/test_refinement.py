@@ -1,9 +1,13 @@
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from retropole import se3
 from retropole.datatypes import Array, PointCloud, Stage
 from retropole.evaluation import e_rt
+from retropole.io import read_cloud
 from retropole.patches import surface_patches
 from retropole.pipeline import calibrate
 from retropole.refinement import _pairs, cKDTree, refine
@@ -145,3 +149,32 @@ def test_the_covariance_covers_the_truth(scene: str) -> None:
                 inside[name].append(float(error @ np.linalg.solve(found.covariance, error)) < 12.59)
     for name, held in inside.items():
         assert np.mean(held) >= 0.88, name
+
+
+DATA = Path(__file__).parents[2] / "shared" / "data" / "pandaset"
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="no folder ../shared/data")
+def test_real_clouds_come_to_one_pose_from_all_around() -> None:
+    target, source = (
+        read_cloud(DATA / f"pandaset002_00_{name}.pcd") for name in ("pandar64", "pandargt")
+    )
+    reference = np.array(
+        json.loads((DATA / "pandaset002_reference.json").read_text())["T_pandargt_to_pandar64"]
+    )
+    spread = np.diag(np.r_[np.full(3, np.radians(3)), np.full(3, 0.3)] ** 2 / 3)
+    rng, found = np.random.default_rng(0), []
+    for _ in range(4):
+        turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        start = se3.retract(reference, np.r_[np.radians(3) * turn, 0.3 * shift])
+        refined = refine(target, source, Stage(start, spread, 0.01))
+        assert refined is not None
+        found.append(refined.stage.T_target_source)
+        off = se3.local(found[-1], reference)
+        # The vehicle's own reference is no finer: at our pose the surfaces are half as far apart.
+        assert np.degrees(np.linalg.norm(off[:3])) < 0.4
+        assert np.linalg.norm(off[3:]) < 0.04
+    for T in found[1:]:
+        apart = se3.local(found[0], T)
+        assert np.degrees(np.linalg.norm(apart[:3])) < 0.02
+        assert np.linalg.norm(apart[3:]) < 0.005

@@ -1,9 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from conftest import PoleMaker
-from retropole.datatypes import Hypothesis, Match
+from retropole.beam_alignment import BeamAlignment
+from retropole.datatypes import Hypothesis, Match, Pole, Stage, WeakDirection
 from retropole.errors import Refusal
+from retropole.sensors import SENSORS
 from retropole.verdict import MIN_OVERLAP, check_choice, margin_of, weaknesses
 
 
@@ -39,13 +43,52 @@ def test_scenes_that_do_not_overlap_are_refused() -> None:
     assert refusal.value.code == "no_overlap"
 
 
+def an_alignment(noise: float = 0.01, sigma: float = 0.01, sure: float = 0.01) -> BeamAlignment:
+    points, axes = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.8]])
+    return BeamAlignment(
+        Stage(np.eye(4), sigma**2 * np.eye(6), noise),
+        sure**2 * np.eye(6),
+        points,
+        axes,
+        0.02,
+        0.0,
+        (noise, 0.01),
+        (0.005, 0.005),
+    )
+
+
+def codes_of(
+    target: list[Pole],
+    source: list[Pole],
+    aligned: BeamAlignment | None = None,
+    hypotheses: tuple[Hypothesis, ...] = (hypothesis(0.9), hypothesis(0.3)),
+    weak: float = 0.01,
+) -> list[str]:
+    weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
+    sensors = (SENSORS["VLP-16"], None)
+    found = weaknesses(
+        [(target, source)], hypotheses, aligned or an_alignment(), sensors, weakest, None
+    )
+    return [reason.code for reason in found]
+
+
 def test_weak_poles_are_named(make_pole: PoleMaker) -> None:
     up, lean = np.array([0.0, 0, 1]), np.array([np.sin(0.5), 0, np.cos(0.5)])
     good = [make_pole([4.0, -1, 0], up), make_pole([4.0, 1, 0], lean)]
-    hypotheses = [hypothesis(0.9), hypothesis(0.3)]
-    assert weaknesses(good, good, hypotheses) == []
+    assert codes_of(good, good) == []
     few = [make_pole([4.0, -1, 0], up, count=7), good[1]]
-    assert [r.code for r in weaknesses(good, few, hypotheses)] == ["few_points"]
+    assert codes_of(good, few) == ["few_points"]
+    assert codes_of([replace(good[0], rings=3), good[1]], good) == ["few_rings"]
     slight = make_pole([4.0, 1, 0], [np.sin(0.15), 0, np.cos(0.15)])
-    codes = [r.code for r in weaknesses([good[0], slight], good, hypotheses)]
-    assert codes == ["nearly_parallel_poles"]
+    assert codes_of([good[0], slight], good) == ["nearly_parallel_poles"]
+    close = (hypothesis(0.9), hypothesis(0.85))
+    assert codes_of(good, good, hypotheses=close) == ["small_margin"]
+
+
+def test_weak_poses_are_named(make_pole: PoleMaker) -> None:
+    up, lean = np.array([0.0, 0, 1]), np.array([np.sin(0.5), 0, np.cos(0.5)])
+    good = [make_pole([4.0, -1, 0], up), make_pole([4.0, 1, 0], lean)]
+    assert codes_of(good, good, an_alignment(noise=0.04)) == ["noisy_poles"]
+    assert codes_of(good, good, weak=0.08) == ["weak_direction"]
+    unsure = an_alignment(sigma=0.08, sure=0.01)
+    assert codes_of(good, good, unsure, weak=0.08) == ["weak_direction", "offset_not_separable"]

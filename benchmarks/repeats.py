@@ -1,0 +1,73 @@
+"""What more placements of the poles, and more frames, gain: e_rt of the poles alone.
+
+python benchmarks/repeats.py --seeds 20
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+
+import numpy as np
+
+from retropole.datatypes import PointCloud
+from retropole.evaluation import e_rt
+from retropole.pipeline import calibrate
+from retropole.simulation import TYPICAL, Nuisances, place_again, simulate_pair
+
+ONLY_NOISE = Nuisances(2.0, 0.0, 0.02, True, 0.0, 0.0, 0.15)
+"""Twice the sensors' noise along the beam and no bias: noise rules."""
+
+
+def first_frame(cloud: PointCloud) -> PointCloud:
+    return replace(cloud.select(np.asarray(cloud.frame) == 0), frame=None)
+
+
+def run(job: tuple[str, int]) -> tuple[float, float]:
+    """e_rt of one placement or frame, and of all."""
+    kind, seed = job
+    rng = np.random.default_rng(seed)
+    scene = ("corridor", "street", "harbor")[seed % 3]
+    if kind == "placements":
+        pairs = [simulate_pair(scene, rng)]
+        pairs += [place_again(pairs[0], rng, nuisances=TYPICAL) for _ in range(3)]
+        one = calibrate(pairs[0].target, pairs[0].source, scene=False)
+        all_of_them = calibrate([p.target for p in pairs], [p.source for p in pairs], scene=False)
+    else:
+        pairs = [simulate_pair(scene, rng, nuisances=ONLY_NOISE, frames=10)]
+        target, source = pairs[0].target, pairs[0].source
+        one = calibrate(first_frame(target), first_frame(source), scene=False)
+        all_of_them = calibrate(target, source, scene=False)
+    T = pairs[0].T_target_source
+    errors = [
+        np.nan if answer.T_target_source is None else e_rt(answer.T_target_source, T)
+        for answer in (one, all_of_them)
+    ]
+    return errors[0], errors[1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--processes", type=int, default=2)
+    arguments = parser.parse_args()
+    print(
+        "| poles alone | runs | median e_rt m, one | all | ratio |\n| --- | --- | --- | --- | --- |"
+    )
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
+        for kind, name in (("placements", "four placements"), ("frames", "ten frames, noise only")):
+            jobs = [(kind, seed) for seed in range(arguments.seeds)]
+            errors = np.array(list(pool.map(run, jobs)))
+            errors = errors[np.isfinite(errors).all(axis=1)]
+            one, every = np.median(errors, axis=0)
+            print(
+                f"| {name} | {len(errors)} of {arguments.seeds} | {one:.4f} | {every:.4f} | "
+                f"{every / one:.2f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
