@@ -20,10 +20,10 @@ from .datatypes import Array, Stage
 from .errors import Refusal
 from .pole_beams import Beams
 
-RETRO_BIAS = 0.004
+RETRO_BIAS = 0.003
 """1 σ of a range error that all retro-reflective returns of one LiDAR share, metres."""
 
-RING_BIAS, RING_BIAS_WEIGHT = 0.003, 8.0
+RING_BIAS, RING_BIAS_WEIGHT = 0.0025, 8.0
 """1 σ of a range error that all returns of one beam share, metres: what is assumed, and the number
 of beams that it counts for beside those of the poles themselves."""
 
