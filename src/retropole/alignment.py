@@ -5,8 +5,7 @@ the target LiDAR and points from the source LiDAR. It is fast and needs no model
 every hypothesis is judged with it.
 
 Its limit is a bias, not noise: returns lie on the side of a pole that faces the sensor, on average
-π r/4 in front of its axis, and each LiDAR errs towards itself. `align_axes` moves points and lines
-back by that much before it solves, and says how sure the pose is.
+π r/4 in front of its axis, and each LiDAR errs towards itself. `beam_alignment` is without it.
 """
 
 from __future__ import annotations
@@ -17,17 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import se3
-from .datatypes import Array, IntArray, Pole, Stage
+from .datatypes import Array, IntArray
 from .errors import Refusal
 
 MAX_ITERATIONS = 60
-POLE_SIGMA = 0.004
-"""1 σ of what all returns of one LiDAR on one pole have in common across it, metres: beams that do
-not meet the pole evenly, a range error of retro-reflective returns, a pole that is not straight."""
-
-MIN_NOISE = 0.003
-"""Least 1 σ of a single return from its line, metres."""
-
 STEP_TOLERANCE = 1e-12
 """Stop where the step (rad and m together) is below this: the problem is tiny, so be exact."""
 
@@ -158,73 +150,3 @@ def align_poles(
         np.array([direction for _, direction in target_lines]),
         T_start,
     )
-
-
-def behind(xyz: Array, direction: Array, origin: Array, radius: float) -> Array:
-    """Move the returns (N, 3) on a pole back to its axis: by π r/4, away from the beams' origin.
-
-    That is the mean depth of the facing half of a circle that evenly spaced beams see.
-    """
-    away = xyz.mean(axis=0) - origin
-    away = away - (away @ direction) * direction
-    return np.asarray(xyz + (np.pi / 4) * radius * away / np.linalg.norm(away))
-
-
-def align_axes(
-    target: Sequence[Pole],
-    source: Sequence[Pole],
-    T_start: Array,
-    *,
-    radius: float,
-    origins: tuple[Array, Array],
-) -> Stage:
-    """Align the axes of matched poles rather than their facing sides, and estimate the covariance.
-
-    Parameters
-    ----------
-    target, source
-        Poles, paired by their order, each in its own LiDAR's frame.
-    T_start
-        (4, 4) the chosen hypothesis, target from source.
-    radius
-        Of the poles, metres.
-    origins
-        (3,) where the beams of the target, of the source start.
-
-    Returns
-    -------
-    Stage
-        Pose, its covariance over ``[φ, δ]`` in target axes, and RMS distance of points from lines.
-        The covariance counts the noise of single returns on the points and on the fitted lines,
-        from their own residuals, and `POLE_SIGMA` for what the returns on a pole have in common.
-
-    Raises
-    ------
-    Refusal
-        As `align_points_to_lines`.
-    """
-    lines = [
-        (behind(pole.xyz, pole.direction, origins[0], radius).mean(axis=0), pole.direction)
-        for pole in target
-    ]
-    points = [behind(pole.xyz, pole.direction, origins[1], radius) for pole in source]
-    fit = align_poles(lines, points, T_start)
-    T, inverse = fit.T_target_source, np.linalg.inv(fit.information)
-    spread = np.zeros((6, 6))
-    for pole, other, (q, n), xyz in zip(target, source, lines, points, strict=True):
-        residuals, J = point_line_residuals(
-            T, xyz, np.broadcast_to(q, xyz.shape), np.broadcast_to(n, xyz.shape)
-        )
-        # Two directions across a line share its squared distances.
-        noise = max(float(np.sum(residuals**2)) / max(2 * len(xyz) - 4, 1), MIN_NOISE**2)
-        noise_target = max(pole.rms**2 / 2, MIN_NOISE**2)
-        total = J.sum(axis=0)
-        along = (xyz @ T[:3, :3].T + T[:3, 3] - q) @ n
-        turned = np.einsum("n,nij->ij", along, J)
-        spread_along = max(float(np.sum(((pole.xyz - pole.point) @ n) ** 2)), 1e-3)
-        of_line = noise_target / len(pole.xyz) + 2 * POLE_SIGMA**2
-        spread += noise * np.einsum("nij,nik->jk", J, J)
-        spread += of_line * total.T @ total + noise_target / spread_along * turned.T @ turned
-        # A pole bends, or its ends are seen differently: the same, over its length.
-        spread += (POLE_SIGMA / max(other.length, 0.1)) ** 2 * turned.T @ turned
-    return Stage(T, inverse @ spread @ inverse, fit.rms)
