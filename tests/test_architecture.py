@@ -18,7 +18,7 @@ LAYERS = [
     },
     {"pipeline"},
     {"result"},
-    {"summary", "report"},
+    {"summary", "report", "paper"},
     {"cli", "__main__"},
 ]
 

@@ -38,7 +38,14 @@ ZOOMED = 6
 """Poles, or failing those rejected clusters, that get a panel of their own."""
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure, inches, on a canvas of its own: no window, no state of pyplot's.
+
+    Raises
+    ------
+    MissingExtraError
+        Where matplotlib is not installed.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -49,7 +56,8 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure in the format of the path's suffix."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format=path.suffix.lstrip(".") or "png")
     write_atomically(path, buffer.getvalue())
@@ -78,7 +86,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
     MissingExtraError
         Where matplotlib is not installed.
     """
-    figure = _figure(16, 11)
+    figure = new_figure(16, 11)
     panels: Any = figure.subfigures(2, 1, height_ratios=(3, 2))
     upper, lower = panels
     grid: Any = upper.add_gridspec(2, 2, width_ratios=(5, 4))
@@ -107,7 +115,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
         above.legend(loc="upper left", bbox_to_anchor=(1.01, 1), fontsize=9, markerscale=2)
     _draw_histogram(upper.add_subplot(grid[1, 1]), cloud, detection)
     _draw_zooms(lower, cloud, detection)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _frame(cloud: PointCloud, detection: Detection) -> tuple[Array, float]:
@@ -253,7 +261,7 @@ def draw_result(
         Of the picture.
     """
     count = len(poles[0])
-    figure = _figure(16, 9)
+    figure = new_figure(16, 9)
     shape: Any = figure.add_gridspec(
         2, 2 + max(count, 1), width_ratios=[3, 3] + [1.1] * max(count, 1), height_ratios=(3, 1)
     )
@@ -301,4 +309,4 @@ def draw_result(
         axes.set_title(f"pole {k}, both LiDARs\n{len(ours.xyz)} + {len(moved)} points", fontsize=10)
         axes.set_xlabel("across, cm")
         axes.set_ylabel("along, m")
-    _save(figure, path)
+    save_figure(figure, path)

@@ -10,6 +10,7 @@ from ..errors import RetropoleError
 from .calibrate import calibrate
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
 from .detect import detect
+from .paper import paper
 from .simulate import simulate
 
 
@@ -28,7 +29,7 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, detect, simulate):
+for command in (calibrate, detect, simulate, paper):
     cli.add_command(command)
 
 

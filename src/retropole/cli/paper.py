@@ -1,0 +1,59 @@
+"""The command ``retropole paper``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .common import CONTEXT, OUT, progress_on_terminal
+
+
+@click.command(context_settings=CONTEXT)
+@click.option(
+    "--out",
+    type=OUT,
+    default=Path("retropole-paper"),
+    show_default=True,
+    help="Folder for the tables (.md, .csv) and figures (.png, .svg).",
+)
+@click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=100,
+    show_default=True,
+    help="Simulated scenes of each experiment; 100 take minutes.",
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="Folder of the real recordings pandaset and planes_top_front.  [default: left out]",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def paper(out: Path, seeds: int, data: Path | None, quiet: bool) -> int:
+    """Make the tables and figures of the method's paper anew, its figures beside ours.
+
+    Tables I to IV, Fig. 4 and the simulated error of Xue et al. 2019: each a table as Markdown
+    and CSV, and a figure as PNG and SVG. index.md holds all tables.
+
+    \b
+    Examples:
+      retropole paper --out paper
+      retropole paper --seeds 10 --data recordings/
+    """
+    from ..files import write_atomically
+    from ..paper import reproduce, write_exhibit
+
+    with progress_on_terminal(quiet) as progress:
+        exhibits = reproduce(seeds, data, progress)
+        progress("write")
+        written = [path for exhibit in exhibits for path in write_exhibit(exhibit, out)]
+    pages = []
+    for exhibit in exhibits:
+        picture = "" if exhibit.draw is None else f"\n![{exhibit.title}]({exhibit.name}.png)\n"
+        pages.append(exhibit.markdown().replace("# ", "## ", 1) + picture)
+    index = out / "index.md"
+    write_atomically(index, "\n".join(["# Xue et al. 2019, made anew\n", *pages]).encode())
+    if not quiet:
+        click.echo(f"written: {index} and {len(written)} tables and figures beside it")
+    return 0
