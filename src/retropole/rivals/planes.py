@@ -7,7 +7,7 @@ of points on planes. No start is needed.
 
 How to choose where many triples fit is left open there, and a corridor fits itself after half a
 turn, to the millimetre in its planes. Here the surroundings choose: the share of points with a
-neighbour in the other cloud, less the share that stands where the other LiDAR looked through. Where
+neighbour in the other cloud, less that which stands where the other LiDAR looked through. Where
 two different poses fit alike there is no answer.
 """
 
@@ -42,16 +42,23 @@ VOXEL = 0.3
 SAMPLE = 2000
 """Poses are judged on every n-th thinned point so that about so many are left."""
 
-NEAR = 0.3
+NEAR = 0.15
 """A point overlaps the other cloud where it has a neighbour within this distance, metres."""
 
-JUDGED = 60
+CONTRADICTION = 5.0
+"""What a point weighs that stands where the other LiDAR looked through, against one that overlaps:
+most points of a corridor overlap however it is turned, and few can contradict."""
+
+JUDGED = 120
 """Different poses that are refined and judged, those first that lay most planes on each other."""
+
+ALIKE = float(np.radians(1.0)), 0.1
+"""Poses closer than both, rad and metres, are one candidate."""
 
 APART = float(np.radians(5.0)), 0.5
 """Poses further apart than either, rad and metres, are different answers."""
 
-MIN_OVERLAP = 0.3
+MIN_OVERLAP = 0.15
 """Share of points that overlap, below which planes agree by chance."""
 
 MIN_MARGIN = 0.03
@@ -109,7 +116,7 @@ def planar_surfaces(target: PointCloud, source: PointCloud, *, rng: np.random.Ge
     for T in _different(candidates, _agreement(of_target, of_source, candidates)):
         stage = refine(of_target, of_source, T)
         if stage is not None and not any(
-            _same(stage.T_target_source, j.stage.T_target_source) for j in judged
+            _within(ALIKE, stage.T_target_source, j.stage.T_target_source) for j in judged
         ):
             judged.append(judge_pose(*scene, stage))
     if not judged:
@@ -187,23 +194,22 @@ def _agreement(target: list[Plane], source: list[Plane], T: Array) -> Array:
     return np.asarray(np.max(same * np.sqrt(sizes), axis=2, initial=0.0).sum(axis=1))
 
 
-def _same(T: Array, other: Array, scale: float = 1.0) -> bool:
+def _within(limits: tuple[float, float], T: Array, other: Array) -> bool:
+    """Tell whether two poses are closer than a rotation (rad) and a translation (metres)."""
     step = se3.local(T, other)
-    return bool(
-        np.linalg.norm(step[:3]) < scale * APART[0] and np.linalg.norm(step[3:]) < scale * APART[1]
-    )
+    return bool(np.linalg.norm(step[:3]) < limits[0] and np.linalg.norm(step[3:]) < limits[1])
 
 
 def _different(poses: Array, rank: Array) -> list[Array]:
     """The `JUDGED` best ranked poses of which no two are alike."""
     kept: list[Array] = []
     rest = poses[np.argsort(-rank, kind="stable")]
-    cosine = np.cos(APART[0] / 2)
+    cosine = np.cos(ALIKE[0])
     while len(rest) and len(kept) < JUDGED:
         best = rest[0]
         kept.append(best)
         trace = np.einsum("kij,ij->k", rest[:, :3, :3], best[:3, :3])
-        near = np.linalg.norm(rest[:, :3, 3] - best[:3, 3], axis=1) < APART[1] / 2
+        near = np.linalg.norm(rest[:, :3, 3] - best[:3, 3], axis=1) < ALIKE[1]
         alike = near & ((trace - 1) / 2 > cosine)
         alike[0] = True
         rest = rest[~alike]
@@ -289,12 +295,14 @@ def judge_pose(target: Surroundings, source: Surroundings, stage: Stage) -> Judg
         overlaps.append(float(np.mean(np.isfinite(distance))))
         contradictions.append(contradiction(one.image, moved))
     overlap = float(np.mean(overlaps))
-    return Judged(stage, overlap, overlap - float(np.mean(contradictions)))
+    return Judged(stage, overlap, overlap - CONTRADICTION * float(np.mean(contradictions)))
 
 
 def _chosen(judged: list[Judged]) -> Stage:
     """Give the best pose, or refuse where it is not good, or not better than all others."""
     best, *others = sorted(judged, key=lambda j: -j.score)
+    T = best.stage.T_target_source
+    others = [j for j in others if not _within(APART, T, j.stage.T_target_source)]
     if best.overlap < MIN_OVERLAP:
         raise Refusal(
             "no_overlap",
