@@ -19,6 +19,7 @@ LAYERS = [
     },
     {"pipeline"},
     {"result"},
+    {"export"},
     {"summary", "report", "paper"},
     {"cli", "__main__"},
 ]

@@ -10,7 +10,7 @@ class RetropoleError(Exception):
 
 
 class ReadError(RetropoleError):
-    """A file that is no readable point cloud: names the file, the place and what was expected."""
+    """A file that cannot be read: names the file, the place and what was expected."""
 
 
 class UsageError(RetropoleError):

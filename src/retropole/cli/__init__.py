@@ -10,6 +10,7 @@ from ..errors import RetropoleError
 from .calibrate import calibrate
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
 from .detect import detect
+from .export import export
 from .paper import paper
 from .simulate import simulate
 
@@ -29,7 +30,7 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, detect, simulate, paper):
+for command in (calibrate, detect, export, simulate, paper):
     cli.add_command(command)
 
 

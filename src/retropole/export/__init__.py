@@ -1,0 +1,174 @@
+"""The transform in the forms that other programs take, and the way back.
+
+`FORMATS` holds a writer and a reader for each; `read_transform` reads any of them, a result
+document, or the truth that ``retropole simulate`` writes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from ..datatypes import Array
+from ..errors import ReadError, UsageError
+from ..result import ReasonDoc
+from .documents import is_result, read_json, read_result, read_yaml, write_json, write_yaml
+from .found import Found, choose
+from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
+from .text import (
+    read_matrix,
+    read_named,
+    write_cloudcompare,
+    write_matrix,
+    write_quaternion,
+    write_rpy,
+)
+from .transform import Transform, inverted, rigid
+from .urdf import put_into_urdf, read_urdf, write_urdf
+
+__all__ = [
+    "FORMATS",
+    "Format",
+    "Transform",
+    "export_lines",
+    "inverted",
+    "put_into_urdf",
+    "read_transform",
+    "read_verdict",
+]
+
+
+class Format(NamedTuple):
+    """One form of a transform: what it is, how it is written, how it is read back."""
+
+    title: str
+    write: Callable[[Transform], str]
+    read: Callable[[bytes], list[Found]]
+
+
+FORMATS = {
+    "matrix": Format("4×4 matrix, text", write_matrix, read_matrix),
+    "json": Format("JSON: matrix, parts by name, covariance", write_json, read_json),
+    "yaml": Format("YAML: Autoware's sensors_calibration.yaml", write_yaml, read_yaml),
+    "urdf": Format("URDF: fixed joint", write_urdf, read_urdf),
+    "ros1": Format("ROS 1: static_transform_publisher", write_ros1, read_ros1),
+    "ros2": Format("ROS 2: static_transform_publisher", write_ros2, read_ros2),
+    "launch": Format("ROS 2: Python launch file", write_launch, read_launch),
+    "quaternion": Format("translation and quaternion, text", write_quaternion, read_named),
+    "rpy": Format("translation and roll, pitch, yaw, text", write_rpy, read_named),
+    "cloudcompare": Format(
+        "CloudCompare: Edit > Apply Transformation", write_cloudcompare, read_matrix
+    ),
+}
+
+_SUFFIXES = {
+    ".json": "json",
+    ".yaml": "yaml",
+    ".yml": "yaml",
+    ".urdf": "urdf",
+    ".py": "launch",
+}
+
+_PUBLISHER = re.compile(r"\b(tf|tf2_ros)\s+static_transform_publisher\b")
+
+
+def export_lines(T: Array, parent: str = "target", child: str = "source") -> dict[str, str]:
+    """Write a transform in every format, ready to copy.
+
+    Parameters
+    ----------
+    T
+        (4, 4) maps points of the child into the parent: ``T_target_source``.
+    parent, child
+        Names of the frames.
+
+    Returns
+    -------
+    dict
+        Name of the format (`FORMATS`) to its text.
+
+    Raises
+    ------
+    ReadError, UsageError
+        For a matrix that is not rigid, and for names that no frame can have.
+    """
+    transform = Transform(rigid(T), parent, child)
+    return {name: each.write(transform) for name, each in FORMATS.items()}
+
+
+def read_transform(
+    path: Path, *, fmt: str | None = None, parent: str | None = None, child: str | None = None
+) -> Transform:
+    """Read a transform in any of `FORMATS`, from a result document or from a simulation's truth.
+
+    Parameters
+    ----------
+    path
+        A file, or a folder that holds ``result.json``.
+    fmt
+        Name of the format; None or ``auto`` to tell it by the suffix and the content.
+    parent, child
+        Which transform to take where the file names its frames; what the frames are called where
+        it does not (then ``target`` and ``source`` unless given).
+
+    Returns
+    -------
+    Transform
+        ``T_parent_child``, the names, and the covariance where the file has one.
+
+    Raises
+    ------
+    ReadError
+        Where the file is not of that format, holds none or several transforms that fit, or one
+        that is not rigid; the reason says so in numbers.
+    Refusal
+        Where it is a refused result.
+    OSError
+        Where it cannot be read.
+    """
+    path = Path(path)
+    file = path / "result.json" if path.is_dir() else path
+    data = file.read_bytes()
+    try:
+        name = fmt if fmt not in (None, "auto") else detect_format(file, data)
+        if name not in FORMATS:
+            raise UsageError(f"there is no format {name!r}; there are: {', '.join(FORMATS)}")
+        return choose(FORMATS[name].read(data), parent, child)
+    except (ReadError, UsageError) as error:
+        raise type(error)(f"{file}: {error}") from None
+    except UnicodeDecodeError as error:
+        raise ReadError(f"{file}: no text: {error}") from None
+
+
+def read_verdict(path: Path) -> list[ReasonDoc]:
+    """Read what a result document warns of: empty for one that is ok, and for any other file."""
+    path = Path(path)
+    data = (path / "result.json" if path.is_dir() else path).read_bytes()
+    return read_result(data).reasons if is_result(data) else []
+
+
+def detect_format(path: Path, data: bytes) -> str:
+    """Tell a format by its suffix, else by what the file holds."""
+    if path.suffix.lower() in _SUFFIXES:
+        return _SUFFIXES[path.suffix.lower()]
+    head = data.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if head.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
+        return "urdf"
+    if head.startswith(b"{"):
+        return "json"
+    text = data.decode()
+    code = [line.partition("#")[0].rstrip() for line in text.splitlines()]
+    if any(line.startswith("def generate_launch_description") for line in code):
+        return "launch"
+    if any(_PUBLISHER.search(line) for line in code):
+        return (
+            "ros2" if any("ros2 run" in line or "--frame-id" in line for line in code) else "ros1"
+        )
+    keys = {line.partition(":")[0] for line in code if ":" in line and "[" not in line}
+    if "qw" in keys:
+        return "quaternion"
+    if "yaw" in keys:
+        return "rpy"
+    return "yaml" if keys else "matrix"

@@ -1,0 +1,215 @@
+"""JSON and YAML: our own transform file, the result document, the truth of a simulation, Autoware.
+
+Autoware keeps the poses of its sensors in ``sensors_calibration.yaml`` as ``parent: child: {x, y,
+z, roll, pitch, yaw}``. YAML is written by hand and read with PyYAML, an extra: a parser of our own
+would have to know flow mappings, anchors and quotes to read what others wrote.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ..datatypes import Array
+from ..errors import MissingExtraError, ReadError, Refusal
+from ..result import COVARIANCE_ORDER, ResultDoc, decode
+from .found import Found
+from .text import RPY, RPY_MEANING, TRANSLATION, pose_of, pose_values
+from .transform import (
+    ROS_COVARIANCE_ORDER,
+    Transform,
+    covariance_from_ros,
+    covariance_to_ros,
+    from_quaternion,
+    rigid,
+    to_quaternion,
+)
+
+SCHEMA = "retropole/transform/1"
+COVARIANCE_FRAME = "axes of the parent: t_true = t + [x y z], R_true = Exp([rot]) R; m and rad"
+_KEYS = {
+    "T_target_source": ("target", "source"),
+    "T_source_target": ("source", "target"),
+    "T_parent_child": ("target", "source"),
+}
+_YAML_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./]*")
+_YAML_WORDS = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
+
+
+def write_json(transform: Transform) -> str:
+    """Write the matrix, its parts by name and, where known, the covariance in ROS's order."""
+    T = transform.T_parent_child
+    document: dict[str, Any] = {
+        "schema": SCHEMA,
+        "description": transform.meaning,
+        "parent": transform.parent,
+        "child": transform.child,
+        f"T_{'_'.join(transform.roles)}": (T + 0.0).tolist(),
+        "translation_m": dict(zip("xyz", (T[:3, 3] + 0.0).tolist(), strict=True)),
+        "quaternion": dict(zip("xyzw", (to_quaternion(T) + 0.0).tolist(), strict=True)),
+    }
+    if transform.covariance is not None:
+        document["covariance"] = covariance_to_ros(transform.covariance).tolist()
+        document["covariance_order"] = ROS_COVARIANCE_ORDER
+        document["covariance_frame"] = COVARIANCE_FRAME
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def read_json(data: bytes) -> list[Found]:
+    """Read a transform file, a result document, or the truth that ``retropole simulate`` writes.
+
+    Raises
+    ------
+    Refusal
+        Where the document is a refused result: it holds no transform.
+    """
+    try:
+        document = msgspec.json.decode(data)
+    except msgspec.DecodeError as error:
+        raise ReadError(f"no JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise ReadError("the JSON is no object with a key T_target_source")
+    if is_result(data):
+        return [_of_result(read_result(data))]
+    keys = [key for key in _KEYS if key in document]
+    if len(keys) != 1:
+        raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")
+    covariance = _covariance(document)
+    parent, child = _name(document, "parent"), _name(document, "child")
+    return [Found(parent, child, lambda: _pose(document, keys[0]), covariance, _KEYS[keys[0]])]
+
+
+def is_result(data: bytes) -> bool:
+    """Tell a result document by its schema; whether it is sound, `read_result` says."""
+    try:
+        document = msgspec.json.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return False
+    schema = document.get("schema") if isinstance(document, dict) else None
+    return isinstance(schema, str) and schema.startswith("retropole/result/")
+
+
+def read_result(data: bytes) -> ResultDoc:
+    """Read a result document, or say what in it is wrong."""
+    try:
+        return decode(data)
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise ReadError(f"no result document: {error}") from None
+
+
+def _of_result(result: ResultDoc) -> Found:
+    T = result.T_target_source
+    if T is None:
+        why = result.reasons[0] if result.reasons else None
+        raise Refusal(
+            why.code if why else "refused",
+            f"the calibration was refused, there is no transform: {why.message if why else '–'}",
+            why.values if why else None,
+        )
+    covariance = None if result.covariance is None else _square(result.covariance)
+    return Found(None, None, lambda: np.array(T), covariance)
+
+
+def _name(document: dict[str, Any], role: str) -> str | None:
+    name = document.get(role)
+    if name is not None and not isinstance(name, str):
+        raise ReadError(f"{role} is {name!r}, not a name")
+    return name
+
+
+def _pose(document: dict[str, Any], key: str) -> Array:
+    """Take the matrix, and check that the quaternion and translation beside it say the same."""
+    try:
+        T = rigid(np.array(document[key], dtype=float))
+        if "quaternion" in document and "translation_m" in document:
+            t = np.array([document["translation_m"][name] for name in "xyz"], dtype=float)
+            q = np.array([document["quaternion"][name] for name in "xyzw"], dtype=float)
+            apart = float(np.abs(from_quaternion(t, q) - T).max())
+            if apart > 1e-6:
+                raise ReadError(f"{key} and quaternion or translation_m differ by {apart:.3g}")
+    except (TypeError, ValueError, KeyError) as error:
+        raise ReadError(f"{key} and what is beside it are no transform: {error}") from None
+    return T
+
+
+def _covariance(document: dict[str, Any]) -> Array | None:
+    """Read the covariance in the order that it names."""
+    if document.get("covariance") is None:
+        return None
+    orders: dict[tuple[str, ...], Callable[[Array], Array]] = {
+        ROS_COVARIANCE_ORDER: covariance_from_ros,
+        COVARIANCE_ORDER: lambda C: C,
+    }
+    given = document.get("covariance_order")
+    order = tuple(given) if isinstance(given, list) else ()
+    if order not in orders:
+        raise ReadError(f"covariance_order {given} is neither {' nor '.join(map(str, orders))}")
+    return orders[order](_square(document["covariance"]))
+
+
+def _square(values: Any) -> Array:
+    try:
+        C = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        C = np.empty(0)
+    if C.shape != (6, 6) or not np.isfinite(C).all():
+        raise ReadError("the covariance is not 6×6 finite numbers")
+    return C
+
+
+def write_yaml(transform: Transform) -> str:
+    """Write Autoware's ``sensors_calibration.yaml``: ``parent: child: x y z roll pitch yaw``."""
+    lines = "".join(f"    {k}: {v}\n" for k, v in pose_values(transform, RPY).items())
+    return (
+        f"# {transform.meaning}\n# {RPY_MEANING}\n"
+        f"{_yaml_key(transform.parent)}:\n  {_yaml_key(transform.child)}:\n{lines}"
+    )
+
+
+def _yaml_key(name: str) -> str:
+    if _YAML_PLAIN.fullmatch(name) and name.lower() not in _YAML_WORDS:
+        return name
+    return json.dumps(name, ensure_ascii=False)
+
+
+def read_yaml(data: bytes) -> list[Found]:
+    """Read every ``parent: child: {x, y, z, roll, pitch, yaw}``; needs the extra ``yaml``."""
+    try:
+        import yaml
+    except ImportError:
+        raise MissingExtraError("yaml", "reading YAML") from None
+    try:
+        # Nodes, not values: a key given twice would be lost in a dict, and 1e-3 be a string.
+        root = yaml.compose(data.decode(), Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        raise ReadError(f"no YAML: {error}") from None
+    found = []
+    for parent, children in _mapping(root).items():
+        for child, pose in _mapping(children).items():
+            found.append(Found(parent, child, lambda pose=pose: pose_of(_scalars(pose))))  # type: ignore[misc]
+    return found
+
+
+def _mapping(node: Any) -> dict[str, Any]:
+    """Keys and nodes of a YAML mapping."""
+    pairs = getattr(node, "value", None)
+    if getattr(node, "id", "") != "mapping" or not isinstance(pairs, list):
+        raise ReadError("expected the YAML to be parent: child: {x, y, z, roll, pitch, yaw}")
+    out: dict[str, Any] = {}
+    for key, value in pairs:
+        if not isinstance(key.value, str) or key.value in out:
+            raise ReadError(f"line {key.start_mark.line + 1}: no key, or one given twice")
+        out[key.value] = value
+    return out
+
+
+def _scalars(node: Any) -> dict[str, str]:
+    values = {name: value.value for name, value in _mapping(node).items()}
+    if not all(isinstance(value, str) for value in values.values()):
+        raise ReadError(f"expected a number for each of {' '.join((*TRANSLATION, *RPY))}")
+    return values

@@ -1,0 +1,155 @@
+"""ROS: static_transform_publisher lines for ROS 1 and ROS 2, and a launch file for ROS 2.
+
+Argument order as `tf2_ros` has it. ROS 1: ``x y z qx qy qz qw frame_id child_frame_id``, or with
+``yaw pitch roll`` in place of the quaternion. ROS 2: flags. The frame is the parent.
+"""
+
+from __future__ import annotations
+
+import ast
+import shlex
+
+import numpy as np
+
+from ..datatypes import Array
+from ..errors import ReadError
+from .found import Found
+from .text import QUATERNION, RPY, TRANSLATION, pose_of, pose_values, to_float
+from .transform import Transform, from_quaternion, from_rpy
+
+PROGRAM = "static_transform_publisher"
+
+
+def write_ros1(transform: Transform) -> str:
+    """Write a ``rosrun`` line; names that a shell would take apart are quoted."""
+    values = list(pose_values(transform, QUATERNION).values())
+    line = shlex.join([*values, transform.parent, transform.child])
+    return f"# {transform.meaning}\nrosrun tf2_ros {PROGRAM} {line}\n"
+
+
+def _flags(transform: Transform) -> list[str]:
+    """Arguments of the ROS 2 program, unquoted."""
+    words = [
+        word
+        for name, value in pose_values(transform, QUATERNION).items()
+        for word in (f"--{name}", value)
+    ]
+    return [*words, "--frame-id", transform.parent, "--child-frame-id", transform.child]
+
+
+def write_ros2(transform: Transform) -> str:
+    """Write a ``ros2 run`` line; names that a shell would take apart are quoted."""
+    return f"# {transform.meaning}\nros2 run tf2_ros {PROGRAM} {shlex.join(_flags(transform))}\n"
+
+
+def write_launch(transform: Transform) -> str:
+    """Write a Python launch file for ROS 2 that publishes the transform."""
+    flags = _flags(transform)
+    pairs = zip(flags[::2], flags[1::2], strict=True)
+    arguments = "".join(f"                    {flag!r}, {value!r},\n" for flag, value in pairs)
+    return (
+        f"# {transform.meaning}\n"
+        "from launch import LaunchDescription\n"
+        "from launch_ros.actions import Node\n"
+        "\n\n"
+        "def generate_launch_description():\n"
+        "    return LaunchDescription(\n"
+        "        [\n"
+        "            Node(\n"
+        "                package='tf2_ros',\n"
+        f"                executable='{PROGRAM}',\n"
+        "                arguments=[\n"
+        f"{arguments}"
+        "                ],\n"
+        "            ),\n"
+        "        ]\n"
+        "    )\n"
+    )
+
+
+def read_ros1(data: bytes) -> list[Found]:
+    """Read every ``static_transform_publisher`` line of `tf2_ros` in a shell script."""
+    return [_positional(words) for words in _commands(data)]
+
+
+def read_ros2(data: bytes) -> list[Found]:
+    """Read every ``static_transform_publisher`` line in a shell script, with flags or without."""
+    return [_ros2_arguments(words) for words in _commands(data)]
+
+
+def read_launch(data: bytes) -> list[Found]:
+    """Read the publishers of a Python launch file from its syntax; nothing in it is run."""
+    try:
+        tree = ast.parse(data)
+    except (SyntaxError, ValueError) as error:
+        raise ReadError(f"no Python launch file: {error}") from None
+    found = []
+    for call in ast.walk(tree):
+        if not isinstance(call, ast.Call):
+            continue
+        given = {word.arg: word.value for word in call.keywords if word.arg}
+        program = given.get("executable")
+        if not isinstance(program, ast.Constant) or program.value != PROGRAM:
+            continue
+        try:
+            words = ast.literal_eval(given["arguments"])
+        except (KeyError, ValueError):
+            raise ReadError(
+                f"line {call.lineno}: the arguments of {PROGRAM} are not plain strings"
+            ) from None
+        found.append(_ros2_arguments([str(word) for word in words]))
+    return found
+
+
+def _commands(data: bytes) -> list[list[str]]:
+    """Arguments of every call of the program in a shell script."""
+    commands = []
+    for line in data.decode().replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
+        if PROGRAM not in line:
+            continue
+        try:
+            words = shlex.split(line, comments=True)
+        except ValueError as error:
+            raise ReadError(f"{line.strip()!r}: {error}") from None
+        if PROGRAM not in words:
+            continue
+        at = words.index(PROGRAM)
+        if at and words[at - 1] == "tf":
+            raise ReadError(f"'tf {PROGRAM}' takes a period; the one of tf2_ros is read alone")
+        commands.append(words[at + 1 :])
+    return commands
+
+
+def _ros2_arguments(words: list[str]) -> Found:
+    """Read flags as `tf2_ros` does: what is not given is zero, no rotation is the identity."""
+    if not any(word.startswith("--") for word in words):
+        return _positional(words)
+    flags, values = words[::2], words[1::2]
+    names = [flag.removeprefix("--") for flag in flags]
+    known = {*TRANSLATION, *QUATERNION, *RPY, "frame-id", "child-frame-id"}
+    if len(flags) != len(values) or not set(names) <= known or len(set(names)) < len(names):
+        raise ReadError(f"cannot read the arguments of {PROGRAM}: {' '.join(words)}")
+    given = dict(zip(names, values, strict=True))
+    parent, child = given.pop("frame-id", None), given.pop("child-frame-id", None)
+    if not parent or not child:
+        raise ReadError(f"{PROGRAM} needs --frame-id and --child-frame-id")
+    if {*given} & {*QUATERNION} and {*given} & {*RPY}:
+        raise ReadError(f"{PROGRAM} has a quaternion and roll-pitch-yaw; one is needed")
+    rotation = QUATERNION if {*given} & {*QUATERNION} else RPY
+    default = {"qw": "1"} if rotation == QUATERNION else {}
+    full = {name: given.get(name, default.get(name, "0")) for name in (*TRANSLATION, *rotation)}
+    return Found(parent, child, lambda: pose_of(full))
+
+
+def _positional(words: list[str]) -> Found:
+    """Read ``x y z qx qy qz qw parent child`` or ``x y z yaw pitch roll parent child``."""
+    if len(words) not in (8, 9):
+        raise ReadError(f"{PROGRAM} of tf2_ros takes 8 or 9 arguments, this has {len(words)}")
+
+    def pose() -> Array:
+        values = np.array([to_float(word) for word in words[:-2]])
+        if len(values) == 7:
+            return from_quaternion(values[:3], values[3:])
+        return from_rpy(values[:3], values[:2:-1])
+
+    return Found(words[-2], words[-1], pose)

@@ -1,0 +1,213 @@
+"""A transform between two named frames, the forms it is written in, and the checks it must pass.
+
+``T_parent_child`` maps points of the child frame into the parent frame: the pose of the child in
+the parent, as ROS and URDF have it. The target LiDAR is the parent, the source LiDAR the child.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import se3
+from ..datatypes import Array
+from ..errors import ReadError, UsageError
+
+RIGID_TOLERANCE = 1e-4
+"""How far from rigid a transform that was read may be: four printed decimals make 1e-4."""
+
+ROS_COVARIANCE_ORDER = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
+"""ROS puts translation first (geometry_msgs/PoseWithCovariance)."""
+
+_TO_ROS = [3, 4, 5, 0, 1, 2]
+_PLAIN = r"[A-Za-z0-9_./]+(?:-[A-Za-z0-9_./]+)*"
+_NAME = rf'({_PLAIN}|"(?:[^"\\]|\\.)*")'
+_MEANING = re.compile(f"maps points of {_NAME} into {_NAME}; parent: {_NAME}, child: {_NAME}")
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """A rigid transform between two named frames.
+
+    Attributes
+    ----------
+    T_parent_child
+        (4, 4) maps homogeneous points of the child frame into the parent frame, metres.
+    parent, child
+        Names of the frames; they differ, and hold neither line breaks nor control characters.
+    covariance
+        (6, 6) over ``[φ, δ]``, rad and m, axes of the parent frame, or None where not known:
+        ``R_true = Exp(φ) R``, ``t_true = t + δ``.
+    roles
+        What parent and child are in the calibration: ``("target", "source")``, or the other way
+        round after `inverted`.
+
+    Raises
+    ------
+    UsageError
+        For names that no frame can have.
+    ReadError
+        For a matrix that is not rigid (`rigid`).
+    """
+
+    T_parent_child: Array
+    parent: str
+    child: str
+    covariance: Array | None = None
+    roles: tuple[str, str] = ("target", "source")
+
+    def __post_init__(self) -> None:
+        """Check the names and the matrix."""
+        rigid(self.T_parent_child)
+        for role, name in (("parent", self.parent), ("child", self.child)):
+            if not name.strip() or not name.isprintable():
+                raise UsageError(f"{name!r} is no name for the {role} frame")
+        if self.parent == self.child:
+            raise UsageError(f"parent and child are both named {self.parent!r}; they must differ")
+
+    @property
+    def meaning(self) -> str:
+        """Say in words what it maps, and name the frames so that they can be read back."""
+        parent, child = quoted(self.parent), quoted(self.child)
+        return f"maps points of {child} into {parent}; parent: {parent}, child: {child}"
+
+
+def inverted(transform: Transform) -> Transform:
+    """Turn a transform round: parent and child change places.
+
+    The covariance follows to first order. With ``R' = Rᵀ`` and ``t' = −Rᵀ t``, the errors are
+    ``φ' = −Rᵀ φ`` and ``δ' = −Rᵀ (δ + [t]ₓ φ)``.
+    """
+    T = transform.T_parent_child
+    covariance = transform.covariance
+    if covariance is not None:
+        Rt = T[:3, :3].T
+        J = np.block([[-Rt, np.zeros((3, 3))], [-Rt @ se3.hat(T[:3, 3]), -Rt]])
+        covariance = J @ covariance @ J.T
+    return Transform(
+        se3.inverse(T), transform.child, transform.parent, covariance, transform.roles[::-1]
+    )
+
+
+def covariance_to_ros(covariance: Array) -> Array:
+    """Reorder a (6, 6) covariance from ``[φ, δ]`` to ROS's ``[x y z rot_x rot_y rot_z]``."""
+    return covariance[np.ix_(_TO_ROS, _TO_ROS)]
+
+
+covariance_from_ros = covariance_to_ros
+"""The way back: exchanging the two halves undoes itself."""
+
+
+def rigid(matrix: Array) -> Array:
+    """Check that a 4×4 matrix is rigid, and give the rigid transform nearest to it.
+
+    Parameters
+    ----------
+    matrix
+        (4, 4), as read.
+
+    Raises
+    ------
+    ReadError
+        Where it is not (4, 4), not finite, has another last row than 0 0 0 1, or where its
+        rotation is mirrored or further than `RIGID_TOLERANCE` from orthonormal.
+    """
+    T = np.asarray(matrix, dtype=float)
+    if T.shape != (4, 4):
+        raise ReadError(f"no rigid transform: {T.shape} numbers instead of (4, 4)")
+    if not np.isfinite(T).all():
+        raise ReadError(f"no rigid transform: {int((~np.isfinite(T)).sum())} entries not finite")
+    if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise ReadError(f"no rigid transform: its last row is {T[3].tolist()}, not 0 0 0 1")
+    R = T[:3, :3]
+    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    det = float(np.linalg.det(R))
+    if off > RIGID_TOLERANCE or det < 0:
+        raise ReadError(
+            f"no rigid transform: its determinant is {det:.6g} (1 is rigid, -1 mirrors), and RᵀR "
+            f"is off the identity by {off:.3g} (at most {RIGID_TOLERANCE:g} is rounding)"
+        )
+    if off < 1e-12:
+        return T
+    U, _, Vt = np.linalg.svd(R)
+    return se3.from_rt(U @ Vt, T[:3, 3])
+
+
+def from_quaternion(translation: Array, xyzw: Array) -> Array:
+    """Build a 4×4 transform from a translation, m, and a unit quaternion ``x y z w``.
+
+    Raises
+    ------
+    ReadError
+        Where a number is not finite, or the norm is further than `RIGID_TOLERANCE` from 1.
+    """
+    q, t = np.asarray(xyzw, dtype=float), np.asarray(translation, dtype=float)
+    if not (np.isfinite(q).all() and np.isfinite(t).all()):
+        raise ReadError("no rigid transform: a number is not finite")
+    norm = float(np.linalg.norm(q))
+    if abs(norm - 1) > RIGID_TOLERANCE:
+        raise ReadError(f"no unit quaternion: x y z w = {q.tolist()} has norm {norm:.6g}, not 1")
+    return se3.from_quaternion_xyzw(q, t)
+
+
+def to_quaternion(T: Array) -> Array:
+    """Unit quaternion ``x y z w`` (4,) of a 4×4 transform, with w ≥ 0."""
+    return np.asarray(Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
+
+
+def from_rpy(translation: Array, rpy: Array) -> Array:
+    """Build a 4×4 transform from a translation, m, and roll, pitch, yaw, rad.
+
+    About fixed axes, x then y then z: ``R = Rz(yaw) Ry(pitch) Rx(roll)``, as in URDF and ROS.
+    """
+    if not (np.isfinite(rpy).all() and np.isfinite(translation).all()):
+        raise ReadError("no rigid transform: a number is not finite")
+    R = np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
+    return se3.from_rt(R, np.asarray(translation, dtype=float))
+
+
+def to_rpy(T: Array) -> Array:
+    """Roll, pitch and yaw (3,) in radians of a 4×4 transform; `from_rpy` is the way back.
+
+    Where the pitch is ±90°, only roll ± yaw is determined. Roll is therefore read off what is left
+    of the rotation once the yaw is taken out: however poorly the yaw is known there, the three
+    together give the rotation back.
+    """
+    R = T[:3, :3]
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    # Second row of Rz(yaw)ᵀ R = Ry(pitch) Rx(roll), which is (0, cos roll, -sin roll).
+    c, s = np.cos(yaw), np.sin(yaw)
+    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return np.array([roll, pitch, yaw])
+
+
+def quoted(name: str) -> str:
+    """Write a name so that it is safe in any comment and can be read back: bare, or as JSON."""
+    if re.fullmatch(_PLAIN, name):
+        return name
+    text = json.dumps(name, ensure_ascii=False)
+    return '"' + re.sub(r"[\[\]<>&-]", lambda c: f"\\u{ord(c[0]):04x}", text[1:-1]) + '"'
+
+
+def names_in_words(text: str) -> tuple[str | None, str | None]:
+    """Read parent and child back from `Transform.meaning`; None, None where it is not there."""
+    found = _MEANING.search(text)
+    if found is None:
+        return None, None
+    try:
+        parent, child = (json.loads(n) if n[0] == '"' else n for n in found.groups()[2:])
+    except json.JSONDecodeError as error:
+        raise ReadError(f"cannot read the names in {found[0]!r}: {error}") from None
+    return parent, child
+
+
+def number(value: float) -> str:
+    """Write a number so that it reads back the same, also where YAML 1.1 wants a point in it."""
+    text = repr(float(value) + 0.0)
+    mantissa, e, exponent = text.partition("e")
+    return text if not e or "." in mantissa else f"{mantissa}.0e{exponent}"

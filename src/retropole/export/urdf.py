@@ -1,0 +1,237 @@
+"""URDF: a fixed joint of its own, or put into a robot whose file else stays byte for byte.
+
+The origin of a joint is the pose of the child in the parent: ``T_parent_child``. Its ``rpy`` are
+angles about fixed axes, x then y then z.
+"""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from ..datatypes import Array
+from ..errors import ReadError, UsageError
+from .found import Found
+from .text import RPY, TRANSLATION, pose_values, to_float
+from .transform import Transform, from_rpy
+from .xml_scan import Element, Scan, scan_xml, with_attributes
+
+
+def write_urdf(transform: Transform) -> str:
+    """Write a robot of two links and the fixed joint between them."""
+    parent, child = _quote(transform.parent), _quote(transform.child)
+    joint = "\n".join(f"  {line}" for line in _joint(transform, "  "))
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        '<robot name="retropole">\n'
+        f"  <link name={parent}/>\n  <link name={child}/>\n{joint}\n</robot>\n"
+    )
+
+
+def _quote(name: str) -> str:
+    """Write a name as the value of an attribute."""
+    return f'"{escape(name)}"'
+
+
+def _origin(transform: Transform) -> dict[str, str]:
+    """Attributes of the joint's origin."""
+    values = pose_values(transform, RPY)
+    return {
+        "xyz": " ".join(values[name] for name in TRANSLATION),
+        "rpy": " ".join(values[name] for name in RPY),
+    }
+
+
+def _origin_tag(transform: Transform) -> str:
+    return "<origin " + " ".join(f'{k}="{v}"' for k, v in _origin(transform).items()) + "/>"
+
+
+def _joint(transform: Transform, indent: str) -> list[str]:
+    """Lines of the joint, under a comment that says in words what it maps."""
+    name = _quote(f"{transform.child}_joint")
+    return [
+        f"<!-- {transform.meaning} -->",
+        f'<joint name={name} type="fixed">',
+        f"{indent}<parent link={_quote(transform.parent)}/>",
+        f"{indent}<child link={_quote(transform.child)}/>",
+        f"{indent}{_origin_tag(transform)}",
+        "</joint>",
+    ]
+
+
+def read_urdf(data: bytes) -> list[Found]:
+    """Read the joints of a robot; the pose of one that moves is refused when it is asked for."""
+    return [
+        Found(_link(joint, "parent"), _link(joint, "child"), lambda joint=joint: _pose(joint))  # type: ignore[misc]
+        for joint in _robot(scan_xml(data)).named("joint")
+    ]
+
+
+def _robot(scan: Scan) -> Element:
+    if scan.root.tag != "robot":
+        raise ReadError(f"no URDF: the root element is <{scan.root.tag}>, not <robot>")
+    return scan.root
+
+
+def _link(joint: Element, role: str) -> str:
+    """Link that a joint names as its parent or child; empty where it names none."""
+    named = joint.named(role)
+    return named[0].attributes.get("link", "") if len(named) == 1 else ""
+
+
+def _pose(joint: Element) -> Array:
+    """``T_parent_child`` of a fixed joint; what is not given is zero."""
+    _check_fixed(joint)
+    attributes = joint.named("origin")[0].attributes if joint.named("origin") else {}
+    xyz, rpy = (_three(attributes.get(name, "0 0 0"), name) for name in ("xyz", "rpy"))
+    return from_rpy(xyz, rpy)
+
+
+def _check_fixed(joint: Element) -> None:
+    name, kind = joint.attributes.get("name", "?"), joint.attributes.get("type")
+    if kind != "fixed":
+        raise ReadError(f"joint {name!r} is {kind}, not fixed: its origin is not the whole pose")
+    if len(joint.named("origin")) > 1:
+        raise ReadError(f"joint {name!r} has {len(joint.named('origin'))} origins, not one")
+
+
+def _three(text: str, name: str) -> Array:
+    words = text.split()
+    if len(words) != 3:
+        raise ReadError(f"{name}={text!r} is not three numbers")
+    return np.array([to_float(word) for word in words])
+
+
+def put_into_urdf(data: bytes, transform: Transform) -> bytes:
+    """Put a transform into a robot, and leave every other byte as it is.
+
+    Where a fixed joint already leads from parent to child, the ``xyz`` and ``rpy`` of its origin
+    are replaced; where the child has no joint yet, one is added at the end of the robot, and the
+    child's link with it if that is missing.
+
+    Parameters
+    ----------
+    data
+        The URDF file.
+    transform
+        Names and pose; the parent must be a link of the robot.
+
+    Returns
+    -------
+    bytes
+        The file with the joint, in its own encoding, indentation and line endings.
+
+    Raises
+    ------
+    ReadError
+        Where it is no well-formed URDF.
+    UsageError
+        Where it is unclear what to change: the parent is no link, the child already has another
+        parent or several joints, the joint moves or is an expression, or it would close a circle.
+    """
+    scan = scan_xml(data)
+    robot = _robot(scan)
+    joints = [e for e in robot.walk() if e.tag == "joint" and e.named("child")]
+    mine = [joint for joint in joints if _link(joint, "child") == transform.child]
+    if mine:
+        _check_same_joint(mine, robot, transform)
+        out = _with_origin(scan, mine[0], transform)
+    else:
+        _check_room(robot, joints, transform)
+        out = _with_joint(scan, transform)
+    written = read_urdf(out)
+    same = [f for f in written if (f.parent, f.child) == (transform.parent, transform.child)]
+    if len(same) != 1 or np.abs(same[0].pose() - transform.T_parent_child).max() > 1e-9:
+        raise UsageError("the joint does not read back from the edited URDF; nothing was written")
+    return out
+
+
+def _check_same_joint(mine: list[Element], robot: Element, transform: Transform) -> None:
+    """Refuse where the joint of the child is not one fixed joint from the parent."""
+    names = ", ".join(repr(joint.attributes.get("name", "?")) for joint in mine)
+    if len(mine) > 1:
+        raise UsageError(f"{transform.child!r} is the child of {len(mine)} joints: {names}")
+    parent = _link(mine[0], "parent")
+    if parent != transform.parent:
+        raise UsageError(
+            f"{transform.child!r} already hangs on {parent!r} by joint {names}, not on "
+            f"{transform.parent!r}; a link has one parent. Export to that parent, or take the "
+            "joint out of the file first"
+        )
+    if mine[0] not in robot.children:
+        raise UsageError(f"joint {names} stands inside a macro or condition; expand it first")
+    _check_fixed(mine[0])
+    origins = mine[0].named("origin")
+    if origins and any("$" in value for value in origins[0].attributes.values()):
+        raise UsageError(f"the origin of joint {names} is an expression; expand the file first")
+
+
+def _check_room(robot: Element, joints: list[Element], transform: Transform) -> None:
+    """Refuse where a new joint would hang on nothing, close a circle or take a name twice."""
+    links = [link.attributes.get("name", "") for link in robot.named("link")]
+    if transform.parent not in links:
+        raise UsageError(
+            f"the robot has no link {transform.parent!r} for the parent; it has "
+            f"{len(links)}: {', '.join(links[:20]) or 'none'}. Name one with --parent"
+        )
+    above = {_link(joint, "child"): _link(joint, "parent") for joint in joints}
+    at, way = transform.parent, [transform.parent]
+    while at in above and above[at] not in way:
+        at = above[at]
+        way.append(at)
+    if transform.child in way:
+        raise UsageError(
+            f"{transform.parent!r} already hangs on {transform.child!r}: a joint back would close "
+            "a circle; export with --invert for the joint the other way"
+        )
+    name = f"{transform.child}_joint"
+    if any(joint.attributes.get("name") == name for joint in robot.named("joint")):
+        raise UsageError(f"the robot has a joint {name!r} already, for another child")
+
+
+def _with_origin(scan: Scan, joint: Element, transform: Transform) -> bytes:
+    """Set the origin of a joint that is there."""
+    origins = joint.named("origin")
+    if origins:
+        start, end = origins[0].start, origins[0].head_end
+        tag = with_attributes(scan.text(start, end), _origin(transform))
+    else:
+        start = end = joint.named("child")[0].end
+        before = _indent(scan, joint.named("child")[0])
+        tag = ("" if before is None else _newline(scan) + before) + _origin_tag(transform)
+    return scan.data[:start] + scan.encode(tag) + scan.data[end:]
+
+
+def _with_joint(scan: Scan, transform: Transform) -> bytes:
+    """Add a joint, and the child's link where it is missing, as the last of the robot."""
+    robot = scan.root
+    newline, indent = _newline(scan), _indent(scan, robot.children[0]) or "  "
+    lines = _joint(transform, indent)
+    if transform.child not in [link.attributes.get("name") for link in robot.named("link")]:
+        lines.insert(0, f"<link name={_quote(transform.child)}/>")
+    at = robot.foot
+    block = "".join(f"{indent}{line}{newline}" for line in lines)
+    before = scan.text(robot.head_end, at)
+    last = before[max(before.rfind("\n"), before.rfind("\r")) + 1 :]
+    if last == before or last.strip():
+        block = newline + block
+    else:
+        at -= len(scan.encode(last))
+    return scan.data[:at] + scan.encode(block) + scan.data[at:]
+
+
+def _indent(scan: Scan, element: Element) -> str | None:
+    """Blanks before an element on its line; None where something else stands there."""
+    before = scan.text(scan.root.start, element.start)
+    line = before[max(before.rfind("\n"), before.rfind("\r")) + 1 :]
+    return line if line != before and not line.strip() else None
+
+
+def _newline(scan: Scan) -> str:
+    """The line ending that the file uses first."""
+    text = scan.text(scan.root.start, scan.root.end)
+    at = min((k for k in (text.find("\n"), text.find("\r")) if k >= 0), default=-1)
+    if at < 0:
+        return "\n"
+    return "\r\n" if text[at : at + 2] == "\r\n" else text[at]

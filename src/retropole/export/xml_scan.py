@@ -1,0 +1,166 @@
+"""Where the elements of an XML file stand, byte by byte, so that one can be changed alone."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from ..errors import ReadError
+
+_ATTRIBUTE = re.compile(r"""([^\s=/<>"']+)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+@dataclass
+class Element:
+    """An element, and the bytes it takes.
+
+    Attributes
+    ----------
+    tag, attributes
+        As in the file, attributes with entities resolved.
+    children
+        Elements directly inside.
+    start, end
+        Bytes of the whole element, ``data[start:end]``.
+    head_end
+        End of its start tag; equals `end` for ``<tag/>``.
+    foot
+        Start of its end tag; equals `end` for ``<tag/>``.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    start: int
+    children: list[Element] = field(default_factory=list)
+    end: int = 0
+    head_end: int = 0
+    foot: int = 0
+
+    def named(self, tag: str) -> list[Element]:
+        """Children with a tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def walk(self) -> list[Element]:
+        """Itself and all elements below it, in the order of the file."""
+        found, left = [], [self]
+        while left:
+            found.append(left.pop())
+            left.extend(reversed(found[-1].children))
+        return found
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A parsed file: its bytes, the codec of its text, and its root element."""
+
+    data: bytes
+    codec: str
+    root: Element
+
+    def text(self, start: int, end: int) -> str:
+        """Decode some bytes of the file."""
+        return self.data[start:end].decode(self.codec)
+
+    def encode(self, text: str) -> bytes:
+        """Encode text as the file is, what its encoding lacks as character references."""
+        return text.encode(self.codec, "xmlcharrefreplace")
+
+
+def scan_xml(data: bytes) -> Scan:
+    """Find all elements of an XML file and where they stand.
+
+    Raises
+    ------
+    ReadError
+        For what is not well-formed, and for a DOCTYPE: entities can blow a small file up, and none
+        of the files read here need one.
+    """
+    parser = expat.ParserCreate()
+    declared: list[str] = []
+    open_elements: list[Element] = []
+    roots: list[Element] = []
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes, parser.CurrentByteIndex)
+        if open_elements:
+            open_elements[-1].children.append(element)
+        else:
+            roots.append(element)
+        open_elements.append(element)
+
+    def end(_tag: str) -> None:
+        open_elements.pop().foot = parser.CurrentByteIndex
+
+    def doctype(*_: object) -> None:
+        raise ReadError("the XML has a DOCTYPE; such files are not read")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.StartDoctypeDeclHandler = doctype
+    parser.XmlDeclHandler = lambda _version, encoding, _standalone: declared.append(encoding or "")
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise ReadError(f"no well-formed XML: {error}") from None
+    except (LookupError, ValueError) as error:
+        raise ReadError(f"cannot decode the XML: {error}") from None
+    scan = Scan(data, _codec(data, declared[0] if declared else ""), roots[0])
+    for element in scan.root.walk():
+        element.head_end = _tag_end(scan, element.start)
+        if scan.text(element.start, element.head_end).endswith("/>"):
+            element.foot = element.end = element.head_end
+        else:
+            element.end = _tag_end(scan, element.foot)
+    return scan
+
+
+def _codec(data: bytes, declared: str) -> str:
+    """Codec without a byte order mark, as slices have none."""
+    if data.startswith((codecs.BOM_UTF16_LE, b"<\x00")):
+        return "utf-16-le"
+    if data.startswith((codecs.BOM_UTF16_BE, b"\x00<")):
+        return "utf-16-be"
+    return declared or "utf-8"
+
+
+def _tag_end(scan: Scan, start: int) -> int:
+    """Position after the ``>`` that closes the tag at ``start``; one in quotes does not."""
+    quote = ""
+    step = 2 if scan.codec.startswith("utf-16") else 1
+    for at in range(start, len(scan.data), step):
+        # ASCII characters are themselves in every encoding that expat reads.
+        unit = scan.data[at : at + step].replace(b"\0", b"")
+        if quote:
+            quote = "" if unit == quote.encode() else quote
+        elif unit in (b'"', b"'"):
+            quote = unit.decode()
+        elif unit == b">":
+            return at + step
+    raise ReadError("no well-formed XML: a tag does not end")
+
+
+def with_attributes(tag: str, values: dict[str, str]) -> str:
+    """Set attributes of a start tag; every other character of it stays.
+
+    Parameters
+    ----------
+    tag
+        The start tag as in the file, ``<origin xyz='0 0 0' />``.
+    values
+        New values, free of markup.
+    """
+    spans = {m[1]: m.span(2) for m in _ATTRIBUTE.finditer(tag)}
+    ends = [stop for _, stop in spans.values()]
+    name = re.match(r"<[^\s/>]+", tag)
+    last = max(ends) if ends else name.end() if name else 1
+    edits = [
+        (spans[name][0] + 1, spans[name][1] - 1, value)
+        for name, value in values.items()
+        if name in spans
+    ]
+    missing = "".join(f' {n}="{v}"' for n, v in values.items() if n not in spans)
+    for begin, stop, value in sorted([*edits, (last, last, missing)], reverse=True):
+        tag = tag[:begin] + value + tag[stop:]
+    return tag

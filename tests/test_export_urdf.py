@@ -1,0 +1,235 @@
+"""A joint in a URDF: other programs read it, and the rest of the file stays as it was."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retropole import se3
+from retropole.datatypes import Array
+from retropole.errors import ReadError, UsageError
+from retropole.export import Transform, export_lines, put_into_urdf, read_transform
+from retropole.export.transform import from_rpy
+from retropole.export.xml_scan import scan_xml, with_attributes
+
+T = se3.random(np.random.default_rng(1))
+TRANSFORM = Transform(T, "front", "rear")
+
+ROBOT = """<?xml version="1.0" encoding="utf-8"?>
+<!-- rear > front -->
+<robot name="car">
+    <link name="base"><!-- <joint/> --></link>
+    <link name="front"/>
+    <joint name="j1"   type="fixed">
+        <parent link="base"/><child link="front"/>
+        <origin rpy='0 0  0'
+                xyz = "1 2 3" />   <!-- measured <origin xyz="9 9 9"/> -->
+    </joint>
+    <link name="rear" />
+    <joint name="a > b" type="fixed">
+        <origin rpy='0 0  0'
+                xyz = "1 2 3" note="x>y" />\t<!-- by tape -->
+        <parent link="front"/>
+        <child link="rear"/>
+    </joint>
+    <gazebo reference="rear"><![CDATA[<origin xyz="0 0 0"/>]]></gazebo>
+    <transmission name="t"><joint name="j1"/></transmission>
+</robot>
+
+<!-- the end -->
+"""
+NO_REAR = re.sub(r"    <link name=\"rear\" />.*?</joint>\n", "", ROBOT, flags=re.S)
+
+
+def pose_by_other_program(data: bytes) -> Array:
+    """Pose of the joint to ``rear``, as urdf_parser_py has it."""
+    urdf = pytest.importorskip("urdf_parser_py.urdf")
+    robot = urdf.URDF.from_xml_string(data)
+    assert robot.parent_map["rear"][1] == "front"
+    joint = robot.joint_map[robot.parent_map["rear"][0]]
+    assert joint.type == "fixed"
+    cr, cp, cy = np.cos(joint.origin.rpy)
+    sr, sp, sy = np.sin(joint.origin.rpy)
+    Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    Rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return se3.from_rt(Rz @ Ry @ Rx, np.array(joint.origin.xyz))
+
+
+@pytest.mark.parametrize("pitch", [0.3, math.pi / 2, -math.pi / 2 + 1e-8])
+def test_another_program_reads_the_pose(pitch: float) -> None:
+    T = from_rpy(np.array([1.0, -2, 1e-9]), np.array([0.4, pitch, -3.0]))
+    data = export_lines(T, "front", "rear")["urdf"].encode()
+    np.testing.assert_allclose(pose_by_other_program(data), T, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("robot", [ROBOT, NO_REAR], ids=["replaced", "added"])
+def test_another_program_reads_the_pose_from_the_robot(robot: str) -> None:
+    # The parser wants neither bare gazebo text nor half a transmission.
+    plain = re.sub(r"    <(gazebo|transmission).*\n", "", robot).replace(' note="x>y"', "")
+    out = put_into_urdf(plain.encode(), TRANSFORM)
+    np.testing.assert_allclose(pose_by_other_program(out), T, rtol=0, atol=1e-9)
+
+
+def test_names_are_escaped_for_xml() -> None:
+    name = "<script>alert('1')</script> & \"so\" -->"
+    data = export_lines(T, "front", name)["urdf"].encode()
+    assert b"<script" not in data
+    (comment,) = re.findall(rb"<!--(.*)-->\n", data)
+    assert b"--" not in comment
+    root = scan_xml(data).root
+    assert [e.attributes["name"] for e in root.named("link")] == ["front", name]
+
+
+codecs = pytest.mark.parametrize(
+    "codec", ["utf-8", "utf-8-sig", "utf-16", "iso-8859-1", "us-ascii"]
+)
+newlines = pytest.mark.parametrize("newline", ["\n", "\r\n"])
+
+
+def as_file(text: str, newline: str, codec: str) -> bytes:
+    """Encode a file whose declaration names its codec (a byte order mark is no codec)."""
+    declared = "utf-8" if codec == "utf-8-sig" else codec
+    return text.replace("\n", newline).replace("utf-8", declared, 1).encode(codec)
+
+
+@codecs
+@newlines
+def test_replacing_changes_the_two_values_only(newline: str, codec: str) -> None:
+    before = as_file(
+        ROBOT.replace("measured", "gemäß" if codec != "us-ascii" else "x"), newline, codec
+    )
+    after = put_into_urdf(before, TRANSFORM)
+    old, new = before.decode(codec), after.decode(codec)
+    at = old.index("a > b")
+    for text in ("0 0  0", "1 2 3"):
+        begin = old.index(text, at)
+        values = new[begin:].split("'" if text == "0 0  0" else '"')[0]
+        assert len(values.split()) == 3
+        new = new[:begin] + text + new[begin + len(values) :]
+    assert new == old
+    assert new.encode(codec) == before
+
+
+@codecs
+@newlines
+def test_adding_puts_lines_before_the_end_only(newline: str, codec: str) -> None:
+    before = as_file(NO_REAR, newline, codec)
+    after = put_into_urdf(before, TRANSFORM)
+    old, new = before.decode(codec), after.decode(codec)
+    at = old.rindex("</robot>")
+    assert new.startswith(old[:at])
+    assert new.endswith(old[at:])
+    added = new[at : len(new) - len(old) + at]
+    lines = added.split(newline)
+    assert lines[-1] == ""
+    assert all(line.startswith("    <") or line.startswith("        <") for line in lines[:-1])
+    assert "\n" not in added.replace(newline, "")
+    assert [line.strip()[:6] for line in lines[:3]] == ["<link ", "<!-- m", "<joint"]
+    np.testing.assert_array_equal(put_into_urdf(after, TRANSFORM), after)
+
+
+def test_a_link_that_is_there_is_not_added_twice() -> None:
+    robot = NO_REAR.replace("</robot>", '<link name="rear"/></robot>')
+    out = put_into_urdf(robot.encode(), TRANSFORM).decode()
+    assert out.count('<link name="rear"/>') == 1
+    assert '<link name="rear"/>\n    <!-- maps points of rear into front;' in out
+
+
+def test_a_joint_without_origin_gets_one() -> None:
+    robot = re.sub(r"        <origin rpy='0 0  0'\n[^\n]*note[^\n]*\n", "", ROBOT)
+    out = put_into_urdf(robot.encode(), TRANSFORM).decode()
+    (line,) = [line for line in out.splitlines() if line not in robot.splitlines()]
+    assert line.startswith("        <origin xyz=")
+    assert out.replace(line + "\n", "") == robot
+
+
+@settings(max_examples=60, deadline=None)
+@given(rng=st.integers(0, 2**32 - 1).map(np.random.default_rng))
+def test_what_was_put_in_is_read_and_putting_it_again_changes_nothing(
+    rng: np.random.Generator,
+) -> None:
+    transform = Transform(se3.random(rng), "front", "rear")
+    for robot in (ROBOT, NO_REAR):
+        once = put_into_urdf(robot.encode(), transform)
+        assert put_into_urdf(once, transform) == once
+
+
+def test_one_joint_of_a_robot_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(put_into_urdf(ROBOT.encode(), TRANSFORM))
+    with pytest.raises(ReadError, match="base -> front, front -> rear"):
+        read_transform(path)
+    back = read_transform(path, child="rear")
+    assert (back.parent, back.child) == ("front", "rear")
+    np.testing.assert_allclose(back.T_parent_child, T, rtol=0, atol=1e-9)
+
+
+SECOND = '<joint name="k" type="fixed"><parent link="base"/><child link="rear"/></joint></robot>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "transform", "reason"),
+    [
+        ('<parent link="front"/>', '<parent link="base"/>', TRANSFORM, "already hangs on 'base'"),
+        ("</robot>", SECOND, TRANSFORM, "child of 2 joints: 'a > b', 'k'"),
+        ('"a > b" type="fixed"', '"a > b" type="revolute"', TRANSFORM, "is revolute, not fixed"),
+        ('note="x>y"', 'note="${pi}"', TRANSFORM, "expression"),
+        (
+            "</robot>",
+            "</robot>",
+            Transform(T, "top", "roof"),
+            "no link 'top'.*3: base, front, rear",
+        ),
+        ("</robot>", "</robot>", Transform(T, "rear", "base"), "circle.*--invert"),
+        (
+            'name="j1"   ',
+            'name="roof_joint" ',
+            Transform(T, "rear", "roof"),
+            "'roof_joint' already",
+        ),
+        ('<parent link="front"/>', '<origin/><parent link="front"/>', TRANSFORM, "2 origins"),
+        ('<joint name="a > b"', '<m><joint name="a > b"', TRANSFORM, "no well-formed XML"),
+        ("<robot", "<!DOCTYPE robot><robot", TRANSFORM, "DOCTYPE"),
+    ],
+)
+def test_where_it_is_unclear_what_to_change_nothing_is(
+    old: str, new: str, transform: Transform, reason: str
+) -> None:
+    robot = ROBOT.replace(old, new, 1)
+    with pytest.raises((UsageError, ReadError), match=reason):
+        put_into_urdf(robot.encode(), transform)
+
+
+def test_a_joint_inside_a_macro_is_not_touched() -> None:
+    robot = ROBOT.replace('<joint name="a > b"', '<macro><joint name="a > b"')
+    robot = robot.replace("    <gazebo", "    </macro><gazebo")
+    with pytest.raises(UsageError, match="macro"):
+        put_into_urdf(robot.encode(), TRANSFORM)
+
+
+def test_elements_stand_where_the_scan_says() -> None:
+    data = as_file(ROBOT, "\n", "utf-16")
+    scan = scan_xml(data)
+    for element in scan.root.walk():
+        text = scan.text(element.start, element.end)
+        assert text.startswith(f"<{element.tag}")
+        assert text.endswith(("/>", f"</{element.tag}>"))
+        assert scan.text(element.foot, element.end) in ("", f"</{element.tag}>")
+
+
+def test_attributes_are_set_in_place() -> None:
+    assert with_attributes("<o  b='1'\ta = \"2\" />", {"a": "9", "c": "7"}) == (
+        '<o  b=\'1\'\ta = "9" c="7" />'
+    )
+    assert with_attributes("<o/>", {"a": "1", "c": "2"}) == '<o a="1" c="2"/>'
+
+
+def test_deep_nesting_is_no_trap() -> None:
+    deep = b"<robot>" + b"<a>" * 5000 + b"</a>" * 5000 + b"</robot>"
+    with pytest.raises(UsageError, match="no link"):
+        put_into_urdf(deep, TRANSFORM)
