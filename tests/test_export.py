@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from retropole import se3
 from retropole.datatypes import Array
-from retropole.errors import ReadError, Refusal, RetropoleError, UsageError
+from retropole.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
 from retropole.export import FORMATS, Transform, export_lines, inverted, read_transform
 from retropole.export.found import choose
 from retropole.export.transform import (
@@ -138,6 +138,22 @@ def test_yaml_is_laid_out_as_autoware_has_it() -> None:
     assert list(pose) == ["x", "y", "z", "roll", "pitch", "yaw"]
     assert pose["yaw"] == pytest.approx(-math.pi / 2, abs=1e-12)
     assert all(isinstance(value, float) for value in pose.values())
+
+
+def test_reading_yaml_names_the_extra_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "yaml", None)
+    with pytest.raises(MissingExtraError, match=r"retropole\[yaml\]"):
+        FORMATS["yaml"].read(b"a: {}")
+
+
+@pytest.mark.parametrize("fmt", FORMATS)
+def test_files_saved_on_windows_are_read(fmt: str, tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    text = "\ufeff" + export_lines(np.eye(4), "a", "b")[fmt].replace("\n", "\r\n")
+    path.write_bytes(text.encode())
+    back = read_transform(path)
+    np.testing.assert_array_equal(back.T_parent_child, np.eye(4))
+    assert (back.parent, back.child) == ("a", "b")
 
 
 def test_a_yaml_of_many_sensors_gives_the_one_that_is_named(tmp_path: Path) -> None:
@@ -293,7 +309,7 @@ def test_cloudcompare_takes_it_pasted_and_from_a_file() -> None:
 
 def sampled_covariance(T: Array, covariance: Array, rng: np.random.Generator) -> Array:
     """Spread of the inverse's chart when the transform spreads by a covariance."""
-    steps = rng.multivariate_normal(np.zeros(6), covariance, 20_000)
+    steps = rng.multivariate_normal(np.zeros(6), covariance, 6000)
     back = se3.inverse(T)
     moved = [se3.local(back, se3.inverse(se3.retract(T, step))) for step in steps]
     return np.cov(np.array(moved), rowvar=False)
@@ -308,7 +324,7 @@ def test_the_covariance_of_the_inverse_is_that_of_samples() -> None:
     assert turned.covariance is not None
     expected = sampled_covariance(T, C, rng)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(turned.covariance / scale, expected / scale, atol=0.05)
+    np.testing.assert_allclose(turned.covariance / scale, expected / scale, atol=0.08)
     twice = inverted(turned)
     assert twice.covariance is not None
     np.testing.assert_allclose(twice.covariance, C, atol=1e-15)

@@ -6,6 +6,7 @@ document, or the truth that ``retropole simulate`` writes.
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -130,7 +131,7 @@ def read_transform(
     """
     path = Path(path)
     file = path / "result.json" if path.is_dir() else path
-    data = file.read_bytes()
+    data = file.read_bytes().removeprefix(codecs.BOM_UTF8)
     try:
         name = fmt if fmt not in (None, "auto") else detect_format(file, data)
         if name not in FORMATS:
@@ -153,7 +154,7 @@ def detect_format(path: Path, data: bytes) -> str:
     """Tell a format by its suffix, else by what the file holds."""
     if path.suffix.lower() in _SUFFIXES:
         return _SUFFIXES[path.suffix.lower()]
-    head = data.lstrip(b"\xef\xbb\xbf \t\r\n")
+    head = data.lstrip()
     if head.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
         return "urdf"
     if head.startswith(b"{"):
