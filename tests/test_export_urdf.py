@@ -212,6 +212,13 @@ def test_a_joint_inside_a_macro_is_not_touched() -> None:
         put_into_urdf(robot.encode(), TRANSFORM)
 
 
+def test_nothing_is_added_where_macros_may_make_the_same() -> None:
+    robot = NO_REAR.replace("</robot>", '<xacro:leg prefix="rear"/></robot>')
+    robot = robot.replace("<robot", '<robot xmlns:xacro="http://ros.org/wiki/xacro"')
+    with pytest.raises(UsageError, match="xacro"):
+        put_into_urdf(robot.encode(), TRANSFORM)
+
+
 def test_elements_stand_where_the_scan_says() -> None:
     data = as_file(ROBOT, "\n", "utf-16")
     scan = scan_xml(data)

@@ -169,6 +169,11 @@ def _check_same_joint(mine: list[Element], robot: Element, transform: Transform)
 
 def _check_room(robot: Element, joints: list[Element], transform: Transform) -> None:
     """Refuse where a new joint would hang on nothing, close a circle or take a name twice."""
+    if any(element.tag.startswith("xacro:") for element in robot.walk()):
+        raise UsageError(
+            f"the file is xacro and has no plain joint to {transform.child!r}, but what it "
+            "includes and its macros may make one; expand it first: xacro FILE > robot.urdf"
+        )
     links = [link.attributes.get("name", "") for link in robot.named("link")]
     if transform.parent not in links:
         raise UsageError(
