@@ -14,7 +14,7 @@ from ..datatypes import Array, Hypothesis, Pole
 from ..disambiguation import judge
 from ..errors import Refusal
 from ..extraction import extract_poles
-from ..figures import BLUE, GREEN, ORANGE
+from ..figures import BLUE, GREEN, GREY, ORANGE
 from ..simulation import SimulatedPair, simulate_pair
 from .exhibit import Exhibit
 
@@ -78,9 +78,7 @@ def judge_corridor(seed: int) -> Judged:
     points = np.array([pole.point for pole in found[1]])
     right = [is_right(h, pair.T_target_source, points) for h in exact]
     order = sorted(range(len(exact)), key=lambda k: not right[k])
-    return Judged(
-        pair, (found[0], found[1]), [exact[k] for k in order], [right[k] for k in order]
-    )
+    return Judged(pair, (found[0], found[1]), [exact[k] for k in order], [right[k] for k in order])
 
 
 def four_hypotheses() -> Exhibit:
@@ -109,8 +107,16 @@ def choosing(seeds: int) -> tuple[Exhibit, Exhibit]:
     """Table III on a simulated corridor with its figure, and how often each rule is right."""
     example = judge_corridor(EXAMPLE)
     rows = [
-        (name, *PAPER[name], h.icp_rotation, h.icp_translation)
-        + (h.overlap, h.free_space, h.score, "yes" if right else "no")
+        (
+            name,
+            *PAPER[name],
+            h.icp_rotation,
+            h.icp_translation,
+            h.overlap,
+            h.free_space,
+            h.score,
+            "yes" if right else "no",
+        )
         for name, h, right in zip(PAPER, example.hypotheses, example.right, strict=False)
     ]
     counts = dict.fromkeys(RULES, 0)
@@ -152,11 +158,16 @@ def _draw_poles(figure: Figure, judged: Judged) -> None:
     for k, (name, h) in enumerate(zip(PAPER, judged.hypotheses, strict=False)):
         axes: Any = figure.add_subplot(1, 4, k + 1, projection="3d")
         T = h.match.T_target_source
-        for i, pole in enumerate(target):
-            _draw_axis(axes, pole.point, pole.direction, BLUE, "-", f"target {i}")
-        for j, pole in enumerate(source):
-            point, direction = se3.apply(T, pole.point[None])[0], T[:3, :3] @ pole.direction
-            _draw_axis(axes, point, direction, ORANGE, "--", f"source {j}")
+        for i, j in h.match.pairs:
+            ours, theirs = target[i], source[j]
+            ends = ours.point + np.outer([-1.0, 1.0], ours.direction)
+            moved = se3.apply(T, theirs.point + np.outer([-1.0, 1.0], theirs.direction))
+            # Lines have no ends: what slides along itself matches, and the thin line shows it.
+            along = (np.concatenate([ends, moved]) - ours.point) @ ours.direction
+            line = ours.point + np.outer([along.min(), along.max()], ours.direction)
+            axes.plot(*line.T, color=GREY, lw=0.8)
+            axes.plot(*ends.T, color=BLUE, lw=3, label=f"target {i}")
+            axes.plot(*moved.T, "--", color=ORANGE, lw=2, label=f"source {j}")
         for pose, color in ((np.eye(4), BLUE), (T, ORANGE)):
             for column in range(3):
                 end = pose[:3, 3] + 0.8 * pose[:3, column]
@@ -169,10 +180,6 @@ def _draw_poles(figure: Figure, judged: Judged) -> None:
             axes.legend(fontsize=7)
 
 
-def _draw_axis(axes: Any, point: Array, n: Array, color: str, style: str, name: str) -> None:
-    axes.plot(*(point + np.outer([-1.0, 1.0], n)).T, style, color=color, lw=2, label=name)
-
-
 def _draw_clouds(figure: Figure, judged: Judged) -> None:
     """Draw both clouds from above under each hypothesis."""
     target = judged.pair.target.xyz
@@ -182,7 +189,7 @@ def _draw_clouds(figure: Figure, judged: Judged) -> None:
         moved = se3.apply(h.match.T_target_source, judged.pair.source.xyz)
         for xyz, color in ((target, BLUE), (moved, ORANGE)):
             thin = xyz[np.abs(xyz - middle).max(axis=1) < 12.0][::3]
-            axes.scatter(*thin[:, :2].T, s=0.3, c=color, linewidths=0, rasterized=True)
+            axes.scatter(thin[:, 0], thin[:, 1], s=0.3, c=color, linewidths=0, rasterized=True)
         for pole in judged.poles[0]:
             axes.plot(*pole.point[:2], "o", ms=9, mfc="none", mec=GREEN, mew=2)
         words = "ICP has too few points near"

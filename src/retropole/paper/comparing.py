@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import se3
-from ..datatypes import Array, PointCloud
+from ..datatypes import Array, PointCloud, Stage
 from ..errors import Refusal
 from ..evaluation import KERNEL_WIDTH, RQE_POINTS, Alignment, e_rt, evaluate
 from ..figures import BLUE, ORANGE
@@ -39,11 +40,12 @@ def poses(target: PointCloud, source: PointCloud) -> Methods:
     """Find the pose of two clouds by every method of the table; target from source."""
     found: Methods = {}
     rng = np.random.default_rng(SEED)
-    for name, run in (
-        ("planes", lambda: planar_surfaces(target, source, rng=rng)),
-        ("ICP", lambda: icp(target, source)),
-        ("GICP", lambda: gicp(target, source)),
-    ):
+    rivals: dict[str, Callable[[], Stage]] = {
+        "planes": lambda: planar_surfaces(target, source, rng=rng),
+        "ICP": lambda: icp(target, source),
+        "GICP": lambda: gicp(target, source),
+    }
+    for name, run in rivals.items():
         try:
             found[name] = run().T_target_source
         except Refusal as refusal:
@@ -65,22 +67,12 @@ def score(target: PointCloud, source: PointCloud, T: Array) -> Alignment:
     return evaluate(target, source, T, rng=np.random.default_rng(SEED))
 
 
-HEADER = ("method", "paper", "sum 1/m³", "−log", "overlap", "plane residual m")
+FIGURES = ("sum 1/m³", "−log", "overlap", "plane residual m")
 NOTE = (
     f"Rényi's quadratic entropy of {RQE_POINTS:,} points of both clouds, kernel {KERNEL_WIDTH} m: "
     "the argument of its logarithm (larger is crisper), and −log of it. The paper does not say how "
     "wide its kernel is: compare the order, not the size. ICP and GICP start from the identity."
 )
-
-
-def _row(name: str, aligned: Alignment | str) -> tuple[Cell, ...]:
-    if isinstance(aligned, str):
-        return (name, PAPER.get(name), None, f"refused: {aligned}", None, None)
-    entropy = aligned.entropy
-    return (name, PAPER.get(name), entropy.sum, entropy.log) + (
-        aligned.overlap,
-        aligned.plane_residual,
-    )
 
 
 def comparing_simulated(seeds: int) -> Exhibit:
@@ -100,8 +92,13 @@ def comparing_simulated(seeds: int) -> Exhibit:
             s = score(pair.target, pair.source, T)
             sums[name] = s.entropy.sum
             columns.setdefault(name, []).append(
-                (s.entropy.sum, s.entropy.log, s.overlap, s.plane_residual or np.nan)
-                + (e_rt(T, pair.T_target_source),)
+                (
+                    s.entropy.sum,
+                    s.entropy.log,
+                    s.overlap,
+                    s.plane_residual or np.nan,
+                    e_rt(T, pair.T_target_source),
+                )
             )
         if set(PAPER) <= set(sums):
             counted += 1
@@ -119,7 +116,7 @@ def comparing_simulated(seeds: int) -> Exhibit:
     return Exhibit(
         "table4_comparing",
         f"Table IV: crispness of the aligned clouds, median of {seeds} simulated corridors",
-        (*HEADER, "e_rt m", "refused"),
+        ("method", "paper", *FIGURES, "e_rt m", "refused"),
         tuple(rows),
         f"{NOTE} In {ordered} of the {counted} corridors in which all four of the paper's methods "
         "answered, planes and poles both were crisper than ICP and the wrong hypothesis.",
@@ -160,12 +157,15 @@ def comparing_real(data: Path) -> Exhibit:
         if not isinstance(right, str):
             found["wrong hypothesis"] = right @ HALF_TURN
         for name, T in found.items():
-            aligned = T if isinstance(T, str) else score(target, source, T)
-            rows.append((pair, *_row(name, aligned)))
+            if isinstance(T, str):
+                rows.append((pair, name, None, f"refused: {T}", None, None))
+                continue
+            s = score(target, source, T)
+            rows.append((pair, name, s.entropy.sum, s.entropy.log, s.overlap, s.plane_residual))
     return Exhibit(
         "table4_recorded",
         "Table IV: crispness of the aligned clouds, real recordings",
-        ("recording", *HEADER),
+        ("recording", "method", *FIGURES),
         tuple(rows),
         f"{NOTE} No public recording shows two taped poles, so ours refuses here, and the wrong "
         "hypothesis is the reference (or the planes' pose) turned half way round the vertical.",
@@ -181,7 +181,7 @@ def _draw(figure: Figure, target: PointCloud, source: PointCloud, found: Methods
         assert not isinstance(T, str)
         moved = se3.apply(T, source.xyz)
         for xyz, color in ((target.xyz[near], BLUE), (moved, ORANGE)):
-            axes.scatter(*xyz[::3, :2].T, s=0.3, c=color, linewidths=0, rasterized=True)
+            axes.scatter(xyz[::3, 0], xyz[::3, 1], s=0.3, c=color, linewidths=0, rasterized=True)
         sum_ = score(target, source, T).entropy.sum
         axes.set_title(f"{name}\nsum {sum_:.4g} 1/m³ (paper {PAPER[name]})", fontsize=9)
         axes.set(xlim=(-12, 12), ylim=(-12, 12))
