@@ -11,60 +11,20 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
 
 from retropole import se3
-from retropole.alignment import align_poles
-from retropole.beam_alignment import align_beams
 from retropole.beam_model import SHARED, State, look
 from retropole.beams import arc_likelihood
-from retropole.datatypes import Array, PointCloud, Pole
-from retropole.errors import Refusal
+from retropole.datatypes import Array
 from retropole.evaluation import e_rt
-from retropole.pole_beams import Beams, beams_of
+from retropole.paper.estimator import NOISES, SIGMA, Noise, as_beams, poles_of, solve
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 
-SIGMA = 0.006
 DRAWS = 200
 """Noisy versions of each return over which its Fisher information is averaged."""
-
-Poles = tuple[list[Pole], list[Pole]]
-
-
-def poles_of(pair: SimulatedPair, noise: str, rng: np.random.Generator) -> Poles:
-    """Give the returns on the poles, with noise, as poles with fitted lines."""
-    both = []
-    for cloud, labels in zip((pair.target, pair.source), pair.labels, strict=True):
-        first = len(pair.surfaces) - len(pair.poles)
-        poles = []
-        for k in range(len(pair.poles)):
-            index = np.flatnonzero(labels == first + k)
-            xyz = cloud.xyz[index]
-            if noise == "isotropic":
-                xyz = xyz + SIGMA * rng.normal(size=xyz.shape)
-            elif noise == "along the beam":
-                ranges = np.linalg.norm(xyz, axis=1, keepdims=True)
-                xyz = xyz * (1 + SIGMA * rng.normal(size=ranges.shape) / ranges)
-            centre = xyz.mean(axis=0)
-            n = np.linalg.svd(xyz - centre, full_matrices=False)[2][0]
-            assert cloud.ring is not None
-            rings = len(np.unique(cloud.ring[index]))
-            poles.append(Pole(centre, n, xyz, float(np.ptp((xyz - centre) @ n)), 0.0, rings, index))
-        both.append(poles)
-    return both[0], both[1]
-
-
-def as_beams(pair: SimulatedPair, poles: Poles) -> tuple[Beams, Beams]:
-    """Turn poles into beams, which have no width in this set-up."""
-    thin = replace(pair.sensors[0], divergence=0.0)
-    clouds: tuple[PointCloud, PointCloud] = (pair.target, pair.source)
-    target, source = (
-        beams_of(some, [cloud] * len(some), thin) for some, cloud in zip(poles, clouds, strict=True)
-    )
-    return target, source
 
 
 def truth_of(pair: SimulatedPair) -> State:
@@ -78,7 +38,7 @@ def truth_of(pair: SimulatedPair) -> State:
     )
 
 
-def bound(pair: SimulatedPair, noise: str, rng: np.random.Generator) -> Array:
+def bound(pair: SimulatedPair, noise: Noise, rng: np.random.Generator) -> Array:
     """Cramér–Rao bound (6, 6) of the pose; radius known, axes estimated, no offsets.
 
     Noise along the beam: the beams are known, a return tells its range. Isotropic noise: which beam
@@ -108,7 +68,7 @@ def bound(pair: SimulatedPair, noise: str, rng: np.random.Generator) -> Array:
     return np.asarray(np.linalg.inv(information[np.ix_(free, free)])[:6, :6])
 
 
-def run(job: tuple[int, str, int]) -> list[tuple[float, float, float]]:
+def run(job: tuple[int, Noise, int]) -> list[tuple[float, float, float]]:
     """e_rt of the paper's estimator, of ours, and of a draw from the bound, for each trial."""
     seed, noise, trials = job
     rng = np.random.default_rng([seed, 1])
@@ -117,17 +77,9 @@ def run(job: tuple[int, str, int]) -> list[tuple[float, float, float]]:
     limit = np.zeros((6, 6)) if noise == "none" else bound(pair, noise, rng)
     errors = []
     for _ in range(trials):
-        target, source = poles_of(pair, noise, rng)
-        paper = align_poles(
-            [(pole.point, pole.direction) for pole in target], [pole.xyz for pole in source], T
-        ).T_target_source
+        paper, ours = solve(pair, poles_of(pair, noise, rng))
         drawn = se3.retract(T, rng.multivariate_normal(np.zeros(6), limit))
-        try:
-            ours = align_beams(*as_beams(pair, (target, source)), paper, radius=0.02, bias=0.0)
-            error = e_rt(ours.stage.T_target_source, T)
-        except Refusal:
-            error = np.inf
-        errors.append((e_rt(paper, T), error, e_rt(drawn, T)))
+        errors.append((e_rt(paper, T), np.inf if ours is None else e_rt(ours, T), e_rt(drawn, T)))
     return errors
 
 
@@ -140,7 +92,7 @@ def main() -> None:
     print("| noise, 6 mm | e_rt m | paper's estimator | beam model | bound | beam model / bound |")
     print("| --- | --- | --- | --- | --- | --- |")
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
-        for noise in ("isotropic", "along the beam", "none"):
+        for noise in NOISES:
             trials = 1 if noise == "none" else arguments.trials
             jobs = [(seed, noise, trials) for seed in range(arguments.setups)]
             errors = np.concatenate(list(pool.map(run, jobs, chunksize=4)))

@@ -16,20 +16,9 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole import se3
-from retropole.datatypes import Hypothesis
+from retropole.paper.choosing import RULES, is_right
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
-
-RIGHT_ANGLE, RIGHT_DISTANCE = np.radians(10.0), 1.0
-"""A hypothesis is the right one if it is so near the truth: the others are half a turn away."""
-
-RULES = {
-    "paper: least e_r": lambda h: np.inf if h.icp_rotation is None else h.icp_rotation,
-    "paper: least e_t": lambda h: np.inf if h.icp_translation is None else h.icp_translation,
-    "overlap": lambda h: -h.overlap,
-    "free space": lambda h: h.free_space,
-    "score": lambda h: -h.score,
-}
 
 
 @dataclass(frozen=True)
@@ -45,14 +34,6 @@ class Outcome:
     error_deg: float
     error_m: float
     seconds: float
-
-
-def is_right(hypothesis: Hypothesis, T_true: np.ndarray, poles: np.ndarray) -> bool:
-    """Whether a hypothesis lays axes and poles (K, 3, source frame) where the truth does."""
-    T = hypothesis.match.T_target_source
-    shift = se3.apply(T, poles) - se3.apply(T_true, poles)
-    turn = se3.rotation_angle(T[:3, :3] @ T_true[:3, :3].T)
-    return turn < RIGHT_ANGLE and float(np.linalg.norm(shift, axis=1).max()) < RIGHT_DISTANCE
 
 
 def run(job: tuple[str, int, dict[str, str]]) -> Outcome:
