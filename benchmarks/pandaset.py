@@ -1,0 +1,74 @@
+"""Refinement on one real frame without poles: where it comes to from starts around the reference.
+
+Beside it, where ICP of other kinds comes to from the reference itself, and how the surfaces that
+both LiDARs see lie together under each pose. Prints a Markdown table.
+
+    python benchmarks/pandaset.py ../shared/data/pandaset
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from retropole import se3
+from retropole.datatypes import Array, Stage
+from retropole.evaluation import evaluate
+from retropole.io import read_cloud
+from retropole.refinement import refine
+from retropole.registration import prepare, register
+
+TURN, SHIFT = np.radians(3.0), 0.3
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--starts", type=int, default=10)
+    arguments = parser.parse_args()
+    target, source = (
+        read_cloud(arguments.folder / f"pandaset002_00_{name}.pcd")
+        for name in ("pandar64", "pandargt")
+    )
+    document = json.loads((arguments.folder / "pandaset002_reference.json").read_text())
+    reference = np.array(document["T_pandargt_to_pandar64"])
+    poses: dict[str, Array] = {"reference of the vehicle": reference}
+    wide = np.diag(np.r_[np.full(3, TURN), np.full(3, SHIFT)] ** 2 / 3)
+    rng, ends = np.random.default_rng(0), []
+    for _ in range(arguments.starts):
+        turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        start = se3.retract(reference, np.r_[TURN * turn, SHIFT * shift])
+        refined = refine(target, source, Stage(start, wide, 0.01))
+        assert refined is not None
+        ends.append(refined.stage.T_target_source)
+    poses["refinement, from 3° and 0.3 m off"] = ends[0]
+    for method in ("GICP", "PLANE_ICP"):
+        for voxel, reach in ((0.1, 0.3), (0.1, 1.0), (0.25, 1.0)):
+            surfaces = prepare(target.xyz, voxel), prepare(source.xyz, voxel)
+            end = register(*surfaces, reference, method=method, reach=reach, max_iterations=100)
+            name = f"{method} from the reference, thinned to {voxel} m, reach {reach} m"
+            poses[name] = end.T_target_source
+    print("| pose | from the reference deg | cm | plane residual mm | overlap | entropy's sum |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for name, T in poses.items():
+        off = se3.local(T, reference)
+        score = evaluate(target, source, T, rng=np.random.default_rng(0))
+        assert score.plane_residual is not None
+        print(
+            f"| {name} | {np.degrees(np.linalg.norm(off[:3])):.2f} | "
+            f"{100 * np.linalg.norm(off[3:]):.1f} | {1000 * score.plane_residual:.1f} | "
+            f"{score.overlap:.3f} | {score.entropy.sum:.5f} |"
+        )
+    apart = np.array([se3.local(ends[0], T) for T in ends])
+    most = np.linalg.norm(apart[:, :3], axis=1).max(), np.linalg.norm(apart[:, 3:], axis=1).max()
+    print(
+        f"\nThe refinements from {len(ends)} starts end within {np.degrees(most[0]):.3f}° and "
+        f"{100 * most[1]:.2f} cm of each other."
+    )
+
+
+if __name__ == "__main__":
+    main()
