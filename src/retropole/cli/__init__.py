@@ -10,6 +10,7 @@ from ..errors import RetropoleError
 from .calibrate import calibrate
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
 from .detect import detect
+from .evaluate import evaluate
 from .export import export
 from .paper import paper
 from .simulate import simulate
@@ -30,7 +31,7 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, detect, export, simulate, paper):
+for command in (calibrate, detect, evaluate, export, simulate, paper):
     cli.add_command(command)
 
 

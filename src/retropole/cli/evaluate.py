@@ -1,0 +1,111 @@
+"""The command ``retropole evaluate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .common import CLOUD, CONTEXT, EXIT_REFUSED, progress_on_terminal
+
+TRANSFORM = click.Path(path_type=Path)
+
+
+@click.command(context_settings=CONTEXT)
+@click.argument("target", type=CLOUD)
+@click.argument("source", type=CLOUD)
+@click.option(
+    "--transform",
+    type=TRANSFORM,
+    required=True,
+    help="The transform to judge: result.json or its folder, or any format of `retropole export`.",
+)
+@click.option(
+    "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
+)
+@click.option(
+    "--sigma",
+    type=click.FloatRange(min=0, min_open=True),
+    default=0.05,
+    show_default=True,
+    help="Kernel width of the entropy, m.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
+def evaluate(
+    target: Path, source: Path, transform: Path, truth: Path | None, sigma: float, as_json: bool
+) -> int:
+    """Judge a transform from SOURCE to TARGET, whatever tool found it, by the clouds it aligns.
+
+    No truth is needed: overlap is the share of points with a neighbour of the other cloud within
+    0.5 m, the plane residual the median distance from the other cloud's surfaces, and the entropy
+    (Renyi's quadratic entropy; its sum is larger, its -log smaller, the crisper the clouds lie).
+    Compare transforms of the same two clouds; the figures of other clouds are on another scale.
+
+    \b
+    Examples:
+      retropole evaluate front.pcd rear.pcd --transform retropole-out
+      retropole evaluate front.pcd rear.pcd --transform theirs.txt --json
+      retropole evaluate s/lidar0.pcd s/lidar1.pcd --transform r --truth s/truth.json
+
+    \b
+    Exit code:
+      0    judged
+      2    a file or an option is wrong
+      3    a cloud is too small to judge by, or the transform is a refused result
+    """
+    import json
+
+    import numpy as np
+
+    from .. import se3
+    from ..errors import Refusal
+    from ..evaluation import e_rt
+    from ..evaluation import evaluate as score
+    from ..export import read_transform
+    from ..io import read_cloud
+
+    try:
+        T = read_transform(transform).T_parent_child
+        T_true = None if truth is None else read_transform(truth).T_parent_child
+        with progress_on_terminal(as_json) as progress:
+            progress("read")
+            clouds = read_cloud(target), read_cloud(source)
+            progress("evaluate")
+            aligned = score(*clouds, T, rng=np.random.default_rng(0), sigma=sigma)
+    except Refusal as refusal:
+        click.echo(f"retropole: refused ({refusal.code}): {refusal}", err=True)
+        return EXIT_REFUSED
+    figures: dict[str, float | None] = {
+        "overlap": aligned.overlap,
+        "plane_residual_m": aligned.plane_residual,
+        "rqe_sum": aligned.entropy.sum,
+        "rqe_log": aligned.entropy.log,
+        "rqe_relative_error": aligned.entropy.error,
+        "rqe_points": aligned.entropy.points,
+        "rqe_sigma_m": sigma,
+    }
+    error: dict[str, float] = {}
+    if T_true is not None:
+        off = se3.local(T, T_true)
+        error["e_rt_m"] = e_rt(T, T_true)
+        error["rotation_error_rad"] = float(np.linalg.norm(off[:3]))
+        error["translation_error_m"] = float(np.linalg.norm(off[3:]))
+    if as_json:
+        click.echo(json.dumps(figures | error))
+        return 0
+    residual = aligned.plane_residual
+    lines = [
+        f"overlap         {100 * aligned.overlap:.1f} %",
+        "plane residual  "
+        + ("nothing overlaps" if residual is None else f"{100 * residual:.2f} cm"),
+        f"entropy         sum {aligned.entropy.sum:.5g} 1/m3, -log {aligned.entropy.log:.4f} "
+        f"({aligned.entropy.points:,} points, kernel {sigma:g} m)",
+    ]
+    if error:
+        lines.append(
+            f"error           e_rt {100 * error['e_rt_m']:.2f} cm, "
+            f"{np.degrees(error['rotation_error_rad']):.3f} deg, "
+            f"{100 * error['translation_error_m']:.2f} cm"
+        )
+    click.echo("\n".join(lines))
+    return 0
