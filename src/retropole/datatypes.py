@@ -42,6 +42,8 @@ class PointCloud:
         How many points the reader dropped (not finite, or at zero range).
     source
         The file or folder it came from, for messages.
+    fields
+        What the file calls its values, and their types; empty where no file holds them.
     """
 
     xyz: Array
@@ -52,6 +54,7 @@ class PointCloud:
     origin: Array = field(default_factory=lambda: np.zeros(3))
     dropped: int = 0
     source: str = ""
+    fields: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that all arrays are as long as `xyz`."""
