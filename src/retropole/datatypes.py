@@ -40,10 +40,8 @@ class PointCloud:
         (3,) where the beams start, in the same frame as `xyz`.
     dropped
         How many points the reader dropped (not finite, or at zero range).
-    source
-        The file or folder it came from, for messages.
-    fields
-        What the file calls its values, and their types; empty where no file holds them.
+    source, fields
+        The file or folder it came from, and what that calls its values, with their types.
     """
 
     xyz: Array

@@ -11,6 +11,7 @@ from .calibrate import calibrate
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
 from .detect import detect
 from .export import export
+from .info import info
 from .paper import paper
 from .simulate import simulate
 
@@ -30,7 +31,7 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, detect, export, simulate, paper):
+for command in (calibrate, detect, export, info, simulate, paper):
     cli.add_command(command)
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from ..datatypes import PointCloud
 from ..errors import ReadError, UsageError
 from .arrays import read_kitti, read_npy, read_npz, read_text
-from .frames import Frame, Recording, chosen_frames, joined
+from .frames import Frame, Recording, Topic, chosen_frames, joined
 from .las import read_las
 from .packets import PACKETS, open_packets
 from .pcd import read_pcd, write_pcd
 from .ply import read_ply
-from .ros import BAGS, is_rosbag2, open_bag
+from .ros import BAGS, bag_topics, is_rosbag2, open_bag
 
 __all__ = [
     "BAGS",
@@ -23,12 +23,14 @@ __all__ = [
     "READERS",
     "Frame",
     "Recording",
+    "Topic",
     "chosen_frames",
     "joined",
     "open_recording",
     "read_cloud",
     "read_frames",
     "sha256_of",
+    "topics_of",
     "write_pcd",
 ]
 
@@ -73,14 +75,30 @@ def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
     """
     path = Path(path)
     files = _files(path)
-    suffix = "" if path.is_dir() else path.suffix.lower()
-    if suffix in BAGS or is_rosbag2(path):
+    if _is_bag(path):
         return open_bag(path, topic)
     if topic is not None:
         raise UsageError(f"{path}: has no topics, those are of bags ({', '.join(BAGS)})")
-    if suffix in PACKETS:
+    if path.suffix.lower() in PACKETS and path.is_file():
         return open_packets(path)
     return Recording(path, len(files), lambda numbers: (Frame(k, _read(files[k])) for k in numbers))
+
+
+def topics_of(path: str | Path) -> tuple[Topic, ...]:
+    """List the topics of a bag by name; of what is no bag, none.
+
+    Raises
+    ------
+    ReadError, MissingExtraError
+        As `open_recording`.
+    """
+    path = Path(path)
+    _files(path)
+    return bag_topics(path) if _is_bag(path) else ()
+
+
+def _is_bag(path: Path) -> bool:
+    return is_rosbag2(path) or (path.is_file() and path.suffix.lower() in BAGS)
 
 
 def read_frames(

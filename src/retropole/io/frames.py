@@ -14,12 +14,16 @@ from numpy.typing import NDArray
 from ..datatypes import PointCloud
 from ..errors import ReadError, UsageError
 
-MAX_POINTS = 2_000_000
+MAX_POINTS = 1_000_000
 """Where nothing else is asked for, frames are left out, evenly, so that about so many points are
-read: 20 sweeps of a sensor of 128 beams, 70 of one of 16."""
+read: 10 sweeps of a sensor of 128 beams, 40 of one of 16."""
 
 LOOKED_AT = 3
 """So many first frames tell how large a frame is: the very first of packets is cut short."""
+
+
+CLOUDS = "sensor_msgs/msg/PointCloud2"
+"""What messages of point clouds are called, in the way of ROS 2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,11 @@ class Topic:
     kind: str
     count: int
 
+    @property
+    def of_clouds(self) -> bool:
+        """Whether its messages are point clouds."""
+        return self.kind == CLOUDS
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -67,15 +76,12 @@ class Recording:
         From ascending frame numbers to these frames, each read when it is asked for.
     topic
         Of a bag, the topic that the frames are on.
-    topics
-        Of a bag, all its topics.
     """
 
     path: Path
     count: int
     read: Callable[[range], Iterator[Frame]]
     topic: str | None = None
-    topics: tuple[Topic, ...] = ()
 
 
 def chosen_frames(recording: Recording, frames: slice | None = None) -> range:

@@ -49,10 +49,7 @@ def open_packets(path: Path) -> Recording:
     """
     with _reported(path):
         sizes, velodyne = _first_packets(path)
-    if velodyne:
-        read = _velodyne(path)
-    else:
-        read = _ouster(path, _metadata(path, sizes))
+    read = _velodyne(path) if velodyne else _ouster(path, _metadata(path, sizes))
     count = sum(1 for _ in read())
     if not count:
         raise ReadError(f"{path}: holds no sweep, its packets have {sizes}")

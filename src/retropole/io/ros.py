@@ -1,4 +1,4 @@
-"""ROS bags: .bag, .db3, .mcap and folders of ROS 2 bags, by rosbags and mcap (optional part ``ros``).
+"""ROS bags: .bag, .db3, .mcap and folders of ROS 2 bags, by rosbags and mcap (the extra ``ros``).
 
 ``sensor_msgs/PointCloud2`` has had one layout in ROS 1 and another in every ROS 2 so far, so what
 definitions a bag carries, if any, does not matter. No ROS is needed.
@@ -18,13 +18,10 @@ from numpy.typing import NDArray
 
 from ..errors import MissingExtraError, ReadError
 from .fields import Columns, frame_from_columns
-from .frames import Frame, Recording, Topic
+from .frames import CLOUDS, Frame, Recording, Topic
 
 BAGS = (".bag", ".db3", ".mcap")
 """Suffixes of bags."""
-
-CLOUDS = "sensor_msgs/msg/PointCloud2"
-"""What the messages of point clouds are called, in the way of ROS 2."""
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """From the number that a PointField has for its type to NumPy's name."""
@@ -49,6 +46,12 @@ def is_rosbag2(path: Path) -> bool:
     return path.is_dir() and (path / "metadata.yaml").is_file()
 
 
+def bag_topics(path: Path) -> tuple[Topic, ...]:
+    """List the topics of a bag by name."""
+    with _opened(path) as bag:
+        return bag.topics
+
+
 def open_bag(path: Path, topic: str | None = None) -> Recording:
     """Look at a bag, and choose the topic of point clouds: the one given, or the only one.
 
@@ -59,20 +62,18 @@ def open_bag(path: Path, topic: str | None = None) -> Recording:
     ReadError
         Where the bag cannot be read, or there is not one topic to choose; lists those there are.
     """
-    with _opened(path) as bag:
-        topics = bag.topics
+    topics = bag_topics(path)
     chosen = _choose(path, topics, topic)
     return Recording(
         path,
         chosen.count,
         lambda numbers: _frames(path, chosen, numbers),
         topic=chosen.name,
-        topics=topics,
     )
 
 
 def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
-    clouds = [topic for topic in topics if topic.kind == CLOUDS]
+    clouds = [topic for topic in topics if topic.of_clouds]
     if not clouds:
         raise ReadError(
             f"{path}: has no topic of {CLOUDS}; its topics are: {_listed(topics, kinds=True)}"
@@ -81,7 +82,7 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
         found = [topic for topic in topics if topic.name == name]
         if not found:
             raise ReadError(f"{path}: has no topic {name}; those of clouds are: {_listed(clouds)}")
-        if found[0].kind != CLOUDS:
+        if not found[0].of_clouds:
             raise ReadError(
                 f"{path}: topic {name} is of {found[0].kind}, expected {CLOUDS}; topics of that "
                 f"are: {_listed(clouds)}"
