@@ -23,7 +23,7 @@ FEW = 20
 
 WITHIN, PART_OF_STEP = np.radians(0.35), 0.3
 """How far a ring may be from its beam: so much, or this part of the step between beams. Sensors
-differ one by one, and near returns show where in the housing a beam starts."""
+differ one by one, and near returns show that beams do not start in one point."""
 
 SPREAD = np.radians(0.5)
 """Half of the points of a ring are within this of its elevation, or the cloud was turned."""
@@ -181,22 +181,24 @@ def guess_sensors(cloud: PointCloud) -> list[str]:
     """
     part = cloud.select(np.arange(0, len(cloud), max(1, len(cloud) // SAMPLE)))
     ray = part.xyz - part.origin
-    elevation = np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1))
+    ranges = np.linalg.norm(ray, axis=1)
+    elevation = np.arcsin(ray[:, 2] / ranges)
     spinning = [sensor for sensor in SENSORS.values() if len(sensor.elevations)]
     if part.ring is not None and np.ptp(part.ring):
-        rings = _ring_elevations(elevation, part.ring)
+        rings = _ring_elevations(elevation, ranges, part.ring)
         fitting = [own for own in spinning if rings and _rings_fit(own, rings)]
     else:
         fitting = [own for own in spinning if _points_fit(own, elevation)]
     return [sensor.name for sensor in fitting]
 
 
-def _ring_elevations(elevation: Array, ring: IntArray) -> dict[int, float]:
-    """Median elevation of each ring; none at all where rings have several."""
+def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[int, float]:
+    """Median elevation of each ring's farther half; none at all where rings have several."""
     elevations: dict[int, float] = {}
     spreads: list[float] = []
     for number in np.unique(ring):
-        own = elevation[ring == number]
+        own, far = elevation[ring == number], ranges[ring == number]
+        own = own[far >= np.median(far)]
         if len(own) >= FEW:
             elevations[int(number)] = median = float(np.median(own))
             spreads.append(float(np.median(np.abs(own - median))))
