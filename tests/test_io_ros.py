@@ -96,6 +96,38 @@ def test_compressed_bags_are_read(tmp_path: Path, kind: str, compression: object
     assert_same(read_cloud(path), cloud)
 
 
+@pytest.mark.parametrize("encoding", ["ros1", "cdr"])
+@pytest.mark.parametrize("indexed", [True, False])
+def test_an_mcap_of_any_profile_is_read_with_or_without_an_index(
+    tmp_path: Path, encoding: str, indexed: bool
+) -> None:
+    from mcap.writer import IndexType, Writer
+
+    clouds = [random_cloud(seed) for seed in range(4)]
+    store = get_typestore(ROS1 if encoding == "ros1" else Stores.LATEST)
+    write = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
+    writer = Writer(
+        str(tmp_path / "a.mcap"),
+        index_types=IndexType.ALL if indexed else IndexType.NONE,
+        use_statistics=indexed,
+        repeat_channels=indexed,
+        repeat_schemas=indexed,
+        use_summary_offsets=indexed,
+    )
+    writer.start()
+    name = CLOUDS.replace("/msg", "") if encoding == "ros1" else CLOUDS
+    schema = writer.register_schema(name, f"{encoding}msg", b"")
+    channel = writer.register_channel("/points", encoding, schema)
+    for k, cloud in enumerate(clouds):
+        data = write(message(points_of(cloud), store), CLOUDS)
+        writer.add_message(channel, log_time=k, data=bytes(data), publish_time=k)
+    writer.finish()
+    frames = list(read_frames(tmp_path / "a.mcap"))
+    assert len(frames) == 4
+    for frame, cloud in zip(frames, clouds, strict=True):
+        assert_same(frame.cloud, cloud)
+
+
 LAYOUTS = {
     "double": np.dtype([(name, "<f8") for name in ("x", "y", "z", "intensity")] + [("ring", "u1")]),
     "big-endian": np.dtype([(n, ">f4") for n in ("x", "y", "z", "intensity")] + [("ring", ">u2")]),
