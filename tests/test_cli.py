@@ -142,6 +142,9 @@ def test_no_intensity_never_gives_a_transform(
         ("calibrate", "a.pcd", "b.pcd", "--poles", "1"),
         ("calibrate", "a.pcd", "b.pcd", "--sensor-target", "nonsense"),
         ("detect", "missing.pcd"),
+        ("info", "missing.bag"),
+        ("info", "missing.pcd", "--frames", "1:x"),
+        ("detect", "missing.pcd", "--frames", "::0"),
         ("nonsense",),
     ],
 )
@@ -162,7 +165,7 @@ def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
     assert len(json.loads(as_json.stdout)["poles"]) == 2
 
 
-@pytest.mark.parametrize("command", ["calibrate", "detect", "simulate"])
+@pytest.mark.parametrize("command", ["calibrate", "detect", "info", "simulate"])
 def test_help_has_worked_examples(command: str) -> None:
     done = retropole(command, "--help")
     assert done.returncode == 0
@@ -233,3 +236,71 @@ def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) 
     done = retropole("evaluate", *clouds, "--transform", tmp_path / "scaled.txt")
     assert done.returncode == 2
     assert "scaled.txt" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def bag(clouds: tuple[PointCloud, PointCloud], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
+    from bags import points_of, write_bag
+
+    points = [points_of(cloud) for cloud in clouds]
+    folder = tmp_path_factory.mktemp("bag")
+    return write_bag(folder, "mcap", {"/front": points[:1], "/rear": points[1:]})
+
+
+def test_two_topics_of_a_bag_give_what_their_files_give(
+    scene: Path, bag: Path, tmp_path: Path
+) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    topics = "--target-topic", "/front", "--source-topic", "/rear"
+    assert retropole("calibrate", *files, "--out", tmp_path / "files", "-q").returncode == 0
+    done = retropole("calibrate", bag, bag, *topics, "--out", tmp_path / "bag", "-q")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(transform_of(tmp_path / "bag"), transform_of(tmp_path / "files"))
+    result = json.loads((tmp_path / "bag" / "result.json").read_text())
+    assert result["config"]["target_topic"] == "/front"
+    assert len({document["sha256"] for document in result["inputs"]}) == 1
+    # Topics are those of each placement.
+    two = [word for _ in range(2) for word in ("--placement", bag, bag)]
+    done = retropole("calibrate", *two, *topics, "--no-refine", "--out", tmp_path / "two", "-q")
+    assert done.returncode == 0, done.stderr
+
+
+def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
+    done = retropole("calibrate", bag, bag, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "/front (1 messages), /rear (1 messages)" in done.stderr
+    same = "--target-topic", "/front", "--source-topic", "/front"
+    done = retropole("calibrate", bag, bag, *same, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "are both topic /front" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_detect_and_info_take_a_topic(bag: Path, tmp_path: Path) -> None:
+    done = retropole("detect", bag, "--topic", "/front", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "2 poles" in done.stdout
+    done = retropole("info", bag)
+    assert done.returncode == 0, done.stderr
+    assert "/front" in done.stdout
+    assert "/rear" in done.stdout
+    document = json.loads(retropole("info", bag, "--topic", "/rear", "--json").stdout)
+    assert document["schema"] == "retropole/info/1"
+    assert [cloud["topic"] for cloud in document["clouds"]] == ["/rear"]
+
+
+def test_what_is_left_out_of_a_long_recording_is_said(
+    clouds: tuple[PointCloud, PointCloud], tmp_path: Path
+) -> None:
+    for k in range(24):
+        write_pcd(tmp_path / "many" / f"{k}.pcd", clouds[0])
+    done = retropole("detect", "many", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    read = -(-24 // -(-24 * len(clouds[0]) // 1_000_000))
+    assert read < 24, "the clouds are large enough for frames to be left out"
+    assert f"read {read} of 24 frames" in done.stderr
+    assert json.loads(done.stdout)["input"]["points"] == read * len(clouds[0])
+    done = retropole("detect", "many", "--json", "--frames", "3:5", cwd=tmp_path)
+    assert json.loads(done.stdout)["input"]["points"] == 2 * len(clouds[0])
+    assert "frames" not in done.stderr

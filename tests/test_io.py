@@ -110,9 +110,9 @@ def test_missing_file_is_named(tmp_path: Path, suffix: str) -> None:
 
 
 def test_unknown_suffix_lists_the_known(tmp_path: Path) -> None:
-    (tmp_path / "cloud.bag").write_bytes(b"x")
+    (tmp_path / "cloud.obj").write_bytes(b"x")
     with pytest.raises(ReadError) as caught:
-        read_cloud(tmp_path / "cloud.bag")
+        read_cloud(tmp_path / "cloud.obj")
     assert all(suffix in str(caught.value) for suffix in READERS)
 
 

@@ -40,8 +40,8 @@ class PointCloud:
         (3,) where the beams start, in the same frame as `xyz`.
     dropped
         How many points the reader dropped (not finite, or at zero range).
-    source
-        The file or folder it came from, for messages.
+    source, fields
+        The file or folder it came from, and what that calls its values, with their types.
     """
 
     xyz: Array
@@ -52,6 +52,7 @@ class PointCloud:
     origin: Array = field(default_factory=lambda: np.zeros(3))
     dropped: int = 0
     source: str = ""
+    fields: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that all arrays are as long as `xyz`."""

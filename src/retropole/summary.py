@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .recording import CloudDoc, InfoDoc, IntensityDoc
 from .result import DetectionDoc, HypothesisDoc, InputDoc, PoleDoc, ResultDoc
 
 
@@ -177,3 +178,65 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     if written:
         parts.append("written: " + ", ".join(written))
     return "\n".join(parts)
+
+
+BAR = 40
+"""Characters of the longest bar of a histogram."""
+
+
+def describe_info(document: InfoDoc) -> str:
+    """Write what is in a recording as a person reads it."""
+    parts = [document.path]
+    if document.topics:
+        rows = [[topic.name, topic.type, str(topic.messages)] for topic in document.topics]
+        parts.append(table(("topic", "type", "messages"), rows))
+    for cloud in document.clouds:
+        parts += ["", *_cloud_lines(cloud)]
+    return "\n".join(parts)
+
+
+def _cloud_lines(cloud: CloudDoc) -> list[str]:
+    read = "" if cloud.frames_read == cloud.frames else f" ({cloud.frames_read} read"
+    if read:
+        read += f", every {cloud.step}th)" if cloud.step > 1 else ")"
+    rate = "unknown" if cloud.rate_hz is None else f"{cloud.rate_hz:.2f} Hz"
+    duration = "" if cloud.duration_s is None else f", {cloud.duration_s:.1f} s"
+    fields = ", ".join(f"{name} {kind}" for name, kind in cloud.fields.items())
+    near, middle, far = cloud.range_m
+    lines = [
+        *([f"topic      {cloud.topic}"] if cloud.topic else []),
+        *([f"frame_id   {cloud.frame_id}"] if cloud.frame_id else []),
+        f"frames     {cloud.frames}{read}",
+        f"rate       {rate}{duration}",
+        f"fields     {fields}",
+        f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
+        f"{cloud.points / cloud.frames_read:,.0f} a frame",
+        f"rings      {'none' if cloud.rings is None else cloud.rings}",
+        f"range      {near:.2f} to {far:.2f} m, median {middle:.2f} m",
+        f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
+    ]
+    if cloud.intensity is None:
+        return [*lines, "intensity  none: tape cannot be told from the rest"]
+    return lines + _intensity_lines(cloud.intensity)
+
+
+def _intensity_lines(intensity: IntensityDoc) -> list[str]:
+    values = f"median {intensity.median:.4g}, 95 % below {intensity.p95:.4g}"
+    lines = [f"intensity  {values}, largest {intensity.max:.4g}"]
+    if intensity.threshold is None:
+        return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be told"]
+    lines += [
+        f"threshold  {intensity.threshold:.4g} would be taken ({intensity.threshold_source}): "
+        f"{intensity.retro_points:,} points",
+        "",
+        "  intensity from     points  (bars on a logarithmic scale)",
+    ]
+    # Few returns are tape: on an even scale their bars would not be seen.
+    longest = np.log1p(max(intensity.counts))
+    edges = intensity.bin_edges
+    marked = np.searchsorted(edges[1:-1], intensity.threshold, side="right")
+    for k, count in enumerate(intensity.counts):
+        bar = "█" * round(BAR * float(np.log1p(count) / longest))
+        mark = "  ← threshold" if k == marked else ""
+        lines.append(f"  {edges[k]:14.4g} {count:10,}  {bar}{mark}".rstrip())
+    return lines

@@ -12,6 +12,7 @@ from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
 from .detect import detect
 from .evaluate import evaluate
 from .export import export
+from .info import info
 from .paper import paper
 from .simulate import simulate
 
@@ -31,7 +32,7 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, detect, evaluate, export, simulate, paper):
+for command in (calibrate, detect, info, evaluate, export, simulate, paper):
     cli.add_command(command)
 
 

@@ -12,6 +12,9 @@ from .common import (
     EXIT_REFUSED,
     OUT,
     SENSOR_HELP,
+    TOPIC_HELP,
+    Input,
+    frames_option,
     progress_on_terminal,
     radius_option,
     read_input,
@@ -53,6 +56,9 @@ from .common import (
     "[default: from the sensor or the cloud]",
 )
 @click.option("--threshold-source", type=float, help="The same for SOURCE.")
+@click.option("--target-topic", metavar="NAME", help=TOPIC_HELP)
+@click.option("--source-topic", metavar="NAME", help="The same for SOURCE.")
+@frames_option
 @click.option(
     "--poles",
     type=click.IntRange(min=2),
@@ -93,6 +99,9 @@ def calibrate(
     sensor_source: str,
     threshold_target: float | None,
     threshold_source: float | None,
+    target_topic: str | None,
+    source_topic: str | None,
+    frames: slice | None,
     poles: int | None,
     up: bool,
     prior_rpy_deg: tuple[float, float, float] | None,
@@ -105,7 +114,8 @@ def calibrate(
     """Find the transform that maps points of SOURCE into the frame of TARGET.
 
     TARGET and SOURCE are point cloud files with an intensity (PCD, PLY, LAS, LAZ, BIN, NPY, NPZ,
-    CSV, XYZ), or folders of such files, one a sweep.
+    CSV, XYZ), folders of such files, one a sweep, ROS bags (.bag, .db3, .mcap, or the folder), or
+    packets of a Velodyne or Ouster (.pcap). Both may be the same bag.
 
     \b
     Examples:
@@ -115,6 +125,8 @@ def calibrate(
       retropole calibrate front.pcd rear.pcd --json | jq .T_target_source
       retropole calibrate front.pcd rear.pcd --up
       retropole calibrate --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
+      retropole calibrate drive.bag drive.bag --target-topic /front --source-topic /rear
+      retropole calibrate front.pcap rear.pcap --frames 100:150
 
     \b
     Exit code:
@@ -125,6 +137,7 @@ def calibrate(
     """
     import json
     import time
+    from functools import partial
 
     from ..files import write_atomically
     from ..pipeline import calibrate as run
@@ -135,6 +148,7 @@ def calibrate(
 
     pairs = _pairs(target, source, placements)
     prior = rotation_prior(up, prior_rpy_deg, prior_sigma_deg)
+    read = partial(read_input, frames=frames, quiet=quiet)
     with progress_on_terminal(quiet) as progress:
         progress("read")
         start = time.perf_counter()
@@ -142,10 +156,11 @@ def calibrate(
             given
             for of_target, of_source in pairs
             for given in (
-                read_input(of_target, sensor_target, threshold_target),
-                read_input(of_source, sensor_source, threshold_source),
+                read(of_target, sensor_target, threshold_target, topic=target_topic),
+                read(of_source, sensor_source, threshold_source, topic=source_topic),
             )
         ]
+        _refuse_twins(inputs)
         seconds = {"read": time.perf_counter() - start}
         calibration = run(
             [given.cloud for given in inputs[::2]],
@@ -179,6 +194,9 @@ def calibrate(
             "threshold_source": threshold_source,
             "sensor_target": sensor_target,
             "sensor_source": sensor_source,
+            "target_topic": target_topic,
+            "source_topic": source_topic,
+            "frames": None if frames is None else [frames.start, frames.stop, frames.step],
         },
         seconds={**seconds, **calibration.seconds},
     )
@@ -197,6 +215,20 @@ def calibrate(
             click.echo(f"retropole: refused ({reason.code}): {reason.message}", err=True)
         return EXIT_REFUSED
     return 0
+
+
+def _refuse_twins(inputs: list[Input]) -> None:
+    """Refuse one topic of one bag as both LiDARs: its transform would be the identity."""
+    for target, source in zip(inputs[::2], inputs[1::2], strict=True):
+        if (
+            target.topic is not None
+            and target.topic == source.topic
+            and target.document.sha256 == source.document.sha256
+        ):
+            raise click.UsageError(
+                f"TARGET and SOURCE are both topic {target.topic} of {target.document.path}; "
+                "--target-topic and --source-topic tell two LiDARs of one bag apart"
+            )
 
 
 def _pairs(

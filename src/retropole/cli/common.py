@@ -31,21 +31,66 @@ radius_option = click.option(
 )
 
 
+TOPIC_HELP = "Topic of the bag; needed where it has several of point clouds."
+
+
+def _slice(context: click.Context, option: click.Parameter, value: str | None) -> slice | None:
+    """Turn ``A:B``, ``A:B:STEP`` or ``N`` into a slice."""
+    if value is None:
+        return None
+    try:
+        parts = [int(part) if part.strip() else None for part in value.split(":")]
+    except ValueError:
+        parts = []
+    if len(parts) == 1 and parts[0] is not None:
+        return slice(parts[0], parts[0] + 1 or None)
+    step = parts[2] if len(parts) == 3 else None
+    if len(parts) not in (2, 3) or (step is not None and step < 1):
+        raise click.BadParameter(f"{value!r} is no A:B, no A:B:STEP and no frame's number")
+    return slice(*parts)
+
+
+frames_option = click.option(
+    "--frames",
+    callback=_slice,
+    metavar="A:B",
+    help="Frames of a recording to read, as Python slices: 0:20, -50:, ::10, 7.  "
+    "[default: evenly spread, about a million points]",
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Input:
-    """A cloud as read, what recorded it, and its entry in the result document."""
+    """A cloud as read, its topic, what recorded it, and its entry in the result document."""
 
     cloud: PointCloud
+    topic: str | None
     sensor: Sensor | None
     document: InputDoc
 
 
-def read_input(path: Path, sensor_name: str, threshold: float | None) -> Input:
-    """Read a cloud and look up its sensor."""
-    from ..io import read_cloud, sha256_of
+def read_input(
+    path: Path,
+    sensor_name: str,
+    threshold: float | None,
+    *,
+    topic: str | None = None,
+    frames: slice | None = None,
+    quiet: bool = False,
+) -> Input:
+    """Read a cloud and look up its sensor; say on stderr which frames were left out unasked."""
+    from ..io import chosen_frames, joined, open_recording, sha256_of
 
     sensor = None if sensor_name == "auto" else find_sensor(sensor_name)
-    cloud = read_cloud(path)
+    recording = open_recording(path, topic=topic)
+    numbers = chosen_frames(recording, frames)
+    if frames is None and len(numbers) < recording.count and not quiet:
+        click.echo(
+            f"retropole: {path}: read {len(numbers)} of {recording.count} frames, every "
+            f"{numbers.step}th; --frames A:B reads others",
+            err=True,
+        )
+    cloud = joined(recording, list(recording.read(numbers)))
     document = InputDoc(
         path=str(path),
         sha256=sha256_of(path),
@@ -54,7 +99,7 @@ def read_input(path: Path, sensor_name: str, threshold: float | None) -> Input:
         sensor="auto" if sensor is None else sensor.name,
         threshold=threshold,
     )
-    return Input(cloud, sensor, document)
+    return Input(cloud, recording.topic, sensor, document)
 
 
 @contextmanager

@@ -12,6 +12,8 @@ from .common import (
     EXIT_REFUSED,
     OUT,
     SENSOR_HELP,
+    TOPIC_HELP,
+    frames_option,
     progress_on_terminal,
     radius_option,
     read_input,
@@ -30,6 +32,8 @@ from .common import (
 @radius_option
 @click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
 @click.option("--threshold", type=float, help="Intensity from which a return is retro-reflective.")
+@click.option("--topic", metavar="NAME", help=TOPIC_HELP)
+@frames_option
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def detect(
@@ -38,6 +42,8 @@ def detect(
     radius: float,
     sensor: str,
     threshold: float | None,
+    topic: str | None,
+    frames: slice | None,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -50,6 +56,7 @@ def detect(
       retropole detect front.pcd
       retropole detect front.pcd --threshold 120 --out look
       retropole detect front.pcd --json | jq .poles
+      retropole detect drive.bag --topic /front --frames 0:20
 
     \b
     Exit code:
@@ -64,7 +71,7 @@ def detect(
 
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        given = read_input(file, sensor, threshold)
+        given = read_input(file, sensor, threshold, topic=topic, frames=frames, quiet=quiet)
         progress("extract")
         try:
             found = extract_poles(

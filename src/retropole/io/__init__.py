@@ -4,22 +4,35 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..datatypes import PointCloud
-from ..errors import ReadError
+from ..errors import ReadError, UsageError
 from .arrays import read_kitti, read_npy, read_npz, read_text
+from .frames import Frame, Recording, Topic, chosen_frames, joined
 from .las import read_las
+from .packets import PACKETS, open_packets
 from .pcd import read_pcd, write_pcd
 from .ply import read_ply
+from .ros import BAGS, bag_topics, is_rosbag2, open_bag
 
-__all__ = ["READERS", "read_cloud", "sha256_of", "write_pcd"]
+__all__ = [
+    "BAGS",
+    "PACKETS",
+    "READERS",
+    "Frame",
+    "Recording",
+    "Topic",
+    "chosen_frames",
+    "joined",
+    "open_recording",
+    "read_cloud",
+    "read_frames",
+    "sha256_of",
+    "topics_of",
+    "write_pcd",
+]
 
 READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".pcd": read_pcd,
@@ -33,17 +46,94 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".xyz": read_text,
     ".txt": read_text,
 }
-"""From the suffix of a file, in lower case, to what reads it."""
+"""From the suffix of a file of one frame, in lower case, to what reads it."""
+
+HASHED = 2**20
+"""Bytes that are hashed at a time."""
 
 
-def read_cloud(path: str | Path) -> PointCloud:
-    """Read a file, or a folder of files as one recording of frames.
+def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
+    """Look at a file, a folder of frames or a bag without reading its points.
 
     Parameters
     ----------
     path
-        A file whose suffix is one of `READERS`, or a folder of such files. The files of a folder
-        are frames in natural order (``frame2`` before ``frame10``); hidden files are passed over.
+        A file whose suffix is one of `READERS`, `BAGS` or `PACKETS`; a folder of files that
+        `READERS` knows, or of a ROS 2 bag. The files of a folder are frames in natural
+        order (``frame2`` before ``frame10``); hidden files are passed over.
+    topic
+        Of a bag, the topic to read; needed where several hold point clouds.
+
+    Raises
+    ------
+    ReadError
+        Naming the file and what was expected.
+    UsageError
+        Where a topic is given for what is no bag.
+    MissingExtraError
+        Where the format needs an optional part that is not installed.
+    """
+    path = Path(path)
+    files = _files(path)
+    if _is_bag(path):
+        return open_bag(path, topic)
+    if topic is not None:
+        raise UsageError(f"{path}: has no topics, those are of bags ({', '.join(BAGS)})")
+    if path.suffix.lower() in PACKETS and path.is_file():
+        return open_packets(path)
+    return Recording(path, len(files), lambda numbers: (Frame(k, _read(files[k])) for k in numbers))
+
+
+def topics_of(path: str | Path) -> tuple[Topic, ...]:
+    """List the topics of a bag by name; of what is no bag, none.
+
+    Raises
+    ------
+    ReadError, MissingExtraError
+        As `open_recording`.
+    """
+    path = Path(path)
+    _files(path)
+    return bag_topics(path) if _is_bag(path) else ()
+
+
+def _is_bag(path: Path) -> bool:
+    return is_rosbag2(path) or (path.is_file() and path.suffix.lower() in BAGS)
+
+
+def read_frames(
+    path: str | Path, *, topic: str | None = None, frames: slice | None = None
+) -> Iterator[Frame]:
+    """Read the frames of a recording one after the other; no two are in memory at a time.
+
+    Parameters
+    ----------
+    path, topic
+        As `open_recording` takes them.
+    frames
+        Which to read, by their numbers from 0, as Python slices a list. None reads them all.
+
+    Raises
+    ------
+    ReadError, UsageError, MissingExtraError
+        As `open_recording`, when the first frame is asked for or where a frame cannot be read.
+    """
+    recording = open_recording(path, topic=topic)
+    yield from recording.read(chosen_frames(recording, frames or slice(None)))
+
+
+def read_cloud(
+    path: str | Path, *, topic: str | None = None, frames: slice | None = None
+) -> PointCloud:
+    """Read a file, a folder of files or a bag as one cloud.
+
+    Parameters
+    ----------
+    path, topic
+        As `open_recording` takes them.
+    frames
+        Which frames to put together, by their numbers from 0, as Python slices a list. None takes
+        them all, or of a long recording as many as hold `MAX_POINTS`, evenly spread.
 
     Returns
     -------
@@ -55,29 +145,31 @@ def read_cloud(path: str | Path) -> PointCloud:
     ------
     ReadError
         Naming the file, the line or the field, and what was expected.
+    UsageError
+        Where a topic is given for what is no bag, or frames backwards.
     MissingExtraError
         Where the format needs an optional part that is not installed.
     """
-    path = Path(path)
-    files = _files(path)
-    clouds = [_read_file(file) for file in files]
-    return _joined(path, clouds) if path.is_dir() else clouds[0]
+    recording = open_recording(path, topic=topic)
+    return joined(recording, list(recording.read(chosen_frames(recording, frames))))
 
 
 def _files(path: Path) -> list[Path]:
-    """The file itself, or the frames of a folder."""
+    """The file itself, the frames of a folder, or what a ROS 2 bag is made of."""
     try:
         if not path.exists():
             raise ReadError(f"{path}: there is no such file or folder")
+        if is_rosbag2(path):
+            return sorted((p for p in path.iterdir() if p.is_file()), key=_natural)
         return frames_of(path) if path.is_dir() else [path]
     except OSError as error:
         raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
-def _read_file(path: Path) -> PointCloud:
+def _read(path: Path) -> PointCloud:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        known = ", ".join(READERS)
+        known = ", ".join([*READERS, *BAGS, *PACKETS])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
     try:
         return reader(path)
@@ -96,7 +188,12 @@ def frames_of(folder: Path) -> list[Path]:
     files = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
     clouds = [p for p in files if p.suffix.lower() in READERS]
     if not clouds:
-        raise ReadError(f"{folder}: holds no point clouds, expected files of {', '.join(READERS)}")
+        bags = [p.name for p in files if p.suffix.lower() in (*BAGS, *PACKETS)]
+        raise ReadError(
+            f"{folder}: holds recordings, give one of them: {', '.join(sorted(bags))}"
+            if bags
+            else f"{folder}: holds no point clouds, expected files of {', '.join(READERS)}"
+        )
     suffixes = sorted({p.suffix.lower() for p in clouds})
     if len(suffixes) > 1:
         raise ReadError(
@@ -112,50 +209,20 @@ def _natural(path: Path) -> tuple[list[str | int], str]:
     return [int(word) if k % 2 else word for k, word in enumerate(words)], path.name
 
 
-def _joined(path: Path, clouds: list[PointCloud]) -> PointCloud:
-    first = clouds[0]
-    for cloud in clouds[1:]:
-        if not np.allclose(cloud.origin, first.origin):
-            raise ReadError(
-                f"{cloud.source}: its viewpoint {cloud.origin} differs from {first.origin} of "
-                f"{first.source}, expected frames of one resting sensor"
-            )
-
-    def column(name: str) -> NDArray[Any] | None:
-        columns = [getattr(cloud, name) for cloud in clouds]
-        missing = [cloud for cloud, values in zip(clouds, columns, strict=True) if values is None]
-        if name == "intensity" and 0 < len(missing) < len(clouds):
-            raise ReadError(
-                f"{missing[0].source}: has no intensity, other frames of the folder have"
-            )
-        return None if missing else np.concatenate(columns)
-
-    frame = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
-    return replace(
-        first,
-        xyz=np.concatenate([cloud.xyz for cloud in clouds]),
-        intensity=column("intensity"),
-        ring=column("ring"),
-        time=column("time"),
-        frame=frame.astype(np.int64) if len(clouds) > 1 else None,
-        dropped=sum(cloud.dropped for cloud in clouds),
-        source=str(path),
-    )
-
-
 def sha256_of(path: str | Path) -> str:
-    """SHA-256 of a file's bytes; of a folder, of its frames' bytes one after the other.
+    """SHA-256 of a file's bytes; of a folder, of its files' bytes one after the other.
 
     Raises
     ------
     ReadError
         Where the file or folder cannot be read.
     """
-    path = Path(path)
     digest = hashlib.sha256()
-    for file in _files(path):
+    for file in _files(Path(path)):
         try:
-            digest.update(file.read_bytes())
+            with file.open("rb") as opened:
+                while block := opened.read(HASHED):
+                    digest.update(block)
         except OSError as error:
             raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
     return digest.hexdigest()

@@ -35,7 +35,17 @@ def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
     return next((plain[name] for name in names if name in plain), None)
 
 
-def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None) -> PointCloud:
+class NoReturnsError(ReadError):
+    """None of `points` points is a return: an empty frame where there are others."""
+
+    def __init__(self, message: str, points: int) -> None:
+        super().__init__(message)
+        self.points = points
+
+
+def cloud_from_columns(
+    path: Path | str, columns: Columns, origin: Array | None = None
+) -> PointCloud:
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
     Of several values of a field (a dual return's intensities), the first is taken. An intensity
@@ -45,7 +55,7 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
     Parameters
     ----------
     path
-        The file, for messages.
+        The file, or its part, for messages.
     columns
         What the file holds, by name.
     origin
@@ -68,7 +78,7 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
             "expected one each a point"
         )
     if len(parts[0]) == 0:
-        raise ReadError(f"{path}: holds no points, expected at least one")
+        raise NoReturnsError(f"{path}: holds no points, expected at least one", 0)
     start = np.zeros(3) if origin is None else origin
     xyz = np.empty((len(parts[0]), 3))
     # Axis by axis, which is several times faster than along the short side of (N, 3).
@@ -80,9 +90,10 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
         at_start &= xyz[:, axis] == start[axis]
     kept = finite & ~at_zero & ~at_start
     if not kept.any():
-        raise ReadError(
+        raise NoReturnsError(
             f"{path}: none of its {len(xyz)} points is finite and away from the sensor; expected "
-            "coordinates in metres"
+            "coordinates in metres",
+            len(xyz),
         )
 
     def optional(names: tuple[str, ...]) -> NDArray[Any] | None:
@@ -104,10 +115,26 @@ def cloud_from_columns(path: Path, columns: Columns, origin: Array | None = None
         origin=start,
         dropped=int(np.count_nonzero(~kept)),
         source=str(path),
+        fields={name: _kind(column) for name, column in columns.items()},
     )
 
 
-def _numbers(path: Path, name: str, column: NDArray[Any]) -> NDArray[Any]:
+def frame_from_columns(
+    path: Path | str, columns: Columns, origin: Array | None = None
+) -> PointCloud:
+    """Make a cloud as `cloud_from_columns` does, an empty one where no point is a return."""
+    try:
+        return cloud_from_columns(path, columns, origin)
+    except NoReturnsError as error:
+        return PointCloud(np.zeros((0, 3)), dropped=error.points, source=str(path))
+
+
+def _kind(column: NDArray[Any]) -> str:
+    """Name the type of a column, and how many values a point has of it where that is not one."""
+    return column.dtype.name + "".join(f"[{n}]" for n in column.shape[1:])
+
+
+def _numbers(path: Path | str, name: str, column: NDArray[Any]) -> NDArray[Any]:
     """One number a point, the first of several; refuse text, complex numbers and the like."""
     if column.dtype.kind not in "fiub" or column.ndim not in (1, 2) or column.shape[1:] == (0,):
         raise ReadError(

@@ -1,0 +1,42 @@
+"""The command ``retropole info``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .common import CLOUD, CONTEXT, frames_option, progress_on_terminal
+
+
+@click.command(context_settings=CONTEXT)
+@click.argument("file", type=CLOUD)
+@click.option("--topic", metavar="NAME", help="Topic of a bag.  [default: all of point clouds]")
+@frames_option
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON, and only that.")
+def info(file: Path, topic: str | None, frames: slice | None, as_json: bool) -> int:
+    """Say what FILE holds: topics, frames, fields, intensities, and which sensor it may be of.
+
+    FILE is whatever calibrate reads: a point cloud, a folder of them, a bag, or packets.
+
+    \b
+    Examples:
+      retropole info front.pcd
+      retropole info drive.bag
+      retropole info drive.mcap --topic /front --frames 0:50
+      retropole info front.pcap --json | jq .clouds[0].fields
+
+    \b
+    Exit code:
+      0    looked
+      2    the file or an option is wrong
+    """
+    from ..recording import describe
+    from ..result import encode
+    from ..summary import describe_info
+
+    with progress_on_terminal(as_json) as progress:
+        progress("read")
+        document = describe(file, topic=topic, frames=frames)
+    click.echo(encode(document) if as_json else describe_info(document), nl=not as_json)
+    return 0
