@@ -41,8 +41,8 @@ SCORED = 4000
 """Points that hypotheses are scored on."""
 
 MIN_INDEPENDENCE = 0.3
-"""Least singular value of the normals of three planes that hold a pose: 0.3 is three planes of which
-each leans out of the plane of the other two by some 20°."""
+"""Least singular value of the normals of three planes that hold a pose: 0.3 is where each leans out
+of the plane of the other two by some 20°."""
 
 POLISHED = 5
 """Hypotheses of each round that are fitted to their inliers before the best is chosen."""

@@ -1,9 +1,9 @@
 """Planar surfaces: three linearly independent planes in both clouds give the pose (M9).
 
-J. Jiao et al., *A novel dual-LiDAR calibration algorithm using planar surfaces*, IV 2019. Planes are
-found by RANSAC in each cloud, three of the one laid on three of the other in every order, rotation
-taken from the normals and translation from the offsets in closed form, and refined by least squares
-of points on planes. No start is needed.
+J. Jiao et al., *A novel dual-LiDAR calibration algorithm using planar surfaces*, IV 2019. Planes
+are found by RANSAC in each cloud, three of the one laid on three of the other in every order,
+rotation taken from the normals and translation from the offsets in closed form, and refined by
+least squares of points on planes. No start is needed.
 
 How to choose where many triples fit is left open there, and a corridor fits itself after half a
 turn, to the millimetre in its planes. Here the surroundings choose: the share of points with a
@@ -30,8 +30,8 @@ SAME_ANGLE = float(np.radians(3.0))
 """Triples may match if the angles between their planes differ by no more than this."""
 
 SAME_NORMAL, SAME_OFFSETS = float(np.radians(4.0)), (0.3, 0.15)
-"""Under a pose two planes are one if their normals agree so far, rad, and the middle of each lies so
-near the other, metres: before and after a first refinement."""
+"""Under a pose two planes are one if their normals agree so far, rad, and the middle of each lies
+so near the other, metres: before and after a first refinement."""
 
 ROBUST = 0.05
 """Distances of points from their plane count in full up to here, metres (Huber)."""
@@ -158,7 +158,7 @@ def candidate_poses(target: list[Plane], source: list[Plane]) -> Array:
     T = np.tile(np.eye(4), (len(R), 1, 1))
     T[:, :3, :3] = R
     T[:, :3, 3] = np.linalg.solve(a[proper], gap[..., None])[..., 0]
-    return T
+    return np.asarray(T)
 
 
 def _angles(normals: Array) -> Array:
@@ -243,7 +243,7 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
             residuals, jacobian = _residuals(target, source, pairs, T)
             weight = np.minimum(1.0, ROBUST / np.maximum(np.abs(residuals), 1e-12))
             weighted = jacobian * weight[:, None]
-            step = np.linalg.solve(weighted.T @ jacobian, -weighted.T @ residuals)
+            step: Array = np.linalg.solve(weighted.T @ jacobian, -weighted.T @ residuals)
             T = se3.retract(T, step)
             if np.linalg.norm(step) < 1e-6:
                 break
@@ -254,7 +254,7 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
 def _residuals(
     target: list[Plane], source: list[Plane], pairs: list[tuple[int, int]], T: Array
 ) -> tuple[Array, Array]:
-    """Distances (N,) of the matched points from each other's planes, and their (N, 6) derivative."""
+    """Distances (N,) of matched points from each other's planes, and their (N, 6) derivative."""
     residuals, jacobians = [], []
     R, t = T[:3, :3], T[:3, 3]
     for i, j in pairs:
