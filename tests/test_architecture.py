@@ -18,7 +18,7 @@ LAYERS = [
         *("rivals", "transforms", "recording"),
     },
     {"pipeline"},
-    {"result"},
+    {"result", "comparison"},
     {"export"},
     {"summary", "report", "paper"},
     {"cli", "__main__"},
