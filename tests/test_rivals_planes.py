@@ -24,12 +24,13 @@ def patch(normal: Array, centre: Array, rng: np.random.Generator, count: int = 2
     along = np.linalg.svd(n[None])[2][1:]
     xyz = centre + rng.uniform(-2, 2, (count, 2)) @ along
     offset = -float(n @ centre)
-    return Plane(n, offset, xyz) if offset > 0 else Plane(-n, -offset, xyz)
+    return Plane(n, offset, xyz, count) if offset > 0 else Plane(-n, -offset, xyz, count)
 
 
 def moved(plane: Plane, T: Array) -> Plane:
     n = T[:3, :3] @ plane.normal
-    return Plane(n, plane.offset - float(n @ T[:3, 3]), se3.apply(T, plane.xyz))
+    offset = plane.offset - float(n @ T[:3, 3])
+    return Plane(n, offset, se3.apply(T, plane.xyz), plane.support)
 
 
 @pytest.fixture
