@@ -15,7 +15,7 @@ LAYERS = [
         *("alignment", "beams", "pole_beams", "beam_model", "beam_alignment"),
         *("disambiguation", "registration", "refinement", "patches", "uncertainty"),
         *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
-        *("rivals", "transforms", "recording"),
+        *("rivals", "recording"),
     },
     {"pipeline"},
     {"result", "comparison"},

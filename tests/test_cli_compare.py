@@ -91,6 +91,15 @@ def test_only_what_is_not_installed_is_bad_usage(scene: Path) -> None:
     assert "retropole[kiss]" in done.stderr
 
 
+def test_a_truth_that_is_no_transform_is_named(scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "T.txt").write_text("2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("compare", *files, "--truth", "T.txt", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "T.txt" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize(
     "words",
     [

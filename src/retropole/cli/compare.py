@@ -38,7 +38,7 @@ WIDTH = 160
 @click.option(
     "--truth",
     type=CLOUD,
-    help="Known transform: truth.json of 'retropole simulate', a result.json, or a 4x4 text file.",
+    help="Known transform: truth.json of 'retropole simulate', a result.json, or as export writes.",
 )
 @click.option(
     "--methods",
@@ -100,13 +100,13 @@ def compare(
     """
     from ..comparison import METHODS
     from ..comparison import compare as run
-    from ..transforms import read_transform
+    from ..export import read_transform
 
     names = list(METHODS) if methods is None else [name.strip() for name in methods.split(",")]
     for name in names:
         if name not in METHODS:
             raise click.UsageError(f"no method is called {name!r}; there are {', '.join(METHODS)}")
-    T_true = None if truth is None else read_transform(truth)
+    T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
         progress("read")
         inputs = (
