@@ -9,6 +9,7 @@ import click
 from ..errors import RetropoleError
 from .calibrate import calibrate
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
+from .compare import compare
 from .detect import detect
 from .evaluate import evaluate
 from .export import export
@@ -32,7 +33,7 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, detect, info, evaluate, export, simulate, paper):
+for command in (calibrate, compare, detect, evaluate, export, info, paper, simulate):
     cli.add_command(command)
 
 

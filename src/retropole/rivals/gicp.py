@@ -8,7 +8,10 @@ from ..datatypes import PointCloud, Stage
 from .scene import register_scene
 
 REACHES = (3.0, 1.0, 0.3)
-"""Of corresponding points, metres: wide first, since the identity may be far off."""
+"""Of corresponding points, metres."""
+
+MAX_ITERATIONS = 100
+"""For each reach: the identity may be far off."""
 
 
 def gicp(target: PointCloud, source: PointCloud) -> Stage:
@@ -24,4 +27,11 @@ def gicp(target: PointCloud, source: PointCloud) -> Stage:
     Refusal
         As `scene.register_scene`.
     """
-    return register_scene(target, source, np.eye(4), method="GICP", reaches=REACHES)
+    return register_scene(
+        target,
+        source,
+        np.eye(4),
+        method="GICP",
+        reaches=REACHES,
+        max_iterations=MAX_ITERATIONS,
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -41,8 +41,8 @@ SCORED = 4000
 """Points that hypotheses are scored on."""
 
 MIN_INDEPENDENCE = 0.3
-"""Least singular value of the normals of three planes that hold a pose: 0.3 is three planes of which
-each leans out of the plane of the other two by some 20°."""
+"""Least singular value of the normals of three planes that hold a pose: 0.3 is where each leans out
+of the plane of the other two by some 20°."""
 
 POLISHED = 5
 """Hypotheses of each round that are fitted to their inliers before the best is chosen."""
@@ -60,11 +60,18 @@ class Plane:
         Metres.
     xyz
         (N, 3) points on it, in the cloud's frame.
+    support
+        How many points it was found on.
     """
 
     normal: Array
     offset: float
     xyz: Array
+    support: int
+
+    def thinned(self, count: int) -> Plane:
+        """Keep every n-th point, so that at most so many are left."""
+        return replace(self, xyz=self.xyz[:: -(-len(self.xyz) // count)])
 
 
 def fit(xyz: Array) -> tuple[Array, float]:
@@ -111,7 +118,7 @@ def extract_planes(cloud: PointCloud, rng: np.random.Generator) -> list[Plane]:
             continue
         if normal @ cloud.origin + offset < 0:
             normal, offset = -normal, -offset
-        planes.append(Plane(normal, offset, inliers))
+        planes.append(Plane(normal, offset, inliers, len(inliers)))
     return planes
 
 
@@ -140,8 +147,10 @@ def _best_plane(points: Array, rng: np.random.Generator) -> tuple[Array, float]:
     sample = points
     if len(points) > SCORED:
         sample = points[rng.choice(len(points), SCORED, replace=False)]
-    distance = np.abs(normals.astype(np.float32) @ sample.T.astype(np.float32) + offsets[:, None])
-    votes = np.count_nonzero(distance < THICKNESS, axis=1)
+    # Single precision: 900 planes against 4000 points, and a vote bears an error of micrometres.
+    heights = normals.astype(np.float32) @ sample.T.astype(np.float32)
+    heights += offsets.astype(np.float32)[:, None]
+    votes = np.count_nonzero(np.abs(heights, out=heights) < THICKNESS, axis=1)
     best: tuple[int, Array, float] = (-1, normals[0], offsets[0])
     for k in np.argsort(-votes, kind="stable")[:POLISHED]:
         normal, offset = normals[k], float(offsets[k])

@@ -1,9 +1,9 @@
 """Planar surfaces: three linearly independent planes in both clouds give the pose (M9).
 
-J. Jiao et al., *A novel dual-LiDAR calibration algorithm using planar surfaces*, IV 2019. Planes are
-found by RANSAC in each cloud, three of the one laid on three of the other in every order, rotation
-taken from the normals and translation from the offsets in closed form, and refined by least squares
-of points on planes. No start is needed.
+J. Jiao et al., *A novel dual-LiDAR calibration algorithm using planar surfaces*, IV 2019. Planes
+are found by RANSAC in each cloud, three of the one laid on three of the other in every order,
+rotation taken from the normals and translation from the offsets in closed form, and refined by
+least squares of points on planes. No start is needed.
 
 How to choose where many triples fit is left open there, and a corridor fits itself after half a
 turn, to the millimetre in its planes. Here the surroundings choose: the share of points with a
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .. import se3
-from ..datatypes import Array, PointCloud, Stage
+from ..datatypes import Array, BoolArray, PointCloud, Stage
 from ..disambiguation import RangeImage, contradiction, range_image
 from ..errors import Refusal
 from ..registration import thin
@@ -30,8 +30,8 @@ SAME_ANGLE = float(np.radians(3.0))
 """Triples may match if the angles between their planes differ by no more than this."""
 
 SAME_NORMAL, SAME_OFFSETS = float(np.radians(4.0)), (0.3, 0.15)
-"""Under a pose two planes are one if their normals agree so far, rad, and the middle of each lies so
-near the other, metres: before and after a first refinement."""
+"""Under a pose two planes are one if their normals agree so far, rad, and the middle of each lies
+so near the other, metres: before and after a first refinement."""
 
 ROBUST = 0.05
 """Distances of points from their plane count in full up to here, metres (Huber)."""
@@ -58,14 +58,17 @@ ALIKE = float(np.radians(1.0)), 0.1
 APART = float(np.radians(5.0)), 0.5
 """Poses further apart than either, rad and metres, are different answers."""
 
-MIN_OVERLAP = 0.15
-"""Share of points that overlap, below which planes agree by chance."""
+MIN_SCORE = 0.15
+"""Overlap less weighted contradiction, below which planes agree by chance."""
 
 MIN_MARGIN = 0.03
 """Score of the best pose over that of the next different one; shares of 2000 points have a standard
 error of 0.01."""
 
 ITERATIONS = 8
+
+SKETCH = 200
+"""Points of each plane on which candidates are refined; the chosen one is, on all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,13 +115,13 @@ def planar_surfaces(target: PointCloud, source: PointCloud, *, rng: np.random.Ge
             )
     candidates = candidate_poses(of_target, of_source)
     scene = Surroundings.of(target), Surroundings.of(source)
-    judged: list[Judged] = []
+    sketches = [[p.thinned(SKETCH) for p in planes] for planes in (of_target, of_source)]
+    stages: list[Stage] = []
     for T in _different(candidates, _agreement(of_target, of_source, candidates)):
-        stage = refine(of_target, of_source, T)
-        if stage is not None and not any(
-            _within(ALIKE, stage.T_target_source, j.stage.T_target_source) for j in judged
-        ):
-            judged.append(judge_pose(*scene, stage))
+        stage = refine(sketches[0], sketches[1], T)
+        if stage is not None and not _known(stage, stages):
+            stages.append(stage)
+    judged = [judge_pose(*scene, stage) for stage in stages]
     if not judged:
         raise Refusal(
             "planes_unmatched",
@@ -127,7 +130,8 @@ def planar_surfaces(target: PointCloud, source: PointCloud, *, rng: np.random.Ge
             "see the same three",
             {"planes_target": len(of_target), "planes_source": len(of_source)},
         )
-    return _chosen(judged)
+    chosen = _chosen(judged)
+    return refine(of_target, of_source, chosen.T_target_source) or chosen
 
 
 def candidate_poses(target: list[Plane], source: list[Plane]) -> Array:
@@ -163,7 +167,8 @@ def candidate_poses(target: list[Plane], source: list[Plane]) -> Array:
 
 def _angles(normals: Array) -> Array:
     """Angles (K, 3) between the first and second, second and third, third and first of triples."""
-    return np.arccos(np.clip(np.einsum("kpi,kpi->kp", normals, np.roll(normals, -1, 1)), -1, 1))
+    cosines = np.einsum("kpi,kpi->kp", normals, np.roll(normals, -1, 1))
+    return np.asarray(np.arccos(np.clip(cosines, -1, 1)))
 
 
 def _matched(
@@ -184,14 +189,34 @@ def _matched(
     return alike & (apart < same_offset), apart
 
 
+def _shared_support(target: list[Plane], source: list[Plane]) -> Array:
+    """Give the lesser support (P, Q) of every two planes."""
+    supports = [np.array([float(p.support) for p in each]) for each in (target, source)]
+    return np.asarray(np.minimum(supports[0][:, None], supports[1]))
+
+
 def _agreement(target: list[Plane], source: list[Plane], T: Array) -> Array:
     """How many points lie on planes that are one under each of the poses (K, 4, 4)."""
     same, _ = _matched(target, source, T, SAME_OFFSETS[0])
-    sizes = np.minimum(
-        np.array([len(p.xyz) for p in target])[:, None], np.array([len(p.xyz) for p in source])
-    )
+    sizes = _shared_support(target, source)
     # A plane counts once, with its best partner; the square root keeps one large one from deciding.
     return np.asarray(np.max(same * np.sqrt(sizes), axis=2, initial=0.0).sum(axis=1))
+
+
+def _known(stage: Stage, others: list[Stage]) -> bool:
+    """Tell whether a pose is that of one of others."""
+    if not others:
+        return False
+    return bool(
+        np.any(_alike(np.array([s.T_target_source for s in others]), stage.T_target_source))
+    )
+
+
+def _alike(poses: Array, T: Array) -> BoolArray:
+    """Tell which of the poses (K, 4, 4) are one candidate with another."""
+    trace = np.einsum("kij,ij->k", poses[:, :3, :3], T[:3, :3])
+    near = np.linalg.norm(poses[:, :3, 3] - T[:3, 3], axis=1) < ALIKE[1]
+    return np.asarray(near & ((trace - 1) / 2 > np.cos(ALIKE[0])))
 
 
 def _within(limits: tuple[float, float], T: Array, other: Array) -> bool:
@@ -204,13 +229,10 @@ def _different(poses: Array, rank: Array) -> list[Array]:
     """The `JUDGED` best ranked poses of which no two are alike."""
     kept: list[Array] = []
     rest = poses[np.argsort(-rank, kind="stable")]
-    cosine = np.cos(ALIKE[0])
     while len(rest) and len(kept) < JUDGED:
         best = rest[0]
         kept.append(best)
-        trace = np.einsum("kij,ij->k", rest[:, :3, :3], best[:3, :3])
-        near = np.linalg.norm(rest[:, :3, 3] - best[:3, 3], axis=1) < ALIKE[1]
-        alike = near & ((trace - 1) / 2 > cosine)
+        alike = _alike(rest, best)
         alike[0] = True
         rest = rest[~alike]
     return kept
@@ -228,9 +250,11 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
         None where the planes that are one under ``T`` are not three independent ones.
     """
     rms = 0.0
-    for same_offset in SAME_OFFSETS:
+    sizes = _shared_support(target, source)
+    for same_offset, nearest in zip(SAME_OFFSETS, (False, True), strict=True):
         same, apart = _matched(target, source, T, same_offset)
-        cost = np.where(same, apart, np.inf)
+        # A rough pose may lay a wall on the niche beside it: first go by size, then by distance.
+        cost = np.where(same, apart if nearest else -sizes, np.inf)
         pairs = [
             (i, j)
             for i, j in zip(*np.nonzero(same), strict=True)
@@ -243,7 +267,9 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
             residuals, jacobian = _residuals(target, source, pairs, T)
             weight = np.minimum(1.0, ROBUST / np.maximum(np.abs(residuals), 1e-12))
             weighted = jacobian * weight[:, None]
-            step = np.linalg.solve(weighted.T @ jacobian, -weighted.T @ residuals)
+            step = np.asarray(
+                np.linalg.solve(weighted.T @ jacobian, -weighted.T @ residuals), float
+            )
             T = se3.retract(T, step)
             if np.linalg.norm(step) < 1e-6:
                 break
@@ -254,7 +280,7 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
 def _residuals(
     target: list[Plane], source: list[Plane], pairs: list[tuple[int, int]], T: Array
 ) -> tuple[Array, Array]:
-    """Distances (N,) of the matched points from each other's planes, and their (N, 6) derivative."""
+    """Distances (N,) of matched points from each other's planes, and their (N, 6) derivative."""
     residuals, jacobians = [], []
     R, t = T[:3, :3], T[:3, 3]
     for i, j in pairs:
@@ -262,8 +288,8 @@ def _residuals(
         turned, gone = source[j].xyz @ R.T, target[i].xyz - t
         residuals += [turned @ n + n @ t + target[i].offset, gone @ m + source[j].offset]
         jacobians += [
-            np.hstack([np.cross(turned, n), np.broadcast_to(n, turned.shape)]),
-            np.hstack([np.cross(m, gone), np.broadcast_to(-m, gone.shape)]),
+            np.hstack([turned @ se3.hat(-n).T, np.broadcast_to(n, turned.shape)]),
+            np.hstack([gone @ se3.hat(m).T, np.broadcast_to(-m, gone.shape)]),
         ]
     return np.concatenate(residuals), np.vstack(jacobians)
 
@@ -303,13 +329,14 @@ def _chosen(judged: list[Judged]) -> Stage:
     best, *others = sorted(judged, key=lambda j: -j.score)
     T = best.stage.T_target_source
     others = [j for j in others if not _within(APART, T, j.stage.T_target_source)]
-    if best.overlap < MIN_OVERLAP:
+    if best.score < MIN_SCORE:
         raise Refusal(
             "no_overlap",
             f"under the best of {len(judged)} matches of planes {100 * best.overlap:.0f} % of the "
-            f"points have a neighbour in the other cloud within {NEAR:g} m, "
-            f"{100 * MIN_OVERLAP:.0f} % are needed; record where both LiDARs see the same planes",
-            {"overlap": best.overlap, "needed": MIN_OVERLAP, "matches": len(judged)},
+            f"points have a neighbour in the other cloud within {NEAR:g} m, and the score less "
+            f"what the other LiDAR looked through is {best.score:.2f}, {MIN_SCORE:g} is needed; "
+            "record where both LiDARs see the same planes",
+            {"overlap": best.overlap, "score": best.score, "needed": MIN_SCORE},
         )
     if others and best.score - others[0].score < MIN_MARGIN:
         raise Refusal(

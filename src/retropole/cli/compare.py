@@ -1,0 +1,217 @@
+"""The command ``retropole compare``."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .common import (
+    CLOUD,
+    CONTEXT,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    SENSOR_HELP,
+    progress_on_terminal,
+    radius_option,
+    read_input,
+)
+
+if TYPE_CHECKING:
+    from ..comparison import Compared
+    from ..datatypes import Array
+
+SCHEMA = "retropole/compare/1"
+WIDTH = 160
+"""Of the table where there is no terminal to ask."""
+
+
+@click.command(context_settings=CONTEXT)
+@click.argument("target", type=CLOUD)
+@click.argument("source", type=CLOUD)
+@click.option(
+    "--truth",
+    type=CLOUD,
+    help="Known transform: truth.json of 'retropole simulate', a result.json, or as export writes.",
+)
+@click.option(
+    "--methods",
+    help="Names between commas: poles, poles+scene, planes, icp, gicp, kiss, fpfh.  [default: all]",
+)
+@radius_option
+@click.option("--sensor-target", default="auto", show_default=True, help=SENSOR_HELP)
+@click.option("--sensor-source", default="auto", show_default=True, help="The same for SOURCE.")
+@click.option(
+    "--threshold-target",
+    type=float,
+    help="Intensity from which a return is retro-reflective.  [default: as calibrate]",
+)
+@click.option("--threshold-source", type=float, help="The same for SOURCE.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of what methods draw, and of the points on which they are scored.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
+@click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
+def compare(
+    target: Path,
+    source: Path,
+    truth: Path | None,
+    methods: str | None,
+    radius: float,
+    sensor_target: str,
+    sensor_source: str,
+    threshold_target: float | None,
+    threshold_source: float | None,
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Set retropole and its rivals side by side on one pair of clouds.
+
+    Rivals use the surroundings and no poles: planes (planar surfaces), icp and gicp from the
+    identity, kiss (KISS-Matcher, then GICP; optional part 'kiss') and fpfh (FPFH and RANSAC, then
+    GICP; optional part 'open3d'). A rival's ok is its own word: only the errors against a truth
+    tell whether it is right.
+
+    \b
+    Examples:
+      retropole compare front.pcd rear.pcd
+      retropole simulate corridor --seed 4 --out s
+      retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
+      retropole compare front.pcd rear.pcd --methods poles+scene,kiss
+      retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
+
+    \b
+    Exit code:
+      0    at least one method answered
+      2    a file or an option is wrong, or no method that was asked for is installed
+      3    all refused
+      130  interrupted
+    """
+    from ..comparison import METHODS
+    from ..comparison import compare as run
+    from ..export import read_transform
+
+    names = list(METHODS) if methods is None else [name.strip() for name in methods.split(",")]
+    for name in names:
+        if name not in METHODS:
+            raise click.UsageError(f"no method is called {name!r}; there are {', '.join(METHODS)}")
+    T_true = None if truth is None else read_transform(truth).T_parent_child
+    with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
+        progress("read")
+        inputs = (
+            read_input(target, sensor_target, threshold_target),
+            read_input(source, sensor_source, threshold_source),
+        )
+        found = run(
+            inputs[0].cloud,
+            inputs[1].cloud,
+            names,
+            T_true=T_true,
+            radius=radius,
+            sensors=(inputs[0].sensor, inputs[1].sensor),
+            thresholds=(threshold_target, threshold_source),
+            seed=seed,
+            progress=progress,
+        )
+    if as_json:
+        document = {
+            "schema": SCHEMA,
+            "inputs": [str(target), str(source)],
+            "truth": None if truth is None else str(truth),
+            "seed": seed,
+            "methods": [_document(each) for each in found],
+        }
+        click.echo(json.dumps(document, indent=1))
+    else:
+        _print_table(found, truth is not None)
+    for each in found:
+        if each.status == "refused":
+            click.echo(f"{each.method}: refused ({each.codes[0]}): {each.message}", err=True)
+        elif each.status == "missing":
+            click.echo(f"{each.method}: not installed: {each.message}", err=True)
+    if any(each.T_target_source is not None for each in found):
+        return 0
+    return EXIT_USAGE if all(each.status == "missing" for each in found) else EXIT_REFUSED
+
+
+@contextmanager
+def _libraries_print_to_stderr() -> Iterator[None]:
+    """Send what compiled libraries print to stderr: stdout is for the findings alone."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+def _angles_deg(T: Array) -> list[float]:
+    """Roll, pitch and yaw about fixed axes, x first, degrees."""
+    from scipy.spatial.transform import Rotation
+
+    angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
+    return [float(angle) for angle in angles]
+
+
+def _document(each: Compared) -> dict[str, Any]:
+    T, alignment, errors = each.T_target_source, each.alignment, each.errors
+    return {
+        "method": each.method,
+        "status": each.status,
+        "codes": list(each.codes),
+        "message": each.message,
+        "T_target_source": None if T is None else T.tolist(),
+        "rpy_deg": None if T is None else _angles_deg(T),
+        "overlap": alignment and alignment.overlap,
+        "plane_residual_m": alignment and alignment.plane_residual,
+        "rqe_sum": alignment and alignment.entropy.sum,
+        "rqe_log": alignment and alignment.entropy.log,
+        "seconds": each.seconds,
+        "e_rt_m": errors and errors.e_rt,
+        "rotation_error_rad": errors and errors.rotation,
+        "translation_error_m": errors and errors.translation,
+    }
+
+
+def _print_table(found: Sequence[Compared], known: bool) -> None:
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="target from source", title_justify="left")
+    table.add_column("method")
+    table.add_column("verdict")
+    columns = ["x m", "y m", "z m", "roll °", "pitch °", "yaw °", "overlap", "RQE 1/m³", "time s"]
+    errors = ["e_rt m", "error °", "error m"] if known else []
+    for name in columns + errors:
+        table.add_column(name, justify="right")
+    for each in found:
+        words = {"missing": "not installed", "warn": "warn"}.get(each.status, each.status)
+        if each.codes and each.status != "missing":
+            words += " " + ", ".join(each.codes)
+        row = [each.method, words]
+        T, alignment = each.T_target_source, each.alignment
+        if T is None or alignment is None:
+            row += [""] * 8
+        else:
+            row += [f"{value:.3f}" for value in (*T[:3, 3], *_angles_deg(T), alignment.overlap)]
+            row.append(f"{alignment.entropy.sum:.4f}")
+        row.append("" if each.seconds is None else f"{each.seconds:.2f}")
+        if each.errors is not None:
+            row.append(f"{each.errors.e_rt:.4f}")
+            row += [f"{np.degrees(each.errors.rotation):.3f}", f"{each.errors.translation:.4f}"]
+        table.add_row(*row)
+    Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
