@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from . import se3
 from .datatypes import Array, IntArray, PointCloud
 from .errors import Refusal
-from .registration import THREADS, prepare, thin
+from .registration import CORES, prepare, thin
 
 OVERLAP_DISTANCE = 0.5
 """A point with a neighbour of the other cloud within this distance overlaps it, metres."""
@@ -115,7 +116,8 @@ def rqe(xyz: Array, sigma: float = KERNEL_WIDTH, *, tolerance: float = RQE_TOLER
             total += (1.0 if a == b else 2.0) * float(np.exp(block, out=block).sum())
         return total
 
-    with ThreadPoolExecutor(THREADS) as pool:
+    # Blocks are spread over threads here, so that BLAS needs none of its own.
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(CORES) as pool:
         total = sum(pool.map(row, range(len(near))))
     argument = total / len(points) ** 2 / (4 * np.pi * sigma**2) ** 1.5
     return Entropy(argument, -float(np.log(argument)), left_out / total, len(points))
@@ -203,10 +205,10 @@ def evaluate(
     Refusal
         ``too_few_points`` where a cloud is too small to tell surfaces.
     """
-    surface = prepare(target.xyz, PLANE_VOXEL)
+    surface = prepare(target.xyz, PLANE_VOXEL, threads=CORES)
     moved = se3.apply(T, thin(source.xyz, PLANE_VOXEL))
-    distance, at = cKDTree(surface.xyz).query(moved, workers=THREADS)
-    back, _ = cKDTree(moved).query(surface.xyz, workers=THREADS)
+    distance, at = cKDTree(surface.xyz).query(moved, workers=CORES)
+    back, _ = cKDTree(moved).query(surface.xyz, workers=CORES)
     near = distance <= OVERLAP_DISTANCE
     overlap = 0.5 * (float(np.mean(near)) + float(np.mean(back <= OVERLAP_DISTANCE)))
     residual = None

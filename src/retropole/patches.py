@@ -8,7 +8,7 @@ import numpy as np
 import small_gicp
 
 from .datatypes import Array, IntArray, PointCloud
-from .registration import THREADS, thin
+from .registration import thin
 
 VOXELS = (0.15, 0.3, 0.6)
 """Patches are fitted to clouds thinned to one point per cube of these sides, metres: small ones
@@ -81,9 +81,9 @@ def _patches_of(cloud: PointCloud, voxel: float) -> Patches:
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, NEIGHBOURS), dtype=np.int64)
         return Patches(none, none, none, nothing, nothing, bands)
-    tree = small_gicp.KdTree(points, num_threads=THREADS)
+    tree = small_gicp.KdTree(points)
     at = points[:: 1 + len(points) // MAX_PATCHES]
-    index, _ = tree.batch_knn_search(at, NEIGHBOURS, num_threads=THREADS)
+    index, _ = tree.batch_knn_search(at, NEIGHBOURS)
     neighbours = points[np.asarray(index, dtype=np.intp)]
     ray = points - cloud.origin
     band = np.floor(np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1)) / BEAM).astype(np.int64)

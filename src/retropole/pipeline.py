@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from . import se3
 from .beam_alignment import BeamAlignment, align_beams
@@ -93,6 +94,8 @@ def calibrate(
             beams.append(beams_of([pole for pole, _ in standing], clouds, sensors[side]))
         return align_beams(beams[0], beams[1], start, radius=radius, radius_sigma=radius_sigma)
 
+    # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the way.
+    one_thread = threadpool_limits(1, user_api="blas")
     try:
         with step("extract"):
             for cloud_target, cloud_source in zip(_each(target), _each(source), strict=True):
@@ -154,6 +157,8 @@ def calibrate(
             placements=tuple(placements),
             seconds=seconds,
         )
+    finally:
+        one_thread.restore_original_limits()
     answer = aligned.stage if refined is None else refined.stage
     weakest = weakest_direction(answer, aligned.axis_points, aligned.axis_directions)
     reasons = weaknesses(paired, hypotheses, aligned, sensors, weakest, refined)

@@ -23,7 +23,6 @@ from scipy.spatial import cKDTree
 from . import se3
 from .datatypes import Array, IntArray, PointCloud, Stage
 from .patches import NEIGHBOURS, Patches, surface_patches
-from .registration import THREADS
 
 MAX_NORMAL_ANGLE = np.radians(35.0)
 """Two patches lie on one surface only if their normals agree so far."""
@@ -199,7 +198,7 @@ def _pairs(
     spread = np.sqrt(np.einsum("mik,mik->m", lever @ covariance, lever))
     reach = np.minimum(FINEST_REACH + 3.0 * spread, COARSEST_REACH)
     span = max(float(reach.max()), SPAN)
-    distance, nearest = tree.query(moved, distance_upper_bound=span, workers=THREADS)
+    distance, nearest = tree.query(moved, distance_upper_bound=span)
     s = np.flatnonzero(distance <= np.maximum(reach, SPAN))
     t = nearest[s]
     normal_source = source.normals[s] @ T[:3, :3].T

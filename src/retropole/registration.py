@@ -16,7 +16,11 @@ import small_gicp
 from .datatypes import Array
 from .errors import Refusal
 
-THREADS = min(4, os.cpu_count() or 1)
+CORES = min(4, os.cpu_count() or 1)
+"""Threads for large clouds. The method's own are small: there one thread is as fast, and several,
+which wait by spinning, are many times slower where the machine has other work.
+"""
+
 MIN_POINTS = 50
 NEIGHBOURS = 10
 """Points that a surface normal is estimated from."""
@@ -67,7 +71,7 @@ def thin(xyz: Array, voxel: float) -> Array:
     return np.array(thinned.points()[:, :3])
 
 
-def prepare(xyz: Array, voxel: float) -> Surface:
+def prepare(xyz: Array, voxel: float, *, threads: int = 1) -> Surface:
     """Thin a cloud and estimate its local surfaces.
 
     Raises
@@ -83,17 +87,17 @@ def prepare(xyz: Array, voxel: float) -> Surface:
             f"{MIN_POINTS} are needed; record a scene with more in it",
             {"points": len(points), "needed": MIN_POINTS},
         )
-    surface = as_surface(points)
+    surface = as_surface(points, threads=threads)
     small_gicp.estimate_normals_covariances(
-        surface.cloud, surface.tree, num_neighbors=NEIGHBOURS, num_threads=THREADS
+        surface.cloud, surface.tree, num_neighbors=NEIGHBOURS, num_threads=threads
     )
     return surface
 
 
-def as_surface(points: Array) -> Surface:
+def as_surface(points: Array, *, threads: int = 1) -> Surface:
     """Hand points (M, 3) to small_gicp as they are, without covariances: enough for ICP."""
     cloud = small_gicp.PointCloud(points)
-    return Surface(points, cloud, small_gicp.KdTree(cloud, num_threads=THREADS))
+    return Surface(points, cloud, small_gicp.KdTree(cloud, num_threads=threads))
 
 
 def register(
@@ -104,6 +108,7 @@ def register(
     method: Literal["ICP", "PLANE_ICP", "GICP"],
     reach: float,
     max_iterations: int = 30,
+    threads: int = 1,
 ) -> Registration:
     """Register two prepared clouds from a start.
 
@@ -119,6 +124,8 @@ def register(
         Largest distance of corresponding points, metres.
     max_iterations
         Steps at most.
+    threads
+        Of small_gicp.
 
     Raises
     ------
@@ -132,7 +139,7 @@ def register(
         np.ascontiguousarray(T_start, dtype=float),
         registration_type=method,
         max_correspondence_distance=reach,
-        num_threads=THREADS,
+        num_threads=threads,
         max_iterations=max_iterations,
     )
     T = np.array(result.T_target_source)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from .. import se3
 from ..datatypes import Array, PointCloud, Stage
 from ..errors import Refusal
-from ..registration import MIN_POINTS, THREADS, prepare, register
+from ..registration import CORES, MIN_POINTS, prepare, register
 
 VOXEL = 0.2
 """Clouds are thinned to one point per cube of this side, metres."""
@@ -60,10 +60,12 @@ def register_scene(
         each other, ``not_converged`` where the iterations run out, ``registration_failed`` where
         the result is not finite.
     """
-    surfaces = prepare(target.xyz, VOXEL), prepare(source.xyz, VOXEL)
+    surfaces = prepare(target.xyz, VOXEL, threads=CORES), prepare(source.xyz, VOXEL, threads=CORES)
     T = T_start
     for reach in reaches:
-        result = register(*surfaces, T, method=method, reach=reach, max_iterations=max_iterations)
+        result = register(
+            *surfaces, T, method=method, reach=reach, max_iterations=max_iterations, threads=CORES
+        )
         T = result.T_target_source
     if not result.converged:
         raise Refusal(
@@ -73,7 +75,7 @@ def register_scene(
         )
     tree = cKDTree(surfaces[0].xyz)
     moved = se3.apply(T, surfaces[1].xyz)
-    distance = tree.query(moved, distance_upper_bound=NEAR, workers=THREADS)[0]
+    distance = tree.query(moved, distance_upper_bound=NEAR, workers=CORES)[0]
     near = distance[np.isfinite(distance)]
     if len(near) < MIN_POINTS:
         raise Refusal(
