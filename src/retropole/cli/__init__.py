@@ -15,7 +15,9 @@ from .evaluate import evaluate
 from .export import export
 from .info import info
 from .paper import paper
+from .report import report
 from .simulate import simulate
+from .view import view
 
 
 @click.group(context_settings=CONTEXT)
@@ -33,7 +35,8 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, compare, detect, evaluate, export, info, paper, simulate):
+COMMANDS = (calibrate, compare, detect, evaluate, export, info, paper, report, simulate, view)
+for command in COMMANDS:
     cli.add_command(command)
 
 

@@ -81,9 +81,10 @@ function webglView(canvas, context, pad, clouds) {
   controls.enableZoom = false;
   controls.minDistance = 0.3;
   controls.maxDistance = 400;
-  const shift = frameShift(clouds);
   const scene = new THREE.Scene();
-  const points = clouds.map((cloud) => {
+  let shift, points = [];
+
+  function makePoints(cloud) {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(cloud.xyz, 3, true));
     geometry.setAttribute("intensity", new THREE.BufferAttribute(cloud.intensity, 1, true));
@@ -97,7 +98,19 @@ function webglView(canvas, context, pad, clouds) {
     object.matrixAutoUpdate = false;
     scene.add(object);
     return object;
-  });
+  }
+
+  function load(next) {
+    for (const object of points) {
+      scene.remove(object);
+      object.geometry.dispose();
+      object.material.dispose();
+    }
+    clouds = next;
+    shift = frameShift(clouds);
+    points = clouds.map(makePoints);
+  }
+  load(clouds);
 
   function place(object, cloud, T) {
     const [s, l] = [cloud.size, cloud.low], at = applyPose(T, l);
@@ -134,6 +147,7 @@ function webglView(canvas, context, pad, clouds) {
   return {
     kind: "webgl",
     preset,
+    load,
     onMove: (f) => controls.addEventListener("change", f),
     onSettle: (f) => controls.addEventListener("end", f),
     allowWheel: (on) => { controls.enableZoom = on; },
@@ -192,11 +206,17 @@ function webglView(canvas, context, pad, clouds) {
 /** Painter without WebGL: the clouds from above, on a 2-D canvas. */
 function topView(canvas, pad, clouds) {
   const context = canvas.getContext("2d");
-  const shift = frameShift(clouds);
   const listeners = { move: [], settle: [] };
   const tell = (what) => listeners[what].forEach((f) => f());
   let centre, span, wheel = false, dpr = 1;
-  const metres = clouds.map((c) => Float32Array.from(c.xyz, (v, k) => c.low[k % 3] + (c.size[k % 3] * v) / 65535));
+  let shift, metres;
+
+  function load(next) {
+    clouds = next;
+    shift = frameShift(clouds);
+    metres = clouds.map((c) => Float32Array.from(c.xyz, (v, k) => c.low[k % 3] + (c.size[k % 3] * v) / 65535));
+  }
+  load(clouds);
 
   function preset() { centre = clouds[0].centre.slice(); span = 2.2 * clouds[0].radius; tell("move"); }
   preset();
@@ -234,6 +254,7 @@ function topView(canvas, pad, clouds) {
   return {
     kind: "top",
     preset,
+    load,
     onMove: (f) => listeners.move.push(f),
     onSettle: (f) => listeners.settle.push(f),
     allowWheel: (on) => { wheel = on; },
