@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .datatypes import Array, Detection, Pole, PointCloud
+from .datatypes import Array, Detection, PointCloud, Pole
 from .errors import MissingExtraError
 from .extraction import extract_poles
-from .sensors import Sensor, threshold_for
+from .sensors import Sensor
 
 if TYPE_CHECKING:
     import viser
@@ -253,15 +253,15 @@ def _add(
 
     again = debounced(look)
 
-    @slider.on_update
-    def _(_: Any) -> None:
+    def moved(_: Any) -> None:
         text.content = "Looking …"
         again()
 
-    @seen.on_update
-    def _(_: Any) -> None:
+    def switched(_: Any) -> None:
         frame.visible = seen.value
 
+    slider.on_update(moved)
+    seen.on_update(switched)
     show(first)
     return slider, text
 
@@ -300,11 +300,11 @@ def _marks(server: viser.ViserServer, root: str, detection: Detection) -> list[A
 
 def _look_at(server: viser.ViserServer, cloud: PointCloud, detection: Detection) -> None:
     """Start behind the sensor and above, looking at its poles."""
-    near = [p.point for p in detection.poles] or [cloud.origin + [5.0, 0.0, 0.0]]
+    near = [p.point for p in detection.poles] or [cloud.origin + np.array([5.0, 0.0, 0.0])]
     middle = np.mean(near, axis=0)
     away = middle - cloud.origin
     away[2] = 0.0
     away = away / max(float(np.linalg.norm(away)), 1e-9)
-    eye = cloud.origin - 4.0 * away + [0.0, 0.0, 4.0]
+    eye = cloud.origin - 6.0 * away + np.array([0.0, 0.0, 5.0])
     server.initial_camera.position = tuple(eye)
     server.initial_camera.look_at = tuple(middle)

@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import se3
 from ..datatypes import Detection
+from .crosssections import cross_sections
 from .sections import Result, centimetres, number, table
 
 Detections = tuple[Detection | None, Detection | None]
@@ -36,6 +37,7 @@ def poles(result: Result, detections: Detections | None) -> str:
         "" if rows else "<p>No pole was found in either cloud.</p>",
         f'<div class="columns">{listed if rows else ""}{_residuals(result, detections)}</div>',
         _radius_note(result),
+        cross_sections(result, detections),
     ]
     for which, mark, detection in zip(
         ("target", "source"), "×+", detections or (None, None), strict=True

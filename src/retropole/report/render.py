@@ -80,6 +80,14 @@ def render_report(
     several = f" (and {len(every) - 1} more)" if more else ""
     assets = files(__package__) / "assets"
     page = Template((assets / "template.html").read_text(encoding="utf-8"))
+    parts = {
+        "hypotheses": sections.hypotheses(result),
+        "transform": sections.transform(result),
+        "poles": evidence.poles(result, detections),
+        "uncertainty": evidence.uncertainty(result),
+        "placements": evidence.placements(result),
+        "run": evidence.provenance(result),
+    }
     return page.substitute(
         title=escape(f"{names[0]} ← {names[1]}{several}"),
         several=escape(several),
@@ -88,19 +96,22 @@ def render_report(
         source_name=escape(names[1]),
         created=escape(str(result.get("created", ""))),
         verdict=sections.verdict(result, notes),
-        transform=sections.transform(result),
-        hypotheses=sections.hypotheses(result),
-        poles=evidence.poles(result, detections),
-        uncertainty=evidence.uncertainty(result),
-        placements=evidence.placements(result),
-        provenance=evidence.provenance(result),
+        links=_links(parts),
         shown=escape(stands[0]["shown"]),
         style=(assets / "style.css").read_text(encoding="utf-8"),
         data=embed_json(view),
         three=(assets / "three.min.js").read_text(encoding="utf-8"),
         view_js=(assets / "view.js").read_text(encoding="utf-8"),
         app_js=(assets / "app.js").read_text(encoding="utf-8"),
+        **parts,
     )
+
+
+def _links(parts: Mapping[str, str]) -> str:
+    """Link to every part of the page that there is."""
+    names = {"view-title": "Clouds", "run": "This run"}
+    there = ["view-title", *(part for part, html in parts.items() if html)]
+    return "".join(f'<a href="#{part}">{names.get(part, part.capitalize())}</a>' for part in there)
 
 
 def write_report(

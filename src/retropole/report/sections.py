@@ -100,9 +100,10 @@ def _reason(reason: Mapping[str, Any]) -> str:
     code, message = str(reason.get("code", "")), escape(str(reason.get("message", "")))
     known = ADVICE.get(code)
     if known is None:
-        return f"<li><p><code>{escape(code)}</code></p><p>{message}</p></li>"
+        return f'<li><p><code>{escape(code)}</code></p><p class="said">{message}</p></li>'
     return (
-        f"<li><h3>{escape(known.title)} <code>{escape(code)}</code></h3><p>{message}</p>"
+        f"<li><h3>{escape(known.title)} <code>{escape(code)}</code></h3>"
+        f'<p class="said">{message}</p>'
         f'<p class="advice"><b>What to do:</b> {escape(known.help)}</p></li>'
     )
 
@@ -132,7 +133,7 @@ def _figures(result: Result) -> str:
         for e in result.get("predicted_error") or []
     ]
     if result.get("margin") is not None:
-        tiles.append((number(result["margin"], 3), "margin over the next hypothesis"))
+        tiles.append((number(result["margin"], 3), "margin over the next"))
     cells = "".join(f"<div><dt>{escape(b)}</dt><dd>{escape(a)}</dd></div>" for a, b in tiles)
     return f'<dl class="tiles">{cells}</dl>' if tiles else ""
 
@@ -193,16 +194,22 @@ def letter(k: int) -> str:
     return chr(ord("a") + k) if k < 26 else f"h{k}"
 
 
+def _mark(hypothesis: Mapping[str, Any]) -> str:
+    return " chosen" if hypothesis.get("chosen") else ""
+
+
 def hypotheses(result: Result) -> str:
     """Show all hypotheses as panels (drawn by the page's code) and as a table."""
     found = result.get("hypotheses") or []
     if not found:
         return ""
     panels = "".join(
-        f'<button type="button" class="panel" data-pose="{letter(k)}" aria-pressed="false">'
+        f'<button type="button" class="panel{_mark(h)}" '
+        f'data-pose="{letter(k)}" aria-pressed="false">'
         '<canvas width="10" height="10" aria-hidden="true"></canvas>'
         f"<span><b>{letter(k)}</b>{' · chosen' if h.get('chosen') else ''}"
-        f"<small>overlap {number(h.get('overlap'), 2)}, score {number(h.get('score'), 3)}</small>"
+        f"<small>overlap {number(h.get('overlap'), 0, 100, ' %')}</small>"
+        f"<small>score {number(h.get('score'), 3)}</small>"
         "</span></button>"
         for k, h in enumerate(found)
     )

@@ -344,7 +344,14 @@ function drawMarks(context, pane, lens, scene, look) {
     const v = lens.toView(p);
     return v[2] <= -NEAR ? lens.toPixel(v) : null;
   }
-  function label(text, at, colour, align = "left", size = 12) {
+  const taken = [];
+  /** Write a label; a shy one only where no other stands. */
+  function label(text, at, colour, align = "left", size = 12, shy = false) {
+    const half = 0.33 * size * text.length;
+    const centre = at[0] + (align === "left" ? half : align === "right" ? -half : 0);
+    const meets = ([x, y, w, h]) => Math.abs(x - centre) < w + half && Math.abs(y - at[1]) < h + size / 2;
+    if (shy && taken.some(meets)) return;
+    taken.push([centre, at[1], half, size / 2]);
     context.font = `600 ${size}px system-ui, sans-serif`;
     context.textAlign = align;
     context.textBaseline = "middle";
@@ -387,8 +394,12 @@ function drawMarks(context, pane, lens, scene, look) {
     if (at && k === 1 && ellipsoid) {
       for (const circle of circles) {
         trace(circle);
+        context.globalAlpha = 0.16;
+        context.fillStyle = look.text;
+        context.fill();
+        context.globalAlpha = 1;
         context.strokeStyle = look.text;
-        context.lineWidth = 1.5;
+        context.lineWidth = 1;
         context.stroke();
       }
       const low = Math.max(...circles.flat().map(spot).filter(Boolean).map((p) => p[1]), at[1]);
@@ -415,7 +426,7 @@ function drawMarks(context, pane, lens, scene, look) {
           for (const [x, y] of arms) { context.moveTo(c[0] - x, c[1] - y); context.lineTo(c[0] + x, c[1] + y); }
           context.lineWidth = width; context.strokeStyle = stroke; context.stroke();
         }
-        label(cluster.label, [c[0] + (k === 0 ? -9 : 9), c[1] - 8], colour, k === 0 ? "right" : "left", 11);
+        label(cluster.label, [c[0] + (k === 0 ? -9 : 9), c[1] - 8], colour, k === 0 ? "right" : "left", 11, true);
       }
     }
   });
