@@ -9,7 +9,7 @@ import io
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout
+from contextlib import AbstractContextManager, redirect_stdout
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -75,6 +75,11 @@ class Viewer:
     def url(self) -> str:
         """Where the page is."""
         return f"http://{HOST}:{self.server.get_port()}"
+
+    def stop(self) -> None:
+        """Stop serving."""
+        with _silence():
+            self.server.stop()
 
 
 @dataclass(frozen=True)
@@ -184,7 +189,7 @@ def serve(shown: Sequence[Shown], *, radius: float = 0.02, port: int = 8080) -> 
     found = [
         extract_poles(s.cloud, sensor=s.sensor, threshold=s.threshold, radius=radius) for s in shown
     ]
-    with redirect_stdout(io.StringIO()):  # viser greets on stdout, which is not ours to write to
+    with _silence():
         server = viser.ViserServer(host=HOST, port=port, label="retropole view", verbose=False)
     # A page may ask viser to open a tunnel to a public address: nothing here leaves the machine.
     setattr(server, "request_share_url", lambda verbose=True: None)  # noqa: B010
@@ -200,6 +205,11 @@ def serve(shown: Sequence[Shown], *, radius: float = 0.02, port: int = 8080) -> 
     ]
     _look_at(server, shown[0].cloud, found[0])
     return Viewer(server, tuple(p[0] for p in parts), tuple(p[1] for p in parts))
+
+
+def _silence() -> AbstractContextManager[object]:
+    """Keep viser's greetings off stdout, which belongs to the caller."""
+    return redirect_stdout(io.StringIO())
 
 
 def _largest(detection: Detection) -> list[int]:

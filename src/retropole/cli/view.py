@@ -80,4 +80,4 @@ def view(
         while True:
             time.sleep(1.0)
     finally:
-        viewer.server.stop()
+        viewer.stop()
