@@ -414,13 +414,13 @@ def test_clouds_of_hardly_any_points(count: int) -> None:
 
 def test_lines_to_copy_are_the_transform() -> None:
     lines = export_lines(T_TRUE, "base", "rear")
-    matrix = np.array([line.split() for line in lines["Matrix"].splitlines()], dtype=float)
+    matrix = np.array([line.split() for line in lines["matrix"].splitlines()], dtype=float)
     assert np.allclose(matrix, T_TRUE, atol=1e-11)
-    document = json.loads(lines["JSON"])
+    document = json.loads(lines["json"])
     assert np.array_equal(document["T_target_source"], T_TRUE)
-    named = dict(re.findall(r"--([a-z-]+) (\S+)", lines["ROS 2"]))
+    named = dict(re.findall(r"--([a-z-]+) (\S+)", lines["ros2"]))
     assert (named["frame-id"], named["child-frame-id"]) == ("base", "rear")
-    bare = lines["ROS 1"].split()[3:10]
+    bare = lines["ros1"].split()[3:10]
     for t, q in (
         ([named[n] for n in "xyz"], [named["q" + n] for n in "xyzw"]),
         (bare[:3], bare[3:]),

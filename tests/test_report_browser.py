@@ -168,7 +168,7 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
     field = browser.find('[name="target"]')
     field.clear()
     field.send_keys("top; rm lidar_source")
-    line = browser.find('[data-export="ROS 2"]').text
+    line = browser.find('[data-export="ros2"]').text
     assert line.endswith("--frame-id top__rm_lidar_source --child-frame-id lidar_source")
     browser.run("arguments[0].click()", browser.find(".copy-button"))
     field.clear()

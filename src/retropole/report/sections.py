@@ -12,12 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from ..datatypes import Array
 from .advice import ADVICE
-from .lines import export_lines
+from .lines import TITLES, export_lines
 
 Result = Mapping[str, Any]
 
 FRAMES = "lidar_target", "lidar_source"
 """Frame names in the lines to copy, until the reader types others into the page."""
+
+OPEN = ("ros2", "matrix", "quaternion")
+"""The forms that are shown at once; the page unfolds the others."""
 
 VERDICTS = {
     "ok": ("Calibrated", "The transform below maps source points into the target frame."),
@@ -170,13 +173,13 @@ def transform(result: Result) -> str:
         'spellcheck="false" autocomplete="off"></label>'
         for which, name in zip(("target", "source"), FRAMES, strict=True)
     )
-    copies = "".join(
-        f'<figure class="copy"><figcaption>{escape(name)}'
-        f'<button type="button" class="copy-button" aria-label="Copy: {escape(name)}">Copy'
-        f'</button></figcaption><pre tabindex="0" data-export="{escape(name)}">{escape(text)}'
-        "</pre></figure>"
-        for name, text in export_lines(T, *FRAMES).items()
+    lines = export_lines(T, *FRAMES)
+    first, more = (
+        "".join(_to_copy(key, text) for key, text in lines.items() if (key in OPEN) is wanted)
+        for wanted in (True, False)
     )
+    if more:
+        more = f"<details><summary>More formats</summary>{more}</details>"
     return (
         '<section aria-labelledby="transform"><h2 id="transform">Transform</h2>'
         "<p><code>T_target_source</code> maps points of the source LiDAR into the frame of the "
@@ -185,7 +188,17 @@ def transform(result: Result) -> str:
         f'<div class="columns"><div class="scroll" tabindex="0" role="region" aria-label="matrix">'
         f'<table class="matrix"><caption>T_target_source</caption>{cells}</table></div>'
         f'<dl class="parts">{named}</dl></div><h3>To copy</h3>'
-        f'<div class="frames">{fields}</div>{copies}</section>'
+        f'<div class="frames">{fields}</div>{first}{more}</section>'
+    )
+
+
+def _to_copy(key: str, text: str) -> str:
+    title = escape(TITLES.get(key, key))
+    return (
+        f'<figure class="copy"><figcaption>{title}'
+        f'<button type="button" class="copy-button" aria-label="Copy: {title}">Copy</button>'
+        f'</figcaption><pre tabindex="0" data-export="{escape(key)}">{escape(text.strip())}</pre>'
+        "</figure>"
     )
 
 
