@@ -7,6 +7,7 @@ import base64
 import copy
 import json
 import re
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from retropole import se3
 from retropole.datatypes import Detection, Placement, PointCloud, Pole, RejectedCluster
+from retropole.export import export_lines
 from retropole.report import render_report, write_report
 from retropole.report.advice import ADVICE
 from retropole.report.crosssections import across, fit_circle
-from retropole.report.lines import export_lines
 from retropole.report.points import FAR, STEPS, pack_cloud
 from retropole.report.render import ALL_POINTS, embed_json
-from retropole.report.sections import centimetres
+from retropole.report.sections import FRAMES, centimetres
 
 T_TRUE = se3.from_rt(
     Rotation.from_euler("xyz", [3.0, -2.0, 38.0], degrees=True).as_matrix(),
@@ -412,22 +413,15 @@ def test_clouds_of_hardly_any_points(count: int) -> None:
     assert Page(render_report(result, cloud, cloud)).open == []
 
 
-def test_lines_to_copy_are_the_transform() -> None:
-    lines = export_lines(T_TRUE, "base", "rear")
-    matrix = np.array([line.split() for line in lines["matrix"].splitlines()], dtype=float)
-    assert np.allclose(matrix, T_TRUE, atol=1e-11)
-    document = json.loads(lines["json"])
-    assert np.array_equal(document["T_target_source"], T_TRUE)
-    named = dict(re.findall(r"--([a-z-]+) (\S+)", lines["ros2"]))
-    assert (named["frame-id"], named["child-frame-id"]) == ("base", "rear")
-    bare = lines["ros1"].split()[3:10]
-    for t, q in (
-        ([named[n] for n in "xyz"], [named["q" + n] for n in "xyzw"]),
-        (bare[:3], bare[3:]),
-        (document["translation_m"].values(), [document["quaternion"][n] for n in "xyzw"]),
-    ):
-        T = se3.from_quaternion_xyzw(np.array(q, dtype=float), np.array(list(t), dtype=float))
-        assert np.allclose(T, T_TRUE, atol=1e-8)
+def test_lines_to_copy_are_those_of_export() -> None:
+    html = render_report(*made_up(count=500))
+    written = dict(re.findall(r'data-export="(\w+)">(.*?)</pre>', html, re.S))
+    expected = export_lines(T_TRUE, *FRAMES)
+    assert set(written) == set(expected)
+    for key, text in expected.items():
+        assert unescape(written[key]) == text.strip()
+    matrix = [line.split() for line in unescape(written["cloudcompare"]).splitlines()[:4]]
+    assert np.allclose(np.array(matrix, dtype=float), T_TRUE, atol=1e-12)
 
 
 def codes_in_source() -> set[str]:

@@ -170,10 +170,12 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
     field.send_keys("top; rm lidar_source")
     line = browser.find('[data-export="ros2"]').text
     assert line.endswith("--frame-id top__rm_lidar_source --child-frame-id lidar_source")
-    browser.run("arguments[0].click()", browser.find(".copy-button"))
-    field.clear()
-    field.send_keys("\ue009v")
-    assert browser.run("return arguments[0].value", field) == line
+    button = browser.find('.copy:has([data-export="ros2"]) .copy-button')
+    browser.run("arguments[0].click()", button)
+    browser.run("document.body.append(document.createElement('textarea'))")
+    browser.press("\ue009v", "textarea")
+    assert browser.run("return document.querySelector('textarea').value") == line
+    assert "Copied" in button.text
 
 
 def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:

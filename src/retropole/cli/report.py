@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .common import CLOUD, CONTEXT, progress_on_terminal
+from .common import CLOUD, CONTEXT, Input, progress_on_terminal, read_input
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..datatypes import Array, Detection, Placement, PointCloud
-    from ..result import InputDoc, ResultDoc
+    from ..result import ResultDoc
 
 SAME_M = 1e-3
 """Poles found anew are those of the result where none lies further from it than this, metres."""
@@ -56,13 +56,15 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
     paths = _find_inputs(document, clouds, result)
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        notes = _differing(document, paths)
-        placements = []
-        for k in range(0, len(paths), 2):
-            progress("extract")
-            placements.append(
-                _placement(document, paths[k : k + 2], document.inputs[k : k + 2], k == 0)
-            )
+        inputs = [
+            read_input(path, item.sensor, item.threshold)
+            for path, item in zip(paths, document.inputs, strict=True)
+        ]
+        notes = _differing(inputs, document)
+        progress("extract")
+        placements = [
+            _placement(document, inputs[k : k + 2], k == 0) for k in range(0, len(inputs), 2)
+        ]
         progress("write")
         page = out or result.with_name("report.html")
         first = placements[0]
@@ -126,35 +128,27 @@ def _find_inputs(document: ResultDoc, given: tuple[Path, ...], result: Path) -> 
     return found
 
 
-def _differing(document: ResultDoc, paths: list[Path]) -> list[str]:
+def _differing(inputs: list[Input], document: ResultDoc) -> list[str]:
     """Say which files are not those that the run read."""
-    from ..io import sha256_of
-
-    notes = []
-    for path, item in zip(paths, document.inputs, strict=True):
-        now = sha256_of(path)
-        if now != item.sha256:
-            notes.append(
-                f"{path} is not the file that the run read ({item.path}): its SHA-256 begins "
-                f"{now[:12]}, that of the run {item.sha256[:12]}; the picture may not be that of "
-                "the figures"
-            )
-    return notes
+    return [
+        f"{now.document.path} is not the file that the run read ({then.path}): its SHA-256 begins "
+        f"{now.document.sha256[:12]}, that of the run {then.sha256[:12]}; the picture may not be "
+        "that of the figures"
+        for now, then in zip(inputs, document.inputs, strict=True)
+        if now.document.sha256 != then.sha256
+    ]
 
 
-def _placement(
-    document: ResultDoc, paths: list[Path], inputs: list[InputDoc], is_first: bool
-) -> Placement:
-    """Read both clouds of a placement and find its poles as the run did."""
+def _placement(document: ResultDoc, inputs: list[Input], is_first: bool) -> Placement:
+    """Find the poles of one placement as the run did; other poles than its own are left out."""
     from ..datatypes import Placement
     from ..frames import keep_standing
-    from ..io import read_cloud
 
-    clouds = [keep_standing(read_cloud(path)) for path in paths]
+    clouds = [keep_standing(given.cloud) for given in inputs]
     placement = Placement(clouds[0], clouds[1])
     expected = (document.poles.target, document.poles.source)
-    for side, (cloud, item) in enumerate(zip(clouds, inputs, strict=True)):
-        detection = _detection(cloud, item, document.config.get("radius_m"))
+    for side, (cloud, given) in enumerate(zip(clouds, inputs, strict=True)):
+        detection = _detection(cloud, given, document.config.get("radius_m"))
         if detection is None:
             continue
         points = [pole.point for pole in detection.poles]
@@ -164,17 +158,16 @@ def _placement(
     return placement
 
 
-def _detection(cloud: PointCloud, item: InputDoc, radius: object) -> Detection | None:
+def _detection(cloud: PointCloud, given: Input, radius: object) -> Detection | None:
     """Find poles with the threshold and the sensor of the run; None where that is refused."""
-    from ..errors import Refusal, UsageError
+    from ..errors import Refusal
     from ..extraction import extract_poles
-    from ..sensors import find_sensor
 
+    size = {"radius": float(radius)} if isinstance(radius, int | float) else {}
+    threshold = given.document.threshold
     try:
-        sensor = None if item.sensor == "auto" else find_sensor(item.sensor)
-        size = {"radius": float(radius)} if isinstance(radius, int | float) else {}
-        return extract_poles(cloud, sensor=sensor, threshold=item.threshold, **size)
-    except (Refusal, UsageError):
+        return extract_poles(cloud, sensor=given.sensor, threshold=threshold, **size)
+    except Refusal:
         return None
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..datatypes import Array
+from ..export import FORMATS, export_lines
 from .advice import ADVICE
-from .lines import TITLES, export_lines
 
 Result = Mapping[str, Any]
 
@@ -193,7 +193,7 @@ def transform(result: Result) -> str:
 
 
 def _to_copy(key: str, text: str) -> str:
-    title = escape(TITLES.get(key, key))
+    title = escape(FORMATS[key].title)
     return (
         f'<figure class="copy"><figcaption>{title}'
         f'<button type="button" class="copy-button" aria-label="Copy: {title}">Copy</button>'
