@@ -18,6 +18,7 @@ from retropole.report import render_report
 from test_report import HOSTILE, made_up
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+WebDriverWait = pytest.importorskip("selenium.webdriver.support.ui").WebDriverWait
 Image = pytest.importorskip("PIL.Image", reason="pillow is not installed")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(
@@ -55,7 +56,7 @@ class Browser:
         path = folder / "report.html"
         path.write_text(html, encoding="utf-8")
         self.driver.get(path.as_uri())
-        assert int(self.root("usable")) > 0
+        WebDriverWait(self.driver, 30).until(lambda _: self.root("usable"))
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(script, *arguments)
