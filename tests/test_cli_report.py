@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from retropole.io import read_cloud
+
 
 def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "retropole", *map(str, words)]
@@ -100,3 +102,19 @@ def test_refused_and_several_placements(own: Path) -> None:
     before = (own / "no" / "report.html").read_text()
     assert retropole("report", "no/result.json", cwd=own).returncode == 0
     assert (own / "no" / "report.html").read_text() == before
+
+
+def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
+    pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
+    from bags import points_of, write_bag
+
+    points = [points_of(read_cloud(own / f"lidar{k}.pcd")) for k in (0, 1)]
+    topics = {"/front": [points[0], points[1]], "/rear": [points[1], points[0]]}
+    bag = write_bag(own, "mcap", topics)
+    which = ("--target-topic", "/front", "--source-topic", "/rear", "--frames", "0:1")
+    done = retropole("calibrate", bag, bag, *which, "--no-refine", "--out", "b", "-q", cwd=own)
+    assert done.returncode == 0, done.stderr
+    before = (own / "b" / "report.html").read_text()
+    done = retropole("report", "b/result.json", cwd=own)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (own / "b" / "report.html").read_text() == before

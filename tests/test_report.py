@@ -483,6 +483,16 @@ def test_several_placements_are_told_and_packed() -> None:
     assert packed[0]["poles"] == packed[1]["poles"]
 
 
+def test_topics_tell_two_lidars_of_one_bag_apart() -> None:
+    result, *rest = made_up(count=500)
+    for item in result["inputs"]:
+        item["path"] = "/data/drive.bag"
+    result["config"].update(target_topic="/front", source_topic="/rear")
+    text = Page(render_report(result, *rest)).text
+    assert "drive.bag /front" in text
+    assert "drive.bag /rear" in text
+
+
 def test_notes_stand_before_the_verdict_as_text() -> None:
     result, *rest = made_up(count=500)
     page = Page(render_report(result, *rest, notes=[HOSTILE]))

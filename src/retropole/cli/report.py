@@ -56,10 +56,7 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
     paths = _find_inputs(document, clouds, result)
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        inputs = [
-            read_input(path, item.sensor, item.threshold)
-            for path, item in zip(paths, document.inputs, strict=True)
-        ]
+        inputs = _read_inputs(document, paths)
         notes = _differing(inputs, document)
         progress("extract")
         placements = [
@@ -126,6 +123,24 @@ def _find_inputs(document: ResultDoc, given: tuple[Path, ...], result: Path) -> 
             raise ReadError(f"{item.path}: not found (looked for {looked}); give TARGET and SOURCE")
         found.append(here)
     return found
+
+
+def _read_inputs(document: ResultDoc, paths: list[Path]) -> list[Input]:
+    """Read the clouds, of bags the topics and frames that the run read."""
+    config = document.config
+    frames = config.get("frames")
+    topics = (config.get("target_topic"), config.get("source_topic"))
+    return [
+        read_input(
+            path,
+            item.sensor,
+            item.threshold,
+            topic=topics[k % 2],
+            frames=None if frames is None else slice(*frames),
+            quiet=True,
+        )
+        for k, (path, item) in enumerate(zip(paths, document.inputs, strict=True))
+    ]
 
 
 def _differing(inputs: list[Input], document: ResultDoc) -> list[str]:

@@ -11,6 +11,8 @@ from .common import (
     CONTEXT,
     EXIT_REFUSED,
     SENSOR_HELP,
+    TOPIC_HELP,
+    frames_option,
     progress_on_terminal,
     radius_option,
     read_input,
@@ -22,6 +24,8 @@ from .common import (
 @radius_option
 @click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
 @click.option("--threshold", type=float, help="Where the sliders start.  [default: as in detect]")
+@click.option("--topic", metavar="NAME", help=TOPIC_HELP)
+@frames_option
 @click.option(
     "--port",
     type=click.IntRange(1, 65535),
@@ -35,6 +39,8 @@ def view(
     radius: float,
     sensor: str,
     threshold: float | None,
+    topic: str | None,
+    frames: slice | None,
     port: int,
     quiet: bool,
 ) -> int:
@@ -47,6 +53,7 @@ def view(
     Examples:
       retropole view front.pcd rear.pcd
       retropole view front.pcd --sensor VLP-16 --threshold 120
+      retropole view drive.bag --topic /front --frames 0:20
       retropole view front.pcd --port 9000
 
     \b
@@ -62,7 +69,10 @@ def view(
 
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        inputs = [read_input(file, sensor, threshold) for file in files]
+        inputs = [
+            read_input(file, sensor, threshold, topic=topic, frames=frames, quiet=quiet)
+            for file in files
+        ]
         progress("extract")
         shown = [
             Shown(str(file), given.cloud, given.sensor, threshold)

@@ -63,7 +63,7 @@ def render_report(
         works from a file.
     """
     found = detections or (None, None)
-    inputs = [Path(str(item.get("path", ""))).name for item in result.get("inputs") or []]
+    inputs = _input_names(result)
     names = [*inputs[:2], "target", "source"][:2] if len(inputs) < 2 else inputs[:2]
     every = [Placement(target, source, found), *more]
     budget = min(max_points, ALL_POINTS // (2 * len(every)))
@@ -105,6 +105,16 @@ def render_report(
         app_js=(assets / "app.js").read_text(encoding="utf-8"),
         **parts,
     )
+
+
+def _input_names(result: Mapping[str, Any]) -> list[str]:
+    """Name the inputs by their files, and by their topics where they are in bags."""
+    config = result.get("config") or {}
+    topics = [config.get(f"{side}_topic") for side in SIDES]
+    return [
+        " ".join([Path(str(item.get("path", ""))).name, str(topics[k % 2] or "")]).strip()
+        for k, item in enumerate(result.get("inputs") or [])
+    ]
 
 
 def _links(parts: Mapping[str, str]) -> str:
