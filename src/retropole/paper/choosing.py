@@ -78,9 +78,7 @@ def judge_corridor(seed: int) -> Judged:
     points = np.array([pole.point for pole in found[1]])
     right = [is_right(h, pair.T_target_source, points) for h in exact]
     order = sorted(range(len(exact)), key=lambda k: not right[k])
-    return Judged(
-        pair, (found[0], found[1]), [exact[k] for k in order], [right[k] for k in order]
-    )
+    return Judged(pair, (found[0], found[1]), [exact[k] for k in order], [right[k] for k in order])
 
 
 def four_hypotheses() -> Exhibit:
