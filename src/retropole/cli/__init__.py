@@ -35,8 +35,10 @@ def cli() -> None:
     """
 
 
-COMMANDS = (calibrate, compare, detect, evaluate, export, info, paper, report, simulate, view)
-for command in COMMANDS:
+for command in (
+    *(calibrate, compare, detect, evaluate, export),
+    *(info, paper, report, simulate, view),
+):
     cli.add_command(command)
 
 
