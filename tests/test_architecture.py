@@ -15,7 +15,7 @@ LAYERS = [
         *("alignment", "beams", "pole_beams", "beam_model", "beam_alignment"),
         *("disambiguation", "registration", "refinement", "patches", "uncertainty"),
         *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
-        *("rivals", "recording"),
+        *("rivals", "recording", "viewer"),
     },
     {"pipeline"},
     {"result", "comparison"},
@@ -60,7 +60,7 @@ def test_modules_stay_small(path: Path) -> None:
 
 
 def test_import_leaves_heavy_parts_alone() -> None:
-    heavy = ["matplotlib", "laspy", "pypcd4", "rich", "pandas", "scipy.stats"]
+    heavy = ["matplotlib", "laspy", "pypcd4", "rich", "pandas", "scipy.stats", "viser"]
     code = f"import sys, retropole.pipeline; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

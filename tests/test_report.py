@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import base64
 import copy
 import json
 import re
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -15,11 +17,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from retropole import se3
-from retropole.datatypes import Detection, PointCloud, Pole, RejectedCluster
+from retropole.datatypes import Detection, Placement, PointCloud, Pole, RejectedCluster
+from retropole.export import export_lines
 from retropole.report import render_report, write_report
+from retropole.report.advice import ADVICE
+from retropole.report.crosssections import across, fit_circle
 from retropole.report.points import FAR, STEPS, pack_cloud
-from retropole.report.render import embed_json
-from retropole.report.sections import export_lines
+from retropole.report.render import ALL_POINTS, embed_json
+from retropole.report.sections import FRAMES, centimetres
 
 T_TRUE = se3.from_rt(
     Rotation.from_euler("xyz", [3.0, -2.0, 38.0], degrees=True).as_matrix(),
@@ -163,6 +168,14 @@ def made_up(
         "predicted_error": [
             {"range_m": r, "sigma_m": float(np.hypot(0.007, 7e-4 * r))} for r in (1.0, 10, 30, 60)
         ]
+        if answered
+        else None,
+        "weakest": {
+            "direction": [0.0, 0.0, 1.0],
+            "sigma_m": 0.006,
+            "words": "height along the poles: 0.6 cm",
+            "condition": 11.0,
+        }
         if answered
         else None,
         "stages": {
@@ -346,8 +359,18 @@ def test_page_stays_small() -> None:
     rng = np.random.default_rng(5)
     cloud = PointCloud(rng.uniform(-80, 80, (100_000, 3)), rng.uniform(0, 255, 100_000))
     result, *_ = made_up(count=500)
-    assert len(render_report(result, cloud, cloud).encode()) < 2.5e6
-    assert len(render_report(result, cloud, cloud, max_points=100_000).encode()) < 8e6
+    page = render_report(result, cloud, cloud)
+    assert "target: showing 100,000 of 100,000 points" in Page(page).text
+    assert len(page.encode()) < 3e6
+
+
+def test_page_of_many_placements_stays_small() -> None:
+    rng = np.random.default_rng(5)
+    cloud = PointCloud(rng.uniform(-80, 80, (60_000, 3)), rng.uniform(0, 255, 60_000))
+    result, *_ = made_up(count=500)
+    page = render_report(result, cloud, cloud, more=9 * [Placement(cloud, cloud)])
+    assert f"showing {ALL_POINTS // 20:,} of 60,000 points" in Page(page).text
+    assert len(page.encode()) < 8e6
 
 
 def unpacked(packed: dict[str, Any]) -> np.ndarray:
@@ -390,22 +413,138 @@ def test_clouds_of_hardly_any_points(count: int) -> None:
     assert Page(render_report(result, cloud, cloud)).open == []
 
 
-def test_lines_to_copy_are_the_transform() -> None:
-    lines = {key: text for key, _, text in export_lines(T_TRUE)}
-    matrix = np.array([line.split() for line in lines["matrix"].splitlines()], dtype=float)
-    assert np.allclose(matrix, T_TRUE, atol=1e-11)
-    document = json.loads(lines["json"])
-    assert np.array_equal(document["T_target_source"], T_TRUE)
-    named = dict(re.findall(r"--([a-z-]+) (\S+)", lines["ros2"]))
-    assert (named["frame-id"], named["child-frame-id"]) == ("lidar_target", "lidar_source")
-    bare = lines["ros1"].split()[3:10]
-    for t, q in (
-        ([named[n] for n in "xyz"], [named["q" + n] for n in "xyzw"]),
-        (bare[:3], bare[3:]),
-        (document["translation_m"].values(), [document["quaternion"][n] for n in "xyzw"]),
-    ):
-        T = se3.from_quaternion_xyzw(np.array(q, dtype=float), np.array(list(t), dtype=float))
-        assert np.allclose(T, T_TRUE, atol=1e-8)
+def test_lines_to_copy_are_those_of_export() -> None:
+    html = render_report(*made_up(count=500))
+    written = dict(re.findall(r'data-export="(\w+)">(.*?)</pre>', html, re.S))
+    expected = export_lines(T_TRUE, *FRAMES)
+    assert set(written) == set(expected)
+    for key, text in expected.items():
+        assert unescape(written[key]) == text.strip()
+    matrix = [line.split() for line in unescape(written["cloudcompare"]).splitlines()[:4]]
+    assert np.allclose(np.array(matrix, dtype=float), T_TRUE, atol=1e-12)
+
+
+def codes_in_source() -> set[str]:
+    """Every code that a Refusal or a Reason of the package is made with."""
+    codes = set()
+    package = Path(__file__).parents[1] / "src" / "retropole"
+    for path in package.rglob("*.py"):
+        if path.parent.name in ("rivals", "paper"):  # what calibrate never says
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Name)
+                and node.func.id in ("Refusal", "Reason")
+                and node.args
+                and isinstance(node.args[0], ast.Constant)
+            ):
+                codes.add(str(node.args[0].value))
+    return codes
+
+
+def test_every_reason_has_a_title_and_advice() -> None:
+    assert len(codes_in_source()) > 15
+    assert codes_in_source() <= set(ADVICE)
+    for code, advice in ADVICE.items():
+        reason = {"code": code, "message": "because of 7", "values": {}}
+        text = page_of("warn", reasons=[reason]).text
+        for said in (code, "because of 7", advice.title, advice.help):
+            assert said in text
+
+
+def test_says_how_sure_and_in_which_direction() -> None:
+    text = page_of().text
+    assert "height along the poles: 0.6 cm" in text
+    assert "A point 60 m away" in text
+    assert "± 4.3 cm" in text
+    assert [centimetres(v) for v in (0.0009, 0.0234, None)] == ["± 0.09 cm", "± 2.3 cm", "–"]
+
+
+def test_several_placements_are_told_and_packed() -> None:
+    result, target, source, detections = made_up(count=500)
+    result["placements"] = [
+        {
+            "poles_target": 2,
+            "poles_source": 2,
+            "left_out_rotation_rad": angle,
+            "left_out_translation_m": metres,
+        }
+        for angle, metres in ((0.001, 0.004), (0.002, 0.0123), (None, None))
+    ]
+    result["inputs"] = 3 * result["inputs"]
+    more = [Placement(target, source, detections), Placement(target, source)]
+    page = Page(render_report(result, target, source, detections, more=more))
+    for said in ("Placements", "0.057", "12.3", "placement 3", "source 3", "(and 2 more)"):
+        assert said in page.text
+    packed = json.loads(page.data)["placements"]
+    assert [len(p["poles"][0]) for p in packed] == [2, 2, 0]
+    assert [len(p["rejected"][1]) for p in packed] == [1, 1, 0]
+    assert packed[0]["poles"] == packed[1]["poles"]
+
+
+def test_topics_tell_two_lidars_of_one_bag_apart() -> None:
+    result, *rest = made_up(count=500)
+    for item in result["inputs"]:
+        item["path"] = "/data/drive.bag"
+    result["config"].update(target_topic="/front", source_topic="/rear")
+    text = Page(render_report(result, *rest)).text
+    assert "drive.bag /front" in text
+    assert "drive.bag /rear" in text
+
+
+def test_notes_stand_before_the_verdict_as_text() -> None:
+    result, *rest = made_up(count=500)
+    page = Page(render_report(result, *rest, notes=[HOSTILE]))
+    assert page.open == []
+    assert page.text.index("window.injected") < page.text.index("Calibrated")
+
+
+def test_circle_of_known_radius_is_found_from_one_side() -> None:
+    rng = np.random.default_rng(2)
+    angle = rng.uniform(-1.2, 1.2, 200)
+    radius = 0.02 + 0.002 * rng.standard_normal(200)
+    flat = np.c_[radius * np.cos(angle), radius * np.sin(angle)] + [3.0, -1.0]
+    found = fit_circle(flat, 0.02, flat.mean(axis=0) - [0.01, 0.0])
+    assert np.allclose(found, [3.0, -1.0], atol=1e-3)
+
+
+def test_across_a_pole_is_at_right_angles_to_it() -> None:
+    _, _, _, (found, _) = made_up(count=500)
+    pole = found.poles[0]
+    centre, axes = across(pole.xyz)
+    assert np.allclose(axes @ axes.T, np.eye(2), atol=1e-12)
+    assert np.abs(axes @ pole.direction).max() < 0.02
+    assert np.allclose(centre, pole.point)
+
+
+def test_cross_sections_only_where_there_is_an_answer() -> None:
+    assert render_report(*made_up(count=500)).count("rms from the surface") == 4
+    assert "rms from the surface" not in render_report(*made_up("refused", 500))
+
+
+def luminance(colour: str) -> float:
+    parts = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+@pytest.mark.parametrize("theme", [0, 1, 2], ids=["light", "dark by system", "dark by button"])
+def test_colours_are_told_apart(theme: int) -> None:
+    """WCAG 2: 4.5 to 1 for text, 3 to 1 for what is drawn."""
+    style = (Path(render_report.__code__.co_filename).parent / "assets/style.css").read_text()
+    block = [b for b in re.findall(r"{([^{}]*)}", style) if "--ground" in b][theme]
+    colour = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", block))
+    for front, back, least in (
+        ("text", "ground", 4.5), ("text", "card", 4.5), ("soft", "card", 4.5),
+        ("soft", "ground", 4.5), ("text", "press", 4.5), ("text", "warn-soft", 4.5),
+        ("accent", "card", 4.5), ("accent", "ground", 4.5),
+        ("ok", "card", 4.5), ("ok", "ok-soft", 4.5), ("warn", "card", 4.5),
+        ("warn", "warn-soft", 4.5), ("refused", "card", 4.5), ("refused", "refused-soft", 4.5),
+        ("target", "view", 3.0), ("source", "view", 3.0), ("soft", "view", 4.5),
+    ):  # fmt: skip
+        a, b = sorted((luminance(colour[front]), luminance(colour[back])))
+        assert (b + 0.05) / (a + 0.05) >= least, (front, back)
 
 
 def test_ellipsoid_is_the_covariance_of_the_translation() -> None:

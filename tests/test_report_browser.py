@@ -6,16 +6,19 @@ import io
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from retropole.datatypes import Placement
 from retropole.report import render_report
 from test_report import HOSTILE, made_up
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+WebDriverWait = pytest.importorskip("selenium.webdriver.support.ui").WebDriverWait
 Image = pytest.importorskip("PIL.Image", reason="pillow is not installed")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(
@@ -53,7 +56,7 @@ class Browser:
         path = folder / "report.html"
         path.write_text(html, encoding="utf-8")
         self.driver.get(path.as_uri())
-        assert int(self.root("usable")) > 0
+        WebDriverWait(self.driver, 30).until(lambda _: self.root("usable"))
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(script, *arguments)
@@ -168,10 +171,12 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
     field.send_keys("top; rm lidar_source")
     line = browser.find('[data-export="ros2"]').text
     assert line.endswith("--frame-id top__rm_lidar_source --child-frame-id lidar_source")
-    browser.run("arguments[0].click()", browser.find(".copy-button"))
-    field.clear()
-    field.send_keys("\ue009v")
-    assert browser.run("return arguments[0].value", field) == line
+    button = browser.find('.copy:has([data-export="ros2"]) .copy-button')
+    browser.run("arguments[0].click()", button)
+    browser.run("document.body.append(document.createElement('textarea'))")
+    browser.press("\ue009v", "textarea")
+    assert browser.run("return document.querySelector('textarea').value") == line
+    assert "Copied" in button.text
 
 
 def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
@@ -202,21 +207,60 @@ def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty:
         assert "refused" in browser.find("#state").text
 
 
-def test_fits_a_phone_and_the_keyboard(browser: Browser, tmp_path: Path) -> None:
-    size = {"width": 375, "height": 740, "deviceScaleFactor": 2, "mobile": True}
+@pytest.mark.parametrize("width", [320, 390])
+@pytest.mark.parametrize("status", ["warn", "refused"])
+def test_fits_a_phone(browser: Browser, tmp_path: Path, width: int, status: str) -> None:
+    size = {"width": width, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
-        browser.open(tmp_path, render_report(*made_up("warn", count=500)))
-        assert browser.run("return document.documentElement.scrollWidth") <= 375
+        browser.open(tmp_path, render_report(*made_up(status, count=500), notes=["x" * 200]))
+        assert browser.run("return document.documentElement.scrollWidth") <= width
     finally:
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_report(*made_up(count=500)))
     reached = set()
-    for _ in range(40):
+    for _ in range(45):
         browser.driver.switch_to.active_element.send_keys("\ue004")
         reached.add(browser.run("const e = document.activeElement; return e.id || e.className"))
         outline = "return getComputedStyle(document.activeElement).outlineStyle"
         assert browser.run(outline) != "none"
     assert {"theme", "marks", "pose", "size", "panel", "copy-button", "scroll"} <= reached
+
+
+def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
+    result, target, source, detections = made_up(count=6000)
+    away = np.array([0.0, 0.0, -0.4])
+    moved = Placement(replace(target, xyz=target.xyz + away), source)
+    browser.open(tmp_path, render_report(result, target, source, detections, more=[moved]))
+    first = browser.picture()
+    choose = browser.find("#placement")
+    choose.send_keys("\ue015")
+    assert browser.root("placement") == "2"
+    assert differing(browser.picture(), first) > 0.005
+    choose.send_keys("\ue013")
+    assert differing(browser.picture(), first) < 0.001
+
+
+def test_a_reader_who_wants_no_motion_gets_none(browser: Browser, tmp_path: Path) -> None:
+    media = {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]}
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    try:
+        browser.open(tmp_path, render_report(*made_up(count=500)))
+        scroll = "return getComputedStyle(document.documentElement).scrollBehavior"
+        assert browser.run(scroll) == "auto"
+        frames = """
+            const done = arguments[0], real = window.requestAnimationFrame;
+            let count = 0;
+            window.requestAnimationFrame = (f) => { count += 1; return real(f); };
+            document.querySelector('[data-mode="before"]').click();
+            setTimeout(() => done(count), 300);
+        """
+        assert browser.driver.execute_async_script(frames) <= 2
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
 def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from .evaluate import evaluate
 from .export import export
 from .info import info
 from .paper import paper
+from .report import report
 from .simulate import simulate
+from .view import view
 
 
 @click.group(context_settings=CONTEXT)
@@ -33,7 +35,10 @@ def cli() -> None:
     """
 
 
-for command in (calibrate, compare, detect, evaluate, export, info, paper, simulate):
+for command in (
+    *(calibrate, compare, detect, evaluate, export),
+    *(info, paper, report, simulate, view),
+):
     cli.add_command(command)
 
 

@@ -204,7 +204,9 @@ def calibrate(
     data = encode(result)
     write_atomically(written[0], data)
     first = calibration.placements[0]
-    page = render_report(json.loads(data), first.target, first.source, first.found)
+    page = render_report(
+        json.loads(data), first.target, first.source, first.found, more=calibration.placements[1:]
+    )
     write_atomically(written[1], page.encode())
     if as_json:
         click.echo(data, nl=False)

@@ -9,7 +9,8 @@ import numpy as np
 
 from .. import se3
 from ..datatypes import Detection
-from .sections import Result, number, table
+from .crosssections import cross_sections
+from .sections import Result, centimetres, number, table
 
 Detections = tuple[Detection | None, Detection | None]
 
@@ -36,6 +37,7 @@ def poles(result: Result, detections: Detections | None) -> str:
         "" if rows else "<p>No pole was found in either cloud.</p>",
         f'<div class="columns">{listed if rows else ""}{_residuals(result, detections)}</div>',
         _radius_note(result),
+        cross_sections(result, detections),
     ]
     for which, mark, detection in zip(
         ("target", "source"), "×+", detections or (None, None), strict=True
@@ -100,6 +102,23 @@ def _radius_note(result: Result) -> str:
     )
 
 
+_STATE = {
+    **{f"phi_{axis}": f"turn about {axis} (phi_{axis})" for axis in "xyz"},
+    **{f"delta_{axis}": f"shift along {axis} (delta_{axis})" for axis in "xyz"},
+}
+
+
+def _option(value: object) -> str:
+    """Write an option of the run as a person would."""
+    if value is None:
+        return "default"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    return str(value)
+
+
 def uncertainty(result: Result) -> str:
     """Show the covariance and what it means at each range."""
     if result.get("T_target_source") is None:
@@ -114,7 +133,7 @@ def uncertainty(result: Result) -> str:
         order = [str(name) for name in result.get("covariance_order") or range(6)]
         turned = [number(s, 4, 180 / math.pi, " deg") for s in sigma[:3]]
         shifted = [number(s, 2, 100, " cm") for s in sigma[3:]]
-        rows = list(zip(order, turned + shifted, strict=True))
+        rows = [(_STATE.get(n, n), s) for n, s in zip(order, turned + shifted, strict=True)]
         tables.insert(0, table("1 σ of the pose", ("state", "1 σ"), rows))
         full = [(n, *(f"{v:.3e}" for v in row)) for n, row in zip(order, covariance, strict=True)]
         matrix = (
@@ -122,14 +141,58 @@ def uncertainty(result: Result) -> str:
             "<details><summary>Covariance matrix</summary>"
             f"{table('Covariance, rad and m', ('', *order), full)}</details>"
         )
+    ranges = [
+        (f"{e['range_m']:g} m", centimetres(e.get("sigma_m")))
+        for e in result.get("predicted_error") or []
+    ]
+    if ranges:
+        tables.append(table("A source point in the target frame", ("at range", "1 σ"), ranges))
+    weakest = result.get("weakest") or {}
+    said = ""
+    if weakest.get("words"):
+        x, y, z = (number(v, 2) for v in weakest["direction"])
+        said = (
+            f"<p>Least sure, at the poles: {escape(str(weakest['words']))} (1 σ), along ({x}, {y}, "
+            f"{z}) in the target frame. Ratio of the most to the least sure of the six directions "
+            f"of the pose: {number(weakest.get('condition'), 1)}.</p>"
+        )
     return (
         '<section aria-labelledby="uncertainty"><h2 id="uncertainty">Uncertainty</h2>'
-        f'<div class="columns">{"".join(tables)}</div>{matrix}</section>'
+        f'{said}<div class="columns">{"".join(tables)}</div>{matrix}</section>'
+    )
+
+
+def placements(result: Result) -> str:
+    """Say of each of several placements how far the poles' pose lies from that without it."""
+    listed = result.get("placements") or []
+    if len(listed) < 2:
+        return ""
+    rows = [
+        (
+            f"placement {k}",
+            f"{p.get('poles_target', '–')} + {p.get('poles_source', '–')}",
+            number(p.get("left_out_rotation_rad"), 3, 180 / math.pi),
+            number(p.get("left_out_translation_m"), 1, 1000),
+        )
+        for k, p in enumerate(listed, 1)
+    ]
+    header = ("placement", "poles, target + source", "turned, deg", "moved, mm")
+    return (
+        '<section aria-labelledby="placements"><h2 id="placements">Placements</h2>'
+        f"<p>One pose was found for all {len(listed)} placements of the poles. Each was left out "
+        "in turn: the figures say how far the poles' pose lies from the one without it. A "
+        "placement that stands out from the others deserves a look; choose it above the view.</p>"
+        + table("Pose without each placement", header, rows)
+        + "</section>"
     )
 
 
 def provenance(result: Result) -> str:
     """List inputs, options, version and times."""
+    given = result.get("inputs") or []
+    names = ["target", "source"]
+    if len(given) > 2:
+        names = [f"{name} {k}" for k in range(1, len(given) // 2 + 1) for name in names]
     inputs = [
         (
             which,
@@ -140,10 +203,12 @@ def provenance(result: Result) -> str:
             "–" if item.get("threshold") is None else f"{item['threshold']:g}",
             item.get("sha256", "–"),
         )
-        for which, item in zip(("target", "source"), result.get("inputs") or [], strict=False)
+        for which, item in zip(names, given, strict=False)
     ]
     header = ("input", "path", "points", "dropped", "sensor", "threshold", "sha256")
-    config = [(k, "default" if v is None else v) for k, v in (result.get("config") or {}).items()]
+    config = [
+        (k, "default" if v is None else _option(v)) for k, v in (result.get("config") or {}).items()
+    ]
     seconds = dict(result.get("seconds") or {})
     times = [(k, number(v, 3)) for k, v in seconds.items()]
     times.append(("sum", number(float(sum(seconds.values())), 3)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -12,13 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from ..datatypes import Array, Detection, PointCloud
+from ..datatypes import Array, Detection, Placement, PointCloud
 from ..files import write_atomically
 from . import evidence, sections
 from .points import FAR, pack_cloud
 
-MAX_POINTS = 60_000
-"""Points of each cloud in the page: about 0.6 MB, and a picture on any machine in a second."""
+MAX_POINTS = 100_000
+"""Points of each cloud in the page, about 0.9 MB; of a single placement."""
+
+ALL_POINTS = 600_000
+"""Points of all clouds together where there are many placements: the page stays under 8 MB."""
+
+SIDES = ("target", "source")
 
 
 def render_report(
@@ -27,6 +32,8 @@ def render_report(
     source: PointCloud,
     detections: tuple[Detection | None, Detection | None] | None = None,
     *,
+    more: Sequence[Placement] = (),
+    notes: Sequence[str] = (),
     max_points: int = MAX_POINTS,
 ) -> str:
     """Render a run as one HTML page.
@@ -37,10 +44,15 @@ def render_report(
         The result document (schema ``retropole/result/1``) as plain dicts and lists. What may be
         null there may be null here; lists may be empty.
     target, source
-        The clouds of the run, each in its own frame.
+        The clouds of the run, each in its own frame; of several placements, those of the first.
     detections
         What was found in the target and in the source; brings the rejected clusters and the
         points on the poles into the page.
+    more
+        The further placements of a run that had several; the page lets its reader switch.
+    notes
+        What a reader has to know before all else, for example that an input is not the file that
+        the run read.
     max_points
         At most this many points of each cloud are put into the page, which says how many it shows.
 
@@ -51,49 +63,65 @@ def render_report(
         works from a file.
     """
     found = detections or (None, None)
-    names = [Path(str(item.get("path", ""))).name for item in result.get("inputs") or []]
-    names = [*names, "target", "source"][:2] if len(names) < 2 else names[:2]
-    clouds = [
-        pack_cloud(cloud, detection, max_points=max_points)
-        for cloud, detection in zip((target, source), found, strict=True)
+    inputs = _input_names(result)
+    names = [*inputs[:2], "target", "source"][:2] if len(inputs) < 2 else inputs[:2]
+    every = [Placement(target, source, found), *more]
+    budget = min(max_points, ALL_POINTS // (2 * len(every)))
+    stands = [
+        _placement(result if k == 0 else {}, placement, inputs[2 * k : 2 * k + 2], budget)
+        for k, placement in enumerate(every)
     ]
     view = {
         "status": result.get("status"),
-        "clouds": clouds,
-        "poles": [_pole_lines(result, which) for which in ("target", "source")],
-        "rejected": [
-            [{"at": r.centre.tolist(), "label": str(k)} for k, r in enumerate(d.rejected)]
-            if d
-            else []
-            for d in found
-        ],
+        "placements": stands,
         "poses": _poses(result),
         "ellipsoid": _ellipsoid(result),
     }
-    shown = "; ".join(
-        _shown(which, cloud) for which, cloud in zip(("target", "source"), clouds, strict=True)
-    )
+    several = f" (and {len(every) - 1} more)" if more else ""
     assets = files(__package__) / "assets"
     page = Template((assets / "template.html").read_text(encoding="utf-8"))
+    parts = {
+        "hypotheses": sections.hypotheses(result),
+        "transform": sections.transform(result),
+        "poles": evidence.poles(result, detections),
+        "uncertainty": evidence.uncertainty(result),
+        "placements": evidence.placements(result),
+        "run": evidence.provenance(result),
+    }
     return page.substitute(
-        title=escape(f"{names[0]} ← {names[1]}"),
+        title=escape(f"{names[0]} ← {names[1]}{several}"),
+        several=escape(several),
         status=escape(str(result.get("status"))),
         target_name=escape(names[0]),
         source_name=escape(names[1]),
         created=escape(str(result.get("created", ""))),
-        verdict=sections.verdict(result),
-        transform=sections.transform(result),
-        hypotheses=sections.hypotheses(result),
-        poles=evidence.poles(result, detections),
-        uncertainty=evidence.uncertainty(result),
-        provenance=evidence.provenance(result),
-        shown=escape(shown),
+        verdict=sections.verdict(result, notes),
+        links=_links(parts),
+        shown=escape(stands[0]["shown"]),
         style=(assets / "style.css").read_text(encoding="utf-8"),
         data=embed_json(view),
         three=(assets / "three.min.js").read_text(encoding="utf-8"),
         view_js=(assets / "view.js").read_text(encoding="utf-8"),
         app_js=(assets / "app.js").read_text(encoding="utf-8"),
+        **parts,
     )
+
+
+def _input_names(result: Mapping[str, Any]) -> list[str]:
+    """Name the inputs by their files, and by their topics where they are in bags."""
+    config = result.get("config") or {}
+    topics = [config.get(f"{side}_topic") for side in SIDES]
+    return [
+        " ".join([Path(str(item.get("path", ""))).name, str(topics[k % 2] or "")]).strip()
+        for k, item in enumerate(result.get("inputs") or [])
+    ]
+
+
+def _links(parts: Mapping[str, str]) -> str:
+    """Link to every part of the page that there is."""
+    names = {"view-title": "Clouds", "run": "This run"}
+    there = ["view-title", *(part for part, html in parts.items() if html)]
+    return "".join(f'<a href="#{part}">{names.get(part, part.capitalize())}</a>' for part in there)
 
 
 def write_report(
@@ -103,10 +131,14 @@ def write_report(
     source: PointCloud,
     detections: tuple[Detection | None, Detection | None] | None = None,
     *,
+    more: Sequence[Placement] = (),
+    notes: Sequence[str] = (),
     max_points: int = MAX_POINTS,
 ) -> None:
     """Write `render_report`'s page to a file, whole or not at all."""
-    page = render_report(result, target, source, detections, max_points=max_points)
+    page = render_report(
+        result, target, source, detections, more=more, notes=notes, max_points=max_points
+    )
     write_atomically(path, page.encode("utf-8"))
 
 
@@ -135,10 +167,45 @@ def _shown(which: str, cloud: Mapping[str, Any]) -> str:
     return text + (f", {cloud['far']:,} beyond {FAR:g} m left out" if cloud["far"] else "")
 
 
-def _pole_lines(result: Mapping[str, Any], which: str) -> list[dict[str, Any]]:
+def _placement(
+    result: Mapping[str, Any], placement: Placement, files: Sequence[str], max_points: int
+) -> dict[str, Any]:
+    """Pack what the view shows of one placement; the poles are the result's where it has them."""
+    clouds = [
+        pack_cloud(cloud, detection, max_points=max_points)
+        for cloud, detection in zip(
+            (placement.target, placement.source), placement.found, strict=True
+        )
+    ]
+    shown = [_shown(which, cloud) for which, cloud in zip(SIDES, clouds, strict=True)]
+    return {
+        "files": " ← ".join(files),
+        "shown": "; ".join(shown),
+        "clouds": clouds,
+        "poles": [
+            _pole_lines(which, (result.get("poles") or {}).get(which), detection)
+            for which, detection in zip(SIDES, placement.found, strict=True)
+        ],
+        "rejected": [
+            [{"at": r.centre.tolist(), "label": str(k)} for k, r in enumerate(d.rejected)]
+            if d
+            else []
+            for d in placement.found
+        ],
+    }
+
+
+def _pole_lines(
+    which: str, listed: Sequence[Mapping[str, Any]] | None, detection: Detection | None
+) -> list[dict[str, Any]]:
     """Both ends of every pole of one LiDAR, in its frame."""
+    if listed is None:
+        listed = [
+            {"point_m": p.point, "direction": p.direction, "length_m": p.length}
+            for p in (detection.poles if detection else ())
+        ]
     lines = []
-    for k, pole in enumerate((result.get("poles") or {}).get(which) or []):
+    for k, pole in enumerate(listed):
         point = np.asarray(pole["point_m"], dtype=float)
         half = 0.5 * pole["length_m"] * np.asarray(pole["direction"], dtype=float)
         ends = {"a": (point - half).tolist(), "b": (point + half).tolist()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Collection, Mapping, Sequence
 from html import escape
@@ -12,11 +11,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..datatypes import Array
+from ..export import FORMATS, export_lines
+from .advice import ADVICE
 
 Result = Mapping[str, Any]
 
 FRAMES = "lidar_target", "lidar_source"
 """Frame names in the lines to copy, until the reader types others into the page."""
+
+OPEN = ("ros2", "matrix", "quaternion")
+"""The forms that are shown at once; the page unfolds the others."""
 
 VERDICTS = {
     "ok": ("Calibrated", "The transform below maps source points into the target frame."),
@@ -30,33 +34,19 @@ VERDICTS = {
     ),
 }
 
-ADVICE = {
-    "too_few_poles": "Find the poles in the view below. If one is among the rejected clusters, its "
-    "reason says which limit it missed; if it is not marked at all, lower the threshold of that "
-    "LiDAR, or stand the pole about 5 m away where its beams hit it.",
-    "pole_count": "Compare the poles marked in both clouds; cover or remove other retro-reflective "
-    "objects, or leave out --poles.",
-    "no_match": "Check that the marked poles are the same objects in both clouds and that nothing "
-    "moved between the two recordings.",
-    "ambiguous": "Look at the hypotheses side by side: if a person cannot tell them apart either, "
-    "the scene has to change, not a setting.",
-    "no_overlap": "Look at both clouds: they must show the same place at the same time. Then check "
-    "that the marked poles are the taped ones and not signs or posts.",
-    "small_margin": "Choose hypothesis after hypothesis below: walls and ground must coincide in "
-    "one only.",
-    "parallel_poles": "Lean one pole by 15° or more against the other and record again.",
-    "nearly_parallel_poles": "Lean one pole by 15° or more against the other and record again.",
-    "degenerate_poles": "Lean one pole by 15° or more against the other and record again.",
-    "few_points": "Stand the pole nearer, or record some seconds and give a folder of frames.",
-    "too_few_points": "Record a place with walls, kerbs or parked cars around the poles.",
-}
-
 
 def number(value: Any, digits: int, scale: float = 1.0, unit: str = "") -> str:
     """Write a number with fixed digits, or a dash where there is none."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
         return "–"
     return f"{value * scale:.{digits}f}{unit}"
+
+
+def centimetres(sigma_m: Any) -> str:
+    """Write a length as ``± … cm`` with two figures that mean something, or a dash."""
+    digits = 2 if isinstance(sigma_m, int | float) and abs(sigma_m) < 0.00995 else 1
+    text = number(sigma_m, digits, 100)
+    return text if text == "–" else f"± {text} cm"
 
 
 def table(
@@ -89,39 +79,65 @@ def table(
     )
 
 
-def verdict(result: Result) -> str:
-    """Say ok, warn or refused in plain words, and every reason with what to do."""
+def verdict(result: Result, notes: Sequence[str] = ()) -> str:
+    """Say ok, warn or refused in plain words, and every reason with what to do.
+
+    The notes are what a reader has to know of the page itself before all else.
+    """
     status = str(result.get("status"))
     title, words = VERDICTS.get(status, (status, ""))
     mark = {"ok": "✓", "warn": "!", "refused": "✕"}.get(status, "?")
-    items = []
-    for reason in result.get("reasons") or []:
-        code = str(reason.get("code", ""))
-        advice = reason.get("advice") or ADVICE.get(code)
-        items.append(
-            f"<li><code>{escape(code)}</code><p>{escape(str(reason.get('message', '')))}</p>"
-            + (f'<p class="advice"><b>What to do:</b> {escape(str(advice))}</p>' if advice else "")
-            + "</li>"
-        )
+    items = [_reason(reason) for reason in result.get("reasons") or []]
     kind = status if status in VERDICTS else "refused"
+    alerts = "".join(f'<p class="alert" role="note">{escape(note)}</p>' for note in notes)
     return (
-        f'<section class="verdict {kind}" aria-labelledby="verdict">'
+        f'{alerts}<section class="verdict {kind}" aria-labelledby="verdict">'
         f'<div class="mark" aria-hidden="true">{mark}</div><div>'
-        f'<h2 id="verdict">{escape(title)}</h2><p>{escape(words)}</p>'
+        f'<h2 id="verdict">{escape(title)}</h2><p>{escape(words + _how_sure(result))}</p>'
         + (f'<ul class="reasons">{"".join(items)}</ul>' if items else "")
         + f"</div>{_figures(result)}</section>"
     )
 
 
+def _reason(reason: Mapping[str, Any]) -> str:
+    code, message = str(reason.get("code", "")), escape(str(reason.get("message", "")))
+    known = ADVICE.get(code)
+    if known is None:
+        return f'<li><p><code>{escape(code)}</code></p><p class="said">{message}</p></li>'
+    return (
+        f"<li><h3>{escape(known.title)} <code>{escape(code)}</code></h3>"
+        f'<p class="said">{message}</p>'
+        f'<p class="advice"><b>What to do:</b> {escape(known.help)}</p></li>'
+    )
+
+
+def _how_sure(result: Result) -> str:
+    """Say in a sentence how far off a point may land, and where the pose is least sure."""
+    if result.get("T_target_source") is None:
+        return ""
+    sentence = ""
+    errors = result.get("predicted_error") or []
+    if errors:
+        far = max(errors, key=lambda e: e["range_m"])
+        sentence = (
+            f" A point {far['range_m']:g} m away is expected to land within "
+            f"{centimetres(far['sigma_m'])} (1 σ) of its true place."
+        )
+    weakest = result.get("weakest") or {}
+    if weakest.get("words"):
+        sentence += f" Least sure, at the poles, 1 σ: {weakest['words']}."
+    return sentence
+
+
 def _figures(result: Result) -> str:
     """Predicted error at each range, and the margin, as tiles."""
     tiles = [
-        (f"± {number(e.get('sigma_m'), 1, 100)} cm", f"predicted at {e.get('range_m'):g} m, 1 σ")
+        (centimetres(e.get("sigma_m")), f"at {e.get('range_m'):g} m, 1 σ")
         for e in result.get("predicted_error") or []
     ]
     if result.get("margin") is not None:
-        tiles.append((number(result["margin"], 3), "margin over the next hypothesis"))
-    cells = "".join(f"<div><dd>{escape(a)}</dd><dt>{escape(b)}</dt></div>" for a, b in tiles)
+        tiles.append((number(result["margin"], 3), "margin over the next"))
+    cells = "".join(f"<div><dt>{escape(b)}</dt><dd>{escape(a)}</dd></div>" for a, b in tiles)
     return f'<dl class="tiles">{cells}</dl>' if tiles else ""
 
 
@@ -157,12 +173,13 @@ def transform(result: Result) -> str:
         'spellcheck="false" autocomplete="off"></label>'
         for which, name in zip(("target", "source"), FRAMES, strict=True)
     )
-    copies = "".join(
-        f'<figure class="copy"><figcaption>{escape(name)}'
-        f'<button type="button" class="copy-button" aria-label="Copy: {escape(name)}">Copy'
-        f'</button></figcaption><pre tabindex="0" data-export="{key}">{escape(text)}</pre></figure>'
-        for key, name, text in export_lines(T)
+    lines = export_lines(T, *FRAMES)
+    first, more = (
+        "".join(_to_copy(key, text) for key, text in lines.items() if (key in OPEN) is wanted)
+        for wanted in (True, False)
     )
+    if more:
+        more = f"<details><summary>More formats</summary>{more}</details>"
     return (
         '<section aria-labelledby="transform"><h2 id="transform">Transform</h2>'
         "<p><code>T_target_source</code> maps points of the source LiDAR into the frame of the "
@@ -171,47 +188,27 @@ def transform(result: Result) -> str:
         f'<div class="columns"><div class="scroll" tabindex="0" role="region" aria-label="matrix">'
         f'<table class="matrix"><caption>T_target_source</caption>{cells}</table></div>'
         f'<dl class="parts">{named}</dl></div><h3>To copy</h3>'
-        f'<div class="frames">{fields}</div>{copies}</section>'
+        f'<div class="frames">{fields}</div>{first}{more}</section>'
     )
 
 
-def export_lines(T: Array) -> list[tuple[str, str, str]]:
-    """Lines ready to copy: key, title and text of each.
-
-    The child frame of a ROS static transform is the source: its pose in the target frame is
-    ``T_target_source``.
-    """
-    t, q, _ = _named_pose(T)
-    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    values = [f"{value:.9f}" for value in (*t, *q)]
-    named = " ".join(f"--{name} {value}" for name, value in zip(names, values, strict=True))
-    document = {
-        "target_frame": FRAMES[0],
-        "source_frame": FRAMES[1],
-        "T_target_source": T.tolist(),
-        "translation_m": dict(zip("xyz", t.tolist(), strict=True)),
-        "quaternion": dict(zip("xyzw", q.tolist(), strict=True)),
-    }
-    return [
-        (
-            "ros2",
-            "ROS 2",
-            f"ros2 run tf2_ros static_transform_publisher {named} "
-            f"--frame-id {FRAMES[0]} --child-frame-id {FRAMES[1]}",
-        ),
-        (
-            "ros1",
-            "ROS 1",
-            f"rosrun tf2_ros static_transform_publisher {' '.join(values)} {FRAMES[0]} {FRAMES[1]}",
-        ),
-        ("matrix", "Matrix", "\n".join(" ".join(f"{v:.12g}" for v in row) for row in T)),
-        ("json", "JSON", json.dumps(document)),
-    ]
+def _to_copy(key: str, text: str) -> str:
+    title = escape(FORMATS[key].title)
+    return (
+        f'<figure class="copy"><figcaption>{title}'
+        f'<button type="button" class="copy-button" aria-label="Copy: {title}">Copy</button>'
+        f'</figcaption><pre tabindex="0" data-export="{escape(key)}">{escape(text.strip())}</pre>'
+        "</figure>"
+    )
 
 
 def letter(k: int) -> str:
     """Name of a hypothesis: a, b, c, … as in the paper's Fig. 4."""
     return chr(ord("a") + k) if k < 26 else f"h{k}"
+
+
+def _mark(hypothesis: Mapping[str, Any]) -> str:
+    return " chosen" if hypothesis.get("chosen") else ""
 
 
 def hypotheses(result: Result) -> str:
@@ -220,10 +217,12 @@ def hypotheses(result: Result) -> str:
     if not found:
         return ""
     panels = "".join(
-        f'<button type="button" class="panel" data-pose="{letter(k)}" aria-pressed="false">'
+        f'<button type="button" class="panel{_mark(h)}" '
+        f'data-pose="{letter(k)}" aria-pressed="false">'
         '<canvas width="10" height="10" aria-hidden="true"></canvas>'
         f"<span><b>{letter(k)}</b>{' · chosen' if h.get('chosen') else ''}"
-        f"<small>overlap {number(h.get('overlap'), 2)}, score {number(h.get('score'), 3)}</small>"
+        f"<small>overlap {number(h.get('overlap'), 0, 100, ' %')}</small>"
+        f"<small>score {number(h.get('score'), 3)}</small>"
         "</span></button>"
         for k, h in enumerate(found)
     )

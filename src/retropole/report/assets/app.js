@@ -44,7 +44,15 @@
   // --- the view ---
 
   const scene = JSON.parse($("#data").textContent);
-  scene.clouds = scene.clouds.map(decodeCloud);
+  /** Make a placement's clouds, poles and rejected clusters those of the scene. */
+  function stand(k) {
+    const placement = scene.placements[k];
+    placement.decoded ||= placement.clouds.map(decodeCloud);
+    Object.assign(scene, { clouds: placement.decoded, poles: placement.poles, rejected: placement.rejected });
+    root.dataset.placement = String(k + 1);
+    $("#shown").textContent = placement.shown;
+  }
+  stand(0);
   const poses = new Map(scene.poses.map((pose) => [pose.id, pose]));
   const layers = { target: true, source: true, poles: true, rejected: true, ellipsoid: true, intensity: true };
   const state = { mode: "apart", pose: scene.poses.length ? scene.poses[0].id : null, T: IDENTITY, size: 1.5 };
@@ -191,12 +199,20 @@
     repaint(layer === "intensity");
   }
 
+  scene.placements.forEach((placement, k) => $("#placement").append(new Option(`${k + 1}: ${placement.files}`, k)));
+  $(".placement").hidden = scene.placements.length < 2;
+  $("#placement").addEventListener("change", (e) => {
+    stand(Number(e.target.value));
+    view.load(scene.clouds);
+    refresh();
+    repaint();
+  });
   for (const pose of scene.poses) $("#pose").append(new Option(pose.label, pose.id));
   $(".pose").hidden = !scene.poses.length;
   $('[data-mode="after"]').disabled = !scene.poses.length;
   $('[data-layer="ellipsoid"]').hidden = !scene.ellipsoid;
-  $('[data-layer="rejected"]').hidden = !scene.rejected.flat().length;
-  $('[data-layer="poles"]').hidden = !scene.poles.flat().length;
+  $('[data-layer="rejected"]').hidden = !scene.placements.some((p) => p.rejected.flat().length);
+  $('[data-layer="poles"]').hidden = !scene.placements.some((p) => p.poles.flat().length);
   $('[data-layer="intensity"]').hidden = !scene.clouds.some((c) => c.counts[2]);
   for (const name of ["top", "side"]) $(`[data-preset="${name}"]`).hidden = view.kind === "top";
   all("button[data-mode]").forEach((b) => b.addEventListener("click", () => setMode(b.dataset.mode)));

@@ -81,9 +81,10 @@ function webglView(canvas, context, pad, clouds) {
   controls.enableZoom = false;
   controls.minDistance = 0.3;
   controls.maxDistance = 400;
-  const shift = frameShift(clouds);
   const scene = new THREE.Scene();
-  const points = clouds.map((cloud) => {
+  let shift, points = [];
+
+  function makePoints(cloud) {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(cloud.xyz, 3, true));
     geometry.setAttribute("intensity", new THREE.BufferAttribute(cloud.intensity, 1, true));
@@ -97,7 +98,19 @@ function webglView(canvas, context, pad, clouds) {
     object.matrixAutoUpdate = false;
     scene.add(object);
     return object;
-  });
+  }
+
+  function load(next) {
+    for (const object of points) {
+      scene.remove(object);
+      object.geometry.dispose();
+      object.material.dispose();
+    }
+    clouds = next;
+    shift = frameShift(clouds);
+    points = clouds.map(makePoints);
+  }
+  load(clouds);
 
   function place(object, cloud, T) {
     const [s, l] = [cloud.size, cloud.low], at = applyPose(T, l);
@@ -134,6 +147,7 @@ function webglView(canvas, context, pad, clouds) {
   return {
     kind: "webgl",
     preset,
+    load,
     onMove: (f) => controls.addEventListener("change", f),
     onSettle: (f) => controls.addEventListener("end", f),
     allowWheel: (on) => { controls.enableZoom = on; },
@@ -192,11 +206,17 @@ function webglView(canvas, context, pad, clouds) {
 /** Painter without WebGL: the clouds from above, on a 2-D canvas. */
 function topView(canvas, pad, clouds) {
   const context = canvas.getContext("2d");
-  const shift = frameShift(clouds);
   const listeners = { move: [], settle: [] };
   const tell = (what) => listeners[what].forEach((f) => f());
   let centre, span, wheel = false, dpr = 1;
-  const metres = clouds.map((c) => Float32Array.from(c.xyz, (v, k) => c.low[k % 3] + (c.size[k % 3] * v) / 65535));
+  let shift, metres;
+
+  function load(next) {
+    clouds = next;
+    shift = frameShift(clouds);
+    metres = clouds.map((c) => Float32Array.from(c.xyz, (v, k) => c.low[k % 3] + (c.size[k % 3] * v) / 65535));
+  }
+  load(clouds);
 
   function preset() { centre = clouds[0].centre.slice(); span = 2.2 * clouds[0].radius; tell("move"); }
   preset();
@@ -234,6 +254,7 @@ function topView(canvas, pad, clouds) {
   return {
     kind: "top",
     preset,
+    load,
     onMove: (f) => listeners.move.push(f),
     onSettle: (f) => listeners.settle.push(f),
     allowWheel: (on) => { wheel = on; },
@@ -323,7 +344,14 @@ function drawMarks(context, pane, lens, scene, look) {
     const v = lens.toView(p);
     return v[2] <= -NEAR ? lens.toPixel(v) : null;
   }
-  function label(text, at, colour, align = "left", size = 12) {
+  const taken = [];
+  /** Write a label; a shy one only where no other stands. */
+  function label(text, at, colour, align = "left", size = 12, shy = false) {
+    const half = 0.33 * size * text.length;
+    const centre = at[0] + (align === "left" ? half : align === "right" ? -half : 0);
+    const meets = ([x, y, w, h]) => Math.abs(x - centre) < w + half && Math.abs(y - at[1]) < h + size / 2;
+    if (shy && taken.some(meets)) return;
+    taken.push([centre, at[1], half, size / 2]);
     context.font = `600 ${size}px system-ui, sans-serif`;
     context.textAlign = align;
     context.textBaseline = "middle";
@@ -366,8 +394,12 @@ function drawMarks(context, pane, lens, scene, look) {
     if (at && k === 1 && ellipsoid) {
       for (const circle of circles) {
         trace(circle);
+        context.globalAlpha = 0.16;
+        context.fillStyle = look.text;
+        context.fill();
+        context.globalAlpha = 1;
         context.strokeStyle = look.text;
-        context.lineWidth = 1.5;
+        context.lineWidth = 1;
         context.stroke();
       }
       const low = Math.max(...circles.flat().map(spot).filter(Boolean).map((p) => p[1]), at[1]);
@@ -394,7 +426,7 @@ function drawMarks(context, pane, lens, scene, look) {
           for (const [x, y] of arms) { context.moveTo(c[0] - x, c[1] - y); context.lineTo(c[0] + x, c[1] + y); }
           context.lineWidth = width; context.strokeStyle = stroke; context.stroke();
         }
-        label(cluster.label, [c[0] + (k === 0 ? -9 : 9), c[1] - 8], colour, k === 0 ? "right" : "left", 11);
+        label(cluster.label, [c[0] + (k === 0 ? -9 : 9), c[1] - 8], colour, k === 0 ? "right" : "left", 11, true);
       }
     }
   });

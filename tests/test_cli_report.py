@@ -1,0 +1,120 @@
+"""`retropole report` as a user runs it: the page anew, from a result and its clouds."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from retropole.io import read_cloud
+
+
+def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "retropole", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two scans and the result of calibrating them, by relative paths."""
+    folder = tmp_path_factory.mktemp("run")
+    sensor = ("--sensor-target", "VLP-16", "--sensor-source", "VLP-16")
+    done = retropole("simulate", "harbor", "--seed", 1, *sensor, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    done = retropole("calibrate", "lidar0.pcd", "lidar1.pcd", "--out", "r", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture
+def own(run: Path, tmp_path: Path) -> Path:
+    shutil.copytree(run, tmp_path / "own")
+    return tmp_path / "own"
+
+
+def test_makes_the_page_that_calibrate_made(own: Path) -> None:
+    before = (own / "r" / "report.html").read_text()
+    (own / "r" / "report.html").unlink()
+    done = retropole("report", "r/result.json", cwd=own)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "written: r/report.html"
+    assert (own / "r" / "report.html").read_text() == before
+
+
+def test_finds_the_clouds_beside_the_result(own: Path, tmp_path: Path) -> None:
+    shutil.copy(own / "r" / "result.json", own / "result.json")
+    done = retropole("report", own / "result.json", "--out", tmp_path / "a.html", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert (tmp_path / "a.html").stat().st_size > 100_000
+
+
+def test_takes_the_clouds_that_are_given(own: Path) -> None:
+    for k in (0, 1):
+        (own / f"lidar{k}.pcd").rename(own / f"moved{k}.pcd")
+    done = retropole("report", "r/result.json", cwd=own)
+    assert done.returncode == 2
+    assert "lidar0.pcd" in done.stderr
+    assert "TARGET and SOURCE" in done.stderr
+    done = retropole("report", "r/result.json", "moved0.pcd", "moved1.pcd", cwd=own)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_says_where_a_cloud_is_not_the_one_of_the_run(own: Path) -> None:
+    done = retropole("report", "r/result.json", "lidar1.pcd", "lidar0.pcd", cwd=own)
+    assert done.returncode == 0
+    assert done.stderr.count("is not the file that the run read") == 2
+    page = (own / "r" / "report.html").read_text()
+    assert page.count("is not the file that the run read") == 2
+    # The poles found in a wrong cloud are not held against the result's.
+    assert "rms from the surface" not in page
+
+
+def test_wrong_numbers_of_clouds_and_wrong_files(own: Path) -> None:
+    assert retropole("report", "r/result.json", "lidar0.pcd", cwd=own).returncode == 2
+    done = retropole("report", "lidar0.pcd", cwd=own)
+    assert done.returncode == 2
+    assert "no result" in done.stderr
+    done = retropole("report", "none.json", cwd=own)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    document = json.loads((own / "r" / "result.json").read_text())
+    (own / "empty.json").write_text(json.dumps({**document, "inputs": []}))
+    done = retropole("report", "empty.json", cwd=own)
+    assert done.returncode == 2
+    assert "0 inputs" in done.stderr
+
+
+def test_refused_and_several_placements(own: Path) -> None:
+    pair = ("--placement", "lidar0.pcd", "lidar1.pcd")
+    done = retropole("calibrate", *pair, *pair, "--no-refine", "--out", "two", cwd=own)
+    assert done.returncode == 0, done.stderr
+    before = (own / "two" / "report.html").read_text()
+    done = retropole("report", "two/result.json", cwd=own)
+    assert done.returncode == 0, done.stderr
+    assert (own / "two" / "report.html").read_text() == before
+    done = retropole("calibrate", "lidar0.pcd", "lidar1.pcd", "--poles", 5, "--out", "no", cwd=own)
+    assert done.returncode == 3
+    before = (own / "no" / "report.html").read_text()
+    assert retropole("report", "no/result.json", cwd=own).returncode == 0
+    assert (own / "no" / "report.html").read_text() == before
+
+
+def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
+    pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
+    from bags import points_of, write_bag
+
+    points = [points_of(read_cloud(own / f"lidar{k}.pcd")) for k in (0, 1)]
+    topics = {"/front": [points[0], points[1]], "/rear": [points[1], points[0]]}
+    bag = write_bag(own, "mcap", topics)
+    which = ("--target-topic", "/front", "--source-topic", "/rear", "--frames", "0:1")
+    done = retropole("calibrate", bag, bag, *which, "--no-refine", "--out", "b", "-q", cwd=own)
+    assert done.returncode == 0, done.stderr
+    before = (own / "b" / "report.html").read_text()
+    done = retropole("report", "b/result.json", cwd=own)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (own / "b" / "report.html").read_text() == before
