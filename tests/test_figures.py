@@ -100,7 +100,7 @@ def test_same_input_gives_the_same_picture(pair: SimulatedPair, tmp_path: Path) 
 def test_matplotlib_is_imported_late_and_its_state_left_alone() -> None:
     code = (
         "import sys, retropole.figures as f; assert 'matplotlib' not in sys.modules; "
-        "f._figure(2, 2); assert 'matplotlib.pyplot' not in sys.modules"
+        "f.new_figure(2, 2); assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
