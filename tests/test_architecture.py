@@ -18,7 +18,7 @@ LAYERS = [
         *("rivals", "recording", "viewer"),
     },
     {"pipeline"},
-    {"result", "comparison"},
+    {"result", "check", "comparison"},
     {"export"},
     {"summary", "report", "paper"},
     {"cli", "__main__"},

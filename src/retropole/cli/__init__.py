@@ -8,6 +8,7 @@ import click
 
 from ..errors import RetropoleError
 from .calibrate import calibrate
+from .check import check
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
 from .compare import compare
 from .detect import detect
@@ -36,7 +37,7 @@ def cli() -> None:
 
 
 for command in (
-    *(calibrate, compare, detect, evaluate, export),
+    *(calibrate, check, compare, detect, evaluate, export),
     *(info, paper, report, simulate, view),
 ):
     cli.add_command(command)

@@ -31,6 +31,7 @@ __all__ = [
     "SimulatedPair",
     "SimulationError",
     "place_again",
+    "record_again",
     "scan",
     "simulate_pair",
     "write_pair",
@@ -258,6 +259,38 @@ def place_again(
         if enough:
             return replace(again, clear=pair.clear)
     raise SimulationError(f"{MAX_DRAWS} draws gave no other place for {count} poles")
+
+
+def record_again(
+    pair: SimulatedPair,
+    rng: np.random.Generator,
+    *,
+    moved: Array | None = None,
+    poles: bool = True,
+    nuisances: Nuisances = TYPICAL,
+    frames: int = 1,
+) -> SimulatedPair:
+    """Record the same place anew, after the source was moved.
+
+    Parameters
+    ----------
+    pair
+        From `simulate_pair`; what stands there stays.
+    rng, nuisances, frames
+        As there. The biases of the single beams are drawn anew, too, as if the LiDARs had been
+        changed for others of their kind: real ones keep theirs.
+    moved
+        (6,) step ``[φ, δ]`` of the source's pose in the target's frame (`se3.retract`), rad and m;
+        None leaves it where it was.
+    poles
+        Whether the taped poles still stand.
+    """
+    T = pair.T_target_source if moved is None else se3.retract(pair.T_target_source, moved)
+    standing = list(pair.poles) if poles else []
+    surroundings = list(pair.surfaces[: len(pair.surfaces) - len(pair.poles)])
+    poses = pair.T_world_target, pair.T_world_target @ T
+    again, _ = _pair(surroundings, standing, poses, pair.sensors, rng, nuisances, frames)
+    return replace(again, clear=pair.clear)
 
 
 def write_pair(pair: SimulatedPair, out: Path) -> None:

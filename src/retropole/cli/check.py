@@ -1,0 +1,240 @@
+"""The command ``retropole check``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .common import CLOUD, CONTEXT, EXIT_REFUSED, progress_on_terminal, read_input
+
+if TYPE_CHECKING:
+    from ..check import CheckResult
+    from ..datatypes import Array, Reason, Stage
+
+EXIT_MOVED = 4
+EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
+POSITIVE = click.FloatRange(min=0, min_open=True)
+
+
+@click.command(context_settings=CONTEXT)
+@click.argument("result", type=click.Path(path_type=Path))
+@click.argument("target", type=CLOUD)
+@click.argument("source", type=CLOUD)
+@click.option(
+    "--tolerance-deg",
+    type=POSITIVE,
+    default=0.3,
+    show_default=True,
+    help="A turn that must not be missed: where it could be, the answer is not 'same'.",
+)
+@click.option(
+    "--tolerance-m",
+    type=POSITIVE,
+    default=0.03,
+    show_default=True,
+    help="A shift that must not be missed.",
+)
+@click.option(
+    "--sigma-deg",
+    type=POSITIVE,
+    help="1 sigma of RESULT's rotation, about each axis.  [default: its covariance]",
+)
+@click.option("--sigma-m", type=POSITIVE, help="1 sigma of RESULT's translation, along each axis.")
+@click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def check(
+    result: Path,
+    target: Path,
+    source: Path,
+    tolerance_deg: float,
+    tolerance_m: float,
+    sigma_deg: float | None,
+    sigma_m: float | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Tell whether the LiDARs still stand as they stood when RESULT was made.
+
+    RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
+    (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
+    recordings of the same two LiDARs. Poles are used where they are there; without, the scene must
+    do. Radius, sensors and thresholds are those of RESULT.
+
+    \b
+    Examples:
+      retropole check retropole-out front.pcd rear.pcd
+      retropole check retropole-out front/ rear/ --json >> /var/log/site.jsonl
+      retropole check retropole-out front.pcd rear.pcd -q || mail -s "LiDAR moved?" me@site
+      retropole check calibration.yaml front.pcd rear.pcd --sigma-deg 0.02 --sigma-m 0.003
+
+    \b
+    Exit code:
+      0    same
+      2    a file or an option is wrong
+      3    cannot tell; the reason is printed
+      4    moved
+      130  interrupted
+    """
+    import numpy as np
+
+    from ..check import check as run
+    from ..errors import Refusal
+
+    if (sigma_deg is None) != (sigma_m is None):
+        raise click.UsageError("--sigma-deg and --sigma-m belong together")
+    with progress_on_terminal(quiet or as_json) as progress:
+        progress("read")
+        inputs = [read_input(path, "auto", None).cloud for path in (target, source)]
+        try:
+            stored, options, warnings = _stored(result, sigma_deg, sigma_m)
+        except Refusal as refusal:
+            answer = _nothing(refusal)
+        else:
+            progress("check")
+            tolerance = float(np.radians(tolerance_deg)), tolerance_m
+            answer = run(stored, *inputs, tolerance=tolerance, **options)
+            answer = _with(answer, warnings)
+    if as_json:
+        click.echo(json_line(answer))
+    elif not quiet:
+        click.echo(in_words(answer))
+    return EXITS[answer.status]
+
+
+def _stored(
+    path: Path, sigma_deg: float | None, sigma_m: float | None
+) -> tuple[Stage, dict[str, Any], list[Reason]]:
+    """Read the stored pose, what its run was told of the poles and sensors, and what it warned of.
+
+    Raises
+    ------
+    Refusal
+        Where it was refused, and ``no_covariance`` where nothing tells how sure it is.
+    """
+    import numpy as np
+
+    from ..datatypes import Reason, Stage
+    from ..errors import Refusal
+    from ..export import inverted, read_transform
+    from ..result import SCHEMA, decode
+    from ..sensors import find_sensor
+
+    transform = read_transform(path)
+    if transform.roles == ("source", "target"):
+        transform = inverted(transform)
+    covariance = transform.covariance
+    if sigma_deg is not None and sigma_m is not None:
+        covariance = np.diag(np.r_[np.full(3, np.radians(sigma_deg)), np.full(3, sigma_m)] ** 2)
+    if covariance is None:
+        raise Refusal(
+            "no_covariance",
+            f"{path} does not say how sure it is: give result.json, or --sigma-deg and --sigma-m",
+        )
+    stage = Stage(transform.T_parent_child, covariance, 0.0)
+    data = (path / "result.json" if path.is_dir() else path).read_bytes()
+    if SCHEMA.encode() not in data:
+        return stage, {}, []
+    document = decode(data)
+    config = document.config
+    names = [config.get(f"sensor_{side}") or "auto" for side in ("target", "source")]
+    options = {
+        "radius": config.get("radius_m", 0.02),
+        "radius_sigma": config.get("radius_sigma_m", 0.0),
+        "sensors": tuple(None if name == "auto" else find_sensor(name) for name in names),
+        "thresholds": (config.get("threshold_target"), config.get("threshold_source")),
+    }
+    return (
+        stage,
+        options,
+        [Reason(f"stored_{r.code}", r.message, r.values) for r in document.reasons],
+    )
+
+
+def _nothing(refusal: Any) -> CheckResult:
+    from ..check import CheckResult
+    from ..datatypes import Reason
+
+    reason = Reason(f"stored_{refusal.code}", refusal.message, refusal.values)
+    return CheckResult("cannot_tell", None, None, None, None, None, None, None, (reason,))
+
+
+def _with(answer: CheckResult, warnings: list[Reason]) -> CheckResult:
+    from dataclasses import replace
+
+    return replace(answer, reasons=(*answer.reasons, *warnings))
+
+
+def json_line(answer: CheckResult) -> str:
+    """Write the answer as one line of JSON; what is not known is null."""
+    import json
+
+    import numpy as np
+
+    from ..check import FALSE_ALARM
+
+    turned, shifted = answer.turned or (None, None), answer.shifted or (None, None)
+    return json.dumps(
+        {
+            "status": answer.status,
+            "used": answer.used,
+            "moved_deg": None if turned[0] is None else float(np.degrees(turned[0])),
+            "sigma_deg": None if turned[1] is None else float(np.degrees(turned[1])),
+            "moved_m": shifted[0],
+            "sigma_m": shifted[1],
+            "chi2": answer.chi2,
+            "p_value": answer.p_value,
+            "false_alarm": FALSE_ALARM,
+            "power": answer.power,
+            "T_target_source": None
+            if answer.T_target_source is None
+            else answer.T_target_source.tolist(),
+            "reasons": [
+                {"code": r.code, "message": r.message, "values": dict(r.values)}
+                for r in answer.reasons
+            ],
+        }
+    )
+
+
+def in_words(answer: CheckResult) -> str:
+    """Write the answer as a person reads it."""
+    import numpy as np
+
+    from ..check import FALSE_ALARM
+
+    lines = [f"verdict: {answer.status.replace('_', ' ')}"]
+    turned, shifted = answer.turned, answer.shifted
+    if answer.step is not None and turned is not None and shifted is not None:
+        degrees = np.degrees(turned)
+        how = "poles and scene" if answer.used == "poles" else "the scene alone"
+        lines += [
+            f"  turned by  {degrees[0]:.3f}° ± {degrees[1]:.3f}° (1 σ), "
+            f"{_direction(answer.step[:3], 'about', ('roll', 'pitch', 'yaw'))}",
+            f"  shifted by {100 * shifted[0]:.2f} cm ± {100 * shifted[1]:.2f} cm (1 σ), "
+            f"{_direction(answer.step[3:], 'along', None)}",
+            "  (the source against the target; which of them moved, two LiDARs cannot tell)",
+            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; so much where nothing moved: "
+            f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
+            f"  a movement of the tolerance is found with a probability of {answer.power:.0%} "
+            "at least",
+            f"  found by {how}",
+        ]
+    lines += [f"  {reason.code}: {reason.message}" for reason in answer.reasons]
+    return "\n".join(lines)
+
+
+def _direction(vector: Array, preposition: str, names: tuple[str, str, str] | None) -> str:
+    """Name the axis of the target that a vector mostly lies along, with its sign."""
+    import numpy as np
+
+    length = float(np.linalg.norm(vector))
+    if length < 1e-9:
+        return "in no direction"
+    unit = vector / length
+    k = int(np.argmax(np.abs(unit)))
+    if abs(unit[k]) > np.cos(np.radians(30.0)):
+        name = f" ({names[k]})" if names else ""
+        return f"mostly {preposition} the target's {'+' if unit[k] > 0 else '-'}{'xyz'[k]}{name}"
+    return f"{preposition} ({unit[0]:+.2f} {unit[1]:+.2f} {unit[2]:+.2f}) of the target"
