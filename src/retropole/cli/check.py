@@ -157,7 +157,7 @@ def _nothing(refusal: Any) -> CheckResult:
     from ..datatypes import Reason
 
     reason = Reason(f"stored_{refusal.code}", refusal.message, refusal.values)
-    return CheckResult("cannot_tell", None, None, None, None, None, None, None, (reason,))
+    return CheckResult("cannot_tell", (reason,))
 
 
 def _with(answer: CheckResult, warnings: list[Reason]) -> CheckResult:
@@ -210,31 +210,32 @@ def in_words(answer: CheckResult) -> str:
         degrees = np.degrees(turned)
         how = "poles and scene" if answer.used == "poles" else "the scene alone"
         lines += [
-            f"  turned by  {degrees[0]:.3f}° ± {degrees[1]:.3f}° (1 σ), "
-            f"{_direction(answer.step[:3], 'about', ('roll', 'pitch', 'yaw'))}",
+            f"  turned by  {degrees[0]:.4f}° ± {degrees[1]:.4f}° (1 σ), "
+            f"{_direction(answer.step[:3], turned, 'about', (' (roll)', ' (pitch)', ' (yaw)'))}",
             f"  shifted by {100 * shifted[0]:.2f} cm ± {100 * shifted[1]:.2f} cm (1 σ), "
-            f"{_direction(answer.step[3:], 'along', None)}",
+            f"{_direction(answer.step[3:], shifted, 'along', ('', '', ''))}",
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
             f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; so much where nothing moved: "
             f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
-            f"  a movement of the tolerance is found with a probability of {answer.power:.0%} "
-            "at least",
+            "  a movement of the tolerance is found with a probability of "
+            f"{answer.power:.0%} at least",
             f"  found by {how}",
         ]
     lines += [f"  {reason.code}: {reason.message}" for reason in answer.reasons]
     return "\n".join(lines)
 
 
-def _direction(vector: Array, preposition: str, names: tuple[str, str, str] | None) -> str:
-    """Name the axis of the target that a vector mostly lies along, with its sign."""
+def _direction(
+    vector: Array, length: tuple[float, float], preposition: str, names: tuple[str, str, str]
+) -> str:
+    """Name the axis of the target that a vector mostly lies along, if it is more than its noise."""
     import numpy as np
 
-    length = float(np.linalg.norm(vector))
-    if length < 1e-9:
-        return "in no direction"
-    unit = vector / length
+    if length[0] < 2 * length[1]:
+        return "no more than its noise"
+    unit = vector / length[0]
     k = int(np.argmax(np.abs(unit)))
     if abs(unit[k]) > np.cos(np.radians(30.0)):
-        name = f" ({names[k]})" if names else ""
-        return f"mostly {preposition} the target's {'+' if unit[k] > 0 else '-'}{'xyz'[k]}{name}"
+        sign = "+" if unit[k] > 0 else "-"
+        return f"mostly {preposition} the target's {sign}{'xyz'[k]}{names[k]}"
     return f"{preposition} ({unit[0]:+.2f} {unit[1]:+.2f} {unit[2]:+.2f}) of the target"
