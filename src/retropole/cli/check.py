@@ -118,7 +118,7 @@ def _stored(
     from ..datatypes import Reason, Stage
     from ..errors import Refusal
     from ..export import inverted, read_transform
-    from ..result import SCHEMA, decode
+    from ..export.documents import is_result, read_result
     from ..sensors import find_sensor
 
     transform = read_transform(path)
@@ -134,9 +134,9 @@ def _stored(
         )
     stage = Stage(transform.T_parent_child, covariance, 0.0)
     data = (path / "result.json" if path.is_dir() else path).read_bytes()
-    if SCHEMA.encode() not in data:
+    if not is_result(data):
         return stage, {}, []
-    document = decode(data)
+    document = read_result(data)
     config = document.config
     names = [config.get(f"sensor_{side}") or "auto" for side in ("target", "source")]
     options = {
