@@ -348,6 +348,21 @@ def test_a_refused_result_cannot_tell(site: Path) -> None:
     assert json.loads(text)["reasons"][0]["code"].startswith("stored_")
 
 
+def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
+    result = json.loads((site / "r" / "result.json").read_text())
+    # A topic is of bags: it is left alone where the new recordings are files.
+    result["config"]["target_topic"] = "/front"
+    result["reasons"] = [{"code": "small_margin", "message": "leads by 0.05", "values": {}}]
+    (site / "told.json").write_text(json.dumps(result))
+    code, text = run(site, "told.json", "same")
+    assert code == 0, text
+    assert "stored_small_margin: leads by 0.05" in text
+    result["config"]["sensor_source"] = "nonsense"
+    (site / "wrong.json").write_text(json.dumps(result))
+    assert run(site, "wrong.json", "same") == (2, "")
+    assert run(site, "r", "same", "--target-topic", "/front") == (2, "")
+
+
 def test_help_has_worked_examples(site: Path) -> None:
     done = retropole("check", "--help", cwd=site)
     assert done.returncode == 0

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtrc, chdtri, chndtr
+from threadpoolctl import threadpool_limits
 
 from . import se3
 from .datatypes import Array, Calibration, PointCloud, Reason, Stage
@@ -195,7 +196,8 @@ def _by_scene(
     """Lay the surfaces of both clouds on each other, from about the stored pose."""
     spread = np.r_[np.full(3, REACH_ROTATION), np.full(3, REACH_TRANSLATION)] ** 2
     start = Stage(stored.T_target_source, np.diag(spread), stored.rms)
-    refined = refine(target, source, start)
+    with threadpool_limits(1, user_api="blas"):
+        refined = refine(target, source, start)
     if refined is None:
         reasons.append(
             Reason(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from .common import CLOUD, CONTEXT, EXIT_REFUSED, progress_on_terminal, read_input
+from .common import CLOUD, CONTEXT, EXIT_REFUSED, TOPIC_HELP, progress_on_terminal, read_input
 
 if TYPE_CHECKING:
     from ..check import CheckResult
@@ -22,6 +22,12 @@ POSITIVE = click.FloatRange(min=0, min_open=True)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
+@click.option(
+    "--target-topic",
+    metavar="NAME",
+    help=f"{TOPIC_HELP}  [default: that of RESULT, where TARGET is a bag]",
+)
+@click.option("--source-topic", metavar="NAME", help="The same for SOURCE.")
 @click.option(
     "--tolerance-deg",
     type=POSITIVE,
@@ -48,6 +54,8 @@ def check(
     result: Path,
     target: Path,
     source: Path,
+    target_topic: str | None,
+    source_topic: str | None,
     tolerance_deg: float,
     tolerance_m: float,
     sigma_deg: float | None,
@@ -77,25 +85,35 @@ def check(
       4    moved
       130  interrupted
     """
+    from dataclasses import replace
+
     import numpy as np
 
+    from ..check import CheckResult
     from ..check import check as run
+    from ..datatypes import Reason
     from ..errors import Refusal
 
     if (sigma_deg is None) != (sigma_m is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
     with progress_on_terminal(quiet or as_json) as progress:
         progress("read")
-        inputs = [read_input(path, "auto", None).cloud for path in (target, source)]
         try:
-            stored, options, warnings = _stored(result, sigma_deg, sigma_m)
+            stored = _stored(result, sigma_deg, sigma_m)
         except Refusal as refusal:
-            answer = _nothing(refusal)
+            reason = Reason(f"stored_{refusal.code}", refusal.message, refusal.values)
+            answer = CheckResult("cannot_tell", (reason,))
         else:
+            inputs = [
+                read_input(path, "auto", None, topic=_topic(path, given, known), quiet=quiet).cloud
+                for path, given, known in zip(
+                    (target, source), (target_topic, source_topic), stored.topics, strict=True
+                )
+            ]
             progress("check")
             tolerance = float(np.radians(tolerance_deg)), tolerance_m
-            answer = run(stored, *inputs, tolerance=tolerance, **options)
-            answer = _with(answer, warnings)
+            answer = run(stored.stage, *inputs, tolerance=tolerance, **stored.options)
+            answer = replace(answer, reasons=(*answer.reasons, *stored.warnings))
     if as_json:
         click.echo(json_line(answer))
     elif not quiet:
@@ -103,10 +121,17 @@ def check(
     return EXITS[answer.status]
 
 
-def _stored(
-    path: Path, sigma_deg: float | None, sigma_m: float | None
-) -> tuple[Stage, dict[str, Any], list[Reason]]:
-    """Read the stored pose, what its run was told of the poles and sensors, and what it warned of.
+class Stored(NamedTuple):
+    """What RESULT holds: the pose, its run's options and topics, and what it warned of."""
+
+    stage: Stage
+    options: dict[str, Any]
+    topics: tuple[str | None, str | None]
+    warnings: list[Reason]
+
+
+def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Stored:
+    """Read RESULT.
 
     Raises
     ------
@@ -135,7 +160,7 @@ def _stored(
     stage = Stage(transform.T_parent_child, covariance, 0.0)
     data = (path / "result.json" if path.is_dir() else path).read_bytes()
     if not is_result(data):
-        return stage, {}, []
+        return Stored(stage, {}, (None, None), [])
     document = read_result(data)
     config = document.config
     names = [config.get(f"sensor_{side}") or "auto" for side in ("target", "source")]
@@ -145,25 +170,19 @@ def _stored(
         "sensors": tuple(None if name == "auto" else find_sensor(name) for name in names),
         "thresholds": (config.get("threshold_target"), config.get("threshold_source")),
     }
-    return (
-        stage,
-        options,
-        [Reason(f"stored_{r.code}", r.message, r.values) for r in document.reasons],
+    warnings = [Reason(f"stored_{r.code}", r.message, r.values) for r in document.reasons]
+    return Stored(
+        stage, options, (config.get("target_topic"), config.get("source_topic")), warnings
     )
 
 
-def _nothing(refusal: Any) -> CheckResult:
-    from ..check import CheckResult
-    from ..datatypes import Reason
+def _topic(path: Path, given: str | None, known: str | None) -> str | None:
+    """Take the topic that is given, else that of RESULT where there is a bag to look for it in."""
+    from ..io import topics_of
 
-    reason = Reason(f"stored_{refusal.code}", refusal.message, refusal.values)
-    return CheckResult("cannot_tell", (reason,))
-
-
-def _with(answer: CheckResult, warnings: list[Reason]) -> CheckResult:
-    from dataclasses import replace
-
-    return replace(answer, reasons=(*answer.reasons, *warnings))
+    if given is not None or known is None:
+        return given
+    return known if topics_of(path) else None
 
 
 def json_line(answer: CheckResult) -> str:
