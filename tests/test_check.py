@@ -154,7 +154,9 @@ def test_a_test_that_could_not_see_a_movement_does_not_say_same() -> None:
     # A wider tolerance asks for less; a movement that sticks out is one all the same.
     assert compare(sure, unsure, "poles", (0.3, 1.0)).status == "same"
     far = Stage(se3.retract(T, np.r_[0, 0, 0, 1.0, 0, 0]), unsure.covariance, 0.0)
-    assert compare(sure, far, "poles").status == "moved"
+    answer = compare(sure, far, "poles")
+    assert answer.status == "moved"
+    assert [r.code for r in answer.reasons] == ["size_unsure"]
 
 
 def test_a_movement_below_the_tolerance_is_told_as_such() -> None:

@@ -99,17 +99,17 @@ class CheckResult:
 
     @property
     def turned(self) -> tuple[float, float] | None:
-        """Angle of the movement and its 1 σ, rad."""
+        """Angle of the movement, and 1 σ in the direction that is least sure, rad."""
         if self.step is None or self.covariance is None:
             return None
-        return _length(self.step, self.covariance, PARTS[0])
+        return float(np.linalg.norm(self.step[PARTS[0]])), _worst(self.covariance, PARTS[0])[0]
 
     @property
     def shifted(self) -> tuple[float, float] | None:
-        """Length of the movement and its 1 σ, metres."""
+        """Length of the movement, and 1 σ in the direction that is least sure, metres."""
         if self.step is None or self.covariance is None:
             return None
-        return _length(self.step, self.covariance, PARTS[1])
+        return float(np.linalg.norm(self.step[PARTS[1]])), _worst(self.covariance, PARTS[1])[0]
 
 
 def check(
@@ -277,11 +277,13 @@ def compare(
     if status == "same" and power < MIN_POWER:
         status = "cannot_tell"
         said.append(_too_weak(stored, covariance, tolerance, power))
-    lengths = [_length(step, covariance, part) for part in PARTS]
-    least = [limit - 3 * sigma for (_, sigma), limit in zip(lengths, tolerance, strict=True)]
-    if status == "moved" and lengths[0][0] < least[0] and lengths[1][0] < least[1]:
+    most = [np.linalg.norm(step[part]) + 3 * _worst(covariance, part)[0] for part in PARTS]
+    if status == "moved" and most[0] < tolerance[0] and most[1] < tolerance[1]:
         message = "it moved, but surely by less than the tolerance"
         said.append(Reason("within_tolerance", message, {}))
+    elif status == "moved" and power < MIN_POWER:
+        message = "that it moved is sure, but not by how much: " + _worst_in_words(covariance)
+        said.append(Reason("size_unsure", message, {}))
     return CheckResult(
         status, tuple(said), used, new.T_target_source, step, covariance, chi2, p_value, power
     )
@@ -333,9 +335,7 @@ def _too_weak(
         "too_weak",
         f"no movement was found, but one of {np.degrees(tolerance[0]):.2g}° or "
         f"{100 * tolerance[1]:.2g} cm would be found with a probability of {power:.0%} only "
-        f"({MIN_POWER:.0%} are needed): the difference is sure to {np.degrees(turn):.2f}° about "
-        f"{_named(axis)} and to {100 * shift:.1f} cm along {_named(way)} of the target (1 σ, the "
-        f"worst directions); {remedy}",
+        f"({MIN_POWER:.0%} are needed): {_worst_in_words(covariance)}; {remedy}",
         {"power": power, "sigma_rad": turn, "sigma_m": shift, "stored_share": share},
     )
 
@@ -346,14 +346,11 @@ def _worst(covariance: Array, part: slice) -> tuple[float, Array]:
     return float(np.sqrt(values[-1])), np.asarray(vectors[:, -1])
 
 
-def _named(direction: Array) -> str:
-    return "({:+.2f} {:+.2f} {:+.2f})".format(*direction)
-
-
-def _length(step: Array, covariance: Array, part: slice) -> tuple[float, float]:
-    """Length of a part of the step, and 1 σ along it; of no length, in its worst direction."""
-    length = float(np.linalg.norm(step[part]))
-    if length < 1e-12:
-        return length, _worst(covariance, part)[0]
-    along = step[part] / length
-    return length, float(np.sqrt(along @ covariance[part, part] @ along))
+def _worst_in_words(covariance: Array) -> str:
+    (turn, axis), (shift, way) = (_worst(covariance, part) for part in PARTS)
+    return (
+        f"the difference is sure to {np.degrees(turn):.2f}° about "
+        "({:+.2f} {:+.2f} {:+.2f}) ".format(*axis)
+        + f"and to {100 * shift:.1f} cm along "
+        + "({:+.2f} {:+.2f} {:+.2f}) of the target (1 σ, the worst directions)".format(*way)
+    )
