@@ -164,8 +164,11 @@ def test_a_movement_below_the_tolerance_is_told_as_such() -> None:
     T, spread = se3.random(rng), covariance(rng, 1e-6, 1e-5)
     near = Stage(se3.retract(T, np.r_[0, 0, 1e-4, 0.001, 0, 0]), spread, 0.0)
     answer = compare(Stage(T, spread, 0.0), near, "poles")
-    assert answer.status == "moved"
+    assert answer.status == "same"
     assert [r.code for r in answer.reasons] == ["within_tolerance"]
+    assert answer.p_value is not None
+    assert answer.p_value < FALSE_ALARM
+    assert compare(Stage(T, spread, 0.0), near, "poles", (1e-5, 1e-3)).status == "moved"
 
 
 # Sites recorded anew
