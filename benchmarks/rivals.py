@@ -191,7 +191,9 @@ def report(runs: Sequence[Run], methods: Sequence[str]) -> None:
                 print(row(f"{scene}, {sensors}, {method}", group))
     if {OURS, RIVAL} <= set(methods):
         ours, rival = ([r for r in runs if r.method == m] for m in (OURS, RIVAL))
-        ratio = np.median([r.seconds for r in ours]) / np.median([r.seconds for r in rival])
+        seconds = [[r.seconds for r in runs] for runs in (ours, rival)]
+        ratio = np.sum(seconds[0]) / np.sum(seconds[1])
+        middle = np.median(seconds[0]) / np.median(seconds[1])
         met = (
             sum(r.success for r in ours) > sum(r.success for r in rival)
             and not any(r.wrong for r in ours)
@@ -200,8 +202,9 @@ def report(runs: Sequence[Run], methods: Sequence[str]) -> None:
         print(
             f"\n{OURS} against {RIVAL}: success {sum(r.success for r in ours)} against "
             f"{sum(r.success for r in rival)} of {len(ours)}, wrong but confident "
-            f"{sum(r.wrong for r in ours)} against {sum(r.wrong for r in rival)}, median time "
-            f"{ratio:.2f} of it (target {TIME_RATIO}): {'met' if met else 'not met'}"
+            f"{sum(r.wrong for r in ours)} against {sum(r.wrong for r in rival)}, time of all runs "
+            f"{ratio:.2f} of its (target {TIME_RATIO}): {'met' if met else 'not met'}; median time "
+            f"{middle:.2f} of its"
         )
 
 

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retropole import se3
-from retropole.alignment import align_poles, point_line_residuals
+from retropole.alignment import align_poles, equivalent_points, point_line_residuals
 from retropole.datatypes import Array
 from retropole.errors import Refusal
 
@@ -106,3 +106,19 @@ def test_the_error_vanishes_with_the_radius(radius: float) -> None:
     assert error < 50 * radius + 1e-12
     if radius <= 1e-11:
         assert error < 1e-9
+
+
+def test_six_points_stand_for_many() -> None:
+    rng = np.random.default_rng(9)
+    xyz = rng.normal(size=(40, 3)) * [0.01, 0.02, 1.0] + rng.normal(size=3)
+    six = equivalent_points(xyz)
+    for _ in range(5):
+        T, q, n = se3.random(rng), rng.normal(size=3), rng.normal(size=3)
+        n /= np.linalg.norm(n)
+        sums = []
+        for points in (xyz, six):
+            lines = np.broadcast_to(q, points.shape), np.broadcast_to(n, points.shape)
+            residuals, jacobian = point_line_residuals(T, points, *lines)
+            H = np.einsum("nij,nik->jk", jacobian, jacobian)
+            sums.append([np.mean(np.sum(residuals**2, axis=1)), *(H / len(points)).ravel()])
+        np.testing.assert_allclose(sums[1], sums[0], rtol=1e-9, atol=1e-9)

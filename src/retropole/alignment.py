@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import se3
-from .datatypes import Array, IntArray
+from .datatypes import Array
 from .errors import Refusal
 
 MAX_ITERATIONS = 60
-STEP_TOLERANCE = 1e-12
-"""Stop where the step (rad and m together) is below this: the problem is tiny, so be exact."""
+STEP_TOLERANCE = 1e-9
+"""Stop where the step (rad and m together) is below this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +72,21 @@ def point_line_residuals(
     return residuals, jacobian
 
 
-def align_points_to_lines(
-    points: Array,
-    line_of_point: IntArray,
-    line_points: Array,
-    line_directions: Array,
-    T_start: Array,
+def equivalent_points(xyz: Array) -> Array:
+    """Six points (6, 3) with the mean and the scatter of many (N, 3).
+
+    The sum of the squared distances of points from a line is a function of their first two moments:
+    N/6 times that of these six is that of all, wherever they are moved.
+    """
+    mean = xyz.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(xyz - mean, full_matrices=False)
+    arms = np.zeros((3, 3))
+    arms[: len(sizes)] = np.sqrt(3.0 / len(xyz)) * sizes[:, None] * axes
+    return np.concatenate([mean + arms, mean - arms])
+
+
+def align_poles(
+    target_lines: Sequence[tuple[Array, Array]], source_points: Sequence[Array], T_start: Array
 ) -> LineAlignment:
     """Minimise the squared distances of source points from target lines (eq. 1–2).
 
@@ -86,12 +95,10 @@ def align_points_to_lines(
 
     Parameters
     ----------
-    points
-        (N, 3) points on the source poles, source frame.
-    line_of_point
-        (N,) row of `line_points` that each point belongs to (π_nk of the paper).
-    line_points, line_directions
-        (K, 3) lines of the target poles, target frame; directions of unit length.
+    target_lines
+        A point on each target pole and its unit direction, target frame.
+    source_points
+        (N_k, 3) the points on each source pole, paired by their order (π_nk of the paper).
     T_start
         (4, 4) start, target from source.
 
@@ -101,9 +108,17 @@ def align_points_to_lines(
         ``degenerate_poles`` where the lines leave a direction of the pose free (parallel poles, a
         single pole), with the ratio of the singular values.
     """
-    q, n = line_points[line_of_point], line_directions[line_of_point]
+    points = np.concatenate([equivalent_points(xyz) for xyz in source_points])
+    counts = np.array([len(xyz) for xyz in source_points])
+    root = np.sqrt(np.repeat(counts, 6) / 6.0)
+    q, n = (np.repeat([line[part] for line in target_lines], 6, axis=0) for part in (0, 1))
+
+    def weighted(T: Array) -> tuple[Array, Array]:
+        residuals, jacobian = point_line_residuals(T, points, q, n)
+        return root[:, None] * residuals, root[:, None, None] * jacobian
+
     T, damping = T_start, 1e-6
-    residuals, J = point_line_residuals(T, points, q, n)
+    residuals, J = weighted(T)
     cost = float(np.sum(residuals**2))
     for _ in range(MAX_ITERATIONS):
         H = np.einsum("nij,nik->jk", J, J)
@@ -111,7 +126,7 @@ def align_points_to_lines(
         # Marquardt's scaling keeps radians and metres from being weighed against each other.
         step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
         T_new = se3.retract(T, step)
-        residuals_new, J_new = point_line_residuals(T_new, points, q, n)
+        residuals_new, J_new = weighted(T_new)
         cost_new = float(np.sum(residuals_new**2))
         if cost_new <= cost:
             T, residuals, J, cost = T_new, residuals_new, J_new, cost_new
@@ -122,7 +137,7 @@ def align_points_to_lines(
             break
     H = np.einsum("nij,nik->jk", J, J)
     _check_rank(H)
-    return LineAlignment(T, float(np.sqrt(cost / len(points))), H)
+    return LineAlignment(T, float(np.sqrt(cost / counts.sum())), H)
 
 
 def _check_rank(H: Array) -> None:
@@ -137,16 +152,3 @@ def _check_rank(H: Array) -> None:
             "lean one pole by 15° or more against the other",
             {"eigenvalue_ratio": ratio},
         )
-
-
-def align_poles(
-    target_lines: Sequence[tuple[Array, Array]], source_points: Sequence[Array], T_start: Array
-) -> LineAlignment:
-    """Align matched poles: ``source_points[k]`` lie on ``target_lines[k]`` (point, direction)."""
-    return align_points_to_lines(
-        np.concatenate(list(source_points)),
-        np.repeat(np.arange(len(source_points)), [len(p) for p in source_points]),
-        np.array([point for point, _ in target_lines]),
-        np.array([direction for _, direction in target_lines]),
-        T_start,
-    )

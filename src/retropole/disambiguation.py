@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from . import se3
 from .datatypes import Array, BoolArray, Hypothesis, Match, PointCloud
 from .errors import Refusal
-from .registration import MIN_POINTS, Surface, as_surface, register, thin
+from .registration import CORES, MIN_POINTS, Surface, as_surface, register, thin
 
 IntpArray = NDArray[np.intp]
 
@@ -161,7 +161,7 @@ def judge(
         T = match.T_target_source
         moved = se3.apply(T, sampled[1]), se3.apply(se3.inverse(T), sampled[0])
         distances = [
-            tree.query(xyz, distance_upper_bound=ICP_REACH)[0]
+            tree.query(xyz, distance_upper_bound=ICP_REACH, workers=CORES)[0]
             for tree, xyz in zip(trees, moved, strict=True)
         ]
         overlap = float(np.mean([np.mean(d <= OVERLAP_DISTANCE) for d in distances]))

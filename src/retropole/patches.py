@@ -66,7 +66,11 @@ class Patches:
 
 def surface_patches(cloud: PointCloud) -> Patches:
     """Fit planes to the neighbourhoods of the thinned cloud and keep the flat ones."""
-    parts = [_patches_of(cloud, voxel) for voxel in VOXELS]
+    parts, points = [], cloud.xyz
+    for voxel in VOXELS:
+        # From fine to coarse each thinning starts at the one before: there are fewer points then.
+        points = thin(points, voxel)
+        parts.append(_patches_of(points, cloud.origin))
     return Patches(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -75,8 +79,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
     )
 
 
-def _patches_of(cloud: PointCloud, voxel: float) -> Patches:
-    points = thin(cloud.xyz, voxel)
+def _patches_of(points: Array, origin: Array) -> Patches:
     if len(points) < NEIGHBOURS:
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, NEIGHBOURS), dtype=np.int64)
@@ -85,7 +88,7 @@ def _patches_of(cloud: PointCloud, voxel: float) -> Patches:
     at = points[:: 1 + len(points) // MAX_PATCHES]
     index, _ = tree.batch_knn_search(at, NEIGHBOURS)
     neighbours = points[np.asarray(index, dtype=np.intp)]
-    ray = points - cloud.origin
+    ray = points - origin
     band = np.floor(np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1)) / BEAM).astype(np.int64)
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
@@ -97,7 +100,7 @@ def _patches_of(cloud: PointCloud, voxel: float) -> Patches:
     aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
     flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
     centres, normals = centres[flat], vectors[flat, :, 0]
-    rays = centres - cloud.origin
+    rays = centres - origin
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     away = np.einsum("mi,mi->m", normals, rays) > 0
     # A plane goes through a point that lies apart from the others, whatever its error: a patch is
