@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from retropole import se3
+from retropole.evaluation import RQE_POINTS, rqe
 from retropole.io import write_pcd
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
@@ -78,6 +80,10 @@ def main() -> None:
     for name, seconds in steps.items():
         print(f"| … {name} | {seconds:.3f} |")
     print(f"| command | {command:.3f} |")
+    together = np.concatenate([target.xyz, se3.apply(pair.T_target_source, source.xyz)])
+    together = rng.permutation(together)[:RQE_POINTS]
+    entropy = median_seconds(lambda: rqe(together), arguments.runs)
+    print(f"| entropy of {len(together):,} points | {entropy:.3f} |")
 
 
 if __name__ == "__main__":

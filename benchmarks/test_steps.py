@@ -1,0 +1,97 @@
+"""Time of each step of the method on one simulated street, by pytest-benchmark.
+
+pip install -e ".[bench]" && pytest benchmarks/test_steps.py
+pytest benchmarks/test_steps.py --benchmark-autosave
+pytest-benchmark compare
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from retropole import se3
+from retropole.beam_alignment import align_beams
+from retropole.correspondence import match_poles
+from retropole.datatypes import Calibration
+from retropole.disambiguation import judge
+from retropole.evaluation import RQE_POINTS, rqe
+from retropole.extraction import extract_poles
+from retropole.pipeline import calibrate
+from retropole.pole_beams import beams_of
+from retropole.refinement import refine
+from retropole.report import render_report
+from retropole.result import encode, result_document
+from retropole.simulation import SimulatedPair, simulate_pair
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """As `calibrate` sets it for its steps."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def pair() -> SimulatedPair:
+    return simulate_pair("street", np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def answer(pair: SimulatedPair) -> Calibration:
+    return calibrate(pair.target, pair.source)
+
+
+def test_extract(benchmark: Any, pair: SimulatedPair) -> None:
+    benchmark(extract_poles, pair.target)
+
+
+def test_match(benchmark: Any, answer: Calibration) -> None:
+    target, source = (list(found.poles) for found in answer.detections if found)
+    benchmark(match_poles, target, source)
+
+
+def test_disambiguate(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
+    benchmark(judge, pair.target, pair.source, [h.match for h in answer.hypotheses])
+
+
+def test_align(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
+    pairs = answer.hypotheses[0].match.pairs
+    beams = [
+        beams_of([found.poles[ij[k]] for ij in pairs], [cloud] * len(pairs), None)
+        for k, (cloud, found) in enumerate(
+            zip((pair.target, pair.source), answer.detections, strict=True)
+        )
+        if found
+    ]
+    start = answer.hypotheses[0].match.T_target_source
+    benchmark(lambda: align_beams(beams[0], beams[1], start, radius=0.02))
+
+
+def test_refine(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
+    assert answer.poles is not None
+    benchmark(refine, pair.target, pair.source, answer.poles)
+
+
+def test_calibrate(benchmark: Any, pair: SimulatedPair) -> None:
+    benchmark(calibrate, pair.target, pair.source)
+
+
+def test_entropy(benchmark: Any, pair: SimulatedPair) -> None:
+    together = [pair.target.xyz, se3.apply(pair.T_target_source, pair.source.xyz)]
+    xyz = np.random.default_rng(0).permutation(np.concatenate(together))[:RQE_POINTS]
+    benchmark(rqe, xyz)
+
+
+def test_report(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
+    document = result_document(answer, inputs=[], config={}, seconds={})
+    benchmark(
+        lambda: render_report(
+            json.loads(encode(document)), pair.target, pair.source, answer.detections
+        )
+    )
