@@ -1,0 +1,93 @@
+"""Sphinx: python -m sphinx -W docs docs/_build. Reads nothing from the network."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from typing import Any
+
+import click
+from docutils import nodes
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+import retropole
+from retropole.cli import cli
+
+project = "retropole"
+author = "The retropole authors"
+project_copyright = author
+version = release = retropole.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build", "README.md"]
+default_role = "py:obj"
+
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+autodoc_member_order = "bysource"
+autodoc_type_aliases = {name: name for name in ("Array", "IntArray", "BoolArray")}
+python_use_unqualified_type_names = True
+add_module_names = False
+toc_object_entries_show_parents = "hide"
+
+html_theme = "furo"
+html_title = "retropole"
+html_static_path = ["_static"]
+html_css_files = ["retropole.css"]
+html_copy_source = False
+html_show_sphinx = False
+html_math_renderer = "mathml"
+
+
+class Commands(SphinxDirective):
+    """Every command's own help, as the installed command line prints it."""
+
+    def run(self) -> list[nodes.Node]:
+        """Make one section per command."""
+        sections: list[nodes.Node] = []
+        for name, command in sorted(cli.commands.items()):
+            context = click.Context(command, info_name=f"retropole {name}")
+            context.max_content_width = 92
+            section = nodes.section(ids=[name], names=[name])
+            section += nodes.title(text=name)
+            block = nodes.literal_block(text=command.get_help(context))
+            block["language"] = "text"
+            section += block
+            sections.append(section)
+        return sections
+
+
+def equation(display: str) -> Any:
+    """Make a visitor that writes an equation as MathML, which browsers set without any script."""
+
+    def visit(translator: Any, node: nodes.Element) -> None:
+        written = convert(node.astext(), display=display)
+        if display == "block":
+            written = f'<div class="math">{written}</div>'
+        translator.body.append(written)
+        raise nodes.SkipNode
+
+    return visit
+
+
+def drop_absent_modules(app: Sphinx, name: str, source: list[str]) -> None:
+    """Leave out of the API pages what this version of the package does not have."""
+    if not name.startswith("api/"):
+        return
+
+    def keep(match: re.Match[str]) -> str:
+        return match[0] if importlib.util.find_spec(match[1]) else ""
+
+    source[0] = re.sub(r"^\.\. automodule:: (\S+)\n(?:   .*\n)*", keep, source[0], flags=re.M)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the directive and the filter."""
+    app.add_directive("commands", Commands)
+    app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
+    app.connect("source-read", drop_absent_modules)
+    return {"parallel_read_safe": True}
