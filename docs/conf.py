@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import re
 from typing import Any
 
 import click
@@ -74,20 +72,8 @@ def equation(display: str) -> Any:
     return visit
 
 
-def drop_absent_modules(app: Sphinx, name: str, source: list[str]) -> None:
-    """Leave out of the API pages what this version of the package does not have."""
-    if not name.startswith("api/"):
-        return
-
-    def keep(match: re.Match[str]) -> str:
-        return match[0] if importlib.util.find_spec(match[1]) else ""
-
-    source[0] = re.sub(r"^\.\. automodule:: (\S+)\n(?:   .*\n)*", keep, source[0], flags=re.M)
-
-
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Register the directive and the filter."""
+    """Register the directive and the way equations are written."""
     app.add_directive("commands", Commands)
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
-    app.connect("source-read", drop_absent_modules)
     return {"parallel_read_safe": True}

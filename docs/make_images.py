@@ -1,0 +1,130 @@
+"""Make the pictures of the documentation anew, all from simulated scans.
+
+python docs/make_images.py docs/images
+
+The picture of the report needs Chromium, chromedriver and selenium, and is left out without.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from retropole.figures import new_figure, save_figure
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+sys.path.insert(0, str(EXAMPLES))
+from plot_placement import sigma_at_10_m  # noqa: E402
+
+BLUE, ORANGE, RED, GREY = "#0072b2", "#e69f00", "#d55e00", "#9aa0a6"
+PLACEMENTS = {
+    "good": (20.0, 5.0, 2.0),
+    "nearly parallel": (5.0, 5.0, 2.0),
+    "too close together": (20.0, 5.0, 0.3),
+    "too far": (20.0, 11.0, 2.0),
+}
+
+
+def run(*words: object) -> None:
+    subprocess.run([sys.executable, "-m", "retropole", *map(str, words)], check=True)
+
+
+def draw_placements(path: Path) -> None:
+    """Four placements as the LiDARs see them and from above, each with what it costs."""
+    figure = new_figure(10.0, 5.2)
+    for k, (name, (angle, distance, spacing)) in enumerate(PLACEMENTS.items()):
+        sigma = float(np.median([sigma_at_10_m(angle, distance, spacing, n) for n in range(8)]))
+        print(f"{name}: {100 * sigma:.1f} cm at 10 m")
+        colour = BLUE if k == 0 else RED
+        lean = np.radians(angle) / 2
+        front = figure.add_subplot(2, 4, k + 1, xlim=(-2.5, 2.5), ylim=(0, 2.4), aspect="equal")
+        front.set_title(f"{name}\n{100 * sigma:.1f} cm", color=colour, fontsize=11)
+        above = figure.add_subplot(2, 4, k + 5, xlim=(-2.5, 2.5), ylim=(-1, 12), aspect=0.42)
+        for side in (-1, 1):
+            ends = side * (spacing / 2 + np.array([-1, 1]) * np.sin(lean))
+            heights = 1 + np.array([-1, 1]) * np.cos(lean)
+            front.plot(ends, heights, color=colour, lw=3, solid_capstyle="round")
+            above.plot(ends, [distance] * 2, color=colour, lw=3, solid_capstyle="round")
+            above.plot([0.5 * side], [0], "o", color=ORANGE)
+        if k == 0:
+            front.set_ylabel("as seen, m")
+            above.set_ylabel("from above, m")
+            above.annotate("LiDARs", (0, 0.7), ha="center", fontsize=9)
+        for axes in (front, above):
+            axes.tick_params(labelsize=8)
+            axes.grid(alpha=0.25)
+    save_figure(figure, path)
+
+
+def draw_bias(path: Path) -> None:
+    """A pole from above: returns on the facing sides, and the lines fitted to them."""
+    figure = new_figure(5.0, 4.0)
+    axes = figure.add_subplot(1, 1, 1, aspect="equal", xlim=(-45, 45), ylim=(-32, 32))
+    circle = np.linspace(0, 2 * np.pi, 200)
+    axes.plot(20 * np.cos(circle), 20 * np.sin(circle), color=GREY)
+    axes.plot(0, 0, "+", color="black", ms=10)
+    for turn, colour, name in ((np.pi, BLUE, "target"), (np.radians(-40), ORANGE, "source")):
+        across = np.linspace(-19, 19, 9)
+        facing = np.stack([np.sqrt(20**2 - across**2), across])
+        c, s = np.cos(turn), np.sin(turn)
+        x, y = np.array([[c, -s], [s, c]]) @ facing
+        mean = 20 * np.pi / 4 * np.array([c, s])
+        axes.plot(x, y, "o", color=colour, ms=4)
+        axes.plot(*mean, "x", color=colour, ms=10, mew=2.5)
+        axes.annotate(f"line seen by\nthe {name}", mean * 2.1, color=colour, ha="center", va="center")
+        axes.annotate("", mean * 0.97, (0, 0), arrowprops={"arrowstyle": "->", "color": colour})
+    axes.set(xlabel="mm", ylabel="mm")
+    save_figure(figure, path)
+
+
+def photograph(page: Path, path: Path) -> None:
+    """Take a picture of the report's top as a desktop shows it."""
+    try:
+        from selenium import webdriver
+    except ImportError:
+        return print("no picture of the report: selenium is not installed")
+    browser, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if browser is None or driver is None:
+        return print("no picture of the report: no chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = browser
+    for flag in ("headless", "no-sandbox", "hide-scrollbars", "window-size=1100,1150"):
+        options.add_argument(f"--{flag}")
+    for flag in ("use-gl=angle", "use-angle=swiftshader", "enable-unsafe-swiftshader"):
+        options.add_argument(f"--{flag}")
+    chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    try:
+        chrome.get(page.resolve().as_uri())
+        time.sleep(5)
+        chrome.save_screenshot(str(path))
+    finally:
+        chrome.quit()
+
+
+def main() -> None:
+    out = Path(sys.argv[1] if len(sys.argv) > 1 else "images")
+    out.mkdir(parents=True, exist_ok=True)
+    draw_bias(out / "bias.png")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        scans = folder / "lidar0.pcd", folder / "lidar1.pcd"
+        run("simulate", "street", "--seed", 1, "--out", folder, "-q")
+        run("detect", scans[0], "--out", folder, "-q")
+        shutil.copy(folder / "detect.png", out / "detect.png")
+        run("calibrate", *scans, "--out", folder / "r", "-q")
+        photograph(folder / "r" / "report.html", out / "report.png")
+        plot = EXAMPLES / "plot_placement.py"
+        command = [sys.executable, str(plot), "--out", str(folder), "--draws", "8"]
+        subprocess.run(command, check=True)
+        shutil.copy(folder / "placement.png", out / "placement.png")
+    draw_placements(out / "placements.png")
+
+
+if __name__ == "__main__":
+    main()
