@@ -94,7 +94,7 @@ def photograph(page: Path, path: Path) -> None:
         return print("no picture of the report: no chromium and chromedriver")
     options = webdriver.ChromeOptions()
     options.binary_location = browser
-    for flag in ("headless", "no-sandbox", "hide-scrollbars", "window-size=1100,1150"):
+    for flag in ("headless", "no-sandbox", "hide-scrollbars", "window-size=1000,960"):
         options.add_argument(f"--{flag}")
     for flag in ("use-gl=angle", "use-angle=swiftshader", "enable-unsafe-swiftshader"):
         options.add_argument(f"--{flag}")

@@ -1,0 +1,184 @@
+"""The documentation builds, its links lead somewhere, and what it says of the program is so."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import click
+import pytest
+
+from retropole.cli import cli
+
+ROOT = Path(__file__).parents[1]
+SOURCE, DOCS = ROOT / "src" / "retropole", ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+NEEDED = ("sphinx", "myst_parser", "furo", "latex2mathml")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    for name in NEEDED:
+        if importlib.util.find_spec(name) is None:
+            pytest.skip(f"{name} is not installed: pip install 'retropole[docs]'")
+    out = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(DOCS), str(out)],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+class Links(HTMLParser):
+    """What a page points to, what it loads, and where one can point to in it."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.loaded: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.anchors |= {value for key in ("id", "name") if (value := found.get(key))}
+        if tag == "a":
+            self.links += [found["href"]] if found.get("href") else []
+        elif tag in ("link", "script", "img", "iframe"):
+            self.loaded += [v for key in ("href", "src") if (v := found.get(key))]
+
+
+def test_links_and_anchors_of_the_site_exist(site: Path) -> None:
+    pages = {page.resolve(): Links(page) for page in site.rglob("*.html")}
+    assert len(pages) > 20
+    broken = []
+    for page, own in pages.items():
+        for link in own.links + own.loaded:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            path = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            anchors = pages[path].anchors if path in pages else set()
+            if not path.is_file() or (
+                parts.fragment and path in pages and unquote(parts.fragment) not in anchors
+            ):
+                broken.append(f"{page.name}: {link}")
+    assert not broken
+
+
+def test_site_loads_nothing_from_elsewhere(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        assert not [link for link in Links(page).loaded if urlsplit(link).netloc], page.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_between_sources_exist(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target
+
+
+def command_lines() -> Iterator[tuple[str, list[str]]]:
+    """Every command line of retropole in a code block or in backticks that shows one."""
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        shown = re.findall(r"^ *```(?:sh|)\n(.*?)^ *```", text, flags=re.S | re.M)
+        shown += re.findall(r"`(retropole [^`\n]+)`", text)
+        for line in "\n".join(shown).replace("\\\n", " ").splitlines():
+            for part in re.split(r"\s(?:&&|\|\||\||>>?|<)\s", line):
+                start = re.search(r"(?:^|\s)retropole\s+(?=[a-zA-Z])", part)
+                if start and not part.lstrip().startswith(("pip ", "#")):
+                    yield page.name, shlex.split(part[start.end() :])
+
+
+@pytest.mark.parametrize(("page", "words"), list(command_lines()), ids=lambda v: str(v)[:60])
+def test_command_lines_exist(page: str, words: list[str]) -> None:
+    if words[0] == "COMMAND":
+        return
+    assert words[0] in cli.commands, f"{page}: there is no command {words[0]}"
+    command = cli.commands[words[0]]
+    options = {
+        name: option
+        for option in command.params
+        if isinstance(option, click.Option)
+        for name in option.opts
+    }
+    arguments = [p for p in command.params if isinstance(p, click.Argument)]
+    rest, given = words[1:], 0
+    while rest:
+        word = rest.pop(0).strip("[]")
+        if not word.startswith("-") or word[1:2].isdigit():
+            given += 1
+            continue
+        if word in ("--help", "-h"):
+            continue
+        assert word in options, f"{page}: {words[0]} has no option {word}"
+        option = options[word]
+        count = 0 if option.is_flag else option.nargs
+        values, rest = [value.strip("[]") for value in rest[:count]], rest[count:]
+        assert len(values) == count, f"{page}: {word} takes {count} values"
+        if count == 1 and not values[0].isupper() and not isinstance(option.type, click.Path):
+            option.type.convert(values[0], option, None)
+    if all(argument.nargs == 1 for argument in arguments):
+        assert given <= len(arguments), f"{page}: {' '.join(words)}"
+
+
+def strings(node: ast.AST) -> list[str]:
+    return [
+        n.value for n in ast.walk(node) if isinstance(n, ast.Constant) and isinstance(n.value, str)
+    ]
+
+
+def codes_of_the_source() -> set[str]:
+    """Codes that refusals, reasons and rejected clusters are made with; `x_` stands for a prefix."""
+    codes: set[str] = set()
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+                if name in ("Refusal", "Reason") and node.args:
+                    codes |= set(strings(node.args[0]))
+                elif name == "Compared" and len(node.args) > 2:
+                    codes |= set(strings(node.args[2]))
+            if path.name in ("pole_test.py", "extraction.py") and isinstance(node, ast.Tuple):
+                first = strings(node.elts[0]) if len(node.elts) in (2, 3) else []
+                codes |= {c for c in first if re.fullmatch(r"[a-z]+(_[a-z]+)+", c)}
+    return codes
+
+
+def test_every_code_has_its_entry() -> None:
+    codes = codes_of_the_source()
+    assert {"ambiguous", "too_few_poles", "small_margin", "part_of_a_surface", "poles_"} <= codes
+    text = (DOCS / "reasons.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^### (\w+)\n\n(.+)", text, flags=re.M)
+    assert len(entries) == len(set(name for name, _ in entries))
+    # A code may be made by a name that is set elsewhere: those entries are kept by hand.
+    assert codes <= {name for name, _ in entries}
+    written = {word for path in SOURCE.rglob("*.py") for word in _words(path)}
+    assert {name for name, _ in entries} <= written | codes
+
+
+def _words(path: Path) -> set[str]:
+    return set(strings(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+def test_api_has_every_public_module() -> None:
+    text = "".join(p.read_text(encoding="utf-8") for p in sorted((DOCS / "api").glob("*.rst")))
+    listed = re.findall(r"^\.\. automodule:: retropole\.(\S+)", text, flags=re.M)
+    assert len(listed) == len(set(listed))
+    tops = {p.stem for p in SOURCE.glob("*.py")} | {p.parent.name for p in SOURCE.glob("*/*.py")}
+    assert tops - {"__init__", "__main__", "cli"} == {n for n in listed if "." not in n}
+
+
+def test_made_pictures_are_small() -> None:
+    for path in (DOCS / "images").rglob("*.png"):
+        assert path.name == "result.png" or path.stat().st_size < 300_000, path
