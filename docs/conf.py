@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import click
@@ -72,8 +73,20 @@ def equation(display: str) -> Any:
     return visit
 
 
+def plain_aliases(
+    app: Sphinx, what: str, name: str, thing: Any, options: Any, given: str | None, back: str | None
+) -> tuple[str | None, str | None]:
+    """Write aliases inside other types by their names too."""
+
+    def named(text: str | None) -> str | None:
+        return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
+
+    return named(given), named(back)
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directive and the way equations are written."""
     app.add_directive("commands", Commands)
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
+    app.connect("autodoc-process-signature", plain_aliases)
     return {"parallel_read_safe": True}

@@ -32,12 +32,13 @@ PLACEMENTS = {
 
 
 def run(*words: object) -> None:
+    """Run a command line of retropole."""
     subprocess.run([sys.executable, "-m", "retropole", *map(str, words)], check=True)
 
 
 def draw_placements(path: Path) -> None:
     """Four placements as the LiDARs see them and from above, each with what it costs."""
-    figure = new_figure(10.0, 5.2)
+    figure = new_figure(10.0, 4.6)
     for k, (name, (angle, distance, spacing)) in enumerate(PLACEMENTS.items()):
         sigma = float(np.median([sigma_at_10_m(angle, distance, spacing, n) for n in range(8)]))
         print(f"{name}: {100 * sigma:.1f} cm at 10 m")
@@ -77,7 +78,9 @@ def draw_bias(path: Path) -> None:
         mean = 20 * np.pi / 4 * np.array([c, s])
         axes.plot(x, y, "o", color=colour, ms=4)
         axes.plot(*mean, "x", color=colour, ms=10, mew=2.5)
-        axes.annotate(f"line seen by\nthe {name}", mean * 2.1, color=colour, ha="center", va="center")
+        axes.annotate(
+            f"line seen by\nthe {name}", mean * 2.1, color=colour, ha="center", va="center"
+        )
         axes.annotate("", mean * 0.97, (0, 0), arrowprops={"arrowstyle": "->", "color": colour})
     axes.set(xlabel="mm", ylabel="mm")
     save_figure(figure, path)
@@ -108,6 +111,7 @@ def photograph(page: Path, path: Path) -> None:
 
 
 def main() -> None:
+    """Make them all."""
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "images")
     out.mkdir(parents=True, exist_ok=True)
     draw_bias(out / "bias.png")

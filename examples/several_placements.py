@@ -35,6 +35,8 @@ for used in (pairs[:1], pairs):
 for k, placement in enumerate(answer.placements):
     if placement.left_out is not None:
         turned, moved = placement.left_out
-        lines.append(f"without placement {k}: {np.degrees(turned):.2f}° and {100 * moved:.1f} cm away")
+        lines.append(
+            f"without placement {k}: {np.degrees(turned):.2f}° and {100 * moved:.1f} cm away"
+        )
 print("\n".join(lines))
 write_atomically(out / "placements.txt", "\n".join([*lines, ""]).encode())

@@ -139,7 +139,7 @@ def strings(node: ast.AST) -> list[str]:
 
 
 def codes_of_the_source() -> set[str]:
-    """Codes that refusals, reasons and rejected clusters are made with; `x_` stands for a prefix."""
+    """Codes of refusals, reasons and rejected clusters; one that ends in `_` is a prefix."""
     codes: set[str] = set()
     for path in SOURCE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
