@@ -260,6 +260,11 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
     result = json.loads((tmp_path / "bag" / "result.json").read_text())
     assert result["config"]["target_topic"] == "/front"
     assert len({document["sha256"] for document in result["inputs"]}) == 1
+    clouds = bag, bag, *topics
+    done = retropole("evaluate", *clouds, "--transform", tmp_path / "bag", "--json")
+    assert json.loads(done.stdout)["overlap"] > 0.5
+    done = retropole("compare", *clouds, "--methods", "poles", "--json")
+    assert json.loads(done.stdout)["methods"][0]["status"] == "ok"
     # Topics are those of each placement.
     two = [word for _ in range(2) for word in ("--placement", bag, bag)]
     done = retropole("calibrate", *two, *topics, "--no-refine", "--out", tmp_path / "two", "-q")

@@ -12,12 +12,12 @@ from .common import (
     EXIT_REFUSED,
     OUT,
     SENSOR_HELP,
-    TOPIC_HELP,
     Input,
     frames_option,
     progress_on_terminal,
     radius_option,
     read_input,
+    topic_options,
 )
 
 
@@ -56,8 +56,7 @@ from .common import (
     "[default: from the sensor or the cloud]",
 )
 @click.option("--threshold-source", type=float, help="The same for SOURCE.")
-@click.option("--target-topic", metavar="NAME", help=TOPIC_HELP)
-@click.option("--source-topic", metavar="NAME", help="The same for SOURCE.")
+@topic_options
 @frames_option
 @click.option(
     "--poles",

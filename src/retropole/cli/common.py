@@ -34,6 +34,13 @@ radius_option = click.option(
 TOPIC_HELP = "Topic of the bag; needed where it has several of point clouds."
 
 
+def topic_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command --target-topic and --source-topic."""
+    of_target = click.option("--target-topic", metavar="NAME", help=TOPIC_HELP)
+    of_source = click.option("--source-topic", metavar="NAME", help="The same for SOURCE.")
+    return of_target(of_source(command))
+
+
 def _slice(context: click.Context, option: click.Parameter, value: str | None) -> slice | None:
     """Turn ``A:B``, ``A:B:STEP`` or ``N`` into a slice."""
     if value is None:

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +19,11 @@ from .common import (
     EXIT_REFUSED,
     EXIT_USAGE,
     SENSOR_HELP,
+    frames_option,
     progress_on_terminal,
     radius_option,
     read_input,
+    topic_options,
 )
 
 if TYPE_CHECKING:
@@ -53,6 +56,8 @@ WIDTH = 160
     help="Intensity from which a return is retro-reflective.  [default: as calibrate]",
 )
 @click.option("--threshold-source", type=float, help="The same for SOURCE.")
+@topic_options
+@frames_option
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
@@ -72,6 +77,9 @@ def compare(
     sensor_source: str,
     threshold_target: float | None,
     threshold_source: float | None,
+    target_topic: str | None,
+    source_topic: str | None,
+    frames: slice | None,
     seed: int,
     as_json: bool,
     quiet: bool,
@@ -89,6 +97,7 @@ def compare(
       retropole simulate corridor --seed 4 --out s
       retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
       retropole compare front.pcd rear.pcd --methods poles+scene,kiss
+      retropole compare drive.bag drive.bag --target-topic /front --source-topic /rear
       retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
 
     \b
@@ -109,9 +118,10 @@ def compare(
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
         progress("read")
+        read = partial(read_input, frames=frames, quiet=quiet)
         inputs = (
-            read_input(target, sensor_target, threshold_target),
-            read_input(source, sensor_source, threshold_source),
+            read(target, sensor_target, threshold_target, topic=target_topic),
+            read(source, sensor_source, threshold_source, topic=source_topic),
         )
         found = run(
             inputs[0].cloud,

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, EXIT_REFUSED, progress_on_terminal
+from .common import (
+    CLOUD,
+    CONTEXT,
+    EXIT_REFUSED,
+    frames_option,
+    progress_on_terminal,
+    topic_options,
+)
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -30,9 +37,19 @@ TRANSFORM = click.Path(path_type=Path)
     show_default=True,
     help="Kernel width of the entropy, m.",
 )
+@topic_options
+@frames_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 def evaluate(
-    target: Path, source: Path, transform: Path, truth: Path | None, sigma: float, as_json: bool
+    target: Path,
+    source: Path,
+    transform: Path,
+    truth: Path | None,
+    sigma: float,
+    target_topic: str | None,
+    source_topic: str | None,
+    frames: slice | None,
+    as_json: bool,
 ) -> int:
     """Judge a transform from SOURCE to TARGET, whatever tool found it, by the clouds it aligns.
 
@@ -69,7 +86,10 @@ def evaluate(
         T_true = None if truth is None else read_transform(truth).T_parent_child
         with progress_on_terminal(as_json) as progress:
             progress("read")
-            clouds = read_cloud(target), read_cloud(source)
+            clouds = (
+                read_cloud(target, topic=target_topic, frames=frames),
+                read_cloud(source, topic=source_topic, frames=frames),
+            )
             progress("evaluate")
             aligned = score(*clouds, T, rng=np.random.default_rng(0), sigma=sigma)
     except Refusal as refusal:
