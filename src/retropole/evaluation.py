@@ -29,8 +29,8 @@ RQE_TOLERANCE = 1e-7
 LEAF = 256
 """Points of a leaf of the tree over which the double sum is taken, block by block."""
 
-PLANE_VOXEL = 0.1
-"""Clouds are thinned to one point per cube of this side for the residual from planes, metres."""
+VOXEL = 0.1
+"""Clouds are thinned to one point per cube of this side before they are scored, metres."""
 
 
 def e_rt(T: Array, T_true: Array, near: float = 1.0, far: float = 60.0) -> float:
@@ -170,7 +170,7 @@ class Alignment:
         Median distance of overlapping source points from the target's surface, metres; None where
         nothing overlaps.
     entropy
-        Of both clouds together.
+        Of both thinned clouds together.
     """
 
     overlap: float
@@ -205,8 +205,8 @@ def evaluate(
     Refusal
         ``too_few_points`` where a cloud is too small to tell surfaces.
     """
-    surface = prepare(target.xyz, PLANE_VOXEL, threads=CORES)
-    moved = se3.apply(T, thin(source.xyz, PLANE_VOXEL))
+    surface = prepare(target.xyz, VOXEL, threads=CORES)
+    moved = se3.apply(T, thin(source.xyz, VOXEL))
     distance, at = cKDTree(surface.xyz).query(moved, workers=CORES)
     back, _ = cKDTree(moved).query(surface.xyz, workers=CORES)
     near = distance <= OVERLAP_DISTANCE
@@ -216,7 +216,9 @@ def evaluate(
         normals = surface.cloud.normals()[at[near], :3]
         across = np.sum(normals * (moved[near] - surface.xyz[at[near]]), axis=1)
         residual = float(np.median(np.abs(across)))
-    together = np.concatenate([target.xyz, se3.apply(T, source.xyz)])
+    # Of the clouds as they are, the dense ground near each LiDAR would be most of the sum, and a
+    # pose that lays one LiDAR on the other the crispest.
+    together = np.concatenate([surface.xyz, moved])
     if len(together) > RQE_POINTS:
         together = together[rng.choice(len(together), RQE_POINTS, replace=False)]
     return Alignment(overlap, residual, rqe(together, sigma))

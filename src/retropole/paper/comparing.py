@@ -12,7 +12,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, PointCloud, Stage
 from ..errors import Refusal
-from ..evaluation import KERNEL_WIDTH, RQE_POINTS, Alignment, e_rt, evaluate
+from ..evaluation import KERNEL_WIDTH, VOXEL, Alignment, e_rt, evaluate
 from ..figures import BLUE, ORANGE
 from ..io import read_cloud
 from ..pipeline import calibrate
@@ -69,57 +69,53 @@ def score(target: PointCloud, source: PointCloud, T: Array) -> Alignment:
 
 FIGURES = ("sum 1/m³", "−log", "overlap", "plane residual m")
 NOTE = (
-    f"Rényi's quadratic entropy of {RQE_POINTS:,} points of both clouds, kernel {KERNEL_WIDTH} m: "
-    "the argument of its logarithm (larger is crisper), and −log of it. The paper does not say how "
-    "wide its kernel is: compare the order, not the size. ICP and GICP start from the identity."
+    f"Rényi's quadratic entropy of both clouds, thinned to {VOXEL} m, kernel {KERNEL_WIDTH} m: the "
+    "argument of its logarithm (larger is crisper), and −log of it. The paper says neither how "
+    "wide its kernel is nor which points it takes: compare the order, not the size. ICP and GICP "
+    "start from the identity."
 )
 
 
 def comparing_simulated(seeds: int) -> Exhibit:
-    """Table IV on simulated corridors: the median of each method's figures, and its e_rt."""
+    """Table IV on simulated corridors: medians over those in which the paper's methods answer."""
     columns: dict[str, list[tuple[float, ...]]] = {}
     refused: dict[str, int] = {}
-    ordered = counted = 0
+    ordered = compared = 0
     example: tuple[PointCloud, PointCloud, Methods] | None = None
     for seed in range(seeds):
         pair = simulate_pair("corridor", np.random.default_rng(seed))
         found = {**poses(pair.target, pair.source), "truth": pair.T_target_source}
-        sums = {}
         for name, T in found.items():
             if isinstance(T, str):
                 refused[name] = refused.get(name, 0) + 1
-                continue
-            s = score(pair.target, pair.source, T)
-            sums[name] = s.entropy.sum
-            columns.setdefault(name, []).append(
-                (
-                    s.entropy.sum,
-                    s.entropy.log,
-                    s.overlap,
-                    s.plane_residual or np.nan,
-                    e_rt(T, pair.T_target_source),
-                )
-            )
-        if set(PAPER) <= set(sums):
-            counted += 1
-            worse = max(sums["ICP"], sums["wrong hypothesis"])
-            ordered += min(sums["planes"], sums["poles"]) > worse
-            example = example or (pair.target, pair.source, found)
+        if any(isinstance(found.get(name, ""), str) for name in PAPER):
+            continue
+        sums = {}
+        for name, T in found.items():
+            if not isinstance(T, str):
+                s = score(pair.target, pair.source, T)
+                sums[name] = s.entropy.sum
+                figures = (s.entropy.sum, s.entropy.log, s.overlap, s.plane_residual or np.nan)
+                columns.setdefault(name, []).append((*figures, e_rt(T, pair.T_target_source)))
+        compared += 1
+        ordered += min(sums["planes"], sums["poles"]) > max(sums["ICP"], sums["wrong hypothesis"])
+        example = example or (pair.target, pair.source, found)
     names = ("planes", "poles", "poles and scene", "ICP", "GICP", "wrong hypothesis", "truth")
     rows: list[tuple[Cell, ...]] = []
     for name in names:
+        middle: list[float] | list[None] = [None] * 5
         if name in columns:
-            middle = np.nanmedian(np.array(columns[name]), axis=0)
-            rows.append((name, PAPER.get(name), *map(float, middle), refused.get(name, 0)))
-        elif name in refused:
-            rows.append((name, PAPER.get(name), *[None] * 5, refused[name]))
+            middle = [float(value) for value in np.nanmedian(np.array(columns[name]), axis=0)]
+        rows.append((name, PAPER.get(name), *middle, refused.get(name, 0)))
     return Exhibit(
         "table4_comparing",
-        f"Table IV: crispness of the aligned clouds, median of {seeds} simulated corridors",
+        "Table IV: crispness of the aligned clouds, simulated corridors",
         ("method", "paper", *FIGURES, "e_rt m", "refused"),
         tuple(rows),
-        f"{NOTE} In {ordered} of the {counted} corridors in which all four of the paper's methods "
-        "answered, planes and poles both were crisper than ICP and the wrong hypothesis.",
+        f"{NOTE} Medians over the {compared} of {seeds} corridors in which all four of the paper's "
+        f"methods answered; in {ordered} of these planes and poles both were crisper than ICP and "
+        "the wrong hypothesis. Crisp is not right: a corridor that ICP slides along itself, or "
+        "turns half round, lies on itself all the same, and the e_rt beside tells.",
         None if example is None else lambda figure: _draw(figure, *example),
         (14.0, 4.5),
     )
