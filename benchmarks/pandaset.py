@@ -44,6 +44,7 @@ def main() -> None:
         refined = refine(target, source, Stage(start, wide, 0.01))
         assert refined is not None
         ends.append(refined.stage.T_target_source)
+        stated = refined.stage.covariance
     poses["refinement, from 3° and 0.3 m off"] = ends[0]
     for method in ("GICP", "PLANE_ICP"):
         for voxel, reach in ((0.1, 0.3), (0.1, 1.0), (0.25, 1.0)):
@@ -68,6 +69,11 @@ def main() -> None:
         f"\nThe refinements from {len(ends)} starts end within {np.degrees(most[0]):.3f}° and "
         f"{100 * most[1]:.2f} cm of each other."
     )
+    assert stated is not None
+    turn = np.degrees(se3.local(reference, ends[0])[:3])
+    sigma = np.degrees(np.sqrt(np.diag(stated)[:3]))
+    words = ", ".join(f"{a:+.2f} ± {b:.2f}" for a, b in zip(turn, sigma, strict=True))
+    print(f"Turned from the reference, and stated 1 σ, about x, y, z of the target: {words} deg.")
 
 
 if __name__ == "__main__":
