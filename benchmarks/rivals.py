@@ -34,11 +34,10 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
 from retropole.comparison import METHODS
 from retropole.datatypes import Array, PointCloud
 from retropole.errors import Refusal
-from retropole.evaluation import e_rt
+from retropole.evaluation import errors_of
 from retropole.pipeline import calibrate
 from retropole.rivals import EXTRAS, missing_extra
 from retropole.rivals import METHODS as RIVALS
@@ -136,13 +135,13 @@ def run(job: tuple[str, str, int, str]) -> Run:
     megabytes = peak_megabytes()
     if T is None:
         return Run(*job, code, *[float("nan")] * 3, seconds, megabytes)
-    step = se3.local(pair.T_target_source, T)
+    errors = errors_of(T, pair.T_target_source)
     return Run(
         *job,
         code,
-        float(np.degrees(np.linalg.norm(step[:3]))),
-        float(np.linalg.norm(step[3:])),
-        e_rt(T, pair.T_target_source),
+        float(np.degrees(errors.rotation)),
+        errors.translation,
+        errors.e_rt,
         seconds,
         megabytes,
     )

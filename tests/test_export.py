@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from results import write_result
 from retropole import se3
 from retropole.datatypes import Array
 from retropole.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
@@ -27,6 +28,7 @@ from retropole.export.transform import (
     number,
     to_rpy,
 )
+from retropole.result import ReasonDoc
 
 NAMES = ["base link", "it's", 'a "quoted" name', "<script>alert(1)</script>", "$(rm -rf ~); `x`"]
 NAMES += [
@@ -467,33 +469,13 @@ def test_an_unknown_format_is_named(tmp_path: Path) -> None:
 
 
 def test_a_refused_result_holds_no_transform(tmp_path: Path) -> None:
-    from retropole.result import PolesDoc, ReasonDoc, ResultDoc, StagesDoc, encode
-
-    document = ResultDoc(
-        status="refused",
-        reasons=[ReasonDoc("too_few_poles", "1 pole, 2 are needed", {"poles": 1})],
-        T_target_source=None,
-        covariance=None,
-        predicted_error=None,
-        stages=StagesDoc(None, None),
-        hypotheses=[],
-        margin=None,
-        poles=PolesDoc([], []),
-        inputs=[],
-        config={},
-        version="0",
-        created="",
-        seconds={},
-    )
-    path = tmp_path / "result.json"
-    path.write_bytes(encode(document))
+    reasons = [ReasonDoc("too_few_poles", "1 pole, 2 are needed", {"poles": 1})]
+    path = write_result(tmp_path, "refused", reasons)
     for place in (path, tmp_path):
         with pytest.raises(Refusal, match="1 pole, 2 are needed") as caught:
             read_transform(place)
         assert caught.value.code == "too_few_poles"
-    document.T_target_source = np.eye(4).tolist()
-    document.covariance = np.eye(6).tolist()
-    path.write_bytes(encode(document))
+    write_result(tmp_path, "refused", reasons, np.eye(4).tolist(), np.eye(6).tolist())
     back = read_transform(tmp_path, parent="a")
     assert (back.parent, back.child) == ("a", "source")
     np.testing.assert_array_equal(back.covariance, np.eye(6))

@@ -7,18 +7,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+import results
 from retropole import se3
 from retropole.cli import cli
 from retropole.datatypes import Array
 from retropole.export import FORMATS, read_transform
-from retropole.result import (
-    Matrix,
-    PolesDoc,
-    ReasonDoc,
-    ResultDoc,
-    StagesDoc,
-    encode,
-)
+from retropole.result import Matrix, ReasonDoc
 
 T = se3.random(np.random.default_rng(1))
 
@@ -35,25 +29,8 @@ def exit_code(done: Result) -> int:
 
 def write_result(folder: Path, status: str = "ok", pose: Matrix | None = None) -> Path:
     reasons = [] if status == "ok" else [ReasonDoc("weak_geometry", "sigma is 0.2 m", {})]
-    document = ResultDoc(
-        status=status,
-        reasons=reasons,
-        T_target_source=pose,
-        covariance=None if pose is None else np.diag([1.0, 2, 3, 4, 5, 6]).tolist(),
-        predicted_error=None,
-        stages=StagesDoc(None, None),
-        hypotheses=[],
-        margin=None,
-        poles=PolesDoc([], []),
-        inputs=[],
-        config={},
-        version="0",
-        created="",
-        seconds={},
-    )
-    path = folder / "result.json"
-    path.write_bytes(encode(document))
-    return path
+    covariance = None if pose is None else np.diag([1.0, 2, 3, 4, 5, 6]).tolist()
+    return results.write_result(folder, status, reasons, pose, covariance)
 
 
 def read_back(text: str, folder: Path, fmt: str) -> tuple[Array, str, str]:

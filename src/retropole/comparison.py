@@ -9,10 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from . import se3
 from .datatypes import Array, Calibration, PointCloud
 from .errors import Refusal, UsageError
-from .evaluation import Alignment, e_rt, evaluate
+from .evaluation import Alignment, Errors, errors_of, evaluate
 from .pipeline import RADIUS, calibrate
 from .rivals import METHODS as RIVALS
 from .rivals import missing_extra
@@ -23,15 +22,6 @@ METHODS = (*OURS, *RIVALS)
 """Names of all methods: the poles alone and with the scene, then the rivals."""
 
 Status = Literal["ok", "warn", "refused", "missing"]
-
-
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """How far a transform is from the truth: rad, metres, and e_rt in metres (eq. 12)."""
-
-    rotation: float
-    translation: float
-    e_rt: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,12 +148,6 @@ def _of_rival(name: str, target: PointCloud, source: PointCloud, seed: int) -> C
     return Compared(
         name, "ok", T_target_source=stage.T_target_source, seconds=time.perf_counter() - start
     )
-
-
-def errors_of(T: Array, T_true: Array) -> Errors:
-    """Measure a transform (4, 4) against the truth."""
-    step = se3.local(T_true, T)
-    return Errors(float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:])), e_rt(T, T_true))
 
 
 def _scored(

@@ -11,11 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from . import se3
 from .datatypes import Array, IntArray, PointCloud
+from .disambiguation import OVERLAP_DISTANCE
 from .errors import Refusal
 from .registration import CORES, prepare, thin
-
-OVERLAP_DISTANCE = 0.5
-"""A point with a neighbour of the other cloud within this distance overlaps it, metres."""
 
 KERNEL_WIDTH = 0.05
 """σ of the kernel of Rényi's entropy, metres."""
@@ -50,6 +48,21 @@ def e_rt(T: Array, T_true: Array, near: float = 1.0, far: float = 60.0) -> float
     points = x[:, None] * np.array([0.0, 1.0, 0.0])
     gap = np.linalg.norm(se3.apply(T, points) - se3.apply(T_true, points), axis=1)
     return float(np.trapezoid(gap, x) / (far - near))
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """How far a transform is from the truth: rad, metres, and e_rt in metres (eq. 12)."""
+
+    rotation: float
+    translation: float
+    e_rt: float
+
+
+def errors_of(T: Array, T_true: Array) -> Errors:
+    """Measure a transform (4, 4) against the truth."""
+    step = se3.local(T_true, T)
+    return Errors(float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:])), e_rt(T, T_true))
 
 
 @dataclass(frozen=True)

@@ -6,17 +6,19 @@ from pathlib import Path
 
 import click
 
+from ..result import InputDoc
 from .common import (
     CLOUD,
     CONTEXT,
     EXIT_REFUSED,
     OUT,
-    SENSOR_HELP,
     Input,
     frames_option,
+    input_documents,
     progress_on_terminal,
     radius_option,
     read_input,
+    sensor_options,
     topic_options,
 )
 
@@ -47,15 +49,7 @@ from .common import (
     show_default=True,
     help="1 sigma of the radius, m; above 0 the radius is estimated.",
 )
-@click.option("--sensor-target", default="auto", show_default=True, help=SENSOR_HELP)
-@click.option("--sensor-source", default="auto", show_default=True, help="The same for SOURCE.")
-@click.option(
-    "--threshold-target",
-    type=float,
-    help="Intensity from which a return is retro-reflective, on the file's own scale.  "
-    "[default: from the sensor or the cloud]",
-)
-@click.option("--threshold-source", type=float, help="The same for SOURCE.")
+@sensor_options
 @topic_options
 @frames_option
 @click.option(
@@ -159,7 +153,8 @@ def calibrate(
                 read(of_source, sensor_source, threshold_source, topic=source_topic),
             )
         ]
-        _refuse_twins(inputs)
+        documents = input_documents(inputs)
+        _refuse_twins(inputs, documents)
         seconds = {"read": time.perf_counter() - start}
         calibration = run(
             [given.cloud for given in inputs[::2]],
@@ -174,12 +169,12 @@ def calibrate(
             progress=progress,
         )
     found = [detection for placement in calibration.placements for detection in placement.found]
-    for given, detection in zip(inputs, found, strict=False):
+    for document, detection in zip(documents, found, strict=False):
         if detection is not None:
-            given.document.threshold = detection.threshold
+            document.threshold = detection.threshold
     result = result_document(
         calibration,
-        inputs=[given.document for given in inputs],
+        inputs=documents,
         config={
             "radius_m": radius,
             "radius_sigma_m": radius_sigma,
@@ -218,16 +213,14 @@ def calibrate(
     return 0
 
 
-def _refuse_twins(inputs: list[Input]) -> None:
+def _refuse_twins(inputs: list[Input], documents: list[InputDoc]) -> None:
     """Refuse one topic of one bag as both LiDARs: its transform would be the identity."""
-    for target, source in zip(inputs[::2], inputs[1::2], strict=True):
-        if (
-            target.topic is not None
-            and target.topic == source.topic
-            and target.document.sha256 == source.document.sha256
-        ):
+    for k in range(0, len(inputs), 2):
+        target, source = inputs[k : k + 2]
+        same = target.topic is not None and target.topic == source.topic
+        if same and documents[k].sha256 == documents[k + 1].sha256:
             raise click.UsageError(
-                f"TARGET and SOURCE are both topic {target.topic} of {target.document.path}; "
+                f"TARGET and SOURCE are both topic {target.topic} of {target.path}; "
                 "--target-topic and --source-topic tell two LiDARs of one bag apart"
             )
 

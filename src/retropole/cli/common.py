@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +32,27 @@ radius_option = click.option(
 
 
 TOPIC_HELP = "Topic of the bag; needed where it has several of point clouds."
+
+
+topic_option = click.option("--topic", metavar="NAME", help=TOPIC_HELP)
+
+
+def sensor_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command --sensor-* and --threshold-*, each for the target and the source."""
+    same = "The same for SOURCE."
+    for option in (
+        click.option("--threshold-source", type=float, help=same),
+        click.option(
+            "--threshold-target",
+            type=float,
+            help="Intensity from which a return is retro-reflective, on the file's own scale.  "
+            "[default: from the sensor or the cloud]",
+        ),
+        click.option("--sensor-source", default="auto", show_default=True, help=same),
+        click.option("--sensor-target", default="auto", show_default=True, help=SENSOR_HELP),
+    ):
+        command = option(command)
+    return command
 
 
 def topic_options(command: Callable[..., int]) -> Callable[..., int]:
@@ -68,12 +89,13 @@ frames_option = click.option(
 
 @dataclass(frozen=True, eq=False)
 class Input:
-    """A cloud as read, its topic, what recorded it, and its entry in the result document."""
+    """A cloud as read: where from, its topic, what recorded it, and the threshold asked for."""
 
+    path: Path
     cloud: PointCloud
     topic: str | None
     sensor: Sensor | None
-    document: InputDoc
+    threshold: float | None
 
 
 def read_input(
@@ -86,7 +108,7 @@ def read_input(
     quiet: bool = False,
 ) -> Input:
     """Read a cloud and look up its sensor; say on stderr which frames were left out unasked."""
-    from ..io import chosen_frames, joined, open_recording, sha256_of
+    from ..io import chosen_frames, joined, open_recording
 
     sensor = None if sensor_name == "auto" else find_sensor(sensor_name)
     recording = open_recording(path, topic=topic)
@@ -98,15 +120,25 @@ def read_input(
             err=True,
         )
     cloud = joined(recording, list(recording.read(numbers)))
-    document = InputDoc(
-        path=str(path),
-        sha256=sha256_of(path),
-        points=len(cloud),
-        dropped=cloud.dropped,
-        sensor="auto" if sensor is None else sensor.name,
-        threshold=threshold,
-    )
-    return Input(cloud, recording.topic, sensor, document)
+    return Input(path, cloud, recording.topic, sensor, threshold)
+
+
+def input_documents(inputs: Sequence[Input]) -> list[InputDoc]:
+    """Write the entries of clouds in the result document; each file is hashed once."""
+    from ..io import sha256_of
+
+    hashes = {path: sha256_of(path) for path in dict.fromkeys(given.path for given in inputs)}
+    return [
+        InputDoc(
+            path=str(given.path),
+            sha256=hashes[given.path],
+            points=len(given.cloud),
+            dropped=given.cloud.dropped,
+            sensor="auto" if given.sensor is None else given.sensor.name,
+            threshold=given.threshold,
+        )
+        for given in inputs
+    ]
 
 
 @contextmanager

@@ -18,11 +18,11 @@ from .common import (
     CONTEXT,
     EXIT_REFUSED,
     EXIT_USAGE,
-    SENSOR_HELP,
     frames_option,
     progress_on_terminal,
     radius_option,
     read_input,
+    sensor_options,
     topic_options,
 )
 
@@ -48,14 +48,7 @@ WIDTH = 160
     help="Names between commas: poles, poles+scene, planes, icp, gicp, kiss, fpfh.  [default: all]",
 )
 @radius_option
-@click.option("--sensor-target", default="auto", show_default=True, help=SENSOR_HELP)
-@click.option("--sensor-source", default="auto", show_default=True, help="The same for SOURCE.")
-@click.option(
-    "--threshold-target",
-    type=float,
-    help="Intensity from which a return is retro-reflective.  [default: as calibrate]",
-)
-@click.option("--threshold-source", type=float, help="The same for SOURCE.")
+@sensor_options
 @topic_options
 @frames_option
 @click.option(

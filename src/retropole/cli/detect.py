@@ -12,11 +12,12 @@ from .common import (
     EXIT_REFUSED,
     OUT,
     SENSOR_HELP,
-    TOPIC_HELP,
     frames_option,
+    input_documents,
     progress_on_terminal,
     radius_option,
     read_input,
+    topic_option,
 )
 
 
@@ -32,7 +33,7 @@ from .common import (
 @radius_option
 @click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
 @click.option("--threshold", type=float, help="Intensity from which a return is retro-reflective.")
-@click.option("--topic", metavar="NAME", help=TOPIC_HELP)
+@topic_option
 @frames_option
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -80,7 +81,6 @@ def detect(
         except Refusal as refusal:
             click.echo(f"retropole: refused ({refusal.code}): {refusal}", err=True)
             return EXIT_REFUSED
-        given.document.threshold = found.threshold
         written: list[str] = []
         progress("draw")
         try:
@@ -90,7 +90,9 @@ def detect(
             written.append(str(out / "detect.png"))
         except MissingExtraError as error:
             click.echo(f"retropole: no picture: {error}", err=True)
-    result = detection_document(found, given.document)
+    document = input_documents([given])[0]
+    document.threshold = found.threshold
+    result = detection_document(found, document)
     if as_json:
         click.echo(encode(result), nl=False)
     elif not quiet:

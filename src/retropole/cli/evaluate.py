@@ -75,9 +75,8 @@ def evaluate(
 
     import numpy as np
 
-    from .. import se3
     from ..errors import Refusal
-    from ..evaluation import e_rt
+    from ..evaluation import errors_of
     from ..evaluation import evaluate as score
     from ..export import read_transform
     from ..io import read_cloud
@@ -107,10 +106,10 @@ def evaluate(
     }
     error: dict[str, float] = {}
     if T_true is not None:
-        off = se3.local(T, T_true)
-        error["e_rt_m"] = e_rt(T, T_true)
-        error["rotation_error_rad"] = float(np.linalg.norm(off[:3]))
-        error["translation_error_m"] = float(np.linalg.norm(off[3:]))
+        errors = errors_of(T, T_true)
+        error["e_rt_m"] = errors.e_rt
+        error["rotation_error_rad"] = errors.rotation
+        error["translation_error_m"] = errors.translation
     if as_json:
         click.echo(json.dumps(figures | error))
         return 0

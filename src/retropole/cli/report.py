@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .common import CLOUD, CONTEXT, Input, progress_on_terminal, read_input
+from .common import CLOUD, CONTEXT, Input, input_documents, progress_on_terminal, read_input
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -146,11 +146,11 @@ def _read_inputs(document: ResultDoc, paths: list[Path]) -> list[Input]:
 def _differing(inputs: list[Input], document: ResultDoc) -> list[str]:
     """Say which files are not those that the run read."""
     return [
-        f"{now.document.path} is not the file that the run read ({then.path}): its SHA-256 begins "
-        f"{now.document.sha256[:12]}, that of the run {then.sha256[:12]}; the picture may not be "
+        f"{now.path} is not the file that the run read ({then.path}): its SHA-256 begins "
+        f"{now.sha256[:12]}, that of the run {then.sha256[:12]}; the picture may not be "
         "that of the figures"
-        for now, then in zip(inputs, document.inputs, strict=True)
-        if now.document.sha256 != then.sha256
+        for now, then in zip(input_documents(inputs), document.inputs, strict=True)
+        if now.sha256 != then.sha256
     ]
 
 
@@ -179,7 +179,7 @@ def _detection(cloud: PointCloud, given: Input, radius: object) -> Detection | N
     from ..extraction import extract_poles
 
     size = {"radius": float(radius)} if isinstance(radius, int | float) else {}
-    threshold = given.document.threshold
+    threshold = given.threshold
     try:
         return extract_poles(cloud, sensor=given.sensor, threshold=threshold, **size)
     except Refusal:

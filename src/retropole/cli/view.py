@@ -11,11 +11,11 @@ from .common import (
     CONTEXT,
     EXIT_REFUSED,
     SENSOR_HELP,
-    TOPIC_HELP,
     frames_option,
     progress_on_terminal,
     radius_option,
     read_input,
+    topic_option,
 )
 
 
@@ -24,7 +24,7 @@ from .common import (
 @radius_option
 @click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
 @click.option("--threshold", type=float, help="Where the sliders start.  [default: as in detect]")
-@click.option("--topic", metavar="NAME", help=TOPIC_HELP)
+@topic_option
 @frames_option
 @click.option(
     "--port",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datatypes import PointCloud
-from ..errors import ReadError, UsageError
+from ..errors import MissingExtraError, ReadError, UsageError
 
 MAX_POINTS = 1_000_000
 """Where nothing else is asked for, frames are left out, evenly, so that about so many points are
@@ -20,6 +21,24 @@ read: 10 sweeps of a sensor of 128 beams, 40 of one of 16."""
 
 LOOKED_AT = 3
 """So many first frames tell how large a frame is: the very first of packets is cut short."""
+
+
+@contextmanager
+def reported(path: Path, what: str, remedy: str = "") -> Iterator[None]:
+    """Say of any failure of a library which file it was, and what to do.
+
+    For damaged files the libraries raise a dozen unrelated types; an OSError with a number is the
+    system's, one without comes from unpacking.
+    """
+    try:
+        yield
+    except (ReadError, MissingExtraError):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno:
+            raise ReadError(f"{path}: cannot be read ({error.strerror})") from None
+        words = str(error) or type(error).__name__
+        raise ReadError(f"{path}: is no readable {what} ({words}){remedy}") from None
 
 
 CLOUDS = "sensor_msgs/msg/PointCloud2"

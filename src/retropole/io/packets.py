@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from ..datatypes import Array
 from ..errors import MissingExtraError, ReadError
 from .fields import Columns, frame_from_columns
-from .frames import Frame, Recording
+from .frames import Frame, Recording, reported
 
 PACKETS = (".pcap",)
 """Suffixes of packet captures."""
@@ -47,7 +46,7 @@ def open_packets(path: Path) -> Recording:
     ReadError
         Where the file is no capture of such packets, or an Ouster's metadata are missing.
     """
-    with _reported(path):
+    with reported(path, "capture"):
         sizes, velodyne = _first_packets(path)
     read = _velodyne(path) if velodyne else _ouster(path, _metadata(path, sizes))
     count = sum(1 for _ in read())
@@ -63,21 +62,6 @@ def open_packets(path: Path) -> Recording:
                 return
 
     return Recording(path, count, frames)
-
-
-@contextmanager
-def _reported(path: Path) -> Iterator[None]:
-    """Say of any failure of a library which file it was."""
-    try:
-        yield
-    except (ReadError, MissingExtraError):
-        raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno:
-            raise ReadError(f"{path}: cannot be read ({error.strerror})") from None
-        raise ReadError(
-            f"{path}: is no readable capture ({str(error) or type(error).__name__})"
-        ) from None
 
 
 def _first_packets(path: Path) -> tuple[str, bool]:
@@ -121,7 +105,7 @@ def _velodyne(path: Path) -> Any:
         raise MissingExtraError("velodyne", "reading Velodyne packets") from None
 
     def sweeps() -> Iterator[Sweep]:
-        with _reported(path):
+        with reported(path, "capture"):
             for stamp, points in velodyne_decoder.read_pcap(path, as_pcl_structs=True):
 
                 def columns(points: Any = points, start: float = stamp.host) -> Columns:
@@ -156,7 +140,7 @@ def _ouster(path: Path, metadata: Path) -> Any:
         raise MissingExtraError("ouster", "reading Ouster packets") from None
 
     def sweeps() -> Iterator[Sweep]:
-        with _reported(path):
+        with reported(path, "capture"):
             source = open_source(str(path), meta=[str(metadata)])
             try:
                 info = source.sensor_info[0]

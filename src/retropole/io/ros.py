@@ -18,13 +18,18 @@ from numpy.typing import NDArray
 
 from ..errors import MissingExtraError, ReadError
 from .fields import Columns, frame_from_columns
-from .frames import CLOUDS, Frame, Recording, Topic
+from .frames import CLOUDS, Frame, Recording, Topic, reported
 
 BAGS = (".bag", ".db3", ".mcap")
 """Suffixes of bags."""
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """From the number that a PointField has for its type to NumPy's name."""
+
+MENDED = (
+    "; one that was cut short is mended by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a folder) "
+    "or 'mcap recover' (.mcap)"
+)
 
 LISTED = 10
 """So many topics are named in a message."""
@@ -216,7 +221,7 @@ def _opened(path: Path) -> Iterator[_Bag]:
         import rosbags.rosbag2
     except ImportError:
         raise MissingExtraError("ros", "reading ROS bags") from None
-    try:
+    with reported(path, "bag", MENDED):
         if path.suffix.lower() == ".mcap" and path.is_file():
             with _mcap(path) as bag:
                 yield bag
@@ -226,18 +231,6 @@ def _opened(path: Path) -> Iterator[_Bag]:
         else:
             with rosbags.rosbag2.Reader(path) as reader:
                 yield _from_rosbags(reader, "cdr")
-    except (ReadError, MissingExtraError):
-        raise
-    except Exception as error:
-        # For damaged bags the libraries raise a dozen unrelated types; an OSError with a number is
-        # the system's, one without comes from unpacking.
-        if isinstance(error, OSError) and error.errno:
-            raise ReadError(f"{path}: cannot be read ({error.strerror})") from None
-        raise ReadError(
-            f"{path}: is no readable bag ({str(error) or type(error).__name__}); one that was cut "
-            "short is mended by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a folder) or 'mcap "
-            "recover' (.mcap)"
-        ) from None
 
 
 def _from_rosbags(reader: Any, encoding: str) -> _Bag:

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..datatypes import PointCloud, Stage
 from .fpfh import fpfh_ransac
-from .gicp import gicp
-from .icp import icp
+from .icp import gicp, icp
 from .kiss import kiss_matcher
 from .planes import planar_surfaces
 

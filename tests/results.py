@@ -1,0 +1,34 @@
+"""Result documents that hold nothing but what a test needs."""
+
+from pathlib import Path
+
+from retropole.result import Matrix, PolesDoc, ReasonDoc, ResultDoc, StagesDoc, encode
+
+
+def write_result(
+    folder: Path,
+    status: str,
+    reasons: list[ReasonDoc],
+    pose: Matrix | None = None,
+    covariance: Matrix | None = None,
+) -> Path:
+    """Write ``result.json`` and say where it is."""
+    document = ResultDoc(
+        status=status,
+        reasons=reasons,
+        T_target_source=pose,
+        covariance=covariance,
+        predicted_error=None,
+        stages=StagesDoc(None, None),
+        hypotheses=[],
+        margin=None,
+        poles=PolesDoc([], []),
+        inputs=[],
+        config={},
+        version="0",
+        created="",
+        seconds={},
+    )
+    path = folder / "result.json"
+    path.write_bytes(encode(document))
+    return path
