@@ -16,11 +16,11 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole import se3
-from retropole.beam_model import SHARED, State, look
-from retropole.beams import arc_likelihood
+from retropole.alignment.likelihood import arc_likelihood
+from retropole.alignment.posterior import SHARED, State, look
 from retropole.datatypes import Array
-from retropole.evaluation import e_rt
-from retropole.paper.estimator import NOISES, SIGMA, Noise, as_beams, poles_of, solve
+from retropole.evaluation.metrics import e_rt
+from retropole.evaluation.paper.estimator import NOISES, SIGMA, Noise, as_beams, poles_of, solve
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 
 DRAWS = 200

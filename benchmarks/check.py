@@ -16,8 +16,8 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from retropole.check import check
 from retropole.datatypes import Array, Stage
+from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
 from retropole.simulation import record_again, simulate_pair
 

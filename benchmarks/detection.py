@@ -17,7 +17,7 @@ import numpy as np
 
 from retropole import se3
 from retropole.datatypes import Array, Detection, PointCloud
-from retropole.extraction import extract_poles
+from retropole.extraction.poles import extract_poles
 from retropole.simulation import SimulatedPair, simulate_pair
 
 ENOUGH_RETURNS, ENOUGH_RINGS = 6, 3

@@ -16,7 +16,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole import se3
-from retropole.paper.choosing import RULES, is_right
+from retropole.evaluation.paper.choosing import RULES, is_right
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 

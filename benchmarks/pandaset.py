@@ -16,10 +16,10 @@ import numpy as np
 
 from retropole import se3
 from retropole.datatypes import Array, Stage
-from retropole.evaluation import evaluate
+from retropole.evaluation.metrics import evaluate
 from retropole.io import read_cloud
-from retropole.refinement import refine
-from retropole.registration import prepare, register
+from retropole.scene.refinement import refine
+from retropole.scene.registration import prepare, register
 
 TURN, SHIFT = np.radians(3.0), 0.3
 

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole.datatypes import PointCloud
-from retropole.evaluation import e_rt
+from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import TYPICAL, Nuisances, place_again, simulate_pair
 

@@ -34,13 +34,13 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.comparison import METHODS
 from retropole.datatypes import Array, PointCloud
 from retropole.errors import Refusal
-from retropole.evaluation import errors_of
+from retropole.evaluation.comparison import METHODS
+from retropole.evaluation.metrics import errors_of
+from retropole.evaluation.rivals import EXTRAS, missing_extra
+from retropole.evaluation.rivals import METHODS as RIVALS
 from retropole.pipeline import calibrate
-from retropole.rivals import EXTRAS, missing_extra
-from retropole.rivals import METHODS as RIVALS
 from retropole.simulation import SimulationError, simulate_pair
 
 SUCCESS_M = 0.1

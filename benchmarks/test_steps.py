@@ -16,17 +16,17 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from retropole import se3
-from retropole.beam_alignment import align_beams
-from retropole.correspondence import match_poles
+from retropole.alignment.adjustment import align_beams
+from retropole.alignment.observations import beams_of
 from retropole.datatypes import Calibration
-from retropole.disambiguation import judge
-from retropole.evaluation import RQE_POINTS, rqe
-from retropole.extraction import extract_poles
+from retropole.evaluation.metrics import RQE_POINTS, rqe
+from retropole.extraction.poles import extract_poles
+from retropole.matching.correspondence import match_poles
 from retropole.pipeline import calibrate
-from retropole.pole_beams import beams_of
-from retropole.refinement import refine
 from retropole.report import render_report
 from retropole.result import encode, result_document
+from retropole.scene.disambiguation import judge
+from retropole.scene.refinement import refine
 from retropole.simulation import SimulatedPair, simulate_pair
 
 

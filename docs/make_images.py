@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.figures import new_figure, save_figure
+from retropole.report.figures import new_figure, save_figure
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 sys.path.insert(0, str(EXAMPLES))

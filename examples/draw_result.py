@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.figures import draw_result
 from retropole.pipeline import calibrate
+from retropole.report.figures import draw_result
 from retropole.simulation import simulate_pair
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from retropole import se3
-from retropole.evaluation import evaluate
+from retropole.evaluation.metrics import evaluate
 from retropole.export import export_lines, read_transform
 from retropole.files import write_atomically
 from retropole.simulation import simulate_pair

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from retropole import se3
-from retropole.beam_alignment import align_beams
-from retropole.extraction import extract_poles
-from retropole.figures import new_figure, save_figure
-from retropole.pole_beams import beams_of
+from retropole.alignment.adjustment import align_beams
+from retropole.alignment.observations import beams_of
+from retropole.extraction.poles import extract_poles
+from retropole.report.figures import new_figure, save_figure
 from retropole.sensors import find_sensor
 from retropole.simulation import TYPICAL, Cylinder, Material, scan
 from retropole.uncertainty import predicted_error

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.evaluation import e_rt
+from retropole.evaluation.metrics import e_rt
 from retropole.export import export_lines
 from retropole.files import write_atomically
 from retropole.pipeline import calibrate

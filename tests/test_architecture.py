@@ -1,62 +1,77 @@
-"""Imports point one way: data classes, steps, pipeline, then report and command line."""
+"""Imports point one way, a layer per folder: the order in which the documentation names them."""
 
 import ast
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[1] / "src" / "retropole"
-LAYERS = [
-    {"datatypes", "errors", "se3", "files"},
-    {
-        *("io", "sensors", "extraction", "frames", "correspondence", "prior", "placements"),
-        *("alignment", "beams", "pole_beams", "beam_model", "beam_alignment"),
-        *("disambiguation", "registration", "refinement", "patches", "uncertainty"),
-        *("verdict", "evaluation", "simulation", "figures", "clustering", "pole_test"),
-        *("rivals", "recording", "viewer"),
-    },
-    {"pipeline"},
-    {"result", "check", "comparison"},
-    {"export"},
-    {"summary", "report", "paper"},
-    {"cli", "__main__"},
-]
+from tests.paths import PACKAGE
+
+LAYERS = (
+    # Ground: what all share.
+    *("se3", "errors", "datatypes", "files", "sensors", "uncertainty"),
+    # The steps: a match is solved by alignment, and the scene judges matches.
+    *("io", "extraction", "alignment", "matching", "scene"),
+    # The method and its answer.
+    *("verdict", "pipeline", "result"),
+    # Around the method, and what people touch.
+    *("simulation", "export", "report", "evaluation", "monitoring", "cli", "__main__"),
+)
+"""Modules and folders of the package; each imports only what stands before it."""
+
+FILES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
 
 
-def layer_of(module: str) -> int:
-    for level, names in enumerate(LAYERS):
-        if module in names:
-            return level
-    raise AssertionError(f"{module} has no layer: give it one in this test")
+def module_of(path: Path) -> tuple[str, ...]:
+    """Name a file as Python does, without the package: ``("io", "pcd")``."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return parts[:-1] if parts[-1] == "__init__" else parts
 
 
-def imported_modules(path: Path) -> set[str]:
-    """Name the top modules of the package that a file imports."""
-    depth = len(path.relative_to(PACKAGE).parts)
-    names: set[str] = set()
+MODULES = {module_of(path): path for path in FILES}
+
+
+def imports_of(path: Path) -> set[tuple[str, ...]]:
+    """Modules of the package that a file imports, inside functions too."""
+    package = path.relative_to(PACKAGE).parent.parts
+    found: set[tuple[str, ...]] = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.level == depth:
-            names |= {node.module.split(".")[0]} if node.module else {a.name for a in node.names}
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("retropole."):
-            names.add((node.module or "").split(".")[1])
-    return names - {"__version__"}
-
-
-FILES = [p for p in sorted(PACKAGE.rglob("*.py")) if p != PACKAGE / "__init__.py"]
+        if not isinstance(node, ast.ImportFrom) or not node.level:
+            continue
+        base = package[: len(package) - (node.level - 1)]
+        base += tuple(node.module.split(".")) if node.module else ()
+        for alias in node.names:
+            whole = (*base, alias.name)
+            found.add(whole if whole in MODULES else base)
+    return found & MODULES.keys() - {module_of(path)}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_imports_point_one_way(path: Path) -> None:
-    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    for name in imported_modules(path):
-        assert layer_of(name) <= layer_of(own), f"{own} imports {name}"
+    own = module_of(path)[0]
+    for name in imports_of(path):
+        assert LAYERS.index(name[0]) <= LAYERS.index(own), f"{own} imports {'.'.join(name)}"
+
+
+def test_no_import_cycle() -> None:
+    graph = {name: imports_of(path) for name, path in MODULES.items()}
+    list(TopologicalSorter(graph).static_order())
+
+
+def test_every_folder_has_a_layer() -> None:
+    assert {name[0] for name in MODULES} == set(LAYERS)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_modules_stay_small(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= 360
+    assert len(path.read_text().splitlines()) <= 350
+
+
+def test_the_top_holds_what_all_share() -> None:
+    assert len(list(PACKAGE.glob("*.py"))) <= 12
 
 
 def test_import_leaves_heavy_parts_alone() -> None:

@@ -17,8 +17,8 @@ import click
 import pytest
 
 from retropole.cli import cli
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 SOURCE, DOCS = ROOT / "src" / "retropole", ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 NEEDED = ("sphinx", "myst_parser", "furo", "latex2mathml")

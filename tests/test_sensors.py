@@ -1,7 +1,5 @@
 """The sensor table and the threshold that a cloud gives by itself."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,8 +8,9 @@ from hypothesis import strategies as st
 from retropole.errors import UsageError
 from retropole.sensors import SENSORS, auto_threshold, find_sensor, threshold_for
 from retropole.simulation import simulate_pair
+from tests.paths import ROOT
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "sensors.md"
+DOCUMENT = ROOT / "docs" / "sensors.md"
 NAMES = (
     *("VLP-16", "HDL-32E", "VLS-128", "Pandar64", "PandarQT", "XT32", "RS-LiDAR-16"),
     *("RS-LiDAR-32", "C16", "C32", "OS0", "OS1", "Mid-360"),

@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conftest import PoleMaker
-from retropole.beam_alignment import BeamAlignment
+from retropole.alignment.adjustment import BeamAlignment
 from retropole.datatypes import Hypothesis, Match, Pole, Stage, WeakDirection
 from retropole.errors import Refusal
 from retropole.sensors import SENSORS
 from retropole.verdict import MIN_OVERLAP, check_choice, margin_of, weaknesses
+from tests.conftest import PoleMaker
 
 
 def hypothesis(

@@ -10,17 +10,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from . import se3
-from .beam_alignment import BeamAlignment, align_beams
-from .correspondence import match_poles
+from .alignment.adjustment import BeamAlignment, align_beams
+from .alignment.observations import beams_of
 from .datatypes import Calibration, Hypothesis, Placement, PointCloud, Pole, Reason
-from .disambiguation import judge
 from .errors import Refusal
-from .extraction import extract_poles
-from .frames import check_still, keep_standing
-from .placements import merged, recurring
-from .pole_beams import beams_of
-from .prior import RotationPrior, agreeing
-from .refinement import refine
+from .extraction.poles import extract_poles
+from .matching.correspondence import match_poles
+from .matching.placements import merged, recurring
+from .matching.prior import RotationPrior, agreeing
+from .scene.disambiguation import judge
+from .scene.refinement import refine
+from .scene.static import check_still, keep_standing
 from .sensors import Sensor
 from .uncertainty import predicted_error, weakest_direction
 from .verdict import check_choice, margin_of, weaknesses

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from .beam_alignment import BeamAlignment
-from .correspondence import widest_angle
+from .alignment.adjustment import BeamAlignment
 from .datatypes import Hypothesis, Pole, Reason, WeakDirection
 from .errors import Refusal
-from .refinement import Refinement
+from .matching.correspondence import widest_angle
+from .scene.refinement import Refinement
 from .sensors import Sensor
 
 RIVAL_OVERLAP = 0.62

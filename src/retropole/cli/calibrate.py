@@ -133,11 +133,11 @@ def calibrate(
     from functools import partial
 
     from ..files import write_atomically
+    from ..matching.prior import rotation_prior
     from ..pipeline import calibrate as run
-    from ..prior import rotation_prior
     from ..report import render_report
+    from ..report.text import describe_result
     from ..result import encode, result_document
-    from ..summary import describe_result
 
     pairs = _pairs(target, source, placements)
     prior = rotation_prior(up, prior_rpy_deg, prior_sigma_deg)

@@ -10,8 +10,8 @@ import click
 from .common import CLOUD, CONTEXT, EXIT_REFUSED, TOPIC_HELP, progress_on_terminal, read_input
 
 if TYPE_CHECKING:
-    from ..check import CheckResult
     from ..datatypes import Array, Reason, Stage
+    from ..monitoring.drift import CheckResult
 
 EXIT_MOVED = 4
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
@@ -89,10 +89,10 @@ def check(
 
     import numpy as np
 
-    from ..check import CheckResult
-    from ..check import check as run
     from ..datatypes import Reason
     from ..errors import Refusal
+    from ..monitoring.drift import CheckResult
+    from ..monitoring.drift import check as run
 
     if (sigma_deg is None) != (sigma_m is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
@@ -191,7 +191,7 @@ def json_line(answer: CheckResult) -> str:
 
     import numpy as np
 
-    from ..check import FALSE_ALARM
+    from ..monitoring.drift import FALSE_ALARM
 
     turned, shifted = answer.turned or (None, None), answer.shifted or (None, None)
     return json.dumps(
@@ -221,7 +221,7 @@ def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
     import numpy as np
 
-    from ..check import FALSE_ALARM
+    from ..monitoring.drift import FALSE_ALARM
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     turned, shifted = answer.turned, answer.shifted

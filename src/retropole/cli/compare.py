@@ -27,8 +27,8 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..comparison import Compared
     from ..datatypes import Array
+    from ..evaluation.comparison import Compared
 
 SCHEMA = "retropole/compare/1"
 WIDTH = 160
@@ -100,8 +100,8 @@ def compare(
       3    all refused
       130  interrupted
     """
-    from ..comparison import METHODS
-    from ..comparison import compare as run
+    from ..evaluation.comparison import METHODS
+    from ..evaluation.comparison import compare as run
     from ..export import read_transform
 
     names = list(METHODS) if methods is None else [name.strip() for name in methods.split(",")]

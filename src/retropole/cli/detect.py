@@ -66,9 +66,9 @@ def detect(
       3    refused: the file has no intensity
     """
     from ..errors import MissingExtraError, Refusal
-    from ..extraction import extract_poles
+    from ..extraction.poles import extract_poles
+    from ..report.text import describe_detection
     from ..result import detection_document, encode
-    from ..summary import describe_detection
 
     with progress_on_terminal(quiet) as progress:
         progress("read")
@@ -84,7 +84,7 @@ def detect(
         written: list[str] = []
         progress("draw")
         try:
-            from ..figures import draw_detection
+            from ..report.figures import draw_detection
 
             draw_detection(given.cloud, found, out / "detect.png", title=file.name)
             written.append(str(out / "detect.png"))

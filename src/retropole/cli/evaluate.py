@@ -6,14 +6,7 @@ from pathlib import Path
 
 import click
 
-from .common import (
-    CLOUD,
-    CONTEXT,
-    EXIT_REFUSED,
-    frames_option,
-    progress_on_terminal,
-    topic_options,
-)
+from .common import CLOUD, CONTEXT, EXIT_REFUSED, frames_option, progress_on_terminal, topic_options
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -76,8 +69,8 @@ def evaluate(
     import numpy as np
 
     from ..errors import Refusal
-    from ..evaluation import errors_of
-    from ..evaluation import evaluate as score
+    from ..evaluation.metrics import errors_of
+    from ..evaluation.metrics import evaluate as score
     from ..export import read_transform
     from ..io import read_cloud
 

@@ -31,9 +31,9 @@ def info(file: Path, topic: str | None, frames: slice | None, as_json: bool) -> 
       0    looked
       2    the file or an option is wrong
     """
-    from ..recording import describe
+    from ..io.contents import describe
+    from ..report.text import describe_info
     from ..result import encode
-    from ..summary import describe_info
 
     with progress_on_terminal(as_json) as progress:
         progress("read")

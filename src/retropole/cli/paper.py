@@ -41,8 +41,8 @@ def paper(out: Path, seeds: int, data: Path | None, quiet: bool) -> int:
       retropole paper --out paper
       retropole paper --seeds 10 --data recordings/
     """
+    from ..evaluation.paper import reproduce, write_exhibit
     from ..files import write_atomically
-    from ..paper import reproduce, write_exhibit
 
     with progress_on_terminal(quiet) as progress:
         exhibits = reproduce(seeds, data, progress)

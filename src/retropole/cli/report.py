@@ -157,7 +157,7 @@ def _differing(inputs: list[Input], document: ResultDoc) -> list[str]:
 def _placement(document: ResultDoc, inputs: list[Input], is_first: bool) -> Placement:
     """Find the poles of one placement as the run did; other poles than its own are left out."""
     from ..datatypes import Placement
-    from ..frames import keep_standing
+    from ..scene.static import keep_standing
 
     clouds = [keep_standing(given.cloud) for given in inputs]
     placement = Placement(clouds[0], clouds[1])
@@ -176,7 +176,7 @@ def _placement(document: ResultDoc, inputs: list[Input], is_first: bool) -> Plac
 def _detection(cloud: PointCloud, given: Input, radius: object) -> Detection | None:
     """Find poles with the threshold and the sensor of the run; None where that is refused."""
     from ..errors import Refusal
-    from ..extraction import extract_poles
+    from ..extraction.poles import extract_poles
 
     size = {"radius": float(radius)} if isinstance(radius, int | float) else {}
     threshold = given.threshold

@@ -65,7 +65,7 @@ def view(
     import time
 
     from ..errors import Refusal
-    from ..viewer import Shown, serve
+    from ..report.viewer import Shown, serve
 
     with progress_on_terminal(quiet) as progress:
         progress("read")

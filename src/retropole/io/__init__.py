@@ -10,11 +10,11 @@ from pathlib import Path
 from ..datatypes import PointCloud
 from ..errors import ReadError, UsageError
 from .arrays import read_kitti, read_npy, read_npz, read_text
-from .frames import Frame, Recording, Topic, chosen_frames, joined
 from .las import read_las
 from .packets import PACKETS, open_packets
 from .pcd import read_pcd, write_pcd
 from .ply import read_ply
+from .recordings import Frame, Recording, Topic, chosen_frames, joined
 from .ros import BAGS, bag_topics, is_rosbag2, open_bag
 
 __all__ = [

@@ -17,7 +17,7 @@ import numpy as np
 from ..datatypes import Array
 from ..errors import MissingExtraError, ReadError
 from .fields import Columns, frame_from_columns
-from .frames import Frame, Recording, reported
+from .recordings import Frame, Recording, reported
 
 PACKETS = (".pcap",)
 """Suffixes of packet captures."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import MissingExtraError, ReadError
 from .fields import Columns, frame_from_columns
-from .frames import CLOUDS, Frame, Recording, Topic, reported
+from .recordings import CLOUDS, Frame, Recording, Topic, reported
 
 BAGS = (".bag", ".db3", ".mcap")
 """Suffixes of bags."""

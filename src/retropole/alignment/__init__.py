@@ -1,0 +1,1 @@
+"""The pose from matched poles: the paper's least squares, and returns on shared cylinders."""

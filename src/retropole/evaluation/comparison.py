@@ -1,0 +1,165 @@
+"""Our method and its rivals on one pair of clouds, side by side."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ..datatypes import Array, Calibration, PointCloud
+from ..errors import Refusal, UsageError
+from ..pipeline import RADIUS, calibrate
+from ..sensors import Sensor
+from .metrics import Alignment, Errors, errors_of, evaluate
+from .rivals import METHODS as RIVALS
+from .rivals import missing_extra
+
+OURS = ("poles", "poles+scene")
+METHODS = (*OURS, *RIVALS)
+"""Names of all methods: the poles alone and with the scene, then the rivals."""
+
+Status = Literal["ok", "warn", "refused", "missing"]
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """What came of one method.
+
+    Attributes
+    ----------
+    method
+        Its name in `METHODS`.
+    status
+        ``missing`` where the extra that it needs is not installed.
+    codes
+        Codes of the reasons of a refusal or warning; of a missing method the extra.
+    message
+        The first reason in words.
+    T_target_source
+        (4, 4) or None.
+    alignment
+        How the clouds lie together under it; None without it.
+    errors
+        Against the truth; None without either.
+    seconds
+        It took, from clouds in memory; None where it did not run.
+    """
+
+    method: str
+    status: Status
+    codes: tuple[str, ...] = ()
+    message: str = ""
+    T_target_source: Array | None = None
+    alignment: Alignment | None = None
+    errors: Errors | None = None
+    seconds: float | None = None
+
+
+def compare(
+    target: PointCloud,
+    source: PointCloud,
+    methods: Sequence[str] = METHODS,
+    *,
+    T_true: Array | None = None,
+    radius: float = RADIUS,
+    sensors: tuple[Sensor | None, Sensor | None] = (None, None),
+    thresholds: tuple[float | None, float | None] = (None, None),
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda step: None,
+) -> list[Compared]:
+    """Run methods one after the other on the same clouds, and score their answers alike.
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame.
+    methods
+        Names out of `METHODS`.
+    T_true
+        (4, 4) truth, where it is known.
+    radius, sensors, thresholds
+        As `pipeline.calibrate`; the rivals use none of them.
+    seed
+        Of what rivals draw, and of the points on which all are scored.
+    progress
+        Called with the name of each method as it starts.
+
+    Returns
+    -------
+    list of Compared
+        In the order of ``methods``.
+
+    Raises
+    ------
+    UsageError
+        An unknown method.
+    """
+    unknown = [name for name in methods if name not in METHODS]
+    if unknown:
+        raise UsageError(f"no method is called {unknown[0]!r}; there are {', '.join(METHODS)}")
+
+    ours: Calibration | None = None
+    found: list[Compared] = []
+    for name in methods:
+        progress(name)
+        if name in OURS:
+            ours = ours or calibrate(
+                target, source, radius=radius, sensors=sensors, thresholds=thresholds
+            )
+            run = _of_ours(name, ours)
+        else:
+            run = _of_rival(name, target, source, seed)
+        found.append(_scored(run, target, source, T_true, seed))
+    return found
+
+
+def _of_ours(name: str, answer: Calibration) -> Compared:
+    codes = tuple(reason.code for reason in answer.reasons)
+    message = answer.reasons[0].message if answer.reasons else ""
+    alone = name == "poles"
+    seconds = sum(s for step, s in answer.seconds.items() if not (alone and step == "refine"))
+    stage = answer.poles if alone else answer.refined
+    if answer.status == "refused":
+        return Compared(name, "refused", codes, message, seconds=seconds)
+    if stage is None:
+        return Compared(
+            name,
+            "refused",
+            ("no_scene",),
+            "the scene has too few surfaces that both see to refine the poles' pose",
+            seconds=seconds,
+        )
+    return Compared(name, answer.status, codes, message, stage.T_target_source, seconds=seconds)
+
+
+def _of_rival(name: str, target: PointCloud, source: PointCloud, seed: int) -> Compared:
+    extra = missing_extra(name)
+    if extra is not None:
+        return Compared(name, "missing", (extra,), f"pip install 'retropole[{extra}]'")
+    start = time.perf_counter()
+    try:
+        stage = RIVALS[name](target, source, np.random.default_rng(seed))
+    except Refusal as refusal:
+        seconds = time.perf_counter() - start
+        return Compared(name, "refused", (refusal.code,), refusal.message, seconds=seconds)
+    return Compared(
+        name, "ok", T_target_source=stage.T_target_source, seconds=time.perf_counter() - start
+    )
+
+
+def _scored(
+    run: Compared, target: PointCloud, source: PointCloud, T_true: Array | None, seed: int
+) -> Compared:
+    """Add how the clouds lie together, and the errors where the truth is known."""
+    T = run.T_target_source
+    if T is None:
+        return run
+    # Every method is scored on the same points, or chance would rank those that are alike.
+    return replace(
+        run,
+        alignment=evaluate(target, source, T, rng=np.random.default_rng(seed)),
+        errors=None if T_true is None else errors_of(T, T_true),
+    )

@@ -1,0 +1,108 @@
+"""FPFH, RANSAC and GICP: registration of whole clouds without a start, by Open3D.
+
+R. B. Rusu, N. Blodow and M. Beetz, *Fast point feature histograms (FPFH) for 3D registration*, ICRA
+2009; Q.-Y. Zhou, J. Park and V. Koltun, *Open3D*, 2018. GICP sharpens its answer.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...datatypes import Array, PointCloud, Stage
+from ...errors import MissingExtraError, Refusal
+from ...scene.registration import MIN_POINTS, thin
+from .scene import register_scene
+
+VOXEL = 0.3
+"""Clouds are thinned to one point per cube of this side, metres."""
+
+NORMAL_RADIUS, FEATURE_RADIUS = 2 * VOXEL, 5 * VOXEL
+"""Of Open3D's own tutorial, metres."""
+
+REACH = 1.5 * VOXEL
+"""A pair of points agrees with a pose that brings them so near, metres (the same tutorial)."""
+
+EDGE_RATIO = 0.9
+"""Least ratio of the sides of corresponding triangles (the same)."""
+
+ITERATIONS, CONFIDENCE = 100_000, 0.999
+
+MIN_FITNESS = 0.1
+"""Share of the source's points that must find the target."""
+
+REACHES = (1.0, 0.3)
+"""Of GICP's corresponding points, metres."""
+
+
+def fpfh_ransac(target: PointCloud, source: PointCloud, *, rng: np.random.Generator) -> Stage:
+    """Match FPFH features by RANSAC, and refine by GICP.
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+    rng
+        Seeds Open3D's own generator; with more than one thread its draws still vary.
+
+    Raises
+    ------
+    MissingExtraError
+        Without the extra ``open3d``.
+    Refusal
+        ``too_few_points``, ``unmatched`` where too few points agree, and as
+        `scene.register_scene`.
+    """
+    try:
+        import open3d
+    except ImportError as error:
+        raise MissingExtraError("open3d", "the rival FPFH with RANSAC") from error
+
+    clouds = [_featured(open3d, cloud) for cloud in (target, source)]
+    open3d.utility.random.seed(int(rng.integers(2**31)))
+    pipeline = open3d.pipelines.registration
+    found = pipeline.registration_ransac_based_on_feature_matching(
+        clouds[1][0],
+        clouds[0][0],
+        clouds[1][1],
+        clouds[0][1],
+        True,
+        REACH,
+        pipeline.TransformationEstimationPointToPoint(False),
+        3,
+        [
+            pipeline.CorrespondenceCheckerBasedOnEdgeLength(EDGE_RATIO),
+            pipeline.CorrespondenceCheckerBasedOnDistance(REACH),
+        ],
+        pipeline.RANSACConvergenceCriteria(ITERATIONS, CONFIDENCE),
+    )
+    T: Array = np.array(found.transformation, dtype=float)
+    if found.fitness < MIN_FITNESS or not np.all(np.isfinite(T)):
+        raise Refusal(
+            "unmatched",
+            f"{100 * found.fitness:.0f} % of the points agree with the best match of features, "
+            f"{100 * MIN_FITNESS:.0f} % are needed; record where the LiDARs see more of the same",
+            {"fitness": float(found.fitness), "needed": MIN_FITNESS},
+        )
+    return register_scene(target, source, T, method="GICP", reaches=REACHES)
+
+
+def _featured(open3d: Any, cloud: PointCloud) -> tuple[Any, Any]:
+    """Thin a cloud, and describe every point left by how the normals around it stand."""
+    points = thin(cloud.xyz, VOXEL)
+    if len(points) < MIN_POINTS:
+        raise Refusal(
+            "too_few_points",
+            f"{len(points)} points are left of a cloud thinned to {VOXEL:g} m, "
+            f"{MIN_POINTS} are needed; record a scene with more in it",
+            {"points": len(points), "needed": MIN_POINTS},
+        )
+    made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    near = open3d.geometry.KDTreeSearchParamHybrid
+    made.estimate_normals(near(radius=NORMAL_RADIUS, max_nn=30))
+    made.orient_normals_towards_camera_location(cloud.origin)
+    features = open3d.pipelines.registration.compute_fpfh_feature(
+        made, near(radius=FEATURE_RADIUS, max_nn=100)
+    )
+    return made, features

@@ -1,0 +1,70 @@
+"""KISS-Matcher and GICP: registration of whole clouds without a start.
+
+H. Lim et al., *KISS-Matcher: Fast and Robust Point Cloud Registration Revisited*, ICRA 2025: point
+features, outliers pruned by a graph, a robust solver. GICP sharpens its answer, and where GICP does
+not come to rest there is none: a wrong match shows so more often than by its own count of inliers.
+Draws nothing from us, and still differs a little from run to run.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ... import se3
+from ...datatypes import PointCloud, Stage
+from ...errors import MissingExtraError, Refusal
+from ...scene.registration import MIN_POINTS
+from .scene import register_scene
+
+VOXEL = 0.3
+"""The maker's own default, metres."""
+
+MIN_INLIERS = 5
+"""Below this many of its correspondences the maker's own examples call the answer a failure."""
+
+REACHES = (1.0, 0.3)
+"""Of GICP's corresponding points, metres."""
+
+
+def kiss_matcher(target: PointCloud, source: PointCloud) -> Stage:
+    """Match the clouds by KISS-Matcher with its own settings, and refine by GICP.
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+
+    Raises
+    ------
+    MissingExtraError
+        Without the extra ``kiss``.
+    Refusal
+        ``too_few_points``, ``unmatched`` where it finds too few correspondences that agree, and as
+        `scene.register_scene`.
+    """
+    try:
+        import kiss_matcher as matching
+    except ImportError as error:
+        raise MissingExtraError("kiss", "the rival KISS-Matcher") from error
+
+    if min(len(target), len(source)) < MIN_POINTS:
+        raise Refusal(
+            "too_few_points",
+            f"clouds of {len(target)} and {len(source)} points, {MIN_POINTS} are needed each",
+            {"target": len(target), "source": len(source), "needed": MIN_POINTS},
+        )
+    matcher = matching.KISSMatcher(matching.KISSMatcherConfig(VOXEL))
+    found = matcher.estimate(source.xyz.astype(np.float32), target.xyz.astype(np.float32))
+    inliers = int(matcher.get_num_final_inliers())
+    T = se3.from_rt(
+        np.asarray(found.rotation, dtype=float),
+        np.asarray(found.translation, dtype=float).reshape(3),
+    )
+    if not found.valid or inliers < MIN_INLIERS or not np.all(np.isfinite(T)):
+        raise Refusal(
+            "unmatched",
+            f"KISS-Matcher ends with {inliers} correspondences that agree, {MIN_INLIERS} are "
+            "needed; record a scene with more in it, or where the LiDARs see more of the same",
+            {"inliers": inliers, "needed": MIN_INLIERS},
+        )
+    return register_scene(target, source, T, method="GICP", reaches=REACHES)

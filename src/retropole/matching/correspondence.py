@@ -1,0 +1,343 @@
+"""Which pole is which, and which way round: every rigid match of two sets of lines.
+
+A line has no direction and two poles have no names, so a pair of poles fits another in 2 × 4 ways
+(Xue et al. 2019, Fig. 4). Each way has a start in closed form: the bisectors and the common
+perpendicular of two skew lines make a frame, the middle of the common perpendicular its origin,
+and frame is laid on frame. Of the eight, four are exact: the lines' own symmetry group is the
+identity and the half turns about the common perpendicular and about the two bisectors (the Klein
+four-group). The other four pair an angle with its supplement, so they are exact only where the
+poles are perpendicular and cross.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from .. import se3
+from ..alignment.point_to_line import align_poles
+from ..datatypes import Array, Match, Pole
+from ..errors import Refusal
+
+MIN_ANGLE = np.radians(5.0)
+"""Pairs of poles nearer to parallel than this start no hypothesis: along their common direction a
+pose error grows with 1/sin(angle), which is more than tenfold here."""
+
+ANGLE_TOLERANCE = np.radians(3.0)
+"""By how much two LiDARs may disagree on the angle between two poles, beyond three sigma."""
+
+DISTANCE_TOLERANCE = 0.08
+"""The same for the distance between two poles, metres. Each LiDAR sees a line up to 16 mm in front
+of the axis of a 2 cm pole, towards itself."""
+
+EXACT_RMS = 0.05
+"""Pole residual, metres, up to which a start counts as an exact match of the lines."""
+
+SAME_ANGLE, SAME_DISTANCE = np.radians(10.0), 0.5
+"""Matches nearer to each other than this, rad and m, are one."""
+
+MAX_PAIRS = 200
+"""How many pairs of pole pairs are tried, the most alike first."""
+
+MAX_HYPOTHESES = 16
+"""How many hypotheses go on to be judged by the scene: most poles, least expected error first."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinePair:
+    """The geometry of two skew lines that no rigid motion changes, and the frame that one moves.
+
+    Attributes
+    ----------
+    angle
+        Between the lines, in (0, π/2], radians.
+    distance
+        Along the common perpendicular, metres.
+    handedness
+        Sign of the screw from one line to the other, times `distance`: no proper motion changes it.
+    frame
+        (4, 4) bisector, other bisector, common perpendicular; origin midway between the lines.
+    """
+
+    angle: float
+    distance: float
+    handedness: float
+    frame: Array
+
+
+def line_pair(p1: Array, n1: Array, p2: Array, n2: Array) -> LinePair:
+    """Measure two lines, with ``n1`` and ``n2`` taken as directed the way they are given.
+
+    Parameters
+    ----------
+    p1, n1, p2, n2
+        (3,) a point and the unit direction of each line.
+
+    Raises
+    ------
+    Refusal
+        ``parallel_poles`` where the lines have no common perpendicular of their own.
+    """
+    cross = np.cross(n1, n2)
+    sine = float(np.linalg.norm(cross))
+    if sine < 1e-6:
+        raise Refusal(
+            "parallel_poles",
+            "two poles are parallel; lean one by 15° or more against the other",
+            {"angle_deg": float(np.degrees(np.arcsin(sine)))},
+        )
+    e1 = (n1 + n2) / np.linalg.norm(n1 + n2)
+    e3 = cross / sine
+    frame = np.eye(4)
+    frame[:3, 0], frame[:3, 1], frame[:3, 2] = e1, np.cross(e3, e1), e3
+    # Feet of the common perpendicular: solve p1 + a n1 + h e3 = p2 + b n2.
+    a, b, h = np.linalg.solve(np.stack([n1, -n2, e3], axis=1), p2 - p1)
+    frame[:3, 3] = (p1 + a * n1 + p2 + b * n2) / 2
+    cosine = float(n1 @ n2)
+    angle = float(np.arctan2(sine, abs(cosine)))
+    return LinePair(angle, abs(float(h)), float(h) * (1.0 if cosine >= 0 else -1.0), frame)
+
+
+def pair_starts(
+    target: tuple[Pole, Pole], source: tuple[Pole, Pole]
+) -> list[tuple[Array, tuple[int, int]]]:
+    """Lay one pair of poles on another in the paper's eight ways, in closed form.
+
+    Returns
+    -------
+    list of (T_target_source, order)
+        ``order`` tells which source pole (0 or 1) goes to the first and to the second target pole.
+    """
+    frame_target = line_pair(
+        target[0].point, target[0].direction, target[1].point, target[1].direction
+    ).frame
+    starts = []
+    for order in ((0, 1), (1, 0)):
+        first, second = source[order[0]], source[order[1]]
+        for s1 in (1.0, -1.0):
+            for s2 in (1.0, -1.0):
+                frame_source = line_pair(
+                    first.point, s1 * first.direction, second.point, s2 * second.direction
+                ).frame
+                starts.append((frame_target @ se3.inverse(frame_source), order))
+    return starts
+
+
+def _direction_sigma(pole: Pole) -> float:
+    """Roughly how well the points of a pole fix its direction, 1 σ in radians."""
+    return float(pole.rms * np.sqrt(12.0 / len(pole.xyz)) / max(pole.length, 1e-3))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """All pairs of poles of one LiDAR that are far enough from parallel, and their shapes."""
+
+    index: list[tuple[int, int]]
+    angle: Array
+    distance: Array
+    handedness: Array
+    sigma: Array
+    lever: Array
+
+
+def _all_pairs(poles: Sequence[Pole]) -> _Pairs:
+    index, rows = [], []
+    for i, j in combinations(range(len(poles)), 2):
+        first, second = poles[i], poles[j]
+        if _angle_between(first, second) < MIN_ANGLE:
+            continue
+        pair = line_pair(first.point, first.direction, second.point, second.direction)
+        sigma = float(np.hypot(_direction_sigma(first), _direction_sigma(second)))
+        # The common perpendicular of leaning poles can lie metres beyond what is seen of them;
+        # there an error of direction moves the feet by that lever.
+        feet = np.linalg.norm(pair.frame[:3, 3] - np.stack([first.point, second.point]), axis=1)
+        index.append((i, j))
+        rows.append((pair.angle, pair.distance, pair.handedness, sigma, float(feet.max())))
+    return _Pairs(index, *np.array(rows).reshape(-1, 5).T)
+
+
+def _alike(target: _Pairs, source: _Pairs) -> list[tuple[int, int]]:
+    """Rows of the pairs that have the same angle, distance and hand, within their noise."""
+    sigma = np.hypot(target.sigma[:, None], source.sigma[None])
+    angle_gap = np.abs(target.angle[:, None] - source.angle[None])
+    angle_room = ANGLE_TOLERANCE + 3 * sigma
+    room = DISTANCE_TOLERANCE + 3 * sigma * np.maximum(target.lever[:, None], source.lever[None])
+    distance_gap = np.abs(target.distance[:, None] - source.distance[None])
+    hand_gap = np.abs(target.handedness[:, None] - source.handedness[None])
+    # The bisectors change roles at 90°, and with them the handedness; only then let it pass.
+    right_angle = np.maximum(target.angle[:, None], source.angle[None]) > np.pi / 2 - angle_room
+    fits = (angle_gap <= angle_room) & (distance_gap <= room)
+    fits &= right_angle | (hand_gap <= 2 * room)
+    rows, columns = np.nonzero(fits)
+    misfit = (angle_gap / angle_room + distance_gap / room)[rows, columns]
+    best = np.argsort(misfit, kind="stable")[:MAX_PAIRS]
+    return [(int(rows[k]), int(columns[k])) for k in best]
+
+
+def _angle_between(a: Pole, b: Pole) -> float:
+    sine = float(np.linalg.norm(np.cross(a.direction, b.direction)))
+    return float(np.arctan2(sine, abs(a.direction @ b.direction)))
+
+
+def widest_angle(poles: Sequence[Pole]) -> float:
+    """Largest angle between any two poles, radians; 0 for fewer than two."""
+    return max((_angle_between(a, b) for a, b in combinations(poles, 2)), default=0.0)
+
+
+def _solve(
+    target: Sequence[Pole],
+    source: Sequence[Pole],
+    pairs: tuple[tuple[int, int], ...],
+    T_start: Array,
+) -> Match:
+    fit = align_poles(
+        [(target[i].point, target[i].direction) for i, _ in pairs],
+        [source[j].xyz for _, j in pairs],
+        T_start,
+    )
+    return Match(pairs, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.information)
+
+
+def _extend(
+    target: Sequence[Pole], source: Sequence[Pole], T: Array, gate: float
+) -> tuple[tuple[int, int], ...]:
+    """Pair all poles one to one that lie on each other under ``T``, within ``gate`` metres."""
+    # Imported here: it takes a quarter of a second, and two poles on each side do not need it.
+    from scipy.optimize import linear_sum_assignment
+
+    distance = np.empty((len(target), len(source)))
+    for j, pole in enumerate(source):
+        moved = se3.apply(T, np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]))
+        ends = np.stack([pole.point - pole.direction, pole.point + pole.direction])
+        along = np.diff(se3.apply(T, ends), axis=0)[0] / 2
+        for i, other in enumerate(target):
+            across = np.cross(moved - other.point, other.direction)
+            # Two lines far apart along themselves are two posts, not one.
+            gap = abs((moved[1] - other.point) @ other.direction)
+            gap -= (pole.length + other.length) / 2
+            misfit = float(np.linalg.norm(across, axis=1).max())
+            leaning = float(np.linalg.norm(np.cross(along, other.direction)))
+            distance[i, j] = misfit if leaning < np.sin(np.radians(10.0)) and gap < 1.0 else np.inf
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
+    return tuple(
+        (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= gate
+    )
+
+
+def match_poles(
+    target: Sequence[Pole], source: Sequence[Pole], count: int | None = None
+) -> list[Match]:
+    """Find every rigid match of the source poles onto the target poles.
+
+    With two poles on each side these are the eight local optima of the paper, the exact ones
+    first. With more, every pair of pairs that agrees in angle, distance and handedness starts a
+    match, which takes in all other poles that fall into place and is solved with them together.
+
+    Parameters
+    ----------
+    target, source
+        Poles of the two LiDARs, each in its own frame.
+    count
+        How many poles both LiDARs see, where that is known: only matches of so many are kept.
+
+    Returns
+    -------
+    list of Match
+        Exact ones, most poles, least expected error first; at most `MAX_HYPOTHESES`.
+
+    Raises
+    ------
+    Refusal
+        ``too_few_poles``, ``parallel_poles``, ``no_match`` where no pair of poles of one LiDAR
+        has the shape of a pair of the other, or ``pole_count`` where they agree, but not
+        ``count`` of them.
+    """
+    _check_poles(target, source, count or 2)
+    two_and_two = len(target) == len(source) == 2
+    matches: list[Match] = []
+    pairs_target, pairs_source = _all_pairs(target), _all_pairs(source)
+    for row, column in _alike(pairs_target, pairs_source):
+        (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
+        for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):
+            first, second = (k, l) if order == (0, 1) else (l, k)
+            match = _solve(target, source, ((i, first), (j, second)), T_start)
+            if two_and_two:
+                matches.append(match)
+            elif match.exact:
+                pairs = _extend(target, source, match.T_target_source, 3 * EXACT_RMS)
+                if len(pairs) > 2 and set(match.pairs) <= set(pairs):
+                    match = _solve(target, source, pairs, match.T_target_source)
+                matches.append(match)
+    matches = _distinct(matches, np.array([pole.point for pole in source]))
+    if not any(match.exact for match in matches):
+        raise Refusal(
+            "no_match",
+            f"none of the {len(target)} poles of the target and {len(source)} of the source agree "
+            "in angle and distance: the LiDARs do not see the same two poles, or one moved; see "
+            "which poles were taken with 'retropole detect'",
+            {"poles_target": len(target), "poles_source": len(source)},
+        )
+    agreeing = len(matches[0].pairs)
+    matches = [match for match in matches if count in (None, len(match.pairs))]
+    if not matches:
+        raise Refusal(
+            "pole_count",
+            f"{agreeing} poles agree between the LiDARs where {count} were asked for; see which "
+            "with 'retropole detect', and cover or remove what is no pole",
+            {"agreeing": agreeing, "asked": int(count or 0)},
+        )
+    return matches[:MAX_HYPOTHESES]
+
+
+def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) -> None:
+    for name, poles in (("target", target), ("source", source)):
+        if len(poles) < needed:
+            raise Refusal(
+                "too_few_poles",
+                f"the {name} LiDAR sees {len(poles)} pole{'s' * (len(poles) != 1)}, {needed} are "
+                "needed; check the tape and the threshold with 'retropole detect'",
+                {"lidar": name, "poles": len(poles), "needed": needed},
+            )
+    for name, poles in (("target", target), ("source", source)):
+        angle = widest_angle(poles)
+        if angle < MIN_ANGLE:
+            raise Refusal(
+                "parallel_poles",
+                f"the poles seen by the {name} LiDAR are {np.degrees(angle):.1f}° apart; lean one "
+                "by 15° or more against the other",
+                {"lidar": name, "angle_deg": float(np.degrees(angle))},
+            )
+
+
+def _expected_error(match: Match) -> float:
+    """Roughly how far a match may put a point 10 m away, metres: residual times lever."""
+    variance = np.diag(np.linalg.inv(match.information))
+    lever = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0])
+    return float(max(match.pole_rms, 1e-6) * np.sqrt(np.sum(lever**2 * variance)))
+
+
+def _distinct(matches: list[Match], source_points: Array) -> list[Match]:
+    """Sort matches, most poles and least expected error first, and keep one of each pose.
+
+    The right pose and the wrong ones lie half a turn apart; what lies nearer is the same pose by
+    other poles.
+    """
+    kept: list[Match] = []
+    for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), _expected_error(m))):
+        if not any(same_pose(match, other, source_points) for other in kept):
+            kept.append(match)
+    return kept
+
+
+def same_pose(one: Match, other: Match, source_points: Array) -> bool:
+    """Whether two matches put the source, and points (N, 3) of it, in nearly the same place."""
+    turn = one.T_target_source[:3, :3] @ other.T_target_source[:3, :3].T
+    shift = se3.apply(one.T_target_source, source_points)
+    shift = shift - se3.apply(other.T_target_source, source_points)
+    return (
+        se3.rotation_angle(turn) < SAME_ANGLE
+        and float(np.linalg.norm(shift, axis=1).max()) < SAME_DISTANCE
+    )

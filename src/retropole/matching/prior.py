@@ -1,0 +1,85 @@
+"""What the user knows of the rotation beforehand: used to choose a hypothesis, never needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import se3
+from ..datatypes import Array, Match
+from ..errors import Refusal, UsageError
+
+MAX_SIGMAS = 3.0
+"""A hypothesis that lies further from the prior, in 1 σ of it, is passed over."""
+
+
+@dataclass(frozen=True, eq=False)
+class RotationPrior:
+    """Knowledge of how the source is turned against the target.
+
+    Attributes
+    ----------
+    rotation
+        (3, 3) the expected rotation; None where only the tilt is expected, to be zero: both LiDARs
+        stand upright.
+    sigma
+        1 σ of the angle, rad.
+    """
+
+    rotation: Array | None
+    sigma: float
+
+    def misfit(self, T: Array) -> float:
+        """How far a pose (4, 4) lies from the prior, in 1 σ."""
+        if self.rotation is None:
+            angle = float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+        else:
+            angle = se3.rotation_angle(T[:3, :3] @ self.rotation.T)
+        return angle / self.sigma
+
+
+def rotation_prior(
+    up: bool, rpy_deg: Sequence[float] | None, sigma_deg: float
+) -> RotationPrior | None:
+    """Take the prior as a user gives it: upright, or roll, pitch and yaw in degrees, or neither.
+
+    Raises
+    ------
+    UsageError
+        Where both are given.
+    """
+    if up and rpy_deg is not None:
+        raise UsageError("--up and --prior-rpy-deg exclude each other")
+    sigma = float(np.radians(sigma_deg))
+    if rpy_deg is not None:
+        # Lower case: about fixed axes, x first, which is what ROS calls rpy.
+        rotation = Rotation.from_euler("xyz", np.radians(rpy_deg)).as_matrix()
+        return RotationPrior(np.asarray(rotation), sigma)
+    return RotationPrior(None, sigma) if up else None
+
+
+def agreeing(matches: Sequence[Match], prior: RotationPrior | None) -> list[Match]:
+    """Keep the matches that agree with the prior.
+
+    Raises
+    ------
+    Refusal
+        ``prior_contradicted`` where none does.
+    """
+    if prior is None:
+        return list(matches)
+    misfits = [prior.misfit(match.T_target_source) for match in matches]
+    kept = [m for m, misfit in zip(matches, misfits, strict=True) if misfit <= MAX_SIGMAS]
+    if not any(match.exact for match in kept):
+        least = min(misfits)
+        raise Refusal(
+            "prior_contradicted",
+            f"no way of laying the poles on each other agrees with the given rotation: the nearest "
+            f"is {np.degrees(least * prior.sigma):.0f}° away, {least:.1f} times its sigma; check "
+            "its sign and order, or leave it out",
+            {"sigmas": least, "allowed": MAX_SIGMAS},
+        )
+    return kept

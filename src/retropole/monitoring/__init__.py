@@ -1,0 +1,1 @@
+"""Is an installed site still where it was?"""

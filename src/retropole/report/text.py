@@ -1,0 +1,242 @@
+"""The result in words, for a terminal: pure functions from documents to text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
+from ..result import DetectionDoc, HypothesisDoc, InputDoc, PoleDoc, ResultDoc
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lay out rows under a header, each column as wide as it needs, numbers to the right."""
+    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
+    lines = []
+    for row in [header, *rows]:
+        cells = [
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  " + "  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def _input_line(name: str, document: InputDoc) -> str:
+    threshold = "none" if document.threshold is None else f"{document.threshold:g}"
+    return (
+        f"{name}  {document.path}: {document.points:,} points ({document.dropped:,} dropped), "
+        f"sensor {document.sensor}, threshold {threshold}"
+    )
+
+
+def _pole_rows(name: str, poles: Sequence[PoleDoc]) -> list[list[str]]:
+    return [
+        [
+            f"{name} {k}",
+            *(f"{value:.3f}" for value in pole.point_m),
+            f"{pole.length_m:.2f}",
+            str(pole.points),
+            str(pole.rings),
+            f"{1000 * pole.rms_m:.1f}",
+        ]
+        for k, pole in enumerate(poles)
+    ]
+
+
+_POLE_HEADER = ("pole", "x m", "y m", "z m", "length m", "points", "rows", "rms mm")
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "unknown" if value is None else f"{value:.{digits}f}"
+
+
+def _degrees(value: float | None) -> float | None:
+    return None if value is None else float(np.degrees(value))
+
+
+def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
+    return [
+        f"{chr(ord('a') + k)}{' *' if hypothesis.chosen else ''}",
+        " ".join(f"{i}-{j}" for i, j in hypothesis.pairs),
+        "yes" if hypothesis.exact else "no",
+        f"{1000 * hypothesis.pole_rms_m:.1f}",
+        _number(hypothesis.icp_rotation_rad, 4),
+        _number(hypothesis.icp_translation_m, 4),
+        f"{hypothesis.overlap:.3f}",
+        f"{hypothesis.free_space:.3f}",
+        f"{hypothesis.score:.3f}",
+    ]
+
+
+_HYPOTHESIS_HEADER = (
+    "hypothesis",
+    "pairs",
+    "exact",
+    "rms mm",
+    "e_r rad",
+    "e_t m",
+    "overlap",
+    "against",
+    "score",
+)
+
+
+def transform_lines(matrix: Sequence[Sequence[float]]) -> list[str]:
+    """Write a 4×4 transform as matrix, translation, quaternion and angles."""
+    T = np.array(matrix)
+    rotation = Rotation.from_matrix(T[:3, :3])
+    x, y, z, w = rotation.as_quat()
+    # Lower case: about fixed axes, x first, which is what ROS calls rpy.
+    roll, pitch, yaw = np.degrees(rotation.as_euler("xyz"))
+    lines = ["  [" + " ".join(f"{value:12.8f}" for value in row) + "]" for row in T]
+    return [
+        *lines,
+        f"  translation  x {T[0, 3]:.4f}  y {T[1, 3]:.4f}  z {T[2, 3]:.4f} m",
+        f"  quaternion   x {x:.8f}  y {y:.8f}  z {z:.8f}  w {w:.8f}",
+        f"  angles       roll {roll:.4f}  pitch {pitch:.4f}  yaw {yaw:.4f} deg",
+    ]
+
+
+def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
+    """Write a whole result as a person reads it.
+
+    Parameters
+    ----------
+    result
+        The result document.
+    written
+        Paths of the files that hold it.
+    """
+    names = ("target", "source")
+    parts = [_input_line(names[k % 2], document) for k, document in enumerate(result.inputs)]
+    parts.append("")
+    poles = _pole_rows("target", result.poles.target) + _pole_rows("source", result.poles.source)
+    if poles:
+        parts += [table(_POLE_HEADER, poles), ""]
+    if result.hypotheses:
+        rows = [_hypothesis_row(k, h) for k, h in enumerate(result.hypotheses)]
+        parts.append(table(_HYPOTHESIS_HEADER, rows))
+        if result.margin is not None:
+            parts.append(f"  margin of the first over the next: {result.margin:.3f}")
+        parts.append("")
+    if result.T_target_source is not None:
+        parts += ["T_target_source (source points into the target frame)"]
+        parts += transform_lines(result.T_target_source)
+        if result.predicted_error:
+            at = ", ".join(
+                f"{100 * e.sigma_m:.1f} cm at {e.range_m:g} m" for e in result.predicted_error
+            )
+            parts.append(f"  predicted error, 1 sigma: {at}")
+        if result.weakest is not None:
+            parts.append(f"  least sure, 1 sigma: {result.weakest.words}")
+        if result.placements:
+            rows = [
+                [
+                    f"{k}",
+                    f"{p.poles_target} + {p.poles_source}",
+                    _number(_degrees(p.left_out_rotation_rad), 3),
+                    _number(p.left_out_translation_m, 4),
+                ]
+                for k, p in enumerate(result.placements)
+            ]
+            header = ("placement", "poles", "without it: deg", "m")
+            parts += ["", table(header, rows)]
+        parts.append("")
+    parts.append(f"verdict: {result.status}")
+    parts += [f"  {reason.code}: {reason.message}" for reason in result.reasons]
+    parts.append("written: " + ", ".join(written))
+    return "\n".join(parts)
+
+
+def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
+    """Write what was found in one cloud as a person reads it."""
+    parts = [
+        _input_line("file", detection.input),
+        f"  {detection.retro_points:,} retro-reflective points "
+        f"(threshold from: {detection.threshold_source})",
+        "",
+        f"{len(detection.poles)} poles",
+    ]
+    if detection.poles:
+        parts.append(table(_POLE_HEADER, _pole_rows("pole", detection.poles)))
+    parts += ["", f"{len(detection.rejected)} rejected clusters"]
+    if detection.rejected:
+        rows = [
+            [
+                cluster.code,
+                *(f"{value:.2f}" for value in cluster.centre_m),
+                str(cluster.points),
+                cluster.reason,
+            ]
+            for cluster in detection.rejected
+        ]
+        header = ("why", "x m", "y m", "z m", "points", "in words")
+        parts.append(table(header, rows))
+    if written:
+        parts.append("written: " + ", ".join(written))
+    return "\n".join(parts)
+
+
+BAR = 40
+"""Characters of the longest bar of a histogram."""
+
+
+def describe_info(document: InfoDoc) -> str:
+    """Write what is in a recording as a person reads it."""
+    parts = [document.path]
+    if document.topics:
+        rows = [[topic.name, topic.type, str(topic.messages)] for topic in document.topics]
+        parts.append(table(("topic", "type", "messages"), rows))
+    for cloud in document.clouds:
+        parts += ["", *_cloud_lines(cloud)]
+    return "\n".join(parts)
+
+
+def _cloud_lines(cloud: CloudDoc) -> list[str]:
+    read = "" if cloud.frames_read == cloud.frames else f" ({cloud.frames_read} read"
+    if read:
+        read += f", every {cloud.step}th)" if cloud.step > 1 else ")"
+    rate = "unknown" if cloud.rate_hz is None else f"{cloud.rate_hz:.2f} Hz"
+    duration = "" if cloud.duration_s is None else f", {cloud.duration_s:.1f} s"
+    fields = ", ".join(f"{name} {kind}" for name, kind in cloud.fields.items())
+    near, middle, far = cloud.range_m
+    lines = [
+        *([f"topic      {cloud.topic}"] if cloud.topic else []),
+        *([f"frame_id   {cloud.frame_id}"] if cloud.frame_id else []),
+        f"frames     {cloud.frames}{read}",
+        f"rate       {rate}{duration}",
+        f"fields     {fields}",
+        f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
+        f"{cloud.points / cloud.frames_read:,.0f} a frame",
+        f"rings      {'none' if cloud.rings is None else cloud.rings}",
+        f"range      {near:.2f} to {far:.2f} m, median {middle:.2f} m",
+        f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
+    ]
+    if cloud.intensity is None:
+        return [*lines, "intensity  none: tape cannot be told from the rest"]
+    return lines + _intensity_lines(cloud.intensity)
+
+
+def _intensity_lines(intensity: IntensityDoc) -> list[str]:
+    values = f"median {intensity.median:.4g}, 95 % below {intensity.p95:.4g}"
+    lines = [f"intensity  {values}, largest {intensity.max:.4g}"]
+    if intensity.threshold is None:
+        return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be told"]
+    lines += [
+        f"threshold  {intensity.threshold:.4g} would be taken ({intensity.threshold_source}): "
+        f"{intensity.retro_points:,} points",
+        "",
+        "  intensity from     points  (bars on a logarithmic scale)",
+    ]
+    # Few returns are tape: on an even scale their bars would not be seen.
+    longest = np.log1p(max(intensity.counts))
+    edges = intensity.bin_edges
+    marked = np.searchsorted(edges[1:-1], intensity.threshold, side="right")
+    for k, count in enumerate(intensity.counts):
+        bar = "█" * round(BAR * float(np.log1p(count) / longest))
+        mark = "  ← threshold" if k == marked else ""
+        lines.append(f"  {edges[k]:14.4g} {count:10,}  {bar}{mark}".rstrip())
+    return lines

@@ -1,0 +1,1 @@
+"""What the surroundings say: registration, visibility, choice of the hypothesis, refinement."""

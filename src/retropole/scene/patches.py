@@ -1,0 +1,115 @@
+"""Small flat pieces of a cloud's surfaces, and how sure their place and their normal are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import small_gicp
+
+from ..datatypes import Array, IntArray, PointCloud
+from .registration import thin
+
+VOXELS = (0.15, 0.3, 0.6)
+"""Patches are fitted to clouds thinned to one point per cube of these sides, metres: small ones
+where points are dense, wide ones that span the rows of a ground seen at a slant."""
+
+NEIGHBOURS = 16
+"""Thinned points that a patch is fitted to."""
+
+MAX_THICKNESS = 0.03
+"""RMS distance of a patch's points from its plane, metres, above which it is no surface."""
+
+MAX_LEVERAGE = 0.35
+"""Share of a patch's lesser extent that a single point may account for."""
+
+MIN_THICKNESS = 0.001
+"""Least RMS thickness of a patch, metres: no surface is flatter, nor any LiDAR finer."""
+
+MIN_SPREAD = 0.15
+"""Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
+
+BEAM = np.radians(0.5)
+"""Returns within a band of elevation of this width are taken as one beam's."""
+
+MAX_PATCHES = 2000
+"""Patches of each cloud: every n-th is taken so that about so many are left."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Small flat pieces of a cloud's surfaces.
+
+    Attributes
+    ----------
+    centres
+        (M, 3) mean of the points of each patch, metres.
+    normals
+        (M, 3) unit normals, turned to the sensor.
+    rays
+        (M, 3) unit vectors from the beam origin to the centres.
+    tilt
+        (M,) variance of the normals, rad².
+    thickness
+        (M,) variance of the points across the patch, m².
+    beams
+        (M, NEIGHBOURS) the band of elevation that each point of the patch came from.
+    """
+
+    centres: Array
+    normals: Array
+    rays: Array
+    tilt: Array
+    thickness: Array
+    beams: IntArray
+
+
+def surface_patches(cloud: PointCloud) -> Patches:
+    """Fit planes to the neighbourhoods of the thinned cloud and keep the flat ones."""
+    parts, points = [], cloud.xyz
+    for voxel in VOXELS:
+        # From fine to coarse each thinning starts at the one before: there are fewer points then.
+        points = thin(points, voxel)
+        parts.append(_patches_of(points, cloud.origin))
+    return Patches(
+        *(
+            np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Patches)
+        )
+    )
+
+
+def _patches_of(points: Array, origin: Array) -> Patches:
+    if len(points) < NEIGHBOURS:
+        none, nothing = np.zeros((0, 3)), np.zeros(0)
+        bands = np.zeros((0, NEIGHBOURS), dtype=np.int64)
+        return Patches(none, none, none, nothing, nothing, bands)
+    tree = small_gicp.KdTree(points)
+    at = points[:: 1 + len(points) // MAX_PATCHES]
+    index, _ = tree.batch_knn_search(at, NEIGHBOURS)
+    neighbours = points[np.asarray(index, dtype=np.intp)]
+    ray = points - origin
+    band = np.floor(np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1)) / BEAM).astype(np.int64)
+    centres = neighbours.mean(axis=1)
+    centred = neighbours - centres[:, None]
+    spread = np.matmul(centred.transpose(0, 2, 1), centred) / NEIGHBOURS
+    values, vectors = np.linalg.eigh(spread)
+    flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
+    flat &= values[:, 0] < 0.1 * values[:, 1]
+    # Of a row and one point beside it the plane goes through that point, whatever its error.
+    aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
+    flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
+    centres, normals = centres[flat], vectors[flat, :, 0]
+    rays = centres - origin
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    away = np.einsum("mi,mi->m", normals, rays) > 0
+    # A plane goes through a point that lies apart from the others, whatever its error: a patch is
+    # not taken for thinner than most are.
+    thickness = (
+        np.maximum(values[flat, 0], np.median(values[flat, 0])) if flat.any() else values[flat, 0]
+    )
+    tilt = thickness / (NEIGHBOURS * values[flat, 1])
+    normals = np.where(away[:, None], -normals, normals)
+    return Patches(
+        centres, normals, rays, tilt, np.maximum(thickness, MIN_THICKNESS**2), band[index][flat]
+    )

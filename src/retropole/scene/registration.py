@@ -1,0 +1,148 @@
+"""Registration of whole clouds from a start: ICP and GICP, by small_gicp.
+
+small_gicp answers the identity where it is handed empty or badly shaped arrays, so every entry
+here checks first. Its threads do not survive a `fork`: run processes spawned.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import small_gicp
+
+from ..datatypes import Array
+from ..errors import Refusal
+
+CORES = min(4, os.cpu_count() or 1)
+"""Threads for large clouds. The method's own are small: there one thread is as fast, and several,
+which wait by spinning, are many times slower where the machine has other work.
+"""
+
+MIN_POINTS = 50
+NEIGHBOURS = 10
+"""Points that a surface normal is estimated from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A thinned cloud made ready for registration.
+
+    Attributes
+    ----------
+    xyz
+        (M, 3) one point per occupied voxel, metres.
+    cloud, tree
+        small_gicp's own forms of it.
+    """
+
+    xyz: Array
+    cloud: small_gicp.PointCloud
+    tree: small_gicp.KdTree
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """What a registration ended with.
+
+    Attributes
+    ----------
+    T_target_source
+        (4, 4) pose at the end.
+    inliers
+        Source points that had a target neighbour within reach.
+    converged
+        Whether the step fell below the tolerance before the iterations ran out.
+    """
+
+    T_target_source: Array
+    inliers: int
+    converged: bool
+
+
+def thin(xyz: Array, voxel: float) -> Array:
+    """Keep the mean of the points in each cube of side ``voxel`` metres: (N, 3) to (M, 3)."""
+    if len(xyz) == 0:
+        return np.zeros((0, 3))
+    # One thread: with more, small_gicp's result differs from run to run.
+    thinned = small_gicp.voxelgrid_sampling(np.ascontiguousarray(xyz, dtype=float), voxel)
+    return np.array(thinned.points()[:, :3])
+
+
+def prepare(xyz: Array, voxel: float, *, threads: int = 1) -> Surface:
+    """Thin a cloud and estimate its local surfaces.
+
+    Raises
+    ------
+    Refusal
+        ``too_few_points`` where fewer than `MIN_POINTS` are left: nothing can be registered to it.
+    """
+    points = thin(xyz, voxel)
+    if len(points) < MIN_POINTS:
+        raise Refusal(
+            "too_few_points",
+            f"{len(points)} points are left of a cloud thinned to {voxel:g} m, "
+            f"{MIN_POINTS} are needed; record a scene with more in it",
+            {"points": len(points), "needed": MIN_POINTS},
+        )
+    surface = as_surface(points, threads=threads)
+    small_gicp.estimate_normals_covariances(
+        surface.cloud, surface.tree, num_neighbors=NEIGHBOURS, num_threads=threads
+    )
+    return surface
+
+
+def as_surface(points: Array, *, threads: int = 1) -> Surface:
+    """Hand points (M, 3) to small_gicp as they are, without covariances: enough for ICP."""
+    cloud = small_gicp.PointCloud(points)
+    return Surface(points, cloud, small_gicp.KdTree(cloud, num_threads=threads))
+
+
+def register(
+    target: Surface,
+    source: Surface,
+    T_start: Array,
+    *,
+    method: Literal["ICP", "PLANE_ICP", "GICP"],
+    reach: float,
+    max_iterations: int = 30,
+    threads: int = 1,
+) -> Registration:
+    """Register two prepared clouds from a start.
+
+    Parameters
+    ----------
+    target, source
+        Prepared clouds, each in its own frame.
+    T_start
+        (4, 4) start, target from source.
+    method
+        ``ICP`` is point to point, ``PLANE_ICP`` point to plane, ``GICP`` plane to plane.
+    reach
+        Largest distance of corresponding points, metres.
+    max_iterations
+        Steps at most.
+    threads
+        Of small_gicp.
+
+    Raises
+    ------
+    Refusal
+        ``registration_failed`` where the result is not a finite rigid transform.
+    """
+    result = small_gicp.align(
+        target.cloud,
+        source.cloud,
+        target.tree,
+        np.ascontiguousarray(T_start, dtype=float),
+        registration_type=method,
+        max_correspondence_distance=reach,
+        num_threads=threads,
+        max_iterations=max_iterations,
+    )
+    T = np.array(result.T_target_source)
+    if not np.all(np.isfinite(T)):
+        raise Refusal("registration_failed", f"{method} left the finite numbers", {})
+    return Registration(T, int(result.num_inliers), bool(result.converged))

@@ -1,0 +1,223 @@
+"""Pose from beams on shared cylinders: laws, known truth, and its covariance by sampling."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.alignment.adjustment import BeamAlignment, align_beams
+from retropole.alignment.observations import Beams, beams_of
+from retropole.alignment.posterior import SHARED, Priors, State, evaluate, look
+from retropole.datatypes import Array, PointCloud, Pole
+from retropole.errors import Refusal
+from retropole.evaluation.metrics import e_rt
+from retropole.sensors import SENSORS
+from retropole.simulation import EXACT, Nuisances, SimulatedPair, simulate_pair
+
+THIN = replace(SENSORS["VLP-16"], divergence=0.0)
+NOISY = Nuisances(0.6, 0.0, 0.0, False, 0.0, 0.0, 0.0)
+
+
+def poles_of(pair: SimulatedPair, side: int, cloud: PointCloud | None = None) -> list[Pole]:
+    cloud = cloud or (pair.target, pair.source)[side]
+    first, poles = len(pair.surfaces) - len(pair.poles), []
+    for k in range(len(pair.poles)):
+        index = np.flatnonzero(pair.labels[side] == first + k)
+        xyz = cloud.xyz[index]
+        centre = xyz.mean(axis=0)
+        n = np.linalg.svd(xyz - centre, full_matrices=False)[2][0]
+        poles.append(Pole(centre, n, xyz, float(np.ptp((xyz - centre) @ n)), 0.01, 9, index))
+    return poles
+
+
+def both_beams(pair: SimulatedPair) -> tuple[Beams, Beams]:
+    target, source = (
+        beams_of(poles_of(pair, side), [cloud] * len(pair.poles), THIN)
+        for side, cloud in enumerate((pair.target, pair.source))
+    )
+    return target, source
+
+
+def paper(seed: int, nuisances: Nuisances = NOISY, radius: float = 0.02) -> SimulatedPair:
+    return simulate_pair("paper", np.random.default_rng(seed), nuisances=nuisances, radius=radius)
+
+
+def align(pair: SimulatedPair, start: Array | None = None, **options: float) -> BeamAlignment:
+    T = pair.T_target_source if start is None else start
+    return align_beams(*both_beams(pair), T, **{"radius": 0.02, "bias": 0.0, **options})
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exact_without_noise(seed: int) -> None:
+    pair = paper(seed, EXACT)
+    start = se3.retract(pair.T_target_source, np.full(6, 0.01))
+    assert e_rt(align(pair, start).stage.T_target_source, pair.T_target_source) < 1e-3
+
+
+def test_lines_are_exact_to_numerical_precision(make_pole) -> None:  # type: ignore[no-untyped-def]
+    T = se3.random(np.random.default_rng(1), 2.0)
+    axes = [([4.0, -1, 0], [0.1, 0, 1.0]), ([4.0, 1, 0], [0.2, 0.5, 1.0])]
+    target = [make_pole(*axis) for axis in axes]
+    source = [make_pole(*axis, T=se3.inverse(T)) for axis in axes]
+    cloud = PointCloud(np.ones((1, 3)))
+    beams = [beams_of(poles, [cloud] * 2, THIN) for poles in (target, source)]
+    start = se3.retract(T, np.full(6, 0.002))
+    found = align_beams(beams[0], beams[1], start, radius=0.0, bias=0.0)
+    assert np.abs(se3.local(found.stage.T_target_source, T)).max() < 1e-6
+
+
+def test_jacobian_of_a_look() -> None:
+    pair = paper(2)
+    for lidar, beams in enumerate(both_beams(pair)):
+        T = se3.inverse(pair.T_world_target)
+        state = State(
+            pair.T_target_source,
+            np.array([0.002, -0.003]),
+            0.02,
+            se3.apply(T, np.array([pole.centre for pole in pair.poles])),
+            np.array([pole.axis for pole in pair.poles]) @ T[:3, :3].T,
+        )
+        inputs = beams.origin, beams.directions, beams.ranges, beams.pole
+        here = look(state, lidar, *inputs)
+        for k in range(SHARED + 8):
+            step = np.zeros(SHARED + 8)
+            step[k] = 1e-6
+            plus, minus = (look(state.moved(s), lidar, *inputs) for s in (step, -step))
+            for row, name in enumerate(("depth", "miss")):
+                slope = (getattr(plus, name) - getattr(minus, name)) / 2e-6
+                np.testing.assert_allclose(here.jacobian[:, row, k], slope, atol=1e-5)
+
+
+def test_gradient_of_the_posterior() -> None:
+    pair = simulate_pair("street", np.random.default_rng(1))
+    beams = tuple(
+        beams_of(poles_of(pair, side), [cloud] * 2, pair.sensors[side])
+        for side, cloud in enumerate((pair.target, pair.source))
+    )
+    assert min(len(one.passed) for one in beams) > 0
+    T = se3.inverse(pair.T_world_target)
+    state = State(
+        se3.retract(pair.T_target_source, np.full(6, 1e-3)),
+        np.array([0.001, 0.002]),
+        0.021,
+        se3.apply(T, np.array([pole.centre for pole in pair.poles])),
+        np.array([pole.axis for pole in pair.poles]) @ T[:3, :3].T,
+    )
+    noise, priors = np.log(np.full((2, 2), 0.008)), Priors(0.004, 0.02, 0.003)
+    fit = evaluate(state, noise, beams, priors)
+    for k in range(SHARED + 8):
+        step = np.zeros(SHARED + 8)
+        step[k] = 1e-7
+        plus, minus = (evaluate(state.moved(s), noise, beams, priors).log for s in (step, -step))
+        slope = (plus - minus) / 2e-7
+        assert fit.gradient[k] == pytest.approx(
+            slope, rel=2e-2, abs=2e-3 * np.abs(fit.gradient).max()
+        )
+
+
+def test_finer_than_lines_at_the_papers_set_up() -> None:
+    from retropole.alignment.point_to_line import align_poles
+
+    ours, theirs = [], []
+    for seed in range(12):
+        pair = paper(seed)
+        lines = [(pole.point, pole.direction) for pole in poles_of(pair, 0)]
+        points = [pole.xyz for pole in poles_of(pair, 1)]
+        T = align_poles(lines, points, pair.T_target_source).T_target_source
+        theirs.append(e_rt(T, pair.T_target_source))
+        ours.append(e_rt(align(pair, T).stage.T_target_source, pair.T_target_source))
+    assert np.median(ours) < 0.6 * np.median(theirs)
+
+
+def test_swapping_inverts() -> None:
+    pair = paper(3)
+    target, source = both_beams(pair)
+    forth = align(pair).stage.T_target_source
+    back = align_beams(source, target, se3.inverse(pair.T_target_source), radius=0.02, bias=0.0)
+    gap = se3.local(se3.inverse(back.stage.T_target_source), forth)
+    assert np.abs(gap).max() < 1e-3
+
+
+def test_moving_the_frames_moves_the_answer() -> None:
+    pair, rng = paper(4), np.random.default_rng(0)
+    A, B = se3.random(rng), se3.random(rng)
+    plain = align(pair).stage
+    moved = [cloud.transformed(T) for cloud, T in ((pair.target, A), (pair.source, B))]
+    beams = [
+        beams_of(poles_of(pair, side, cloud), [cloud] * 2, THIN) for side, cloud in enumerate(moved)
+    ]
+    start = A @ pair.T_target_source @ se3.inverse(B)
+    found = align_beams(beams[0], beams[1], start, radius=0.02, bias=0.0).stage
+    expected = A @ plain.T_target_source @ se3.inverse(B)
+    at = se3.apply(B, np.eye(3))
+    gap = se3.apply(found.T_target_source, at) - se3.apply(expected, at)
+    assert np.abs(gap).max() < 2e-3
+
+
+def test_the_order_of_the_returns_does_not_matter() -> None:
+    pair, rng = paper(5), np.random.default_rng(0)
+    shuffled = []
+    for side, cloud in enumerate((pair.target, pair.source)):
+        poles = []
+        for pole in poles_of(pair, side):
+            order = rng.permutation(len(pole.xyz))
+            poles.append(replace(pole, xyz=pole.xyz[order], index=pole.index[order]))
+        shuffled.append(beams_of(poles, [cloud] * 2, THIN))
+    other = align_beams(shuffled[0], shuffled[1], pair.T_target_source, radius=0.02, bias=0.0)
+    gap = se3.local(other.stage.T_target_source, align(pair).stage.T_target_source)
+    assert np.abs(gap).max() < 1e-4
+
+
+def test_a_radius_not_known_is_estimated() -> None:
+    pair = simulate_pair("paper", np.random.default_rng(6), nuisances=NOISY, radius=0.05)
+    found = align(pair, radius=0.04, radius_sigma=0.02)
+    assert abs(found.radius - 0.05) < 4 * found.radius_sigma
+    assert found.radius_sigma < 0.01
+    known = align(pair, radius=0.05)
+    assert known.radius == pytest.approx(0.05, abs=1e-6)
+
+
+def test_an_offset_that_may_be_widens_the_covariance() -> None:
+    pair = paper(7)
+    sure, free = align(pair), align(pair, bias=0.02)
+    assert np.trace(free.stage.covariance[3:, 3:]) > np.trace(sure.stage.covariance[3:, 3:])
+    assert np.trace(free.covariance_sure[3:, 3:]) < np.trace(free.stage.covariance[3:, 3:])
+
+
+def test_covariance_tells_the_spread() -> None:
+    squares = []
+    for seed in range(60):
+        pair = paper(100 + seed)
+        try:
+            stage = align(pair).stage
+        except Refusal:
+            continue
+        off = se3.local(stage.T_target_source, pair.T_target_source)
+        squares.append(off @ np.linalg.solve(stage.covariance, off))
+    assert len(squares) > 55
+    assert np.mean(np.array(squares) < 12.59) > 0.88
+    assert 2.0 < np.median(squares) < 8.0
+
+
+def test_poles_that_say_nothing_are_refused(make_pole) -> None:  # type: ignore[no-untyped-def]
+    up = np.array([0.0, 0.0, 1.0])
+    cloud = PointCloud(np.zeros((1, 3)) + 5.0)
+    rng = np.random.default_rng(0)
+
+    def beams(poles: list[Pole]) -> Beams:
+        return beams_of(poles, [cloud] * len(poles))
+
+    parallel = [make_pole([4.0, y, 0], up, sigma=0.003, rng=rng) for y in (-1.0, 1.0)]
+    with pytest.raises(Refusal) as refusal:
+        align_beams(beams(parallel), beams(parallel), np.eye(4), radius=0.02)
+    assert refusal.value.code == "degenerate_poles"
+    with pytest.raises(Refusal) as refusal:
+        align_beams(beams(parallel[:1]), beams(parallel[:1]), np.eye(4), radius=0.02)
+    assert refusal.value.code == "too_few_points"
+    blobs = [
+        replace(pole, xyz=pole.xyz + 0.2 * rng.normal(size=pole.xyz.shape)) for pole in parallel
+    ]
+    with pytest.raises(Refusal) as refusal:
+        align_beams(beams(blobs), beams(parallel), np.eye(4), radius=0.02)
+    assert refusal.value.code == "poor_fit"

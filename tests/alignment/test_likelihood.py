@@ -1,0 +1,134 @@
+"""Beams at cylinders: closed forms against brute force, derivatives against finite differences."""
+
+import numpy as np
+import pytest
+
+from retropole.alignment.likelihood import ArcLikelihood, arc_likelihood, pass_axis, pass_likelihood
+from retropole.datatypes import Array
+
+RADIUS, SIGMA_DEPTH, SIGMA_MISS = 0.02, 0.006, 0.003
+
+
+def unit(v: Array) -> Array:
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
+
+
+def some_beams(rng: np.random.Generator, count: int = 40) -> tuple[Array, Array, Array, Array]:
+    directions = unit(np.array([1.0, 0, 0]) + 0.2 * rng.normal(size=(count, 3)))
+    point, axis = np.array([4.0, 0.3, 0.2]), unit(rng.normal(size=3) + np.array([0, 0, 2.0]))
+    return rng.normal(size=3), directions, point, axis
+
+
+def test_the_nearest_approach_is_the_nearest() -> None:
+    rng = np.random.default_rng(0)
+    origin, directions, point, axis = some_beams(rng)
+    by = pass_axis(origin, directions, point, axis)
+    for k in range(len(directions)):
+        steps = by.nearest[k] + np.linspace(-0.5, 0.5, 1001)
+        at = origin + steps[:, None] * directions[k] - point
+        gaps = np.linalg.norm(at - (at @ axis)[:, None] * axis, axis=1)
+        assert np.argmin(gaps) == 500
+        assert gaps.min() == pytest.approx(abs(by.miss[k]), abs=1e-9)
+        assert by.sine[k] == pytest.approx(np.linalg.norm(np.cross(directions[k], axis)))
+
+
+def test_passage_derivatives() -> None:
+    rng = np.random.default_rng(1)
+    origin, directions, point, axis = some_beams(rng)
+    by, h = pass_axis(origin, directions, point, axis), 1e-6
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = h
+        plus = pass_axis(origin, directions, point + step[:3], axis + step[3:])
+        minus = pass_axis(origin, directions, point - step[:3], axis - step[3:])
+        for name in ("nearest", "miss", "sine"):
+            if name == "sine" and k >= 3:
+                continue  # free directions change it by cos, which callers project away
+            slope = (getattr(plus, name) - getattr(minus, name)) / (2 * h)
+            if k < 3:
+                given = getattr(by, f"{name}_axis")[:, k]
+                np.testing.assert_allclose(given, slope, atol=2e-5 * (1 + np.abs(slope).max()))
+
+
+def test_passage_derivatives_by_the_direction_across_it() -> None:
+    rng = np.random.default_rng(2)
+    origin, directions, point, axis = some_beams(rng)
+    by, h = pass_axis(origin, directions, point, axis), 1e-6
+    for tangent in np.linalg.svd(axis[None])[2][1:]:
+        plus = pass_axis(origin, directions, point, unit(axis + h * tangent))
+        minus = pass_axis(origin, directions, point, unit(axis - h * tangent))
+        for name in ("nearest", "miss", "sine"):
+            slope = (getattr(plus, name) - getattr(minus, name)) / (2 * h)
+            given = getattr(by, f"{name}_axis")[:, 3:] @ tangent
+            np.testing.assert_allclose(given, slope, atol=2e-5 * (1 + np.abs(slope).max()))
+
+
+def returns(rng: np.random.Generator, width: float, count: int = 200) -> Array:
+    """Depth, miss and radius (N, 3) of noisy returns."""
+    x = rng.uniform(-RADIUS - width, RADIUS + width, count)
+    depth = np.sqrt(np.maximum(RADIUS**2 - x**2, 0)) + SIGMA_DEPTH * rng.normal(size=count)
+    return np.stack([depth, x + SIGMA_MISS * rng.normal(size=count), np.full(count, RADIUS)], 1)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.008])
+def test_arc_derivatives(width: float) -> None:
+    values = returns(np.random.default_rng(3), width)
+
+    def at(v: Array) -> ArcLikelihood:
+        ones = np.ones(len(v))
+        return arc_likelihood(
+            v[:, 0], v[:, 1], SIGMA_DEPTH * ones, SIGMA_MISS * ones, float(v[0, 2]), width
+        )
+
+    # The integral is cut where it does not count, except for returns far off the pole.
+    values = values[at(values).inlier > 0.9999]
+
+    here, h = at(values), 1e-6
+    for k in range(3):
+        step = np.zeros(3)
+        step[k] = h
+        plus, minus = at(values + step), at(values - step)
+        slope = (plus.log - minus.log) / (2 * h)
+        curve = -(plus.score - minus.score) / (2 * h)
+        given, bend = here.score[:, k], here.information[:, k]
+        # Where the cut comes to the end of the arc a step goes over a slight kink.
+        assert np.quantile(np.abs(given - slope), 0.98) < 1e-3 * np.abs(slope).max()
+        assert np.quantile(np.abs(bend - curve), 0.98) < 1e-3 * np.abs(curve).max()
+
+
+@pytest.mark.parametrize("width", [0.0, 0.008])
+def test_arc_density_adds_up_to_its_share(width: float) -> None:
+    depth, miss = np.meshgrid(np.linspace(-0.05, 0.07, 241), np.linspace(-0.06, 0.06, 241))
+    ones = np.ones(depth.size)
+    arc = arc_likelihood(
+        depth.ravel(), miss.ravel(), SIGMA_DEPTH * ones, SIGMA_MISS * ones, RADIUS, width
+    )
+    pole = np.exp(arc.log) * arc.inlier
+    assert pole.sum() * (0.12 / 240) ** 2 == pytest.approx(0.98, abs=0.01)
+
+
+def test_without_noise_sideways_it_is_the_range_that_counts() -> None:
+    miss, ones = np.array([0.0, 0.008, -0.012]), np.ones(3)
+    shift = np.array([0.004, -0.003, 0.002])
+    facing = np.sqrt(RADIUS**2 - miss**2)
+    logs = [
+        arc_likelihood(facing + s, miss, SIGMA_DEPTH * ones, 1e-4 * ones, RADIUS).log
+        for s in (0.0, shift)
+    ]
+    expected = -0.5 * (shift / SIGMA_DEPTH) ** 2
+    np.testing.assert_allclose(logs[1] - logs[0], expected, atol=0.02)
+
+
+def test_pass_derivatives_and_limits() -> None:
+    rng = np.random.default_rng(4)
+    miss, sigma, h = rng.uniform(-0.06, 0.06, 100), np.full(100, SIGMA_MISS), 1e-6
+    here = pass_likelihood(miss, sigma, RADIUS, 0.004)
+    for k, (dm, dr) in enumerate(((h, 0.0), (0.0, h))):
+        plus = pass_likelihood(miss + dm, sigma, RADIUS + dr, 0.004)
+        minus = pass_likelihood(miss - dm, sigma, RADIUS - dr, 0.004)
+        np.testing.assert_allclose(here.score[:, k], (plus.log - minus.log) / (2 * h), atol=1e-3)
+        curve = -(plus.score - minus.score) / (2 * h)
+        np.testing.assert_allclose(here.information[:, k], curve, atol=1.0)
+    far, on = pass_likelihood(np.array([0.06, 0.0]), sigma[:2], RADIUS).log
+    assert far == pytest.approx(0.0, abs=1e-6)
+    assert on == pytest.approx(np.log(0.05), abs=1e-3)

@@ -1,0 +1,122 @@
+"""The command compare as a user runs it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.evaluation.rivals import missing_extra
+from retropole.io import read_cloud, write_pcd
+
+
+def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "retropole", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene")
+    done = retropole("simulate", "corridor", "--seed", 4, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) -> None:
+    done = retropole(
+        *("compare", scene / "lidar0.pcd", scene / "lidar1.pcd"),
+        *("--truth", scene / "truth.json"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    for word in ("poles+scene", "planes", "gicp", "overlap", "RQE", "e_rt m", "time s", "yaw °"):
+        assert word in done.stdout
+    for method, extra in (("kiss", "kiss"), ("fpfh", "open3d")):
+        if missing_extra(method):
+            assert f"{method}: not installed: pip install 'retropole[{extra}]'" in done.stderr
+        else:
+            assert "not installed" not in done.stdout
+    assert list(tmp_path.iterdir()) == [], "nothing is written"
+
+
+def test_json_is_all_of_stdout_and_right(scene: Path) -> None:
+    done = retropole(
+        *("compare", scene / "lidar0.pcd", scene / "lidar1.pcd", "--json"),
+        *("--truth", scene / "truth.json", "--methods", "planes,poles"),
+    )
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["schema"] == "retropole/compare/1"
+    planes, poles = document["methods"]
+    assert (planes["method"], poles["method"]) == ("planes", "poles")
+    truth = np.array(json.loads((scene / "truth.json").read_text())["T_target_source"])
+    for each in (planes, poles):
+        T = np.array(each["T_target_source"])
+        off = float(np.linalg.norm(T[:3, 3] - truth[:3, 3]))
+        assert each["translation_error_m"] == pytest.approx(off)
+        assert off < 0.1
+        assert 0.5 < each["overlap"] <= 1
+        assert each["rqe_log"] == pytest.approx(-np.log(each["rqe_sum"]))
+    assert planes["e_rt_m"] < 0.1
+
+
+def test_without_a_truth_there_are_no_errors(scene: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("compare", *files, "--methods", "gicp", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["methods"][0]["e_rt_m"] is None
+
+
+def test_where_all_refuse_the_exit_code_is_3(scene: Path, tmp_path: Path) -> None:
+    few = read_cloud(scene / "lidar0.pcd").select(np.arange(20))
+    write_pcd(tmp_path / "few.pcd", few)
+    done = retropole(
+        *("compare", "few.pcd", scene / "lidar1.pcd", "--methods", "poles,planes,icp"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 3
+    for code in ("too_few_poles", "too_few_planes", "too_few_points"):
+        assert code in done.stdout
+        assert code in done.stderr
+
+
+@pytest.mark.skipif(missing_extra("kiss") is None, reason="the extra kiss is installed")
+def test_only_what_is_not_installed_is_bad_usage(scene: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("compare", *files, "--methods", "kiss")
+    assert done.returncode == 2
+    assert "retropole[kiss]" in done.stderr
+
+
+def test_a_truth_that_is_no_transform_is_named(scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "T.txt").write_text("2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("compare", *files, "--truth", "T.txt", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "T.txt" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("missing.pcd", "missing.pcd"),
+        ("only-one.pcd",),
+        ("a.pcd", "b.pcd", "--methods", "nonsense"),
+        ("a.pcd", "b.pcd", "--truth", "missing.txt"),
+    ],
+)
+def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = retropole("compare", *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.strip()
+    assert "Traceback" not in done.stderr
+
+
+def test_help_has_worked_examples() -> None:
+    done = retropole("compare", "--help")
+    assert done.returncode == 0
+    assert "retropole compare " in done.stdout.split("Examples:")[1]

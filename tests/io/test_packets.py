@@ -1,0 +1,184 @@
+"""Packets of Velodynes and Ousters give what their own libraries make of them."""
+
+import shutil
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.errors import MissingExtraError, ReadError, UsageError
+from retropole.io import open_recording, read_cloud, read_frames
+from tests.paths import SHARED
+
+FORMATS = SHARED / "formats"
+
+VELODYNE = {"sample_velodyne_hdl32": (3, 146_705), "sample_velodyne_vlp16_gps": (4, 73_486)}
+OUSTER = "OS-0-128-U1_v2.3.0_1024x10"
+
+
+def shared(name: str) -> Path:
+    path = FORMATS / name
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    return path
+
+
+def needs_ouster() -> None:
+    pytest.importorskip("ouster.sdk", reason="needs pip install 'retropole[ouster]'")
+
+
+def capture(path: Path, payloads: list[bytes]) -> None:
+    """Write UDP packets as a pcap."""
+    with path.open("wb") as file:
+        file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1))
+        for k, payload in enumerate(payloads):
+            size = 42 + len(payload)
+            udp = struct.pack(">HHHH", 2368, 2368, 8 + len(payload), 0)
+            ip = struct.pack(
+                ">BBHHHBBH4s4s", 69, 0, size - 14, 0, 0, 64, 17, 0, b"\1" * 4, b"\2" * 4
+            )
+            packet = b"\xff" * 12 + b"\x08\x00" + ip + udp + payload
+            file.write(struct.pack("<IIII", k, 0, size, size) + packet)
+
+
+@pytest.mark.parametrize("name", VELODYNE)
+def test_a_velodyne_is_read_as_velodyne_decoder_has_it(name: str) -> None:
+    decoder = pytest.importorskip("velodyne_decoder")
+    path = shared(f"velodyne/{name}.pcap")
+    sweeps = list(decoder.read_pcap(path))
+    table = np.concatenate([points for _, points in sweeps]).astype(float)
+    read = read_cloud(path)
+    assert (len(sweeps), len(read)) == VELODYNE[name] == (len(sweeps), len(table))
+    fields = decoder.PointField
+    np.testing.assert_array_equal(read.xyz, table[:, :3])
+    np.testing.assert_array_equal(read.intensity, table[:, fields.intensity])
+    np.testing.assert_array_equal(read.ring, table[:, fields.ring])
+    np.testing.assert_array_equal(read.origin, np.zeros(3))
+    lengths = [len(points) for _, points in sweeps]
+    np.testing.assert_array_equal(read.frame, np.repeat(range(len(sweeps)), lengths))
+    starts = np.repeat([stamp.host for stamp, _ in sweeps], lengths)
+    np.testing.assert_allclose(read.time - starts, table[:, fields.time], atol=1e-6)
+
+
+def test_sweeps_are_sliced() -> None:
+    pytest.importorskip("velodyne_decoder")
+    path = shared("velodyne/sample_velodyne_vlp16_gps.pcap")
+    frames = list(read_frames(path))
+    assert [frame.number for frame in frames] == [0, 1, 2, 3]
+    middle = read_cloud(path, frames=slice(1, 3))
+    parts = [frame.cloud.xyz for frame in frames[1:3]]
+    np.testing.assert_array_equal(middle.xyz, np.concatenate(parts))
+    stamps = [frame.stamp for frame in frames]
+    np.testing.assert_allclose(np.diff(stamps)[:2], 0.1, atol=0.01)
+    with pytest.raises(UsageError, match="has no topics"):
+        read_cloud(path, topic="/points")
+
+
+def test_an_ouster_is_read_as_its_kit_has_it() -> None:
+    needs_ouster()
+    from ouster.sdk import open_source
+    from ouster.sdk.core import ChanField, XYZLut
+
+    path = shared(f"ouster/{OUSTER}.pcap")
+    source = open_source(str(path), meta=[str(path.with_suffix(".json"))])
+    info = source.sensor_info[0]
+    (scan,) = [scan for scans in source for scan in scans]
+    ranges = scan.field(ChanField.RANGE)
+    read = read_cloud(path)
+    assert open_recording(path).count == 1
+    returned = ranges > 0
+    assert (len(read), read.dropped) == (int(returned.sum()), int((~returned).sum()))
+    assert (len(read), read.dropped) == (97_299, 33_773)
+    np.testing.assert_array_equal(read.xyz, XYZLut(info, use_extrinsics=False)(scan)[returned])
+    np.testing.assert_array_equal(read.intensity, scan.field(ChanField.REFLECTIVITY)[returned])
+    np.testing.assert_array_equal(read.ring, np.nonzero(returned)[0])
+    np.testing.assert_array_equal(read.time, scan.timestamp[np.nonzero(returned)[1]] / 1e9)
+
+
+def test_beams_of_an_ouster_start_at_its_origin() -> None:
+    """From there, the beams of a row make a cone about the axis: one elevation all around."""
+    needs_ouster()
+    read = read_cloud(shared(f"ouster/{OUSTER}.pcap"))
+    ray = read.xyz - read.origin
+    far = np.linalg.norm(ray, axis=1) > 5
+    elevation = np.arcsin(ray[far, 2] / np.linalg.norm(ray[far], axis=1))
+    spread = [np.ptp(elevation[read.ring[far] == k]) for k in np.unique(read.ring[far])]
+    assert np.degrees(np.median(spread)) < 0.3
+    np.testing.assert_allclose(read.origin, [0, 0, 0.03618])
+
+
+@pytest.mark.parametrize("names", [(), ("one.json", "two.json")])
+def test_an_ouster_without_metadata_says_what_to_supply(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    path = tmp_path / "drive.pcap"
+    capture(path, [bytes(8448)] * 3)
+    for name in names:
+        (tmp_path / name).write_text("{}")
+    with pytest.raises(ReadError, match=r"metadata beside them as drive\.json, found (no|2 files)"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("name", [f"{OUSTER}.json", "only.json"])
+def test_metadata_of_an_ouster_are_found_beside_it(tmp_path: Path, name: str) -> None:
+    needs_ouster()
+    path = shared(f"ouster/{OUSTER}.pcap")
+    shutil.copy(path, tmp_path)
+    shutil.copy(path.with_suffix(".json"), tmp_path / name)
+    assert len(read_cloud(tmp_path / path.name)) == 97_299
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "is empty"),
+        (b"no capture of packets", "expected a capture"),
+        (b"\x0a\x0d\x0d\x0a" + bytes(40), "is a pcapng"),
+        (b"\xd4\xc3\xb2\xa1" + bytes(28) + b"\xff" * 8, "a packet of 4294967295 bytes"),
+        (b"\xd4\xc3\xb2\xa1\x02\x00\x04\x00" + bytes(12) + b"\1\0\0\0", "metadata"),
+    ],
+)
+def test_what_is_no_capture_is_named(tmp_path: Path, content: bytes, reason: str) -> None:
+    (tmp_path / "a.pcap").write_bytes(content)
+    with pytest.raises(ReadError, match=rf"a\.pcap: .*{reason}"):
+        read_cloud(tmp_path / "a.pcap")
+
+
+def test_damaged_packets_give_an_error_or_less_points(tmp_path: Path) -> None:
+    pytest.importorskip("velodyne_decoder")
+    whole = shared("velodyne/sample_velodyne_vlp16_gps.pcap")
+    content = whole.read_bytes()
+    path = tmp_path / "a.pcap"
+    sweeps = list(read_frames(whole))
+    for part in (0.001, 0.003, 0.3, 0.5, 0.77):
+        path.write_bytes(content[: int(part * len(content))])
+        if part < 0.1:
+            with pytest.raises(ReadError, match=r"a\.pcap"):
+                read_cloud(path)
+            continue
+        read = list(read_frames(path))
+        for frame, full in zip(read, sweeps[: len(read) - 1], strict=False):
+            np.testing.assert_array_equal(frame.cloud.xyz, full.cloud.xyz)
+        assert len(read[-1].cloud) <= len(sweeps[len(read) - 1].cloud)
+
+
+def test_packets_without_a_return_are_no_sweep(tmp_path: Path) -> None:
+    pytest.importorskip("velodyne_decoder")
+    block = b"\xff\xee" + bytes(98)
+    capture(tmp_path / "a.pcap", [block * 12 + b"\0\0\0\0\x37\x22"] * 5)
+    with pytest.raises(ReadError, match=r"a\.pcap"):
+        read_cloud(tmp_path / "a.pcap")
+
+
+@pytest.mark.parametrize("extra", ["velodyne", "ouster"])
+def test_missing_parts_say_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extra: str
+) -> None:
+    module = {"velodyne": "velodyne_decoder", "ouster": "ouster.sdk"}[extra]
+    capture(tmp_path / "a.pcap", [b"\xff\xee" + bytes(1204)] if extra == "velodyne" else [b"abc"])
+    (tmp_path / "a.json").write_text("{}")
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf"retropole\[{extra}\]"):
+        read_cloud(tmp_path / "a.pcap")

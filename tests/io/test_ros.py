@@ -1,0 +1,385 @@
+"""Bags that rosbags wrote, and those of others, give the points that were put in."""
+
+import sqlite3
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
+
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.typesys import Stores, get_typestore
+
+from retropole.datatypes import PointCloud
+from retropole.errors import MissingExtraError, ReadError, UsageError
+from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
+from retropole.io.ros import columns_of
+from tests.bags import CLOUDS, KINDS, START, message, points_of, write_bag
+from tests.paths import SHARED
+
+FORMATS = SHARED / "formats"
+
+ROS1 = Stores.ROS1_NOETIC
+ROS2 = [store for store in Stores if store.value.startswith("ros2")]
+
+
+def shared(name: str) -> Path:
+    path = FORMATS / name
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    return path
+
+
+def random_cloud(seed: int = 0, count: int = 50) -> PointCloud:
+    rng = np.random.default_rng(seed)
+    return PointCloud(
+        rng.uniform(-9, 9, (count, 3)).astype("f4").astype(float),
+        intensity=rng.integers(0, 256, count).astype(float),
+        ring=rng.integers(0, 16, count),
+    )
+
+
+def assert_same(read: PointCloud, written: PointCloud) -> None:
+    np.testing.assert_array_equal(read.xyz, written.xyz)
+    np.testing.assert_array_equal(read.intensity, written.intensity)
+    np.testing.assert_array_equal(read.ring, written.ring)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_bag_gives_back_what_was_written(tmp_path: Path, kind: str) -> None:
+    clouds = [random_cloud(seed, 40 + seed) for seed in range(5)]
+    path = write_bag(tmp_path, kind, {"/points": [points_of(cloud) for cloud in clouds]})
+    frames = list(read_frames(path))
+    assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
+    for frame, cloud in zip(frames, clouds, strict=True):
+        assert_same(frame.cloud, cloud)
+        assert frame.frame_id == "lidar"
+        assert frame.stamp == pytest.approx(START / 1e9 + 0.1 * frame.number)
+    whole = read_cloud(path)
+    np.testing.assert_array_equal(whole.xyz, np.concatenate([cloud.xyz for cloud in clouds]))
+    np.testing.assert_array_equal(whole.frame, np.repeat(range(5), [40, 41, 42, 43, 44]))
+    assert whole.source == str(path)
+    assert len(sha256_of(path)) == 64
+
+
+@pytest.mark.parametrize("store", ROS2, ids=lambda store: store.value)
+def test_every_ros_2_is_read(tmp_path: Path, store: Stores) -> None:
+    cloud = random_cloud()
+    path = write_bag(tmp_path, "db3", {"/points": [points_of(cloud)]}, store=store)
+    assert_same(read_cloud(path), cloud)
+
+
+def test_definitions_of_messages_are_not_needed(tmp_path: Path) -> None:
+    cloud = random_cloud()
+    path = write_bag(tmp_path, "db3", {"/points": [points_of(cloud)]})
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM message_definitions")
+    assert_same(read_cloud(path), cloud)
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [
+        ("bag", Writer1.CompressionFormat.BZ2),
+        ("bag", Writer1.CompressionFormat.LZ4),
+        ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
+        ("db3 folder", (CompressionMode.FILE, CompressionFormat.ZSTD)),
+        ("db3 folder", (CompressionMode.MESSAGE, CompressionFormat.ZSTD)),
+    ],
+)
+def test_compressed_bags_are_read(tmp_path: Path, kind: str, compression: object) -> None:
+    cloud = random_cloud()
+    path = write_bag(tmp_path, kind, {"/points": [points_of(cloud)]}, compression=compression)
+    assert_same(read_cloud(path), cloud)
+
+
+@pytest.mark.parametrize("encoding", ["ros1", "cdr"])
+@pytest.mark.parametrize("indexed", [True, False])
+def test_an_mcap_of_any_profile_is_read_with_or_without_an_index(
+    tmp_path: Path, encoding: str, indexed: bool
+) -> None:
+    from mcap.writer import IndexType, Writer
+
+    clouds = [random_cloud(seed) for seed in range(4)]
+    store = get_typestore(ROS1 if encoding == "ros1" else Stores.LATEST)
+    write = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
+    writer = Writer(
+        str(tmp_path / "a.mcap"),
+        index_types=IndexType.ALL if indexed else IndexType.NONE,
+        use_statistics=indexed,
+        repeat_channels=indexed,
+        repeat_schemas=indexed,
+        use_summary_offsets=indexed,
+    )
+    writer.start()
+    name = CLOUDS.replace("/msg", "") if encoding == "ros1" else CLOUDS
+    schema = writer.register_schema(name, f"{encoding}msg", b"")
+    channel = writer.register_channel("/points", encoding, schema)
+    for k, cloud in enumerate(clouds):
+        data = write(message(points_of(cloud), store), CLOUDS)
+        writer.add_message(channel, log_time=k, data=bytes(data), publish_time=k)
+    writer.finish()
+    frames = list(read_frames(tmp_path / "a.mcap"))
+    assert len(frames) == 4
+    for frame, cloud in zip(frames, clouds, strict=True):
+        assert_same(frame.cloud, cloud)
+
+
+LAYOUTS = {
+    "double": np.dtype([(name, "<f8") for name in ("x", "y", "z", "intensity")] + [("ring", "u1")]),
+    "big-endian": np.dtype([(n, ">f4") for n in ("x", "y", "z", "intensity")] + [("ring", ">u2")]),
+    "uint16": np.dtype([(n, "<f4") for n in "xyz"] + [("intensity", "<u2"), ("ring", "<u2")]),
+    "uint8": np.dtype([(n, "<f4") for n in "xyz"] + [("reflectivity", "u1"), ("channel", "u1")]),
+    "order": np.dtype([("line", "u1"), *((n, "<f4") for n in ("intensity", "z", "y", "x"))]),
+    "padding": np.dtype(
+        {
+            "names": ["x", "y", "z", "intensity", "ring"],
+            "formats": ["<f4", "<f4", "<f4", "<f4", "<u2"],
+            "offsets": [0, 4, 8, 16, 24],
+            "itemsize": 48,
+        }
+    ),
+    "several values": np.dtype(
+        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4", (2,)), ("ring", "<i4")]
+    ),
+}
+
+
+def laid_out(cloud: PointCloud, kind: np.dtype) -> np.ndarray:
+    points = np.zeros(len(cloud), kind)
+    for name in kind.names or ():
+        column = {
+            **dict(zip("xyz", cloud.xyz.T, strict=True)),
+            **dict.fromkeys(("intensity", "reflectivity"), cloud.intensity),
+            **dict.fromkeys(("ring", "channel", "line"), cloud.ring),
+        }[name]
+        points[name] = column if points[name].ndim == 1 else np.column_stack([column, 0 * column])
+    return points
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+@pytest.mark.parametrize(("rows", "row_padding"), [(1, 0), (5, 0), (5, 13)])
+def test_any_layout_gives_the_same_points(
+    tmp_path: Path, layout: str, kind: str, rows: int, row_padding: int
+) -> None:
+    cloud = random_cloud(3)
+    points = laid_out(cloud, LAYOUTS[layout]).reshape(rows, -1)
+    path = write_bag(tmp_path, kind, {"/points": [points]}, row_padding=row_padding)
+    assert_same(read_cloud(path), cloud)
+
+
+def test_time_by_any_of_its_names(tmp_path: Path) -> None:
+    for name in ("time", "t", "timestamp", "offset_time"):
+        points = np.zeros(4, [("x", "f4"), ("y", "f4"), ("z", "f4"), (name, "<f8")])
+        points["x"], points[name] = 1, [0.5, 1, 1.5, 2]
+        folder = tmp_path / name
+        folder.mkdir()
+        read = read_cloud(write_bag(folder, "bag", {"/points": [points]}))
+        np.testing.assert_array_equal(read.time, points[name])
+
+
+def test_no_returns_are_dropped_and_counted_in_every_frame(tmp_path: Path) -> None:
+    some, none = random_cloud(1), random_cloud(2)
+    some.xyz[:7], some.xyz[7:9] = np.nan, 0
+    none.xyz[:] = np.nan
+    clouds = [some, none, random_cloud(4)]
+    points = [*map(points_of, clouds), points_of(random_cloud(5))[:0]]
+    path = write_bag(tmp_path, "mcap", {"/points": points})
+    read = read_cloud(path)
+    assert (len(read), read.dropped) == (50 - 9 + 50, 9 + 50)
+    np.testing.assert_array_equal(np.unique(read.frame), [0, 2])
+    with pytest.raises(ReadError, match="none of the 50 points in 2 frames"):
+        read_cloud(path, frames=slice(1, None, 2))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_topic_is_chosen_or_asked_for(tmp_path: Path, kind: str) -> None:
+    front, rear = random_cloud(1), random_cloud(2)
+    path = write_bag(
+        tmp_path, kind, {"/front": [points_of(front)] * 2, "/rear": [points_of(rear)], "/mute": []}
+    )
+    assert_same(read_cloud(path, topic="/rear"), rear)
+    assert open_recording(path, topic="/front").count == 2
+    with pytest.raises(ReadError, match=r"2 topics .* /front \(2 messages\), /rear \(1 messages\)"):
+        read_cloud(path)
+    with pytest.raises(ReadError, match=r"no topic /absent; .* /front"):
+        read_cloud(path, topic="/absent")
+    with pytest.raises(ReadError, match=r"/said is of std_msgs/msg/String"):
+        read_cloud(path, topic="/said")
+    with pytest.raises(ReadError, match="/mute has no messages"):
+        read_cloud(path, topic="/mute")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_without_clouds_says_what_it_has(tmp_path: Path, kind: str) -> None:
+    path = write_bag(tmp_path, kind, {})
+    with pytest.raises(ReadError, match=r"no topic of sensor_msgs|no readable bag"):
+        read_cloud(path)
+
+
+def test_a_topic_of_what_is_no_bag(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x,y,z\n1,2,3\n")
+    with pytest.raises(UsageError, match="has no topics"):
+        read_cloud(tmp_path / "a.csv", topic="/points")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frames_are_sliced_as_a_list(tmp_path: Path, kind: str) -> None:
+    clouds = [random_cloud(seed) for seed in range(7)]
+    path = write_bag(tmp_path, kind, {"/points": [points_of(cloud) for cloud in clouds]})
+    for wanted in (slice(2, 4), slice(-2, None), slice(None, None, 3), slice(5, 99), slice(3, 4)):
+        numbers = list(range(7))[wanted]
+        read = read_cloud(path, frames=wanted)
+        np.testing.assert_array_equal(read.xyz, np.concatenate([clouds[k].xyz for k in numbers]))
+        expected = None if len(numbers) == 1 else np.repeat(numbers, 50)
+        np.testing.assert_array_equal(read.frame, expected)
+    with pytest.raises(ReadError, match="has 7 frames, numbered from 0; none is in 7:9"):
+        read_cloud(path, frames=slice(7, 9))
+    with pytest.raises(UsageError, match="step cannot be -1"):
+        read_cloud(path, frames=slice(None, None, -1))
+
+
+def test_of_a_long_recording_some_frames_are_read_evenly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clouds = [random_cloud(seed) for seed in range(30)]
+    path = write_bag(tmp_path, "bag", {"/points": [points_of(cloud) for cloud in clouds]})
+    monkeypatch.setattr("retropole.io.frames.MAX_POINTS", 500)
+    assert chosen_frames(open_recording(path)) == range(0, 30, 3)
+    read = read_cloud(path)
+    assert len(read) == 500
+    np.testing.assert_array_equal(np.unique(read.frame), range(0, 30, 3))
+    assert len(read_cloud(path, frames=slice(None))) == 1500
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+def test_memory_does_not_grow_with_the_length_of_a_bag(tmp_path: Path, kind: str) -> None:
+    points = points_of(random_cloud(0, 20_000))
+    peaks = []
+    for length in (6, 60):
+        folder = tmp_path / str(length)
+        folder.mkdir()
+        path = write_bag(folder, kind, {"/points": [points] * length})
+        read_cloud(path, frames=slice(1))  # what is imported and cached is not the bag's
+        tracemalloc.start()
+        assert sum(len(frame.cloud) for frame in read_frames(path)) == length * 20_000
+        assert len(read_cloud(path, frames=slice(-1, None))) == 20_000
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.25 * peaks[0]
+
+
+@pytest.mark.parametrize("suffix", BAGS)
+@pytest.mark.parametrize("content", [b"", b"no bag at all", bytes(5000)])
+def test_what_is_no_bag_is_named(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"recording{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(ReadError, match=rf"recording\{suffix}: is (empty|no readable bag)"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+def test_a_bag_cut_short_never_gives_other_points(tmp_path: Path, kind: str) -> None:
+    clouds = [random_cloud(seed, 400) for seed in range(12)]
+    path = write_bag(tmp_path, kind, {"/points": [points_of(cloud) for cloud in clouds]})
+    content = path.read_bytes()
+    for part in np.linspace(0.02, 0.98, 25):
+        path.write_bytes(content[: int(part * len(content))])
+        with pytest.raises(ReadError, match=f"recording.*{kind}"):
+            read_cloud(path)
+
+
+def test_missing_rosbags_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
+    with pytest.raises(MissingExtraError, match=r"retropole\[ros\]"):
+        read_cloud(tmp_path / "a.bag")
+
+
+def test_a_folder_of_bags_asks_for_one(tmp_path: Path) -> None:
+    (tmp_path / "a.bag").touch()
+    (tmp_path / "b.bag").touch()
+    with pytest.raises(ReadError, match=r"give one of them: a\.bag, b\.bag"):
+        read_cloud(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"width": 51}, "do not fit its 900 bytes"),
+        ({"height": 2}, "do not fit its 900 bytes"),
+        ({"point_step": 17}, "field ring ends at byte 18, a point has 17"),
+        ({"point_step": 0}, "ends at byte"),
+        ({"data": np.zeros(17, np.uint8)}, "do not fit its 17 bytes"),
+    ],
+)
+def test_layouts_that_contradict_themselves(change: dict[str, object], reason: str) -> None:
+    made = message(points_of(random_cloud()), get_typestore(ROS1))
+    for name, value in change.items():
+        object.__setattr__(made, name, value)
+    with pytest.raises(ReadError, match=reason):
+        columns_of(made)
+
+
+def test_unknown_datatypes_are_refused_and_no_count_is_one() -> None:
+    made = message(points_of(random_cloud()), get_typestore(ROS1))
+    object.__setattr__(made.fields[0], "count", 0)
+    assert columns_of(made)["x"].shape == (50,)
+    object.__setattr__(made.fields[0], "datatype", 9)
+    with pytest.raises(ReadError, match="field x has datatype 9, expected 1 to 8"):
+        columns_of(made)
+
+
+def test_a_wrong_row_step_of_packed_rows_does_no_harm() -> None:
+    points = points_of(random_cloud()).reshape(5, 10)
+    made = message(points, get_typestore(ROS1))
+    for wrong in (0, 18, 900):
+        object.__setattr__(made, "row_step", wrong)
+        np.testing.assert_array_equal(columns_of(made)["x"], points["x"].reshape(-1))
+
+
+def test_a_bag_of_sick_is_read_as_rosbags_has_it() -> None:
+    path = shared("bag/rms_1xxx_lms_1xx_movement_off.bag")
+    with pytest.raises(ReadError, match=r"3 topics of point clouds.*/cloud \(89 messages\)"):
+        read_cloud(path)
+    read = read_cloud(path, topic="/cloud")
+    store, rows = get_typestore(ROS1), []
+    with Reader1(path) as reader:
+        wanted = [own for own in reader.connections if own.topic == "/cloud"]
+        for _, _, data in reader.messages(connections=wanted):
+            made = store.deserialize_ros1(data, CLOUDS)
+            rows.append(made.data.view("<f4").reshape(-1, made.point_step // 4)[:, :4])
+    table = np.concatenate(rows).astype(float)
+    kept = np.isfinite(table[:, :3]).all(axis=1) & table[:, :3].any(axis=1)
+    assert (len(read), read.dropped) == (int(kept.sum()), int((~kept).sum())) == (45_804, 2_345)
+    np.testing.assert_array_equal(read.xyz, table[kept, :3])
+    np.testing.assert_array_equal(read.intensity, table[kept, 3])
+    assert len(np.unique(read.frame)) == 89
+
+
+def test_messages_of_ros_1_in_an_mcap_are_read_as_pypcd4_has_them() -> None:
+    pypcd4 = pytest.importorskip("pypcd4")
+    from mcap.reader import make_reader
+
+    path = shared("mcap/test.mcap")
+    read = read_cloud(path)
+    store, tables = get_typestore(ROS1), []
+    with path.open("rb") as file:
+        for _, _, entry in make_reader(file).iter_messages(topics=["/os1_cloud_node/points"]):
+            made = store.deserialize_ros1(entry.data, CLOUDS)
+            names = ("x", "y", "z", "intensity", "ring")
+            tables.append(pypcd4.PointCloud.from_msg(made).numpy(names))
+    table = np.concatenate(tables).astype(float)
+    kept = np.isfinite(table[:, :3]).all(axis=1) & table[:, :3].any(axis=1)
+    assert (len(read), read.dropped) == (int(kept.sum()), int((~kept).sum())) == (91_525, 170_619)
+    np.testing.assert_array_equal(read.xyz, table[kept, :3])
+    np.testing.assert_array_equal(read.intensity, table[kept, 3])
+    np.testing.assert_array_equal(read.ring, table[kept, 4])

@@ -1,0 +1,144 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from retropole import se3
+from retropole.datatypes import Array
+from retropole.errors import Refusal
+from retropole.matching.correspondence import line_pair, match_poles, pair_starts, widest_angle
+from tests.conftest import PoleMaker
+
+AXES = [
+    (np.array([4.0, -1.0, 0.2]), np.array([0.1, 0.25, 1.0])),
+    (np.array([5.0, 1.3, -0.1]), np.array([-0.2, -0.3, 1.0])),
+]
+THIRD = (np.array([3.0, 2.5, 0.0]), np.array([0.35, 0.0, 1.0]))
+
+
+def same(A: Array, B: Array, atol: float = 1e-6) -> bool:
+    return bool(np.allclose(A, B, atol=atol))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_line_pair_moves_with_the_lines(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p, n = rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    T = se3.random(rng)
+    before = line_pair(p[0], n[0], p[1], n[1])
+    q, m = se3.apply(T, p), n @ T[:3, :3].T
+    after = line_pair(q[0], m[0], q[1], m[1])
+    np.testing.assert_allclose(after.frame, T @ before.frame, atol=1e-6)
+    assert after.angle == pytest.approx(before.angle, abs=1e-9)
+    assert after.handedness == pytest.approx(before.handedness, abs=1e-6)
+    # A mirror image has the other hand, so no proper motion lays one on the other.
+    mirror = np.array([1.0, 1.0, -1.0])
+    image = line_pair(p[0] * mirror, n[0] * mirror, p[1] * mirror, n[1] * mirror)
+    assert image.handedness == pytest.approx(-before.handedness, abs=1e-9)
+
+
+def test_handedness_does_not_depend_on_names_or_directions() -> None:
+    (p, n), (q, m) = AXES
+    n, m = n / np.linalg.norm(n), m / np.linalg.norm(m)
+    one = line_pair(p, n, q, m).handedness
+    for other in (line_pair(q, m, p, n), line_pair(p, -n, q, m), line_pair(p, -n, q, -m)):
+        assert other.handedness == pytest.approx(one)
+
+
+def test_eight_starts_four_exact(make_pole: PoleMaker) -> None:
+    T_true = se3.random(np.random.default_rng(4), 3.0)
+    target = [make_pole(p, n) for p, n in AXES]
+    source = [make_pole(p, n, T=se3.inverse(T_true)) for p, n in AXES]
+    starts = pair_starts((target[0], target[1]), (source[0], source[1]))
+    assert len(starts) == 8
+    matches = match_poles(target, source)
+    assert len(matches) == 8
+    exact = [m for m in matches if m.exact]
+    assert len(exact) == 4
+    assert all(m.pole_rms < 1e-9 for m in exact)
+    assert all(m.pole_rms > 0.05 for m in matches if not m.exact)
+    assert matches[:4] == exact, "exact matches come first"
+    # The four differ by the Klein four-group: every quotient is a half turn, or nothing.
+    for a in exact:
+        for b in exact:
+            turn = a.T_target_source @ se3.inverse(b.T_target_source)
+            angle = se3.rotation_angle(turn[:3, :3])
+            assert a is b or angle == pytest.approx(np.pi, abs=1e-6)
+            assert same(turn @ turn, np.eye(4))
+    assert any(same(m.T_target_source, T_true) for m in exact)
+
+
+def test_swapping_the_clouds_inverts_the_matches(make_pole: PoleMaker) -> None:
+    T_true = se3.random(np.random.default_rng(5), 3.0)
+    target = [make_pole(p, n) for p, n in AXES]
+    source = [make_pole(p, n, T=se3.inverse(T_true)) for p, n in AXES]
+    forth = [m.T_target_source for m in match_poles(target, source) if m.exact]
+    back = [m.T_target_source for m in match_poles(source, target) if m.exact]
+    assert len(back) == 4
+    for T in back:
+        assert any(same(se3.inverse(T), other) for other in forth)
+
+
+def test_three_poles_have_one_match_solved_together(make_pole: PoleMaker) -> None:
+    rng = np.random.default_rng(6)
+    T_true = se3.random(rng, 3.0)
+    axes = [*AXES, THIRD]
+    target = [make_pole(p, n, sigma=0.003, rng=rng) for p, n in axes]
+    source = [make_pole(p, n, sigma=0.003, rng=rng, T=se3.inverse(T_true)) for p, n in axes]
+    source = [source[2], source[0], source[1]]
+    matches = match_poles(target, source)
+    assert matches[0].pairs == ((0, 1), (1, 2), (2, 0))
+    assert same(matches[0].T_target_source, T_true, 0.02)
+    assert [len(m.pairs) for m in matches].count(3) == 1
+
+
+def test_a_pole_that_one_lidar_alone_sees_is_left_out(make_pole: PoleMaker) -> None:
+    T_true = se3.random(np.random.default_rng(7), 3.0)
+    target = [make_pole(p, n) for p, n in [THIRD, *AXES]]
+    source = [make_pole(p, n, T=se3.inverse(T_true)) for p, n in AXES]
+    matches = match_poles(target, source)
+    assert len(matches) == 4
+    assert all({i for i, _ in m.pairs} == {1, 2} for m in matches)
+    assert any(same(m.T_target_source, T_true) for m in matches)
+
+
+def test_exact_number_of_poles(make_pole: PoleMaker) -> None:
+    axes = [*AXES, THIRD]
+    poles = [make_pole(p, n) for p, n in axes]
+    assert len(match_poles(poles, poles, 3)[0].pairs) == 3
+    with pytest.raises(Refusal) as refusal:
+        match_poles(poles[:2], poles[:2], 3)
+    assert refusal.value.code == "too_few_poles"
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_poles(make_pole: PoleMaker, count: int) -> None:
+    poles = [make_pole(p, n) for p, n in AXES]
+    for target, source in ((poles[:count], poles), (poles, poles[:count])):
+        with pytest.raises(Refusal) as refusal:
+            match_poles(target, source)
+        assert refusal.value.code == "too_few_poles"
+        assert refusal.value.values["poles"] == count
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 2.0, 4.0])
+def test_parallel_poles_are_refused_with_their_angle(
+    make_pole: PoleMaker, angle_deg: float
+) -> None:
+    lean = np.array([np.sin(np.radians(angle_deg)), 0, np.cos(np.radians(angle_deg))])
+    poles = [make_pole(np.array([4.0, -1, 0]), np.array([0.0, 0, 1])), make_pole([4.0, 1, 0], lean)]
+    with pytest.raises(Refusal) as refusal:
+        match_poles(poles, poles)
+    assert refusal.value.code == "parallel_poles"
+    assert refusal.value.values["angle_deg"] == pytest.approx(angle_deg, abs=0.1)
+    assert widest_angle(poles) == pytest.approx(np.radians(angle_deg), abs=1e-6)
+
+
+def test_poles_of_another_shape_do_not_match(make_pole: PoleMaker) -> None:
+    target = [make_pole(p, n) for p, n in AXES]
+    source = [make_pole(AXES[0][0], AXES[0][1]), make_pole([5.0, 3.3, 0], [0.9, 0.3, 1.0])]
+    with pytest.raises(Refusal) as refusal:
+        match_poles(target, source)
+    assert refusal.value.code == "no_match"

@@ -1,0 +1,278 @@
+"""The report in a browser: it draws, answers to mouse and keys, and talks to nobody."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import Placement
+from retropole.report import render_report
+from tests.report.test_report import HOSTILE, made_up
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+WebDriverWait = pytest.importorskip("selenium.webdriver.support.ui").WebDriverWait
+Image = pytest.importorskip("PIL.Image", reason="pillow is not installed")
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None or DRIVER is None, reason="chromium and chromedriver are not installed"
+)
+
+QUIET = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--window-size=1300,1000",
+]
+WEBGL = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+class Browser:
+    """One Chromium with a profile of its own."""
+
+    def __init__(self, profile: Path, *flags: str) -> None:
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        for flag in (*QUIET, *flags, f"--user-data-dir={profile}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self.driver.get("about:blank")
+        self.logs()
+
+    def open(self, folder: Path, html: str) -> None:
+        path = folder / "report.html"
+        path.write_text(html, encoding="utf-8")
+        self.driver.get(path.as_uri())
+        WebDriverWait(self.driver, 30).until(lambda _: self.root("usable"))
+
+    def run(self, script: str, *arguments: Any) -> Any:
+        return self.driver.execute_script(script, *arguments)
+
+    def root(self, name: str) -> str:
+        return self.run("return document.documentElement.dataset[arguments[0]]", name)
+
+    def find(self, selector: str) -> Any:
+        return self.driver.find_element("css selector", selector)
+
+    def press(self, keys: str, selector: str = "body") -> None:
+        self.find(selector).send_keys(keys)
+
+    def picture(self) -> np.ndarray:
+        """Wait until the source has stopped sliding, and see what the view shows."""
+        self.run("document.querySelector('.stage').scrollIntoView()")
+        self.driver.execute_async_script(
+            "const done = arguments[0]; setTimeout(() => requestAnimationFrame(done), 550)"
+        )
+        image = Image.open(io.BytesIO(self.find(".stage").screenshot_as_png)).convert("RGB")
+        return np.asarray(image, dtype=np.int16)
+
+    def logs(self) -> tuple[list[str], list[str]]:
+        """Errors on the console, and addresses asked for, since the last call."""
+        errors = [e["message"] for e in self.driver.get_log("browser") if e["level"] == "SEVERE"]
+        events = [json.loads(e["message"])["message"] for e in self.driver.get_log("performance")]
+        asked = [e["params"]["request"]["url"] for e in events if e["method"].endswith("BeSent")]
+        return errors, [url for url in asked if not url.startswith(("file:", "data:"))]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    browser = Browser(tmp_path_factory.mktemp("profile"), *WEBGL)
+    yield browser
+    browser.driver.quit()
+
+
+@pytest.fixture(autouse=True)
+def silence(request: pytest.FixtureRequest) -> Iterator[None]:
+    """No test may leave an error on the console, or have asked any address for anything."""
+    yield
+    if "browser" in request.fixturenames:
+        assert request.getfixturevalue("browser").logs() == ([], [])
+
+
+def differing(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of pixels that differ clearly."""
+    return float(np.mean(np.abs(a - b).max(axis=2) > 40))
+
+
+def test_draws_and_moves_the_source(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_report(*made_up(count=6000)))
+    assert browser.root("view") == "webgl"
+    after = browser.picture()
+    blue, orange = after[..., 2] - after[..., 0] > 60, after[..., 0] - after[..., 2] > 60
+    assert blue.mean() > 0.002
+    assert orange.mean() > 0.002
+    browser.find('[data-mode="before"]').click()
+    before = browser.picture()
+    assert browser.root("mode") == "before"
+    assert differing(before, after) > 0.005
+    browser.press("b")
+    assert browser.root("mode") == "after"
+    assert differing(browser.picture(), after) < 0.001
+
+
+def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_report(*made_up(count=6000)))
+    result = browser.picture()
+    panels = browser.driver.find_elements("css selector", ".panel")
+    assert len(panels) == 4
+    drawn = "const c = arguments[0].querySelector('canvas'); return new Set(new Uint32Array("
+    drawn += "c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer)).size"
+    assert all(browser.run(drawn, panel) > 20 for panel in panels)
+    browser.run("arguments[0].click()", panels[2])
+    assert browser.root("pose") == "c"
+    assert panels[2].get_attribute("aria-pressed") == "true"
+    assert "hypothesis c" in browser.find("#state").text
+    assert differing(browser.picture(), result) > 0.005
+    browser.press("2")
+    assert browser.root("pose") == "b"
+    browser.press("0")
+    assert differing(browser.picture(), result) < 0.001
+
+
+def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_report(*made_up(count=6000)))
+    seen = browser.picture()
+    for layer in ("target", "source", "poles", "rejected", "ellipsoid", "intensity"):
+        button = browser.find(f'[data-layer="{layer}"]')
+        button.click()
+        assert button.get_attribute("aria-pressed") == "false"
+        assert differing(browser.picture(), seen) > 1e-5, layer
+        button.click()
+    assert differing(browser.picture(), seen) < 0.001
+    browser.press("\ue012\ue012\ue012+", "#marks")
+    turned = browser.picture()
+    assert differing(turned, seen) > 0.005
+    browser.press("\ue011", "#marks")
+    browser.run("document.activeElement.blur()")
+    assert differing(browser.picture(), seen) < 0.001
+    light = browser.run("return getComputedStyle(document.body).backgroundColor")
+    browser.find("#theme").click()
+    assert browser.run("return getComputedStyle(document.body).backgroundColor") != light
+    assert browser.picture().mean() < seen.mean() - 100
+
+
+def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_report(*made_up(count=500)))
+    field = browser.find('[name="target"]')
+    field.clear()
+    field.send_keys("top; rm lidar_source")
+    line = browser.find('[data-export="ros2"]').text
+    assert line.endswith("--frame-id top__rm_lidar_source --child-frame-id lidar_source")
+    button = browser.find('.copy:has([data-export="ros2"]) .copy-button')
+    browser.run("arguments[0].click()", button)
+    browser.run("document.body.append(document.createElement('textarea'))")
+    browser.press("\ue009v", "textarea")
+    assert browser.run("return document.querySelector('textarea').value") == line
+    assert "Copied" in button.text
+
+
+def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
+    result, *clouds = made_up(count=500)
+    result["inputs"][0]["path"] = f"/data/{HOSTILE.replace('/', '')}"
+    result["reasons"] = [{"code": HOSTILE, "message": HOSTILE, "values": {}}]
+    browser.open(tmp_path, render_report(result, *clouds))
+    assert "<script>window.injected=1" in browser.find("h1").text
+    assert browser.run("return window.injected") is None
+    assert browser.run("return document.scripts.length") == 4
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty: bool) -> None:
+    result, target, source, detections = made_up("refused", 6000)
+    if empty:
+        result["hypotheses"] = []
+    browser.open(tmp_path, render_report(result, target, source, detections))
+    picture = browser.picture()
+    half = picture.shape[1] // 2
+    orange = picture[..., 0] - picture[..., 2] > 60
+    assert orange[:, half + 2 :].mean() > 0.002
+    assert orange[:, : half - 2].mean() < 0.0001
+    assert browser.root("mode") == "apart"
+    assert browser.find('[data-mode="after"]').is_enabled() is not empty
+    if not empty:
+        browser.find('[data-mode="after"]').click()
+        assert "refused" in browser.find("#state").text
+
+
+@pytest.mark.parametrize("width", [320, 390])
+@pytest.mark.parametrize("status", ["warn", "refused"])
+def test_fits_a_phone(browser: Browser, tmp_path: Path, width: int, status: str) -> None:
+    size = {"width": width, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        browser.open(tmp_path, render_report(*made_up(status, count=500), notes=["x" * 200]))
+        assert browser.run("return document.documentElement.scrollWidth") <= width
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_report(*made_up(count=500)))
+    reached = set()
+    for _ in range(45):
+        browser.driver.switch_to.active_element.send_keys("\ue004")
+        reached.add(browser.run("const e = document.activeElement; return e.id || e.className"))
+        outline = "return getComputedStyle(document.activeElement).outlineStyle"
+        assert browser.run(outline) != "none"
+    assert {"theme", "marks", "pose", "size", "panel", "copy-button", "scroll"} <= reached
+
+
+def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
+    result, target, source, detections = made_up(count=6000)
+    away = np.array([0.0, 0.0, -0.4])
+    moved = Placement(replace(target, xyz=target.xyz + away), source)
+    browser.open(tmp_path, render_report(result, target, source, detections, more=[moved]))
+    first = browser.picture()
+    choose = browser.find("#placement")
+    choose.send_keys("\ue015")
+    assert browser.root("placement") == "2"
+    assert differing(browser.picture(), first) > 0.005
+    choose.send_keys("\ue013")
+    assert differing(browser.picture(), first) < 0.001
+
+
+def test_a_reader_who_wants_no_motion_gets_none(browser: Browser, tmp_path: Path) -> None:
+    media = {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]}
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    try:
+        browser.open(tmp_path, render_report(*made_up(count=500)))
+        scroll = "return getComputedStyle(document.documentElement).scrollBehavior"
+        assert browser.run(scroll) == "auto"
+        frames = """
+            const done = arguments[0], real = window.requestAnimationFrame;
+            let count = 0;
+            window.requestAnimationFrame = (f) => { count += 1; return real(f); };
+            document.querySelector('[data-mode="before"]').click();
+            setTimeout(() => done(count), 300);
+        """
+        assert browser.driver.execute_async_script(frames) <= 2
+    finally:
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:
+    browser = Browser(tmp_path / "profile", "--disable-3d-apis")
+    try:
+        browser.open(tmp_path, render_report(*made_up(count=6000)))
+        assert browser.root("view") == "top"
+        assert "no WebGL" in browser.find("#fallback").text
+        after = browser.picture()
+        assert (after[..., 2] - after[..., 0] > 60).mean() > 0.001
+        browser.find('[data-mode="before"]').click()
+        assert differing(browser.picture(), after) > 0.005
+        assert browser.logs() == ([], [])
+    finally:
+        browser.driver.quit()

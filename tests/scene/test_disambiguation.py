@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.datatypes import Array, Match, PointCloud
+from retropole.errors import Refusal
+from retropole.scene.disambiguation import contradiction, judge, range_image
+
+
+def room(sensor: Array, rng: np.random.Generator, count: int = 20000) -> PointCloud:
+    """What a LiDAR at ``sensor`` (3,) sees in every direction of a 10 × 6 × 3 m room with a box."""
+    rays = rng.normal(size=(count, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+
+    def slab(low: Array, high: Array) -> tuple[Array, Array]:
+        first, second = (low - sensor) / rays, (high - sensor) / rays
+        return np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)
+
+    _, walls = slab(np.array([-5.0, -3.0, 0.0]), np.array([5.0, 3.0, 3.0]))
+    enter, leave = slab(np.array([2.5, -3.0, 0.0]), np.array([4.0, -1.5, 1.2]))
+    box = (enter > 0) & (enter < leave)
+    return PointCloud(rays * np.where(box, enter, walls)[:, None])
+
+
+@pytest.fixture(scope="module")
+def views() -> tuple[PointCloud, PointCloud, Array]:
+    rng = np.random.default_rng(0)
+    T_world_target = se3.from_rt(np.eye(3), np.array([-2.0, 1.0, 1.5]))
+    T_world_source = se3.from_rt(np.eye(3), np.array([1.0, 0.5, 1.2]))
+    target = room(T_world_target[:3, 3], rng)
+    source = room(T_world_source[:3, 3], rng)
+    return target, source, se3.inverse(T_world_target) @ T_world_source
+
+
+def flipped(T: Array) -> Array:
+    """Turn the source by half a turn about a vertical axis through the target."""
+    return se3.from_rt(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ T
+
+
+def match(T: Array, rms: float = 0.01, exact: bool = True) -> Match:
+    return Match(((0, 0), (1, 1)), T, rms, exact, np.eye(6))
+
+
+def test_the_right_hypothesis_has_the_best_score(
+    views: tuple[PointCloud, PointCloud, Array],
+) -> None:
+    target, source, T = views
+    best, other = judge(target, source, [match(flipped(T)), match(T)])
+    np.testing.assert_array_equal(best.match.T_target_source, T)
+    assert best.overlap > 0.95
+    assert best.free_space < 0.02
+    assert other.free_space > best.free_space
+    assert best.score > other.score + 0.2
+    assert best.icp_rotation is not None
+    assert best.icp_rotation < 0.02
+
+
+def test_swapping_the_clouds_changes_no_score(views: tuple[PointCloud, PointCloud, Array]) -> None:
+    target, source, T = views
+    forth = judge(target, source, [match(T), match(flipped(T))])
+    back = judge(source, target, [match(se3.inverse(T)), match(se3.inverse(flipped(T)))])
+    for a, b in zip(forth, back, strict=True):
+        assert a.overlap == pytest.approx(b.overlap, abs=1e-9)
+        assert a.free_space == pytest.approx(b.free_space, abs=1e-9)
+
+
+@pytest.mark.parametrize("keep_origin", [True, False])
+def test_moving_a_cloud_changes_the_choice_in_nothing(
+    views: tuple[PointCloud, PointCloud, Array], keep_origin: bool
+) -> None:
+    target, source, T = views
+    A = se3.random(np.random.default_rng(3), 20.0)
+    moved = target.transformed(A)
+    if not keep_origin:
+        moved = PointCloud(moved.xyz)
+    hypotheses = judge(moved, source, [match(A @ flipped(T)), match(A @ T)])
+    np.testing.assert_allclose(hypotheses[0].match.T_target_source, A @ T)
+    assert hypotheses[0].score > hypotheses[1].score + 0.2
+
+
+@pytest.mark.parametrize("shift", [[8.0, 0, 0], [0, 20.0, 5.0], [3.0, -2.0, 10.0]])
+def test_a_wrong_beam_origin_does_not_turn_free_space_against_the_truth(
+    views: tuple[PointCloud, PointCloud, Array], shift: list[float]
+) -> None:
+    target, source, T = views
+    T_shift = se3.from_rt(np.eye(3), np.array(shift))
+    lost = PointCloud(se3.apply(T_shift, target.xyz))
+    image = range_image(lost)
+    assert contradiction(image, se3.apply(T_shift @ T, source.xyz)) < 0.03
+
+
+def test_free_space_knows_what_it_did_not_look_at() -> None:
+    ahead = PointCloud(np.array([[10.0, 0.0, 0.0]]))
+    image = range_image(ahead)
+    assert contradiction(image, np.array([[5.0, 0.0, 0.0]])) == 1.0, "looked through there"
+    assert contradiction(image, np.array([[15.0, 0.0, 0.0]])) == 0.0, "hidden behind"
+    assert contradiction(image, np.array([[0.0, 5.0, 0.0]])) == 0.0, "never looked there"
+    assert contradiction(image, np.array([[9.8, 0.0, 0.0]])) == 0.0, "within the pose's error"
+
+
+def test_inexact_matches_come_last_whatever_their_score(
+    views: tuple[PointCloud, PointCloud, Array],
+) -> None:
+    target, source, T = views
+    hypotheses = judge(target, source, [match(T, 0.3, False), match(flipped(T))])
+    assert [h.match.exact for h in hypotheses] == [True, False]
+
+
+def test_a_cloud_too_small_to_compare_is_refused(
+    views: tuple[PointCloud, PointCloud, Array],
+) -> None:
+    target, source, T = views
+    with pytest.raises(Refusal) as refusal:
+        judge(target, source.select(np.arange(20)), [match(T)])
+    assert refusal.value.code == "too_few_points"
+    assert refusal.value.values["lidar"] == "source"

@@ -1,0 +1,96 @@
+"""Many frames of a standing scene: what moved goes, what stands stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import PointCloud
+from retropole.errors import Refusal
+from retropole.evaluation.metrics import e_rt
+from retropole.extraction.poles import extract_poles
+from retropole.pipeline import calibrate
+from retropole.scene.static import check_still, drift, keep_standing
+from retropole.simulation import SimulatedPair, simulate_pair
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def street() -> SimulatedPair:
+    return simulate_pair("street", np.random.default_rng(3), frames=FRAMES)
+
+
+def with_walker(cloud: PointCloud) -> tuple[PointCloud, np.ndarray]:
+    """Add a person who walks by, 1 m a frame; tell which points are theirs."""
+    rng = np.random.default_rng(0)
+    people, frames = [], []
+    for k in range(FRAMES):
+        body = rng.uniform(-1, 1, (150, 3)) * [0.15, 0.15, 0.6]
+        people.append(body + np.array([2.5, -2.5 + k, -0.4]))
+        frames.append(np.full(150, k))
+    assert cloud.frame is not None
+    assert cloud.intensity is not None
+    walker = np.concatenate(people)
+    joined = PointCloud(
+        np.concatenate([cloud.xyz, walker]),
+        intensity=np.concatenate([cloud.intensity, np.full(len(walker), 20.0)]),
+        frame=np.concatenate([cloud.frame, *frames]),
+    )
+    return joined, np.arange(len(joined)) >= len(cloud)
+
+
+def test_a_walker_goes_and_the_scene_stays(street: SimulatedPair) -> None:
+    cloud, walks = with_walker(street.target)
+    left = keep_standing(cloud)
+    kept = np.isin(cloud.xyz[:, 0], left.xyz[:, 0])
+    # Where no other frame has a return there is no telling.
+    assert np.mean(kept[walks]) < 0.35
+    assert np.mean(kept[~walks]) > 0.97
+
+
+def test_poles_stay_whole(street: SimulatedPair) -> None:
+    first = len(street.surfaces) - len(street.poles)
+    on_poles = street.target.xyz[street.labels[0] >= first]
+    left = keep_standing(street.target)
+    assert np.mean(np.isin(on_poles[:, 0], left.xyz[:, 0])) > 0.98
+
+
+def test_few_frames_are_left_alone(street: SimulatedPair) -> None:
+    single = replace(street.target, frame=None)
+    assert keep_standing(single) is single
+    two = street.target.select(np.asarray(street.target.frame) < 2)
+    assert keep_standing(two) is two
+
+
+def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
+    cloud = street.target
+    poles = extract_poles(cloud).poles
+    check_still("target", cloud, poles)
+    assert cloud.frame is not None
+    pole = poles[0]
+    frame = cloud.frame[pole.index]
+    distance, sigma = drift(pole, frame)
+    assert distance < 5 * sigma
+    sideways = np.cross(pole.direction, [1.0, 0.0, 0.0])
+    moved = replace(pole, xyz=pole.xyz + 0.1 * (frame >= 3)[:, None] * sideways)
+    with pytest.raises(Refusal) as refusal:
+        check_still("target", cloud, [moved])
+    assert refusal.value.code == "moving_pole"
+
+
+@pytest.mark.slow
+def test_frames_average_the_noise_away() -> None:
+    one, ten = [], []
+    for seed in range(8):
+        pair = simulate_pair("bare", np.random.default_rng(seed), frames=10)
+        single = [
+            replace(cloud.select(np.asarray(cloud.frame) == 0), frame=None)
+            for cloud in (pair.target, pair.source)
+        ]
+        for clouds, errors in (((pair.target, pair.source), ten), (single, one)):
+            answer = calibrate(*clouds, scene=False)
+            if answer.T_target_source is not None:
+                errors.append(e_rt(answer.T_target_source, pair.T_target_source))
+    assert len(ten) >= 6
+    assert np.median(ten) < 0.8 * np.median(one)
