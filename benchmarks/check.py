@@ -16,7 +16,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from retropole.datatypes import Array, Stage
+from retropole.datatypes import Array, PoseEstimate
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
 from retropole.simulation import record_again, simulate_pair
@@ -46,7 +46,7 @@ def run(job: tuple[str, int]) -> list[Row]:
     answer = calibrate(pair.target, pair.source)
     if answer.T_target_source is None:
         return [(scene, seed, "no calibration", True, "refused", np.nan, ())]
-    stored = Stage(answer.T_target_source, answer.covariance, 0.0)
+    stored = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
     rows: list[Row] = []
     for kind in (*SMALL, *(GROSS if seed % GROSS_EVERY == 0 else ())):
         for poles in (True, False):

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from retropole import se3
-from retropole.datatypes import Array, Stage
+from retropole.datatypes import Array, PoseEstimate
 from retropole.evaluation.metrics import evaluate
 from retropole.io import read_cloud
 from retropole.scene.refinement import refine
@@ -41,7 +41,7 @@ def main() -> None:
     for _ in range(arguments.starts):
         turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         start = se3.retract(reference, np.r_[TURN * turn, SHIFT * shift])
-        refined = refine(target, source, Stage(start, wide, 0.01))
+        refined = refine(target, source, PoseEstimate(start, wide, 0.01))
         assert refined is not None
         ends.append(refined.stage.T_target_source)
         stated = refined.stage.covariance

@@ -15,9 +15,9 @@ import numpy as np
 from retropole.datatypes import PointCloud
 from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
-from retropole.simulation import TYPICAL, Nuisances, place_again, simulate_pair
+from retropole.simulation import TYPICAL, NoiseModel, place_again, simulate_pair
 
-ONLY_NOISE = Nuisances(2.0, 0.0, 0.02, True, 0.0, 0.0, 0.15)
+ONLY_NOISE = NoiseModel(2.0, 0.0, 0.02, True, 0.0, 0.0, 0.15)
 """Twice the sensors' noise along the beam and no bias: noise rules."""
 
 

@@ -36,10 +36,10 @@ import numpy as np
 
 from retropole.datatypes import Array, PointCloud
 from retropole.errors import Refusal
-from retropole.evaluation.comparison import METHODS
+from retropole.evaluation.comparison import ALL_METHODS
 from retropole.evaluation.metrics import errors_of
+from retropole.evaluation.rivals import ALL_METHODS as RIVALS
 from retropole.evaluation.rivals import EXTRAS, missing_extra
-from retropole.evaluation.rivals import METHODS as RIVALS
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulationError, simulate_pair
 
@@ -306,9 +306,9 @@ def draw_growth(
 
 
 def installed(names: Sequence[str]) -> list[str]:
-    unknown = [name for name in names if name not in METHODS]
+    unknown = [name for name in names if name not in ALL_METHODS]
     if unknown:
-        raise SystemExit(f"no method is called {unknown[0]!r}; there are {', '.join(METHODS)}")
+        raise SystemExit(f"no method is called {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
     missing: Callable[[str], str | None] = missing_extra
     for name in names:
         if missing(name):
@@ -321,7 +321,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=25)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--scenes", nargs="+", default=["corridor", "street", "harbor", "bare"])
-    parser.add_argument("--methods", nargs="+", default=list(METHODS))
+    parser.add_argument("--methods", nargs="+", default=list(ALL_METHODS))
     parser.add_argument(
         "--sensors", nargs="+", default=["default"], help="TARGET:SOURCE, or default"
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from retropole.alignment.adjustment import BeamAlignment
-from retropole.datatypes import Hypothesis, Match, Pole, Stage, WeakDirection
+from retropole.datatypes import Hypothesis, Match, Pole, PoseEstimate, WeakDirection
 from retropole.errors import Refusal
 from retropole.sensors import SENSORS
 from retropole.verdict import MIN_OVERLAP, check_choice, margin_of, weaknesses
@@ -46,7 +46,7 @@ def test_scenes_that_do_not_overlap_are_refused() -> None:
 def an_alignment(noise: float = 0.01, sigma: float = 0.01, sure: float = 0.01) -> BeamAlignment:
     points, axes = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.8]])
     return BeamAlignment(
-        Stage(np.eye(4), sigma**2 * np.eye(6), noise),
+        PoseEstimate(np.eye(4), sigma**2 * np.eye(6), noise),
         sure**2 * np.eye(6),
         points,
         axes,

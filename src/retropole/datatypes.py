@@ -220,7 +220,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class PoseEstimate:
     """A pose and how sure it is.
 
     Attributes
@@ -344,8 +344,8 @@ class Calibration:
     reasons: tuple[Reason, ...]
     T_target_source: Array | None
     covariance: Array | None
-    poles: Stage | None
-    refined: Stage | None
+    poles: PoseEstimate | None
+    refined: PoseEstimate | None
     hypotheses: tuple[Hypothesis, ...]
     margin: float | None
     predicted_error: tuple[tuple[float, float], ...]

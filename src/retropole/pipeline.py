@@ -20,12 +20,12 @@ from .matching.placements import merged, recurring
 from .matching.prior import RotationPrior, agreeing
 from .scene.disambiguation import judge
 from .scene.refinement import refine
-from .scene.static import check_still, keep_standing
+from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .uncertainty import predicted_error, weakest_direction
 from .verdict import check_choice, margin_of, weaknesses
 
-RADIUS = 0.02
+DEFAULT_RADIUS = 0.02
 """Radius of the taped poles, metres (Xue et al. 2019)."""
 
 Pairing = tuple[list[Pole], list[Pole]]
@@ -36,7 +36,7 @@ def calibrate(
     target: PointCloud | Sequence[PointCloud],
     source: PointCloud | Sequence[PointCloud],
     *,
-    radius: float = RADIUS,
+    radius: float = DEFAULT_RADIUS,
     radius_sigma: float = 0.0,
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
@@ -99,14 +99,16 @@ def calibrate(
     try:
         with step("extract"):
             for cloud_target, cloud_source in zip(_each(target), _each(source), strict=True):
-                here = Placement(keep_standing(cloud_target), keep_standing(cloud_source))
+                here = Placement(
+                    remove_dynamic_points(cloud_target), remove_dynamic_points(cloud_source)
+                )
                 placements.append(here)
                 for side, cloud in enumerate((here.target, here.source)):
                     found = extract_poles(
                         cloud, sensor=sensors[side], threshold=thresholds[side], radius=radius
                     )
                     here = placements[-1] = here.with_detection(side, found)
-                    check_still(("target", "source")[side], cloud, found.poles)
+                    check_static(("target", "source")[side], cloud, found.poles)
         with step("match"):
             matches = [
                 agreeing(match_poles(p.target_poles, p.source_poles, poles), prior)

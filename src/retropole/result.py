@@ -21,11 +21,11 @@ from .datatypes import (
     Hypothesis,
     Placement,
     Pole,
-    Stage,
+    PoseEstimate,
     WeakDirection,
 )
 
-SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
+RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
 COVARIANCE_FRAME = "target axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
 RANGES_M = (1.0, 10.0, 30.0, 60.0)
@@ -41,7 +41,7 @@ class ReasonDoc(msgspec.Struct):
     values: dict[str, float | int | str]
 
 
-class StageDoc(msgspec.Struct):
+class PoseEstimateDoc(msgspec.Struct):
     """A pose of one stage."""
 
     T_target_source: Matrix
@@ -52,8 +52,8 @@ class StageDoc(msgspec.Struct):
 class StagesDoc(msgspec.Struct):
     """The poses on the way."""
 
-    poles: StageDoc | None
-    refined: StageDoc | None
+    poles: PoseEstimateDoc | None
+    refined: PoseEstimateDoc | None
 
 
 class HypothesisDoc(msgspec.Struct):
@@ -137,7 +137,7 @@ class PlacementDoc(msgspec.Struct):
 class ResultDoc(msgspec.Struct, kw_only=True):
     """The whole document."""
 
-    schema: Literal["retropole/result/1"] = SCHEMA
+    schema: Literal["retropole/result/1"] = RESULT_SCHEMA
     status: str
     reasons: list[ReasonDoc]
     T_target_source: Matrix | None
@@ -172,10 +172,10 @@ def _matrix(value: Array | None) -> Any:
     return None if value is None else np.asarray(value).tolist()
 
 
-def _stage(stage: Stage | None) -> StageDoc | None:
+def _stage(stage: PoseEstimate | None) -> PoseEstimateDoc | None:
     if stage is None:
         return None
-    return StageDoc(_matrix(stage.T_target_source), _matrix(stage.covariance), stage.rms)
+    return PoseEstimateDoc(_matrix(stage.T_target_source), _matrix(stage.covariance), stage.rms)
 
 
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:

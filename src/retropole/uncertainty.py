@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import se3
-from .datatypes import Array, Stage, WeakDirection
+from .datatypes import Array, PoseEstimate, WeakDirection
 
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
@@ -67,7 +67,9 @@ def covariance_at(covariance: Array, T: Array, point: Array) -> Array:
     return np.asarray(J @ covariance @ J.T)
 
 
-def weakest_direction(stage: Stage, axis_points: Array, axis_directions: Array) -> WeakDirection:
+def weakest_direction(
+    stage: PoseEstimate, axis_points: Array, axis_directions: Array
+) -> WeakDirection:
     """Name the direction in which the poles' place is least sure.
 
     Parameters

@@ -14,7 +14,7 @@ from .scene.refinement import Refinement
 from .sensors import Sensor
 
 RIVAL_OVERLAP = 0.62
-RIVAL_FREE_SPACE = 0.025
+RIVAL_FREE_SPACE_VIOLATION = 0.025
 """A hypothesis is a rival of the best where it has so much of its overlap, and where no more than
 this share of the points beyond the best's own speaks against it. The score alone does not do: it
 favours, by up to 0.2, whatever brings the LiDARs near each other, since near each other they see
@@ -29,7 +29,7 @@ MIN_OVERLAP = 0.25
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""
 
-MAX_PULL = 30.0
+MAX_MAHALANOBIS_SQ = 30.0
 """Squared Mahalanobis distance of the refined pose from the poles' own: χ² with 6 degrees of
 freedom exceeds it once in 25,000 times."""
 
@@ -98,7 +98,7 @@ def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
     return (
         hypothesis.match.exact
         and hypothesis.overlap >= RIVAL_OVERLAP * best.overlap
-        and hypothesis.free_space <= best.free_space + RIVAL_FREE_SPACE
+        and hypothesis.free_space <= best.free_space + RIVAL_FREE_SPACE_VIOLATION
     )
 
 
@@ -132,7 +132,7 @@ def weaknesses(
         *_weak_poles(paired),
         *_noisy_poles(aligned, sensors),
         *_weak_pose(aligned, weakest),
-        *check_pull(refined),
+        *check_agreement(refined),
     ]
 
 
@@ -214,9 +214,9 @@ def _weak_pose(aligned: BeamAlignment, weakest: WeakDirection) -> Iterator[Reaso
             )
 
 
-def check_pull(refined: Refinement | None) -> list[Reason]:
+def check_agreement(refined: Refinement | None) -> list[Reason]:
     """Warn where the scene draws the pose further away than the poles' uncertainty allows."""
-    if refined is None or refined.pull <= MAX_PULL:
+    if refined is None or refined.pull <= MAX_MAHALANOBIS_SQ:
         return []
     return [
         Reason(

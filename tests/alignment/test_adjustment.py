@@ -13,10 +13,10 @@ from retropole.datatypes import Array, PointCloud, Pole
 from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.sensors import SENSORS
-from retropole.simulation import EXACT, Nuisances, SimulatedPair, simulate_pair
+from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
 
 THIN = replace(SENSORS["VLP-16"], divergence=0.0)
-NOISY = Nuisances(0.6, 0.0, 0.0, False, 0.0, 0.0, 0.0)
+NOISY = NoiseModel(0.6, 0.0, 0.0, False, 0.0, 0.0, 0.0)
 
 
 def poles_of(pair: SimulatedPair, side: int, cloud: PointCloud | None = None) -> list[Pole]:
@@ -39,7 +39,7 @@ def both_beams(pair: SimulatedPair) -> tuple[Beams, Beams]:
     return target, source
 
 
-def paper(seed: int, nuisances: Nuisances = NOISY, radius: float = 0.02) -> SimulatedPair:
+def paper(seed: int, nuisances: NoiseModel = NOISY, radius: float = 0.02) -> SimulatedPair:
     return simulate_pair("paper", np.random.default_rng(seed), nuisances=nuisances, radius=radius)
 
 

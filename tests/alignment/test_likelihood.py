@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from retropole.alignment.likelihood import ArcLikelihood, arc_likelihood, pass_axis, pass_likelihood
+from retropole.alignment.likelihood import (
+    ArcLikelihood,
+    arc_likelihood,
+    closest_approach,
+    passed_beam_likelihood,
+)
 from retropole.datatypes import Array
 
 RADIUS, SIGMA_DEPTH, SIGMA_MISS = 0.02, 0.006, 0.003
@@ -22,7 +27,7 @@ def some_beams(rng: np.random.Generator, count: int = 40) -> tuple[Array, Array,
 def test_the_nearest_approach_is_the_nearest() -> None:
     rng = np.random.default_rng(0)
     origin, directions, point, axis = some_beams(rng)
-    by = pass_axis(origin, directions, point, axis)
+    by = closest_approach(origin, directions, point, axis)
     for k in range(len(directions)):
         steps = by.nearest[k] + np.linspace(-0.5, 0.5, 1001)
         at = origin + steps[:, None] * directions[k] - point
@@ -35,12 +40,12 @@ def test_the_nearest_approach_is_the_nearest() -> None:
 def test_passage_derivatives() -> None:
     rng = np.random.default_rng(1)
     origin, directions, point, axis = some_beams(rng)
-    by, h = pass_axis(origin, directions, point, axis), 1e-6
+    by, h = closest_approach(origin, directions, point, axis), 1e-6
     for k in range(6):
         step = np.zeros(6)
         step[k] = h
-        plus = pass_axis(origin, directions, point + step[:3], axis + step[3:])
-        minus = pass_axis(origin, directions, point - step[:3], axis - step[3:])
+        plus = closest_approach(origin, directions, point + step[:3], axis + step[3:])
+        minus = closest_approach(origin, directions, point - step[:3], axis - step[3:])
         for name in ("nearest", "miss", "sine"):
             if name == "sine" and k >= 3:
                 continue  # free directions change it by cos, which callers project away
@@ -53,10 +58,10 @@ def test_passage_derivatives() -> None:
 def test_passage_derivatives_by_the_direction_across_it() -> None:
     rng = np.random.default_rng(2)
     origin, directions, point, axis = some_beams(rng)
-    by, h = pass_axis(origin, directions, point, axis), 1e-6
+    by, h = closest_approach(origin, directions, point, axis), 1e-6
     for tangent in np.linalg.svd(axis[None])[2][1:]:
-        plus = pass_axis(origin, directions, point, unit(axis + h * tangent))
-        minus = pass_axis(origin, directions, point, unit(axis - h * tangent))
+        plus = closest_approach(origin, directions, point, unit(axis + h * tangent))
+        minus = closest_approach(origin, directions, point, unit(axis - h * tangent))
         for name in ("nearest", "miss", "sine"):
             slope = (getattr(plus, name) - getattr(minus, name)) / (2 * h)
             given = getattr(by, f"{name}_axis")[:, 3:] @ tangent
@@ -122,13 +127,13 @@ def test_without_noise_sideways_it_is_the_range_that_counts() -> None:
 def test_pass_derivatives_and_limits() -> None:
     rng = np.random.default_rng(4)
     miss, sigma, h = rng.uniform(-0.06, 0.06, 100), np.full(100, SIGMA_MISS), 1e-6
-    here = pass_likelihood(miss, sigma, RADIUS, 0.004)
+    here = passed_beam_likelihood(miss, sigma, RADIUS, 0.004)
     for k, (dm, dr) in enumerate(((h, 0.0), (0.0, h))):
-        plus = pass_likelihood(miss + dm, sigma, RADIUS + dr, 0.004)
-        minus = pass_likelihood(miss - dm, sigma, RADIUS - dr, 0.004)
+        plus = passed_beam_likelihood(miss + dm, sigma, RADIUS + dr, 0.004)
+        minus = passed_beam_likelihood(miss - dm, sigma, RADIUS - dr, 0.004)
         np.testing.assert_allclose(here.score[:, k], (plus.log - minus.log) / (2 * h), atol=1e-3)
         curve = -(plus.score - minus.score) / (2 * h)
         np.testing.assert_allclose(here.information[:, k], curve, atol=1.0)
-    far, on = pass_likelihood(np.array([0.06, 0.0]), sigma[:2], RADIUS).log
+    far, on = passed_beam_likelihood(np.array([0.06, 0.0]), sigma[:2], RADIUS).log
     assert far == pytest.approx(0.0, abs=1e-6)
     assert on == pytest.approx(np.log(0.05), abs=1e-3)

@@ -7,9 +7,9 @@ from retropole import se3
 from retropole.datatypes import PointCloud
 from retropole.errors import UsageError
 from retropole.evaluation import comparison
-from retropole.evaluation.comparison import METHODS, OURS, compare, errors_of
+from retropole.evaluation.comparison import ALL_METHODS, OURS, compare, errors_of
 from retropole.evaluation.metrics import e_rt, evaluate
-from retropole.evaluation.rivals import METHODS as RIVALS
+from retropole.evaluation.rivals import ALL_METHODS as RIVALS
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair
 
@@ -69,7 +69,7 @@ def test_an_unknown_method_is_refused_before_any_runs(pair: SimulatedPair) -> No
     with pytest.raises(UsageError, match="nonsense"):
         compare(pair.target, pair.source, ["icp", "nonsense"], progress=seen.append)
     assert seen == []
-    assert (*OURS, *RIVALS) == METHODS
+    assert (*OURS, *RIVALS) == ALL_METHODS
 
 
 def test_errors_of_a_known_step() -> None:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from retropole.cli import cli
 from retropole.evaluation.paper import reproduce, write_exhibit
 from retropole.evaluation.paper.choosing import RULES, judge_corridor
-from retropole.evaluation.paper.estimator import PAPER, simulated_error
+from retropole.evaluation.paper.estimator import PAPER_E_RT, simulated_error
 from retropole.evaluation.paper.exhibit import Exhibit
 from retropole.evaluation.paper.line_bias import (
     error_of_fit,
@@ -77,8 +77,8 @@ def test_the_beam_model_vanishes_without_noise_and_the_papers_does_not(
 def test_simulated_error_brackets_the_papers() -> None:
     rows = {row[:2]: row for row in simulated_error(200).rows}
     _, _, paper, median, mean, *_ = rows["the paper's estimator", "isotropic"]
-    assert paper == PAPER
-    assert median < PAPER < mean
+    assert paper == PAPER_E_RT
+    assert median < PAPER_E_RT < mean
 
 
 def test_the_four_hypotheses_are_half_turns_of_each_other(exhibits: dict[str, Exhibit]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Array, PointCloud, Stage
+from retropole.datatypes import Array, PointCloud, PoseEstimate
 from retropole.errors import UsageError
 from retropole.export.transform import Transform, inverted
 from retropole.monitoring.drift import (
@@ -37,8 +37,8 @@ def covariance(rng: np.random.Generator, turn: float = 3e-4, shift: float = 2e-3
     return np.asarray(A @ A.T + np.diag(np.repeat([turn, shift], 3) ** 2) / 10)
 
 
-def drawn(T: Array, spread: Array, rng: np.random.Generator) -> Stage:
-    return Stage(se3.retract(T, rng.multivariate_normal(np.zeros(6), spread)), spread, 0.0)
+def drawn(T: Array, spread: Array, rng: np.random.Generator) -> PoseEstimate:
+    return PoseEstimate(se3.retract(T, rng.multivariate_normal(np.zeros(6), spread)), spread, 0.0)
 
 
 # The test
@@ -47,7 +47,7 @@ def drawn(T: Array, spread: Array, rng: np.random.Generator) -> Stage:
 def test_equal_poses_are_the_same() -> None:
     rng = np.random.default_rng(0)
     T, spread = se3.random(rng), covariance(rng)
-    answer = compare(Stage(T, spread, 0.0), Stage(T, spread, 0.0), "poles")
+    answer = compare(PoseEstimate(T, spread, 0.0), PoseEstimate(T, spread, 0.0), "poles")
     assert answer.status == "same"
     assert answer.chi2 == pytest.approx(0.0, abs=1e-12)
     assert answer.p_value == pytest.approx(1.0)
@@ -73,8 +73,8 @@ def test_a_turn_of_the_targets_frame_changes_nothing() -> None:
     turn = np.kron(np.eye(2), A[:3, :3])
     plain = compare(one, other, "scene")
     moved = compare(
-        Stage(A @ one.T_target_source, turn @ C @ turn.T, 0.0),
-        Stage(A @ other.T_target_source, turn @ D @ turn.T, 0.0),
+        PoseEstimate(A @ one.T_target_source, turn @ C @ turn.T, 0.0),
+        PoseEstimate(A @ other.T_target_source, turn @ D @ turn.T, 0.0),
         "scene",
     )
     assert moved.chi2 == pytest.approx(plain.chi2)
@@ -89,9 +89,9 @@ def test_exchanging_the_lidars_changes_nothing_to_first_order() -> None:
     C, D = covariance(rng), covariance(rng)
     one, other = drawn(T, C, rng), drawn(T, D, rng)
 
-    def turned_round(stage: Stage) -> Stage:
+    def turned_round(stage: PoseEstimate) -> PoseEstimate:
         back = inverted(Transform(stage.T_target_source, "a", "b", stage.covariance))
-        return Stage(back.T_parent_child, back.covariance, 0.0)
+        return PoseEstimate(back.T_parent_child, back.covariance, 0.0)
 
     forth = compare(one, other, "poles")
     back = compare(turned_round(one), turned_round(other), "poles")
@@ -145,7 +145,10 @@ def test_the_power_has_its_limits() -> None:
 def test_a_test_that_could_not_see_a_movement_does_not_say_same() -> None:
     rng = np.random.default_rng(7)
     T = se3.random(rng)
-    sure, unsure = Stage(T, covariance(rng), 0.0), Stage(T, covariance(rng, 0.01, 0.05), 0.0)
+    sure, unsure = (
+        PoseEstimate(T, covariance(rng), 0.0),
+        PoseEstimate(T, covariance(rng, 0.01, 0.05), 0.0),
+    )
     for stored, new, blamed in ((sure, unsure, "new"), (unsure, sure, "stored")):
         answer = compare(stored, new, "poles")
         assert answer.status == "cannot_tell"
@@ -155,7 +158,7 @@ def test_a_test_that_could_not_see_a_movement_does_not_say_same() -> None:
         assert f"the {blamed} " in answer.reasons[0].message
     # A wider tolerance asks for less; a movement that sticks out is one all the same.
     assert compare(sure, unsure, "poles", (0.3, 1.0)).status == "same"
-    far = Stage(se3.retract(T, np.r_[0, 0, 0, 1.0, 0, 0]), unsure.covariance, 0.0)
+    far = PoseEstimate(se3.retract(T, np.r_[0, 0, 0, 1.0, 0, 0]), unsure.covariance, 0.0)
     answer = compare(sure, far, "poles")
     assert answer.status == "moved"
     assert [r.code for r in answer.reasons] == ["size_unsure"]
@@ -164,13 +167,13 @@ def test_a_test_that_could_not_see_a_movement_does_not_say_same() -> None:
 def test_a_movement_below_the_tolerance_is_told_as_such() -> None:
     rng = np.random.default_rng(8)
     T, spread = se3.random(rng), covariance(rng, 1e-6, 1e-5)
-    near = Stage(se3.retract(T, np.r_[0, 0, 1e-4, 0.001, 0, 0]), spread, 0.0)
-    answer = compare(Stage(T, spread, 0.0), near, "poles")
+    near = PoseEstimate(se3.retract(T, np.r_[0, 0, 1e-4, 0.001, 0, 0]), spread, 0.0)
+    answer = compare(PoseEstimate(T, spread, 0.0), near, "poles")
     assert answer.status == "same"
     assert [r.code for r in answer.reasons] == ["within_tolerance"]
     assert answer.p_value is not None
     assert answer.p_value < FALSE_ALARM
-    assert compare(Stage(T, spread, 0.0), near, "poles", (1e-5, 1e-3)).status == "moved"
+    assert compare(PoseEstimate(T, spread, 0.0), near, "poles", (1e-5, 1e-3)).status == "moved"
 
 
 # Sites recorded anew
@@ -182,7 +185,7 @@ def street() -> SimulatedPair:
 
 
 @pytest.fixture(scope="module")
-def stored(street: SimulatedPair) -> Stage:
+def stored(street: SimulatedPair) -> PoseEstimate:
     answer = calibrate(street.target, street.source)
     assert answer.refined is not None
     return answer.refined
@@ -198,7 +201,7 @@ def stored(street: SimulatedPair) -> Stage:
     ],
 )
 def test_small_movements_are_found(
-    street: SimulatedPair, stored: Stage, moved: Array, status: str, poles: bool
+    street: SimulatedPair, stored: PoseEstimate, moved: Array, status: str, poles: bool
 ) -> None:
     again = record_again(street, np.random.default_rng(11), moved=moved, poles=poles)
     answer = check(stored, again.target, again.source)
@@ -210,7 +213,7 @@ def test_small_movements_are_found(
     assert off @ np.linalg.solve(answer.covariance, off) < 25.0
 
 
-def test_the_recording_itself_is_the_same(street: SimulatedPair, stored: Stage) -> None:
+def test_the_recording_itself_is_the_same(street: SimulatedPair, stored: PoseEstimate) -> None:
     answer = check(stored, street.target, street.source)
     assert answer.status == "same"
     assert answer.used == "poles"
@@ -218,7 +221,7 @@ def test_the_recording_itself_is_the_same(street: SimulatedPair, stored: Stage) 
 
 
 def test_clouds_without_intensity_are_checked_by_the_scene(
-    street: SimulatedPair, stored: Stage
+    street: SimulatedPair, stored: PoseEstimate
 ) -> None:
     again = record_again(street, np.random.default_rng(12))
     bare = [PointCloud(cloud.xyz) for cloud in (again.target, again.source)]
@@ -228,7 +231,7 @@ def test_clouds_without_intensity_are_checked_by_the_scene(
 
 
 def test_gross_movements_are_found_with_poles_and_never_called_same_without(
-    street: SimulatedPair, stored: Stage
+    street: SimulatedPair, stored: PoseEstimate
 ) -> None:
     rng = np.random.default_rng(13)
     turned = np.r_[np.radians(40.0) * street.T_world_target[2, :3], 0, 0, 0]
@@ -242,7 +245,7 @@ def test_gross_movements_are_found_with_poles_and_never_called_same_without(
     assert check(stored, gone.source, gone.target).status != "same"
 
 
-def test_another_place_is_never_called_same(stored: Stage) -> None:
+def test_another_place_is_never_called_same(stored: PoseEstimate) -> None:
     other = simulate_pair("harbor", np.random.default_rng(14))
     assert check(stored, other.target, other.source).status != "same"
     bare = record_again(other, np.random.default_rng(15), poles=False)
@@ -250,7 +253,9 @@ def test_another_place_is_never_called_same(stored: Stage) -> None:
 
 
 @pytest.mark.parametrize("left", [0, 10])
-def test_hardly_any_points_cannot_tell(street: SimulatedPair, stored: Stage, left: int) -> None:
+def test_hardly_any_points_cannot_tell(
+    street: SimulatedPair, stored: PoseEstimate, left: int
+) -> None:
     answer = check(stored, street.target, street.source.select(np.arange(left)))
     assert answer.status == "cannot_tell"
     assert answer.step is None
@@ -258,7 +263,7 @@ def test_hardly_any_points_cannot_tell(street: SimulatedPair, stored: Stage, lef
     assert answer.reasons
 
 
-def test_a_pose_without_covariance_is_refused(street: SimulatedPair, stored: Stage) -> None:
+def test_a_pose_without_covariance_is_refused(street: SimulatedPair, stored: PoseEstimate) -> None:
     with pytest.raises(UsageError):
         check(replace(stored, covariance=None), street.target, street.source)
 

@@ -22,8 +22,8 @@ from retropole.export import export_lines
 from retropole.report import render_report, write_report
 from retropole.report.advice import ADVICE
 from retropole.report.crosssections import across, fit_circle
-from retropole.report.points import FAR, STEPS, pack_cloud
-from retropole.report.render import ALL_POINTS, embed_json
+from retropole.report.points import COORDINATE_STEPS, MAX_SHOWN_RANGE, pack_cloud
+from retropole.report.render import MAX_PAGE_POINTS_TOGETHER, embed_json
 from retropole.report.sections import FRAMES, centimetres
 from tests.paths import PACKAGE
 
@@ -370,13 +370,13 @@ def test_page_of_many_placements_stays_small() -> None:
     cloud = PointCloud(rng.uniform(-80, 80, (60_000, 3)), rng.uniform(0, 255, 60_000))
     result, *_ = made_up(count=500)
     page = render_report(result, cloud, cloud, more=9 * [Placement(cloud, cloud)])
-    assert f"showing {ALL_POINTS // 20:,} of 60,000 points" in Page(page).text
+    assert f"showing {MAX_PAGE_POINTS_TOGETHER // 20:,} of 60,000 points" in Page(page).text
     assert len(page.encode()) < 8e6
 
 
 def unpacked(packed: dict[str, Any]) -> np.ndarray:
     steps = np.frombuffer(base64.b64decode(packed["xyz"]), "<u2").reshape(-1, 3)
-    return np.array(packed["low"]) + np.array(packed["size"]) * steps / STEPS
+    return np.array(packed["low"]) + np.array(packed["size"]) * steps / COORDINATE_STEPS
 
 
 def test_unpacked_points_are_the_clouds_points() -> None:
@@ -387,7 +387,7 @@ def test_unpacked_points_are_the_clouds_points() -> None:
     size = np.ptp(target.xyz, axis=0)
     nearest = np.abs(points[:, None] - target.xyz).sum(axis=2).argmin(axis=1)
     assert len(set(nearest.tolist())) > 0.99 * len(points)
-    assert np.all(np.abs(points - target.xyz[nearest]) <= size / STEPS)
+    assert np.all(np.abs(points - target.xyz[nearest]) <= size / COORDINATE_STEPS)
 
 
 def test_points_on_poles_and_rejected_clusters_come_first_and_stay() -> None:
@@ -400,7 +400,10 @@ def test_points_on_poles_and_rejected_clusters_come_first_and_stay() -> None:
 
 
 def test_stray_points_do_not_coarsen_the_others() -> None:
-    xyz = np.r_[np.random.default_rng(0).uniform(-5, 5, (50, 3)), [[1e9, 0, 0], [0, -2 * FAR, 0]]]
+    xyz = np.r_[
+        np.random.default_rng(0).uniform(-5, 5, (50, 3)),
+        [[1e9, 0, 0], [0, -2 * MAX_SHOWN_RANGE, 0]],
+    ]
     packed = pack_cloud(PointCloud(xyz), max_points=100)
     assert packed["far"] == 2
     assert packed["counts"][2] == 50

@@ -17,7 +17,7 @@ from retropole.errors import MissingExtraError, Refusal
 from retropole.extraction.poles import extract_poles
 from retropole.report.viewer import (
     RETRO,
-    STEPS,
+    SLIDER_STEPS,
     Shown,
     Viewer,
     colours,
@@ -67,7 +67,7 @@ def test_slider_spans_threshold_and_brightest(intensity: np.ndarray, threshold: 
     assert span.low <= threshold <= span.high
     assert span.high >= intensity.max()
     assert span.step > 0
-    assert (span.high - span.low) / span.step <= STEPS + 2
+    assert (span.high - span.low) / span.step <= SLIDER_STEPS + 2
 
 
 def test_bright_points_are_coloured() -> None:

@@ -4,7 +4,7 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Array, Match, PointCloud
 from retropole.errors import Refusal
-from retropole.scene.disambiguation import contradiction, judge, range_image
+from retropole.scene.disambiguation import free_space_violation, judge, range_image
 
 
 def room(sensor: Array, rng: np.random.Generator, count: int = 20000) -> PointCloud:
@@ -86,16 +86,18 @@ def test_a_wrong_beam_origin_does_not_turn_free_space_against_the_truth(
     T_shift = se3.from_rt(np.eye(3), np.array(shift))
     lost = PointCloud(se3.apply(T_shift, target.xyz))
     image = range_image(lost)
-    assert contradiction(image, se3.apply(T_shift @ T, source.xyz)) < 0.03
+    assert free_space_violation(image, se3.apply(T_shift @ T, source.xyz)) < 0.03
 
 
 def test_free_space_knows_what_it_did_not_look_at() -> None:
     ahead = PointCloud(np.array([[10.0, 0.0, 0.0]]))
     image = range_image(ahead)
-    assert contradiction(image, np.array([[5.0, 0.0, 0.0]])) == 1.0, "looked through there"
-    assert contradiction(image, np.array([[15.0, 0.0, 0.0]])) == 0.0, "hidden behind"
-    assert contradiction(image, np.array([[0.0, 5.0, 0.0]])) == 0.0, "never looked there"
-    assert contradiction(image, np.array([[9.8, 0.0, 0.0]])) == 0.0, "within the pose's error"
+    assert free_space_violation(image, np.array([[5.0, 0.0, 0.0]])) == 1.0, "looked through there"
+    assert free_space_violation(image, np.array([[15.0, 0.0, 0.0]])) == 0.0, "hidden behind"
+    assert free_space_violation(image, np.array([[0.0, 5.0, 0.0]])) == 0.0, "never looked there"
+    assert free_space_violation(image, np.array([[9.8, 0.0, 0.0]])) == 0.0, (
+        "within the pose's error"
+    )
 
 
 def test_inexact_matches_come_last_whatever_their_score(

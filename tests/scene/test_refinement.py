@@ -4,23 +4,23 @@ import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Array, PointCloud, Stage
+from retropole.datatypes import Array, PointCloud, PoseEstimate
 from retropole.evaluation.metrics import e_rt
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import _pairs, cKDTree, refine
 from retropole.simulation import simulate_pair
-from retropole.verdict import check_pull
+from retropole.verdict import check_agreement
 from tests.paths import SHARED
 
 SPREAD = np.diag(np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05]) ** 2)
 
 
-def stage(T: Array, seed: int = 0) -> Stage:
+def stage(T: Array, seed: int = 0) -> PoseEstimate:
     """A pose off by a draw from `SPREAD`, that says so."""
     rng = np.random.default_rng(seed)
-    return Stage(se3.retract(T, rng.multivariate_normal(np.zeros(6), SPREAD)), SPREAD, 0.01)
+    return PoseEstimate(se3.retract(T, rng.multivariate_normal(np.zeros(6), SPREAD)), SPREAD, 0.01)
 
 
 def floor(rng: np.random.Generator, count: int = 30_000) -> PointCloud:
@@ -105,7 +105,7 @@ def test_swapping_and_moving_give_the_same_pose() -> None:
     moved = refine(
         pair.target.transformed(A),
         pair.source,
-        Stage(A @ start.T_target_source, turn @ SPREAD @ turn.T, 0.01),
+        PoseEstimate(A @ start.T_target_source, turn @ SPREAD @ turn.T, 0.01),
     )
     assert forth is not None
     assert moved is not None
@@ -117,10 +117,10 @@ def test_scene_and_poles_that_disagree_are_warned_of() -> None:
     pair = simulate_pair("street", np.random.default_rng(23))
     tight = 1e-6 * np.eye(6)
     off = se3.retract(pair.T_target_source, np.array([0.0, 0, 0.01, 0.05, 0, 0]))
-    refined = refine(pair.target, pair.source, Stage(off, tight, 0.01))
+    refined = refine(pair.target, pair.source, PoseEstimate(off, tight, 0.01))
     assert refined is not None
-    assert [r.code for r in check_pull(refined)] == ["poles_and_scene_disagree"]
-    assert check_pull(None) == []
+    assert [r.code for r in check_agreement(refined)] == ["poles_and_scene_disagree"]
+    assert check_agreement(None) == []
 
 
 def test_the_pipeline_reports_both_stages() -> None:
@@ -167,7 +167,7 @@ def test_real_clouds_come_to_one_pose_from_all_around() -> None:
     for _ in range(4):
         turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         start = se3.retract(reference, np.r_[np.radians(3) * turn, 0.3 * shift])
-        refined = refine(target, source, Stage(start, spread, 0.01))
+        refined = refine(target, source, PoseEstimate(start, spread, 0.01))
         assert refined is not None
         found.append(refined.stage.T_target_source)
         off = se3.local(found[-1], reference)

@@ -4,7 +4,7 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Array
 from retropole.errors import Refusal
-from retropole.scene.registration import prepare, register, thin
+from retropole.scene.registration import prepare, register, voxel_downsample
 
 
 def room(rng: np.random.Generator, count: int = 6000) -> Array:
@@ -38,7 +38,7 @@ def test_returns_to_the_truth_from_nearby(method: str) -> None:
 
 
 def test_empty_and_tiny_clouds_are_refused_not_answered() -> None:
-    assert thin(np.zeros((0, 3)), 0.1).shape == (0, 3)
+    assert voxel_downsample(np.zeros((0, 3)), 0.1).shape == (0, 3)
     for xyz in (np.zeros((0, 3)), np.random.default_rng(0).normal(size=(20, 3))):
         with pytest.raises(Refusal) as refusal:
             prepare(xyz, 0.1)
@@ -47,5 +47,5 @@ def test_empty_and_tiny_clouds_are_refused_not_answered() -> None:
 
 def test_thinning_keeps_one_point_per_cube() -> None:
     xyz = np.random.default_rng(1).uniform(0.01, 0.99, (500, 3))
-    assert len(thin(xyz, 1.0)) == 1
-    np.testing.assert_allclose(thin(xyz, 1.0)[0], xyz.mean(axis=0))
+    assert len(voxel_downsample(xyz, 1.0)) == 1
+    np.testing.assert_allclose(voxel_downsample(xyz, 1.0)[0], xyz.mean(axis=0))

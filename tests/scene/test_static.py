@@ -10,7 +10,7 @@ from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.pipeline import calibrate
-from retropole.scene.static import check_still, drift, keep_standing
+from retropole.scene.static import check_static, drift, remove_dynamic_points
 from retropole.simulation import SimulatedPair, simulate_pair
 
 FRAMES = 6
@@ -42,7 +42,7 @@ def with_walker(cloud: PointCloud) -> tuple[PointCloud, np.ndarray]:
 
 def test_a_walker_goes_and_the_scene_stays(street: SimulatedPair) -> None:
     cloud, walks = with_walker(street.target)
-    left = keep_standing(cloud)
+    left = remove_dynamic_points(cloud)
     kept = np.isin(cloud.xyz[:, 0], left.xyz[:, 0])
     # Where no other frame has a return there is no telling.
     assert np.mean(kept[walks]) < 0.35
@@ -52,21 +52,21 @@ def test_a_walker_goes_and_the_scene_stays(street: SimulatedPair) -> None:
 def test_poles_stay_whole(street: SimulatedPair) -> None:
     first = len(street.surfaces) - len(street.poles)
     on_poles = street.target.xyz[street.labels[0] >= first]
-    left = keep_standing(street.target)
+    left = remove_dynamic_points(street.target)
     assert np.mean(np.isin(on_poles[:, 0], left.xyz[:, 0])) > 0.98
 
 
 def test_few_frames_are_left_alone(street: SimulatedPair) -> None:
     single = replace(street.target, frame=None)
-    assert keep_standing(single) is single
+    assert remove_dynamic_points(single) is single
     two = street.target.select(np.asarray(street.target.frame) < 2)
-    assert keep_standing(two) is two
+    assert remove_dynamic_points(two) is two
 
 
 def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
     cloud = street.target
     poles = extract_poles(cloud).poles
-    check_still("target", cloud, poles)
+    check_static("target", cloud, poles)
     assert cloud.frame is not None
     pole = poles[0]
     frame = cloud.frame[pole.index]
@@ -75,7 +75,7 @@ def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
     sideways = np.cross(pole.direction, [1.0, 0.0, 0.0])
     moved = replace(pole, xyz=pole.xyz + 0.1 * (frame >= 3)[:, None] * sideways)
     with pytest.raises(Refusal) as refusal:
-        check_still("target", cloud, [moved])
+        check_static("target", cloud, [moved])
     assert refusal.value.code == "moving_pole"
 
 

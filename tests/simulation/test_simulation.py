@@ -19,7 +19,7 @@ from retropole.simulation import (
     Box,
     Cylinder,
     Material,
-    Nuisances,
+    NoiseModel,
     Rectangle,
     SimulationError,
     scan,
@@ -163,7 +163,7 @@ def test_equal_generators_give_equal_pairs() -> None:
     assert not np.array_equal(one.T_target_source, other.T_target_source)
 
 
-def wall_scan(nuisances: Nuisances, *, retro: bool = False, frames: int = 1) -> Array:
+def wall_scan(nuisances: NoiseModel, *, retro: bool = False, frames: int = 1) -> Array:
     """Range errors of a scan of four walls around, in metres."""
     rng = np.random.default_rng(3)
     sensor, x_y_z, paint = find_sensor("VLP-16"), np.eye(3), Material(0.5, retro)
@@ -180,17 +180,17 @@ def wall_scan(nuisances: Nuisances, *, retro: bool = False, frames: int = 1) -> 
 
 def test_noise_is_what_it_says() -> None:
     noise = find_sensor("VLP-16").range_noise
-    quiet = Nuisances(0.0, 0.0, 0.0, False, 0.0, 0.0, 0.0)
+    quiet = NoiseModel(0.0, 0.0, 0.0, False, 0.0, 0.0, 0.0)
     assert np.abs(wall_scan(quiet)).max() < 1e-9
-    along = wall_scan(Nuisances(1.0, 0.0, 0.0, False, 0.0, 0.0, 0.0))
+    along = wall_scan(NoiseModel(1.0, 0.0, 0.0, False, 0.0, 0.0, 0.0))
     assert along.std() == pytest.approx(noise, rel=0.03)
     assert abs(along.mean()) < 4 * noise / np.sqrt(len(along))
-    dropped = wall_scan(Nuisances(0.0, 0.0, 0.3, False, 0.0, 0.0, 0.0))
+    dropped = wall_scan(NoiseModel(0.0, 0.0, 0.3, False, 0.0, 0.0, 0.0))
     assert len(dropped) == pytest.approx(0.7 * len(wall_scan(quiet)), rel=0.02)
-    biased = wall_scan(Nuisances(0.0, 0.0, 0.0, False, 0.0, 0.02, 0.0), retro=True)
+    biased = wall_scan(NoiseModel(0.0, 0.0, 0.0, False, 0.0, 0.02, 0.0), retro=True)
     assert biased.std() < 1e-9
     assert 0 < abs(biased.mean()) < 0.1
-    assert np.abs(wall_scan(Nuisances(0, 0, 0, False, 0, 0.02, 0))).max() < 1e-9
+    assert np.abs(wall_scan(NoiseModel(0, 0, 0, False, 0, 0.02, 0))).max() < 1e-9
 
 
 def test_frames_add_up() -> None:
@@ -203,7 +203,7 @@ def test_frames_add_up() -> None:
 def test_wide_beams_return_from_near_misses() -> None:
     counts = [
         simulate_pair(
-            "paper", np.random.default_rng(6), nuisances=Nuisances(0, 0, 0, wide, 0, 0, 0)
+            "paper", np.random.default_rng(6), nuisances=NoiseModel(0, 0, 0, wide, 0, 0, 0)
         ).returns_on_poles
         for wide in (False, True)
     ]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..datatypes import Array, Stage
+from ..datatypes import Array, PoseEstimate
 from ..errors import Refusal
 from .observations import Beams
 from .posterior import SHARED, Fit, Priors, State, evaluate, look
@@ -40,10 +40,10 @@ START_NOISE = (0.005, 0.5)
 MAX_NOISE = 0.05
 """Most noise of a return that still says anything of a pole, metres."""
 
-MAX_TURN, MAX_SHIFT = 0.1, 0.5
+MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
 """1 σ, rad and m, from which the poles are said to leave the pose free."""
 
-MIN_POINTS = 3
+MIN_RETURNS_PER_POLE = 3
 MAX_ITERATIONS = 60
 STEP_TOLERANCE = 0.02
 """Step from which the noise is kept and only the geometry is polished, in units of each
@@ -100,7 +100,7 @@ class BeamAlignment:
         The same across the beam.
     """
 
-    stage: Stage
+    stage: PoseEstimate
     covariance_sure: Array
     axis_points: Array
     axis_directions: Array
@@ -135,17 +135,17 @@ def align_beams(
     Raises
     ------
     Refusal
-        ``too_few_points`` with less than two poles or `MIN_POINTS` returns on one;
+        ``too_few_points`` with less than two poles or `MIN_RETURNS_PER_POLE` returns on one;
         ``degenerate_poles`` where the poles leave the pose all but free in some direction;
         ``poor_fit`` where most returns lie on no common pole.
     """
     counts = np.concatenate([np.bincount(one.pole) for one in (target, source)])
     poles = int(target.pole.max()) + 1
-    if poles < 2 or counts.min() < MIN_POINTS:
+    if poles < 2 or counts.min() < MIN_RETURNS_PER_POLE:
         raise Refusal(
             "too_few_points",
             f"{poles} poles with {counts.min()} returns on the poorest: two poles with "
-            f"{MIN_POINTS} each are the least; bring the poles nearer or add frames",
+            f"{MIN_RETURNS_PER_POLE} each are the least; bring the poles nearer or add frames",
             {"poles": poles, "returns": int(counts.min())},
         )
     priors = Priors(bias, radius, radius_sigma)
@@ -166,7 +166,7 @@ def align_beams(
     turn, shift = (
         float(np.sqrt(np.linalg.eigvalsh(covariance[i, i])[-1])) for i in (slice(3), slice(3, 6))
     )
-    if not (turn < MAX_TURN and shift < MAX_SHIFT):
+    if not (turn < MAX_ROTATION_SIGMA and shift < MAX_TRANSLATION_SIGMA):
         raise Refusal(
             "degenerate_poles",
             f"the poles leave the pose free by {np.degrees(turn):.1f}° and {shift:.2f} m (1 σ); "
@@ -174,7 +174,7 @@ def align_beams(
             {"rotation_sigma_rad": turn, "translation_sigma_m": shift},
         )
     return BeamAlignment(
-        Stage(fit.state.T, covariance[:6, :6], float(np.sqrt(np.mean(sigma[:, 0] ** 2)))),
+        PoseEstimate(fit.state.T, covariance[:6, :6], float(np.sqrt(np.mean(sigma[:, 0] ** 2)))),
         sure[:6, :6],
         fit.state.points,
         fit.state.directions,

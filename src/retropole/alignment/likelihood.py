@@ -27,7 +27,7 @@ from scipy.special import ndtr
 
 from ..datatypes import Array
 
-OUTLIERS, OUTLIER_REACH = 0.02, 0.3
+OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
 """Share of returns that may be no part of a pole, and how far from it they may lie, metres."""
 
 LOST = 0.05
@@ -36,7 +36,7 @@ LOST = 0.05
 NODES, EDGE_NODES = 20, 6
 """Of the integral over the arc, and over each edge beside it."""
 
-REACH = 6.0
+MAX_SIDEWAYS_SIGMAS = 6.0
 """What lies further than so many σ_m sideways does not count in the integral."""
 
 _GAUSS, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(NODES)
@@ -44,7 +44,7 @@ _EDGE, _EDGE_WEIGHT = np.polynomial.legendre.leggauss(EDGE_NODES)
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class ClosestApproach:
     """How beams pass an axis, before the radius of the pole comes in.
 
     Attributes
@@ -73,7 +73,9 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
-def pass_axis(origin: Array, directions: Array, point: Array, axis: Array) -> Passage:
+def closest_approach(
+    origin: Array, directions: Array, point: Array, axis: Array
+) -> ClosestApproach:
     """Pass beams by an axis.
 
     Parameters
@@ -87,7 +89,7 @@ def pass_axis(origin: Array, directions: Array, point: Array, axis: Array) -> Pa
 
     Returns
     -------
-    Passage
+    ClosestApproach
         Derivatives take the direction as free; a caller that keeps it of unit length projects.
         A beam along the axis has ``sine`` 0 and nothing else of it is finite.
     """
@@ -108,7 +110,7 @@ def pass_axis(origin: Array, directions: Array, point: Array, axis: Array) -> Pa
         nearest_n = -b_n / square[:, None] + (2 * b / (square * sine))[:, None] * sine_n
         miss_q = -_cross(d, n) / sine[:, None]
         miss_n = _cross(w, d) / sine[:, None] - (miss / sine)[:, None] * sine_n
-    return Passage(
+    return ClosestApproach(
         nearest,
         miss,
         sine,
@@ -168,7 +170,7 @@ def arc_likelihood(
         (N,) w, metres: half of the beam's width at the pole.
     """
     w = np.broadcast_to(np.asarray(half_width, dtype=np.float64), depth.shape)
-    reach = REACH * sigma_miss
+    reach = MAX_SIDEWAYS_SIGMAS * sigma_miss
     # Nodes over the arc, x = r sin θ, cut to what lies within reach of each return.
     low = np.clip(miss - reach, -radius, radius - np.minimum(reach, radius))
     high = np.clip(miss + reach, np.minimum(reach, radius) - radius, radius)
@@ -206,7 +208,7 @@ def arc_likelihood(
     part /= total[:, None]
     scale = (1 - OUTLIERS) / (2 * np.pi) / (sigma_depth * sigma_miss)
     log_pole = top + np.log(total * scale)
-    log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_REACH**2)))
+    log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_RADIUS**2)))
     inlier = np.exp(log_pole - log)
     # Derivatives of a node's exponent with respect to g, m, r, and the mean of what they leave.
     u = np.stack([off_depth * inverse_depth, off_miss * inverse_miss, np.zeros_like(part)], axis=2)
@@ -231,7 +233,7 @@ def arc_likelihood(
 
 
 @dataclass(frozen=True, eq=False)
-class PassLikelihood:
+class PassedBeamLikelihood:
     """Log-probability that beams passed beside a pole, and its derivatives.
 
     Attributes
@@ -249,9 +251,9 @@ class PassLikelihood:
     information: Array
 
 
-def pass_likelihood(
+def passed_beam_likelihood(
     miss: Array, sigma_miss: Array, radius: float, half_width: Array | float = 0.0
-) -> PassLikelihood:
+) -> PassedBeamLikelihood:
     """Probability that beams passed beside a pole; see the head of this module.
 
     Parameters
@@ -276,4 +278,4 @@ def pass_likelihood(
     score = np.stack([p_m / p, p_r / p], axis=1)
     second = np.stack([np.stack([p_mm, p_mr], axis=1), np.stack([p_mr, p_rr], axis=1)], axis=1)
     information = score[:, :, None] * score[:, None, :] - second / p[:, None, None]
-    return PassLikelihood(np.log(p), score, information)
+    return PassedBeamLikelihood(np.log(p), score, information)

@@ -9,16 +9,16 @@ import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud, Pole
 from ..sensors import Sensor
-from .likelihood import pass_axis
+from .likelihood import closest_approach
 
-BAND = np.radians(0.4)
+RING_BAND = np.radians(0.4)
 """Returns within a band of elevation of this width are taken as one beam's where rings are not
 known."""
 
 DIVERGENCE = 0.003
 """Full angle of the beams of a sensor that is not known, rad: makers state 1.5 to 8 mrad."""
 
-PASSING, BEHIND = 0.015, 0.3
+PASSING, PASSED_BEHIND = 0.015, 0.3
 """A beam passes a pole within the first distance of its surface, and returns from so far behind it,
 metres."""
 
@@ -83,7 +83,7 @@ def beams_of(
             ]
         )
     else:
-        ring = np.floor(np.arcsin(ray[:, 2] / ranges) / BAND)
+        ring = np.floor(np.arcsin(ray[:, 2] / ranges) / RING_BAND)
     beyond = [
         np.zeros((0, 3)) if sensor is None else _passing(pole, cloud, divergence)
         for pole, cloud in zip(poles, clouds, strict=True)
@@ -112,9 +112,9 @@ def _passing(pole: Pole, cloud: PointCloud, divergence: float) -> Array:
     toward = ray @ ((pole.point - cloud.origin) / away)
     nearby = np.flatnonzero((ranges > 0.7 * away) & (toward > np.sqrt(1 - reach**2) * ranges))
     directions = ray[nearby] / ranges[nearby, None]
-    by = pass_axis(cloud.origin, directions, pole.point, pole.direction)
+    by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
     along = (cloud.origin + by.nearest[:, None] * directions - pole.point) @ pole.direction
     own = (pole.xyz - pole.point) @ pole.direction
     close = np.abs(by.miss) < 2 * np.abs(pole.rms) + PASSING + 0.5 * divergence * away
     close &= (along > own.min()) & (along < own.max())
-    return np.asarray(directions[close & (ranges[nearby] > by.nearest + BEHIND)])
+    return np.asarray(directions[close & (ranges[nearby] > by.nearest + PASSED_BEHIND)])

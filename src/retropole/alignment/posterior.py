@@ -14,7 +14,7 @@ import numpy as np
 
 from .. import se3
 from ..datatypes import Array, IntArray
-from .likelihood import arc_likelihood, pass_axis, pass_likelihood
+from .likelihood import arc_likelihood, closest_approach, passed_beam_likelihood
 from .observations import Beams
 
 SHARED = 9
@@ -70,7 +70,7 @@ def look(
     q, n = state.points, state.directions
     T = state.T if lidar else np.eye(4)
     R, t = T[:3, :3], T[:3, 3]
-    by = pass_axis(origin, directions, ((q - t) @ R)[own], (n @ R)[own])
+    by = closest_approach(origin, directions, ((q - t) @ R)[own], (n @ R)[own])
     ahead = by.nearest - ranges + state.offsets[lidar]
     grad = np.stack(
         [by.sine[:, None] * by.nearest_axis + ahead[:, None] * by.sine_axis, by.miss_axis], axis=1
@@ -161,7 +161,7 @@ def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Pri
         if len(one.passed):
             far = np.zeros(len(one.passed))
             by = look(state, i, one.origin, one.passing, far, one.passed)
-            gone = pass_likelihood(
+            gone = passed_beam_likelihood(
                 by.miss, np.full_like(far, sigma[1]), state.radius, one.passing_half_width
             )
             K = by.jacobian.copy()

@@ -10,7 +10,7 @@ import click
 from .common import CLOUD, CONTEXT, EXIT_REFUSED, TOPIC_HELP, progress_on_terminal, read_input
 
 if TYPE_CHECKING:
-    from ..datatypes import Array, Reason, Stage
+    from ..datatypes import Array, PoseEstimate, Reason
     from ..monitoring.drift import CheckResult
 
 EXIT_MOVED = 4
@@ -124,7 +124,7 @@ def check(
 class Stored(NamedTuple):
     """What RESULT holds: the pose, its run's options and topics, and what it warned of."""
 
-    stage: Stage
+    stage: PoseEstimate
     options: dict[str, Any]
     topics: tuple[str | None, str | None]
     warnings: list[Reason]
@@ -140,7 +140,7 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     """
     import numpy as np
 
-    from ..datatypes import Reason, Stage
+    from ..datatypes import PoseEstimate, Reason
     from ..errors import Refusal
     from ..export import inverted, read_transform
     from ..export.documents import is_result, read_result
@@ -157,7 +157,7 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
             "no_covariance",
             f"{path} does not say how sure it is: give result.json, or --sigma-deg and --sigma-m",
         )
-    stage = Stage(transform.T_parent_child, covariance, 0.0)
+    stage = PoseEstimate(transform.T_parent_child, covariance, 0.0)
     data = (path / "result.json" if path.is_dir() else path).read_bytes()
     if not is_result(data):
         return Stored(stage, {}, (None, None), [])

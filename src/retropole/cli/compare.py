@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..datatypes import Array
     from ..evaluation.comparison import Compared
 
-SCHEMA = "retropole/compare/1"
+COMPARE_SCHEMA = "retropole/compare/1"
 WIDTH = 160
 """Of the table where there is no terminal to ask."""
 
@@ -100,14 +100,16 @@ def compare(
       3    all refused
       130  interrupted
     """
-    from ..evaluation.comparison import METHODS
+    from ..evaluation.comparison import ALL_METHODS
     from ..evaluation.comparison import compare as run
     from ..export import read_transform
 
-    names = list(METHODS) if methods is None else [name.strip() for name in methods.split(",")]
+    names = list(ALL_METHODS) if methods is None else [name.strip() for name in methods.split(",")]
     for name in names:
-        if name not in METHODS:
-            raise click.UsageError(f"no method is called {name!r}; there are {', '.join(METHODS)}")
+        if name not in ALL_METHODS:
+            raise click.UsageError(
+                f"no method is called {name!r}; there are {', '.join(ALL_METHODS)}"
+            )
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
         progress("read")
@@ -129,7 +131,7 @@ def compare(
         )
     if as_json:
         document = {
-            "schema": SCHEMA,
+            "schema": COMPARE_SCHEMA,
             "inputs": [str(target), str(source)],
             "truth": None if truth is None else str(truth),
             "seed": seed,

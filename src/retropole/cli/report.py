@@ -157,9 +157,9 @@ def _differing(inputs: list[Input], document: ResultDoc) -> list[str]:
 def _placement(document: ResultDoc, inputs: list[Input], is_first: bool) -> Placement:
     """Find the poles of one placement as the run did; other poles than its own are left out."""
     from ..datatypes import Placement
-    from ..scene.static import keep_standing
+    from ..scene.static import remove_dynamic_points
 
-    clouds = [keep_standing(given.cloud) for given in inputs]
+    clouds = [remove_dynamic_points(given.cloud) for given in inputs]
     placement = Placement(clouds[0], clouds[1])
     expected = (document.poles.target, document.poles.source)
     for side, (cloud, given) in enumerate(zip(clouds, inputs, strict=True)):

@@ -11,14 +11,14 @@ import numpy as np
 
 from ..datatypes import Array, Calibration, PointCloud
 from ..errors import Refusal, UsageError
-from ..pipeline import RADIUS, calibrate
+from ..pipeline import DEFAULT_RADIUS, calibrate
 from ..sensors import Sensor
 from .metrics import Alignment, Errors, errors_of, evaluate
 from .rivals import METHODS as RIVALS
 from .rivals import missing_extra
 
 OURS = ("poles", "poles+scene")
-METHODS = (*OURS, *RIVALS)
+ALL_METHODS = (*OURS, *RIVALS)
 """Names of all methods: the poles alone and with the scene, then the rivals."""
 
 Status = Literal["ok", "warn", "refused", "missing"]
@@ -31,7 +31,7 @@ class Compared:
     Attributes
     ----------
     method
-        Its name in `METHODS`.
+        Its name in `ALL_METHODS`.
     status
         ``missing`` where the extra that it needs is not installed.
     codes
@@ -61,10 +61,10 @@ class Compared:
 def compare(
     target: PointCloud,
     source: PointCloud,
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] = ALL_METHODS,
     *,
     T_true: Array | None = None,
-    radius: float = RADIUS,
+    radius: float = DEFAULT_RADIUS,
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
     seed: int = 0,
@@ -77,7 +77,7 @@ def compare(
     target, source
         Clouds, each in its own frame.
     methods
-        Names out of `METHODS`.
+        Names out of `ALL_METHODS`.
     T_true
         (4, 4) truth, where it is known.
     radius, sensors, thresholds
@@ -97,9 +97,9 @@ def compare(
     UsageError
         An unknown method.
     """
-    unknown = [name for name in methods if name not in METHODS]
+    unknown = [name for name in methods if name not in ALL_METHODS]
     if unknown:
-        raise UsageError(f"no method is called {unknown[0]!r}; there are {', '.join(METHODS)}")
+        raise UsageError(f"no method is called {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
 
     ours: Calibration | None = None
     found: list[Compared] = []

@@ -13,7 +13,7 @@ from .. import se3
 from ..datatypes import Array, IntArray, PointCloud
 from ..errors import Refusal
 from ..scene.disambiguation import OVERLAP_DISTANCE
-from ..scene.registration import CORES, prepare, thin
+from ..scene.registration import CORES, prepare, voxel_downsample
 
 KERNEL_WIDTH = 0.05
 """σ of the kernel of Rényi's entropy, metres."""
@@ -27,7 +27,7 @@ RQE_TOLERANCE = 1e-7
 LEAF = 256
 """Points of a leaf of the tree over which the double sum is taken, block by block."""
 
-VOXEL = 0.1
+EVALUATION_VOXEL = 0.1
 """Clouds are thinned to one point per cube of this side before they are scored, metres."""
 
 
@@ -218,8 +218,8 @@ def evaluate(
     Refusal
         ``too_few_points`` where a cloud is too small to tell surfaces.
     """
-    surface = prepare(target.xyz, VOXEL, threads=CORES)
-    moved = se3.apply(T, thin(source.xyz, VOXEL))
+    surface = prepare(target.xyz, EVALUATION_VOXEL, threads=CORES)
+    moved = se3.apply(T, voxel_downsample(source.xyz, EVALUATION_VOXEL))
     distance, at = cKDTree(surface.xyz).query(moved, workers=CORES)
     back, _ = cKDTree(moved).query(surface.xyz, workers=CORES)
     near = distance <= OVERLAP_DISTANCE

@@ -30,8 +30,8 @@ from .transform import (
     to_quaternion,
 )
 
-SCHEMA = "retropole/transform/1"
-COVARIANCE_FRAME = "axes of the parent: t_true = t + [x y z], R_true = Exp([rot]) R; m and rad"
+TRANSFORM_SCHEMA = "retropole/transform/1"
+ROS_COVARIANCE_FRAME = "axes of the parent: t_true = t + [x y z], R_true = Exp([rot]) R; m and rad"
 _KEYS = {
     "T_target_source": ("target", "source"),
     "T_source_target": ("source", "target"),
@@ -45,7 +45,7 @@ def write_json(transform: Transform) -> str:
     """Write the matrix, its parts by name and, where known, the covariance in ROS's order."""
     T = transform.T_parent_child
     document: dict[str, Any] = {
-        "schema": SCHEMA,
+        "schema": TRANSFORM_SCHEMA,
         "description": transform.meaning,
         "parent": transform.parent,
         "child": transform.child,
@@ -56,7 +56,7 @@ def write_json(transform: Transform) -> str:
     if transform.covariance is not None:
         document["covariance"] = covariance_to_ros(transform.covariance).tolist()
         document["covariance_order"] = ROS_COVARIANCE_ORDER
-        document["covariance_frame"] = COVARIANCE_FRAME
+        document["covariance_frame"] = ROS_COVARIANCE_FRAME
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 

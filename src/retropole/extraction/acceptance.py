@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
 from .clustering import Line, distance_and_place, principal_line
 
-MIN_POINTS = 6
-MIN_ROWS = 3
+MIN_POLE_POINTS = 6
+MIN_POLE_RINGS = 3
 """What a line needs, so that noise on a few returns does not make one."""
 
 MIN_LENGTH = 0.25
@@ -33,7 +33,7 @@ TOO_THICK, THICK_LENGTH = 0.06, 1.5
 SLENDERNESS = 1.5
 """Least ratio of the extent along the line to that across it."""
 
-FEW = 10
+FEW_POLE_POINTS = 10
 """With fewer points a line passes for a pole only if it is slim and has next to nothing beside it:
 a few returns of a far sign look the same."""
 
@@ -79,7 +79,7 @@ CROSSING_TUBE, CROSSING_SAMPLE = 0.06, 40
 HUGGED = 0.09
 """What crowds a line nearer than this, metres, is not behind it."""
 
-BEHIND, FLAT, FLAT_SHARE = 0.08, 0.05, 0.7
+WALL_BEHIND, FLAT, FLAT_SHARE = 0.08, 0.05, 0.7
 """A wall that passes the line at the first distance, metres, is not one that it lies on. A wall is
 where so much of the points beside the line lie within the second distance of a plane."""
 
@@ -115,20 +115,20 @@ def shape_failure(cloud: PointCloud, line: Line) -> Failure | None:
     """Say why a line has not the shape of a pole; None where it has."""
     count, width = len(line.rows), 4.0 * line.rms
     size = f"{line.length:.2f} m long and {width:.2f} m wide"
-    if count < MIN_POINTS:
-        return "too_few_points", f"{count} points in line, a pole needs {MIN_POINTS}"
+    if count < MIN_POLE_POINTS:
+        return "too_few_points", f"{count} points in line, a pole needs {MIN_POLE_POINTS}"
     if line.length < MIN_LENGTH:
         return "too_short", f"{line.length:.2f} m long, a pole needs {MIN_LENGTH:g} m"
     if line.length > MAX_LENGTH:
         return "too_long", f"{line.length:.2f} m long, a pole has {MAX_LENGTH:g} m at most"
-    if line.rings < MIN_ROWS:
-        return "too_few_rows", f"{line.rings} rows of points, a pole needs {MIN_ROWS}"
+    if line.rings < MIN_POLE_RINGS:
+        return "too_few_rows", f"{line.rings} rows of points, a pole needs {MIN_POLE_RINGS}"
     if line.length < SLENDERNESS * width:
         return "too_wide", f"{size}, a pole is {SLENDERNESS:g} times longer than wide"
     if line.rms > TOO_THICK or (line.rms > THICK and line.length > THICK_LENGTH):
         return "too_wide", f"{size}, more than any post"
-    if line.rms > FEW_THICK and count < FEW:
-        return "too_wide", f"{size} with {count} points, so thick a post needs {FEW}"
+    if line.rms > FEW_THICK and count < FEW_POLE_POINTS:
+        return "too_wide", f"{size} with {count} points, so thick a post needs {FEW_POLE_POINTS}"
     if _is_a_sweep(cloud, line):
         return "along_a_beam", f"{count} points that follow each other in a beam's sweep"
     return None
@@ -178,7 +178,7 @@ def surroundings_failure(
     edges = np.linspace(low, high + 1e-9, PIECES + 1)
     own = np.histogram(line.along, edges)[0]
     thick, short = line.rms > THICK, line.length + line.step < TAPED
-    few = len(line.rows) < FEW
+    few = len(line.rows) < FEW_POLE_POINTS
     strict = thick or short or few
     reach = float(np.clip(1.2 * line.step, BESIDE, FAR_BESIDE))
     beside = (distance > line.tube) & (distance < reach) & (along >= low) & (along <= high)
@@ -278,7 +278,7 @@ def _on_another_line(beside: Array, line: Line) -> BoolArray:
 
 
 def _passes_behind(beside: Array, own: Array) -> bool:
-    """Whether the points beside a line lie on one plane that misses part of the line by `BEHIND`.
+    """Whether the points beside a line lie on one plane that misses part of the line by `WALL_BEHIND`.
 
     A stripe lies in the plane all along, a pole that leans on it does not; at a corner or a rounded
     edge there is no single plane.
@@ -293,7 +293,7 @@ def _passes_behind(beside: Array, own: Array) -> bool:
         distance = np.abs((beside - centre) @ normal)
         kept = distance <= max(FLAT, 1.5 * float(np.median(distance)))
     gap = float(np.quantile(np.abs((own - centre) @ normal), 0.75))
-    return float(np.mean(distance <= FLAT)) >= FLAT_SHARE and gap >= BEHIND
+    return float(np.mean(distance <= FLAT)) >= FLAT_SHARE and gap >= WALL_BEHIND
 
 
 def _runs_along_a_sweep(xyz: Array, near: IntArray, line: Line) -> bool:

@@ -20,9 +20,9 @@ LINK = 1.2
 0.35 m at 10 m, twice that where one is lost."""
 
 MANY = 600
-"""Of more points than this, one for each `CELL` stands for all: surfaces have millions of pairs."""
+"""Of more points than this, one for each `CLUSTER_CELL` stands for all: surfaces have millions of pairs."""
 
-CELL = 0.04
+CLUSTER_CELL = 0.04
 """Side of a cell that is smaller than anything told apart here, metres."""
 
 PATCH = 0.3
@@ -35,7 +35,7 @@ has 0.15, the half of one at the edge of a sign 0.08 to 0.15, a pole 0.06 at mos
 PATCH_POINTS = 8
 """A neighbourhood with fewer points tells nothing: beams can be farther apart than it is wide."""
 
-MAX_PAIRS, MAX_POINTS = 2000, 400
+MAX_PROPOSING_PAIRS, MAX_PROPOSING_POINTS = 2000, 400
 """Pairs of points that propose a line, and points that these are tried on."""
 
 PROPOSALS = 6
@@ -51,7 +51,7 @@ for a sensor with 3 cm of noise."""
 GAP = 1.2
 """Points beyond such a gap along the line belong to something else, metres."""
 
-ROW = 0.015
+RING_GAP = 0.015
 """Returns whose places along the line differ by less come from one row, metres."""
 
 
@@ -109,7 +109,7 @@ def _cells(xyz: Array) -> tuple[Array, IntArray]:
     if len(xyz) <= MANY:
         return xyz, np.arange(len(xyz))
     # One number a cell: np.unique over rows would sort them as text, ten times slower.
-    key = np.floor((xyz - xyz.min(axis=0)) / CELL).astype(np.int64)
+    key = np.floor((xyz - xyz.min(axis=0)) / CLUSTER_CELL).astype(np.int64)
     _, member = np.unique((key[:, 0] << 42) + (key[:, 1] << 21) + key[:, 2], return_inverse=True)
     member = member.reshape(-1)
     sums = np.stack([np.bincount(member, weights=column) for column in xyz.T], axis=1)
@@ -171,13 +171,13 @@ def propose_lines(
     """
     # About their middle: squares of map coordinates, millions of metres, leave no room for more.
     middle = xyz.mean(axis=0)
-    points = xyz[:: 1 + (len(xyz) - 1) // MAX_POINTS] - middle
+    points = xyz[:: 1 + (len(xyz) - 1) // MAX_PROPOSING_POINTS] - middle
     i, j = np.triu_indices(len(points), 1)
     apart = np.linalg.norm(points[i] - points[j], axis=1)
     usable = np.flatnonzero((apart >= shortest) & (apart <= longest))
     if len(usable) == 0:
         return []
-    usable = usable[:: 1 + (len(usable) - 1) // MAX_PAIRS]
+    usable = usable[:: 1 + (len(usable) - 1) // MAX_PROPOSING_PAIRS]
     start = points[i[usable]]
     direction = (points[j[usable]] - start) / apart[usable, None]
     # Squared distance of every point from every line: |v|² − (v·n)², expanded to matrix products.
@@ -244,7 +244,7 @@ def fit_line(
     if len(rows) == 0:
         return Line(rows, along, point, direction, 0.0, 0.0, 0, tube)
     rms = float(np.sqrt(np.mean(distance**2)))
-    rings = _rows_hit(cloud, rows, along)
+    rings = _rings_hit(cloud, rows, along)
     return Line(rows, along, point, direction, float(np.ptp(along)), rms, rings, tube)
 
 
@@ -260,11 +260,11 @@ def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
     return kept
 
 
-def _rows_hit(cloud: PointCloud, rows: IntArray, along: Array) -> int:
+def _rings_hit(cloud: PointCloud, rows: IntArray, along: Array) -> int:
     """How many beams hit a line: by ring where the cloud has rings, else by gaps along it."""
     if cloud.ring is not None:
         return len(np.unique(cloud.ring[rows]))
     places = np.sort(along)
-    pieces = np.split(places, np.flatnonzero(np.diff(places) > ROW) + 1)
+    pieces = np.split(places, np.flatnonzero(np.diff(places) > RING_GAP) + 1)
     # Rows nearer than that leave no gaps, but fill a length that no single row has.
-    return sum(max(1, int(np.ptp(piece) / (2 * ROW))) for piece in pieces)
+    return sum(max(1, int(np.ptp(piece) / (2 * RING_GAP))) for piece in pieces)

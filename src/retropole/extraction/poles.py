@@ -16,17 +16,17 @@ from ..errors import Refusal
 from ..sensors import Sensor, threshold_for
 from .acceptance import (
     BESIDE,
-    FEW,
+    FEW_POLE_POINTS,
     MAX_LENGTH,
     MIN_LENGTH,
-    MIN_POINTS,
+    MIN_POLE_POINTS,
     THICK,
     Failure,
     shape_failure,
     surroundings_failure,
 )
 from .clustering import (
-    MAX_POINTS,
+    MAX_PROPOSING_POINTS,
     TUBE,
     Line,
     clusters,
@@ -99,8 +99,8 @@ def extract_poles(
     failures: list[tuple[IntArray, str, str]] = []
     for group in clusters(cloud.xyz[retro]):
         cluster = retro[group]
-        if len(cluster) < MIN_POINTS:
-            reason = f"{len(cluster)} points, a pole needs {MIN_POINTS}"
+        if len(cluster) < MIN_POLE_POINTS:
+            reason = f"{len(cluster)} points, a pole needs {MIN_POLE_POINTS}"
             failures.append((cluster, "too_few_points", reason))
             continue
         found, failure = _search(cloud, columns, cluster, is_retro, free, radius)
@@ -132,7 +132,7 @@ def _search(
     near = _surroundings(columns, cluster)
     searched, saturated = [cluster], False
     failure = ("", "")
-    if len(cluster) > MAX_POINTS:
+    if len(cluster) > MAX_PROPOSING_POINTS:
         flat = on_surface(cloud.xyz[cluster])
         rest = cluster[~flat]
         searched = [rest[group] for group in clusters(cloud.xyz[rest], REGROUP)]
@@ -145,7 +145,7 @@ def _search(
     for part in searched:
         for _ in range(MAX_LINES):
             left = part[free[part]]
-            if len(left) < MIN_POINTS:
+            if len(left) < MIN_POLE_POINTS:
                 break
             line, why = _best_line(
                 cloud, near, in_canonical_order(cloud.xyz, left), free, radius, saturated
@@ -195,7 +195,7 @@ def _best_line(
             if len(whole.rows) > len(line.rows) and shape_failure(cloud, whole) is None:
                 line = whole
             failure = surroundings_failure(cloud, near, free, line)
-        if failure is None and saturated and (line.rms > THICK or len(line.rows) < FEW):
+        if failure is None and saturated and (line.rms > THICK or len(line.rows) < FEW_POLE_POINTS):
             failure = "part_of_a_surface", f"{len(line.rows)} points amid a bright surface"
         if failure is not None:
             first = first or failure
@@ -219,9 +219,9 @@ def _rejected(
     rejected = []
     for cluster, code, reason in failures:
         left = np.sort(cluster[free[cluster]])
-        if len(left) == 0 or (len(left) < len(cluster) and len(left) < MIN_POINTS):
+        if len(left) == 0 or (len(left) < len(cluster) and len(left) < MIN_POLE_POINTS):
             continue  # nothing, or the stray returns about a pole
         if not code:
-            code, reason = "too_few_points", f"{len(left)} points, a pole needs {MIN_POINTS}"
+            code, reason = "too_few_points", f"{len(left)} points, a pole needs {MIN_POLE_POINTS}"
         rejected.append(RejectedCluster(left, cloud.xyz[left].mean(axis=0), code, reason))
     return sorted(rejected, key=lambda cluster: -len(cluster.index))

@@ -15,10 +15,10 @@ from . import Frame, Recording, chosen_frames, joined, open_recording, topics_of
 BINS = 16
 """Of the histogram of intensities."""
 
-SAMPLE = 200_000
+SENSOR_GUESS_SAMPLE = 200_000
 """So many points, evenly taken, tell which sensor it is."""
 
-FEW = 20
+MIN_RING_POINTS = 20
 """A ring of fewer points has no elevation worth the name."""
 
 WITHIN, PART_OF_STEP = np.radians(0.35), 0.3
@@ -28,7 +28,7 @@ differ one by one, and near returns show that beams do not start in one point.""
 SPREAD = np.radians(0.5)
 """Half of the points of a ring are within this of its elevation, or the cloud was turned."""
 
-ON_BEAM, APART = np.radians(0.1), 4
+ON_BEAM, BEAM_SEPARATION = np.radians(0.1), 4
 """Without rings: how near its beam a point is, for sensors whose beams are so many times that
 apart, …"""
 
@@ -179,7 +179,7 @@ def guess_sensors(cloud: PointCloud) -> list[str]:
     cloud
         In the sensor's frame.
     """
-    part = cloud.select(np.arange(0, len(cloud), max(1, len(cloud) // SAMPLE)))
+    part = cloud.select(np.arange(0, len(cloud), max(1, len(cloud) // SENSOR_GUESS_SAMPLE)))
     ray = part.xyz - part.origin
     ranges = np.linalg.norm(ray, axis=1)
     elevation = np.arcsin(ray[:, 2] / ranges)
@@ -199,7 +199,7 @@ def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[in
     for number in np.unique(ring):
         own, far = elevation[ring == number], ranges[ring == number]
         own = own[far >= np.median(far)]
-        if len(own) >= FEW:
+        if len(own) >= MIN_RING_POINTS:
             elevations[int(number)] = median = float(np.median(own))
             spreads.append(float(np.median(np.abs(own - median))))
     return elevations if spreads and np.median(spreads) <= SPREAD else {}
@@ -225,7 +225,7 @@ def _rings_fit(sensor: Sensor, rings: dict[int, float]) -> bool:
 
 def _points_fit(sensor: Sensor, elevation: Array) -> bool:
     beams = sensor.elevations
-    if np.diff(beams).min() < APART * ON_BEAM:
+    if np.diff(beams).min() < BEAM_SEPARATION * ON_BEAM:
         return False
     after = np.clip(np.searchsorted(beams, elevation), 1, len(beams) - 1)
     index = after - (elevation - beams[after - 1] < beams[after] - elevation)

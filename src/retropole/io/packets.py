@@ -22,7 +22,7 @@ from .recordings import Frame, Recording, reported
 PACKETS = (".pcap",)
 """Suffixes of packet captures."""
 
-LOOKED_AT = 1000
+PROBED_PACKETS = 1000
 """So many first packets tell what sent them."""
 
 VELODYNE, UPPER_BLOCK = 1206, b"\xff\xee"
@@ -79,7 +79,7 @@ def _first_packets(path: Path) -> tuple[str, bool]:
             raise ReadError(f"{path}: starts with {head[:4]!r}, expected a capture of packets")
         sizes: Counter[int] = Counter()
         velodyne = False
-        for _ in range(LOOKED_AT):
+        for _ in range(PROBED_PACKETS):
             record = file.read(16)
             if len(record) < 16:
                 break

@@ -28,9 +28,9 @@ KEYS = (
     *("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT"),
     *("VIEWPOINT", "POINTS", "DATA"),
 )
-TYPES = {"F": {4: "<f4", 8: "<f8"}, "I": {}, "U": {}}
+PCD_TYPES = {"F": {4: "<f4", 8: "<f8"}, "I": {}, "U": {}}
 for _size in (1, 2, 4, 8):
-    TYPES["I"][_size], TYPES["U"][_size] = f"<i{_size}", f"<u{_size}"
+    PCD_TYPES["I"][_size], PCD_TYPES["U"][_size] = f"<i{_size}", f"<u{_size}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +133,12 @@ def _parse_header(path: Path, data: bytes) -> Header:
             f"{len(types)} and {len(counts)} fields, expected the same number"
         )
     for name, letter, size in zip(names, types, sizes, strict=True):
-        if size not in TYPES.get(letter, {}):
+        if size not in PCD_TYPES.get(letter, {}):
             raise ReadError(
                 f"{path}, line {line}: field {name} has type {letter} of {size} bytes, expected F "
                 "of 4 or 8, I or U of 1, 2, 4 or 8"
             )
-    kinds = tuple(TYPES[letter][size] for letter, size in zip(types, sizes, strict=True))
+    kinds = tuple(PCD_TYPES[letter][size] for letter, size in zip(types, sizes, strict=True))
     width = whole("WIDTH", 0)[0]
     height = whole("HEIGHT", 0, [1])[0]
     points = whole("POINTS", 0, [width * height])[0]

@@ -15,7 +15,7 @@ from ..errors import ReadError
 from .fields import cloud_from_columns
 from .table import read_table
 
-TYPES = {
+PLY_TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1"},
     **{"short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2"},
     **{"int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4"},
@@ -152,12 +152,14 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
                     encoding = name
                 case ["element", name, count] if 0 <= int(count) < 2**62:
                     elements.append(_Element(name, int(count), []))
-                case ["property", "list", length, kind, name] if TYPES[length][0] != "f":
-                    elements[-1].properties.append(_Property(name, TYPES[kind], TYPES[length]))
+                case ["property", "list", length, kind, name] if PLY_TYPES[length][0] != "f":
+                    elements[-1].properties.append(
+                        _Property(name, PLY_TYPES[kind], PLY_TYPES[length])
+                    )
                 case ["property", kind, name]:
                     if any(name == prop.name for prop in elements[-1].properties):
                         raise ValueError
-                    elements[-1].properties.append(_Property(name, TYPES[kind]))
+                    elements[-1].properties.append(_Property(name, PLY_TYPES[kind]))
                 case [] | ["ply"] | ["comment" | "obj_info", *_]:
                     pass
                 case _:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from ..datatypes import PointCloud
 from ..errors import MissingExtraError, ReadError, UsageError
 
-MAX_POINTS = 1_000_000
+MAX_RECORDING_POINTS = 1_000_000
 """Where nothing else is asked for, frames are left out, evenly, so that about so many points are
 read: 10 sweeps of a sensor of 128 beams, 40 of one of 16."""
 
-LOOKED_AT = 3
+SIZED_FRAMES = 3
 """So many first frames tell how large a frame is: the very first of packets is cut short."""
 
 
@@ -104,7 +104,7 @@ class Recording:
 
 
 def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
-    """Say which frames to read: those asked for, else as many as hold `MAX_POINTS`, evenly spread.
+    """Say which frames to read: those asked for, else as many as hold `MAX_RECORDING_POINTS`, evenly spread.
 
     Raises
     ------
@@ -126,9 +126,11 @@ def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
         return wanted
     if recording.count == 1:
         return range(1)
-    first = range(min(recording.count, LOOKED_AT))
+    first = range(min(recording.count, SIZED_FRAMES))
     points = max(len(frame.cloud) for frame in recording.read(first))
-    return range(0, recording.count, max(1, math.ceil(recording.count * points / MAX_POINTS)))
+    return range(
+        0, recording.count, max(1, math.ceil(recording.count * points / MAX_RECORDING_POINTS))
+    )
 
 
 def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:

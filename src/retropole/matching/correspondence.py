@@ -36,10 +36,10 @@ of the axis of a 2 cm pole, towards itself."""
 EXACT_RMS = 0.05
 """Pole residual, metres, up to which a start counts as an exact match of the lines."""
 
-SAME_ANGLE, SAME_DISTANCE = np.radians(10.0), 0.5
+SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
 """Matches nearer to each other than this, rad and m, are one."""
 
-MAX_PAIRS = 200
+MAX_PAIR_MATCHES = 200
 """How many pairs of pole pairs are tried, the most alike first."""
 
 MAX_HYPOTHESES = 16
@@ -173,7 +173,7 @@ def _alike(target: _Pairs, source: _Pairs) -> list[tuple[int, int]]:
     fits &= right_angle | (hand_gap <= 2 * room)
     rows, columns = np.nonzero(fits)
     misfit = (angle_gap / angle_room + distance_gap / room)[rows, columns]
-    best = np.argsort(misfit, kind="stable")[:MAX_PAIRS]
+    best = np.argsort(misfit, kind="stable")[:MAX_PAIR_MATCHES]
     return [(int(rows[k]), int(columns[k])) for k in best]
 
 
@@ -338,6 +338,6 @@ def same_pose(one: Match, other: Match, source_points: Array) -> bool:
     shift = se3.apply(one.T_target_source, source_points)
     shift = shift - se3.apply(other.T_target_source, source_points)
     return (
-        se3.rotation_angle(turn) < SAME_ANGLE
-        and float(np.linalg.norm(shift, axis=1).max()) < SAME_DISTANCE
+        se3.rotation_angle(turn) < SAME_POSE_ANGLE
+        and float(np.linalg.norm(shift, axis=1).max()) < SAME_POSE_DISTANCE
     )

@@ -25,14 +25,19 @@ from scipy.special import chdtrc, chdtri, chndtr
 from threadpoolctl import threadpool_limits
 
 from .. import se3
-from ..datatypes import Array, Calibration, PointCloud, Reason, Stage
+from ..datatypes import Array, Calibration, PointCloud, PoseEstimate, Reason
 from ..errors import UsageError
 from ..matching.prior import RotationPrior
-from ..pipeline import RADIUS, calibrate
-from ..scene.disambiguation import OVERLAP_DISTANCE, VOXEL, contradiction, range_image
+from ..pipeline import DEFAULT_RADIUS, calibrate
+from ..scene.disambiguation import (
+    OVERLAP_DISTANCE,
+    SCORING_VOXEL,
+    free_space_violation,
+    range_image,
+)
 from ..scene.refinement import refine
-from ..scene.registration import MIN_POINTS, thin
-from ..scene.static import keep_standing
+from ..scene.registration import MIN_CLOUD_POINTS, voxel_downsample
+from ..scene.static import remove_dynamic_points
 from ..sensors import Sensor
 from ..verdict import MIN_OVERLAP
 
@@ -45,20 +50,20 @@ MIN_POWER = 0.95
 TOLERANCE_ROTATION, TOLERANCE_TRANSLATION = float(np.radians(0.3)), 0.03
 """The movement that matters, rad and m."""
 
-REACH_ROTATION, REACH_TRANSLATION = float(np.radians(1.0)), 0.1
+SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
 """1 σ about the stored pose from which the scene starts, rad and m: wide beside whatever the scene
 holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in what it
 does not hold. Surfaces reach for each other over three times as much, and more."""
 
-NEAR = float(np.radians(10.0))
+NEAR_STORED_ROTATION = float(np.radians(10.0))
 """1 σ of the rotation that decides between hypotheses where the surroundings do not, rad."""
 
-MAX_CONTRADICTION = 0.05
+MAX_FREE_SPACE_VIOLATION = 0.05
 """Share of the points that may stand, under the new pose, where the other LiDAR looked through. The
 right pose has up to 0.02 of them, at the edges of things; wrong ones that cling to the ground have
 0.02 and more, but are then as unsure as the search was wide."""
 
-PARTS = slice(0, 3), slice(3, 6)
+ROTATION_AND_TRANSLATION = slice(0, 3), slice(3, 6)
 """Rotation and translation of a step."""
 
 
@@ -102,23 +107,27 @@ class CheckResult:
         """Angle of the movement, and 1 σ in the direction that is least sure, rad."""
         if self.step is None or self.covariance is None:
             return None
-        return float(np.linalg.norm(self.step[PARTS[0]])), _worst(self.covariance, PARTS[0])[0]
+        return float(np.linalg.norm(self.step[ROTATION_AND_TRANSLATION[0]])), _worst(
+            self.covariance, ROTATION_AND_TRANSLATION[0]
+        )[0]
 
     @property
     def shifted(self) -> tuple[float, float] | None:
         """Length of the movement, and 1 σ in the direction that is least sure, metres."""
         if self.step is None or self.covariance is None:
             return None
-        return float(np.linalg.norm(self.step[PARTS[1]])), _worst(self.covariance, PARTS[1])[0]
+        return float(np.linalg.norm(self.step[ROTATION_AND_TRANSLATION[1]])), _worst(
+            self.covariance, ROTATION_AND_TRANSLATION[1]
+        )[0]
 
 
 def check(
-    stored: Stage,
+    stored: PoseEstimate,
     target: PointCloud,
     source: PointCloud,
     *,
     tolerance: tuple[float, float] = (TOLERANCE_ROTATION, TOLERANCE_TRANSLATION),
-    radius: float = RADIUS,
+    radius: float = DEFAULT_RADIUS,
     radius_sigma: float = 0.0,
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
     thresholds: tuple[float | None, float | None] = (None, None),
@@ -146,7 +155,7 @@ def check(
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how sure it is")
     reasons: list[Reason] = []
-    target, source = keep_standing(target), keep_standing(source)
+    target, source = remove_dynamic_points(target), remove_dynamic_points(source)
     again = partial(
         calibrate,
         radius=radius,
@@ -164,12 +173,12 @@ def check(
 
 
 def _by_poles(
-    stored: Stage,
+    stored: PoseEstimate,
     target: PointCloud,
     source: PointCloud,
     again: Callable[..., Calibration],
     reasons: list[Reason],
-) -> Stage | None:
+) -> PoseEstimate | None:
     """Calibrate anew, from all hypotheses: what was turned round must not be found as it was.
 
     Only where the surroundings do not decide between them, those near the stored pose are
@@ -177,7 +186,7 @@ def _by_poles(
     """
     answer = again(target, source)
     if [reason.code for reason in answer.reasons] == ["ambiguous"]:
-        near = RotationPrior(stored.T_target_source[:3, :3], NEAR)
+        near = RotationPrior(stored.T_target_source[:3, :3], NEAR_STORED_ROTATION)
         answer = again(target, source, prior=near)
     stage = answer.refined or answer.poles
     if stage is None or stage.covariance is None:
@@ -191,11 +200,11 @@ def _by_poles(
 
 
 def _by_scene(
-    stored: Stage, target: PointCloud, source: PointCloud, reasons: list[Reason]
-) -> Stage | None:
+    stored: PoseEstimate, target: PointCloud, source: PointCloud, reasons: list[Reason]
+) -> PoseEstimate | None:
     """Lay the surfaces of both clouds on each other, from about the stored pose."""
-    spread = np.r_[np.full(3, REACH_ROTATION), np.full(3, REACH_TRANSLATION)] ** 2
-    start = Stage(stored.T_target_source, np.diag(spread), stored.rms)
+    spread = np.r_[np.full(3, SEARCH_ROTATION), np.full(3, SEARCH_TRANSLATION)] ** 2
+    start = PoseEstimate(stored.T_target_source, np.diag(spread), stored.rms)
     with threadpool_limits(1, user_api="blas"):
         refined = refine(target, source, start)
     if refined is None:
@@ -218,8 +227,11 @@ def _by_scene(
 
 def _misfit(target: PointCloud, source: PointCloud, T: Array) -> Reason | None:
     """Say how far the clouds are from fitting together under a pose; None where they fit."""
-    points = thin(target.xyz, VOXEL), thin(source.xyz, VOXEL)
-    if min(len(points[0]), len(points[1])) < MIN_POINTS:
+    points = (
+        voxel_downsample(target.xyz, SCORING_VOXEL),
+        voxel_downsample(source.xyz, SCORING_VOXEL),
+    )
+    if min(len(points[0]), len(points[1])) < MIN_CLOUD_POINTS:
         values: dict[str, float | int | str] = {"target": len(points[0]), "source": len(points[1])}
         return Reason("too_few_points", "a cloud has too few points to compare", values)
     moved = se3.apply(se3.inverse(T), points[0]), se3.apply(T, points[1])
@@ -231,23 +243,24 @@ def _misfit(target: PointCloud, source: PointCloud, T: Array) -> Reason | None:
     ]
     overlap = float(np.mean([np.mean(each) for each in near]))
     against = 0.5 * (
-        contradiction(range_image(target), moved[1]) + contradiction(range_image(source), moved[0])
+        free_space_violation(range_image(target), moved[1])
+        + free_space_violation(range_image(source), moved[0])
     )
-    if overlap >= MIN_OVERLAP and against <= MAX_CONTRADICTION:
+    if overlap >= MIN_OVERLAP and against <= MAX_FREE_SPACE_VIOLATION:
         return None
     return Reason(
         "clouds_do_not_fit",
         f"the clouds do not fit together at or near the stored pose: {overlap:.0%} of the points "
         f"have a neighbour in the other cloud ({MIN_OVERLAP:.0%} are needed), {against:.1%} stand "
-        f"where the other LiDAR looked through ({MAX_CONTRADICTION:.0%} are allowed): a LiDAR was "
+        f"where the other LiDAR looked through ({MAX_FREE_SPACE_VIOLATION:.0%} are allowed): a LiDAR was "
         "moved far, these are other LiDARs, or they recorded at different times; calibrate anew",
         {"overlap": overlap, "contradiction": against},
     )
 
 
 def compare(
-    stored: Stage,
-    new: Stage,
+    stored: PoseEstimate,
+    new: PoseEstimate,
     used: Literal["poles", "scene"],
     tolerance: tuple[float, float] = (TOLERANCE_ROTATION, TOLERANCE_TRANSLATION),
     reasons: list[Reason] | None = None,
@@ -273,7 +286,10 @@ def compare(
     p_value = float(chdtrc(6, chi2))
     power = detection_power(covariance, tolerance)
     said = list(reasons or [])
-    most = [np.linalg.norm(step[part]) + 3 * _worst(covariance, part)[0] for part in PARTS]
+    most = [
+        np.linalg.norm(step[part]) + 3 * _worst(covariance, part)[0]
+        for part in ROTATION_AND_TRANSLATION
+    ]
     status: Literal["same", "moved", "cannot_tell"] = "moved" if p_value < FALSE_ALARM else "same"
     if status == "same" and power < MIN_POWER:
         status = "cannot_tell"
@@ -307,21 +323,23 @@ def detection_power(covariance: Array, tolerance: tuple[float, float]) -> float:
     """
     least = min(
         (limit / _worst(covariance, part)[0]) ** 2
-        for limit, part in zip(tolerance, PARTS, strict=True)
+        for limit, part in zip(tolerance, ROTATION_AND_TRANSLATION, strict=True)
     )
     # chndtr loses its way where the outcome is 0 to all digits.
     return float(1.0 - chndtr(chdtri(6, FALSE_ALARM), 6, min(least, 1000.0)))
 
 
 def _too_weak(
-    stored: Stage, covariance: Array, tolerance: tuple[float, float], power: float
+    stored: PoseEstimate, covariance: Array, tolerance: tuple[float, float], power: float
 ) -> Reason:
     """Say in which direction the step is least sure, and whose fault that is."""
     assert stored.covariance is not None
-    (turn, axis), (shift, way) = (_worst(covariance, part) for part in PARTS)
+    (turn, axis), (shift, way) = (_worst(covariance, part) for part in ROTATION_AND_TRANSLATION)
     # Whichever is weaker beside its tolerance is what the power is lost by.
     part, worst = (
-        (PARTS[0], axis) if turn / tolerance[0] > shift / tolerance[1] else (PARTS[1], way)
+        (ROTATION_AND_TRANSLATION[0], axis)
+        if turn / tolerance[0] > shift / tolerance[1]
+        else (ROTATION_AND_TRANSLATION[1], way)
     )
     share = float(
         (worst @ stored.covariance[part, part] @ worst) / (worst @ covariance[part, part] @ worst)
@@ -349,7 +367,7 @@ def _worst(covariance: Array, part: slice) -> tuple[float, Array]:
 
 
 def _worst_in_words(covariance: Array) -> str:
-    (turn, axis), (shift, way) = (_worst(covariance, part) for part in PARTS)
+    (turn, axis), (shift, way) = (_worst(covariance, part) for part in ROTATION_AND_TRANSLATION)
     return (
         f"the difference is sure to {np.degrees(turn):.2f}° about "
         "({:+.2f} {:+.2f} {:+.2f}) ".format(*axis)

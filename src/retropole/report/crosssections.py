@@ -16,7 +16,7 @@ HALF = 110.0
 
 MAX_ITERATIONS = 50
 
-NOISE = 0.01
+RESIDUAL_SCALE = 0.01
 """Returns further than this from the surface, metres, count for less and less in its place."""
 
 
@@ -69,7 +69,7 @@ def fit_circle(flat: Array, radius: float, start: Array) -> Array:
         away = flat - centre
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         outward, residual = away / distance[:, None], distance - radius
-        weighted = outward / np.sqrt(1.0 + (residual / NOISE) ** 2)[:, None]
+        weighted = outward / np.sqrt(1.0 + (residual / RESIDUAL_SCALE) ** 2)[:, None]
         H = weighted.T @ outward
         step = np.linalg.solve(H + 1e-6 * np.trace(H) * np.eye(2), weighted.T @ residual)
         step *= min(1.0, radius / max(float(np.linalg.norm(step)), 1e-12))

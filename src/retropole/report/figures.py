@@ -31,7 +31,7 @@ DRAWN = 40_000
 NUMBERED = 20
 """Poles that are numbered in the view from above."""
 
-FAR, SCENE = 100.0, 14.0
+FAR_ORIGIN, SCENE = 100.0, 14.0
 """Farther from its points than the first, metres, an origin is none; half the width of a scene."""
 
 ZOOMED = 6
@@ -128,7 +128,7 @@ def _frame(cloud: PointCloud, detection: Detection) -> tuple[Array, float]:
     ]
     points = np.concatenate(shown[:ZOOMED]) if shown else cloud.xyz
     middle = cloud.origin
-    if np.linalg.norm(np.median(points, axis=0) - middle) > FAR:
+    if np.linalg.norm(np.median(points, axis=0) - middle) > FAR_ORIGIN:
         middle = np.median(points, axis=0)
     reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.98))
     return middle, float(np.clip(1.5 * reach, 10.0, 60.0))

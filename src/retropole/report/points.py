@@ -12,10 +12,10 @@ from ..datatypes import Array, Detection, PointCloud
 
 IntpArray = NDArray[np.intp]
 
-STEPS = 65535
+COORDINATE_STEPS = 65535
 """Steps of a coordinate over its extent: 16 bits."""
 
-FAR = 300.0
+MAX_SHOWN_RANGE = 300.0
 """Points further than this from the beam origin, metres, are left out of the view: one stray
 return would coarsen all coordinates, and the box stays under 600 m, so a step under 1 cm."""
 
@@ -75,7 +75,7 @@ def pack_cloud(
     """
     offset = cloud.xyz - cloud.origin
     squared = np.einsum("ij,ij->i", offset, offset)
-    near = squared <= FAR**2
+    near = squared <= MAX_SHOWN_RANGE**2
     poles, rejected = (index[near[index]] for index in _clusters(detection))
     poles, rejected = poles[:max_points], rejected[: max(max_points - len(poles), 0)]
     candidates = np.flatnonzero(near)
@@ -88,7 +88,7 @@ def pack_cloud(
     xyz = cloud.xyz[shown]
     low = xyz.min(axis=0) if len(xyz) else np.zeros(3)
     size = np.maximum(xyz.max(axis=0) - low, 1e-3) if len(xyz) else np.ones(3)
-    quantised = np.rint((xyz - low) * (STEPS / size)).astype("<u2")
+    quantised = np.rint((xyz - low) * (COORDINATE_STEPS / size)).astype("<u2")
     seen = [pole.point for pole in detection.poles] if detection else []
     centre = np.mean([cloud.origin, *seen], axis=0)
     spread = np.quantile(ranges, 0.75) if len(ranges) else 10.0

@@ -15,12 +15,12 @@ import numpy as np
 from ..datatypes import Array, Detection, Placement, PointCloud
 from ..files import write_atomically
 from . import evidence, sections
-from .points import FAR, pack_cloud
+from .points import MAX_SHOWN_RANGE, pack_cloud
 
-MAX_POINTS = 100_000
+MAX_PAGE_POINTS = 100_000
 """Points of each cloud in the page, about 0.9 MB; of a single placement."""
 
-ALL_POINTS = 600_000
+MAX_PAGE_POINTS_TOGETHER = 600_000
 """Points of all clouds together where there are many placements: the page stays under 8 MB."""
 
 SIDES = ("target", "source")
@@ -34,7 +34,7 @@ def render_report(
     *,
     more: Sequence[Placement] = (),
     notes: Sequence[str] = (),
-    max_points: int = MAX_POINTS,
+    max_points: int = MAX_PAGE_POINTS,
 ) -> str:
     """Render a run as one HTML page.
 
@@ -66,7 +66,7 @@ def render_report(
     inputs = _input_names(result)
     names = [*inputs[:2], "target", "source"][:2] if len(inputs) < 2 else inputs[:2]
     every = [Placement(target, source, found), *more]
-    budget = min(max_points, ALL_POINTS // (2 * len(every)))
+    budget = min(max_points, MAX_PAGE_POINTS_TOGETHER // (2 * len(every)))
     stands = [
         _placement(result if k == 0 else {}, placement, inputs[2 * k : 2 * k + 2], budget)
         for k, placement in enumerate(every)
@@ -133,7 +133,7 @@ def write_report(
     *,
     more: Sequence[Placement] = (),
     notes: Sequence[str] = (),
-    max_points: int = MAX_POINTS,
+    max_points: int = MAX_PAGE_POINTS,
 ) -> None:
     """Write `render_report`'s page to a file, whole or not at all."""
     page = render_report(
@@ -164,7 +164,9 @@ def _finite(value: Any) -> Any:
 def _shown(which: str, cloud: Mapping[str, Any]) -> str:
     count, total = cloud["counts"][2], cloud["total"]
     text = f"{which}: showing {count:,} of {total:,} points"
-    return text + (f", {cloud['far']:,} beyond {FAR:g} m left out" if cloud["far"] else "")
+    return text + (
+        f", {cloud['far']:,} beyond {MAX_SHOWN_RANGE:g} m left out" if cloud["far"] else ""
+    )
 
 
 def _placement(

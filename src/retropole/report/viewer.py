@@ -29,10 +29,10 @@ HOST = "127.0.0.1"
 WAIT = 0.15
 """Seconds that a slider has to rest before the poles are looked for again."""
 
-MAX_POINTS = 300_000
+MAX_DRAWN_POINTS = 300_000
 """Points of a cloud that are drawn; poles are looked for in all."""
 
-STEPS = 400
+SLIDER_STEPS = 400
 """Steps of the threshold slider, from the median intensity to the largest."""
 
 MAX_LABELS, MAX_ROWS = 40, 12
@@ -95,8 +95,10 @@ def slider_range(intensity: Array, threshold: float) -> SliderRange:
     """Span a slider from the median intensity to the largest, and to the threshold in any case."""
     low, high = np.quantile(intensity, [0.5, 1.0])
     low, high = min(float(low), threshold), max(float(high), threshold)
-    step = 10.0 ** np.floor(np.log10((high - low) / STEPS)) if high > low else 1.0
-    step = next(s for s in (step, 2 * step, 5 * step, 10 * step) if (high - low) / s <= STEPS)
+    step = 10.0 ** np.floor(np.log10((high - low) / SLIDER_STEPS)) if high > low else 1.0
+    step = next(
+        s for s in (step, 2 * step, 5 * step, 10 * step) if (high - low) / s <= SLIDER_STEPS
+    )
     return SliderRange(float(np.floor(low / step) * step), float(np.ceil(high / step) * step), step)
 
 
@@ -224,8 +226,10 @@ def _add(
     cloud, intensity = shown.cloud, shown.cloud.intensity
     assert intensity is not None
     drawn = np.arange(len(cloud))
-    if len(cloud) > MAX_POINTS:
-        drawn = np.sort(np.random.default_rng(0).choice(len(cloud), MAX_POINTS, replace=False))
+    if len(cloud) > MAX_DRAWN_POINTS:
+        drawn = np.sort(
+            np.random.default_rng(0).choice(len(cloud), MAX_DRAWN_POINTS, replace=False)
+        )
     span = slider_range(intensity, first.threshold)
     root = f"/cloud{number}"
     frame = server.scene.add_frame(root, show_axes=False, visible=number == 0)

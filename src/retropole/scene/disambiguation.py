@@ -25,24 +25,24 @@ from scipy.spatial import cKDTree
 from .. import se3
 from ..datatypes import Array, BoolArray, Hypothesis, Match, PointCloud
 from ..errors import Refusal
-from .registration import CORES, MIN_POINTS, Surface, as_surface, register, thin
+from .registration import CORES, MIN_CLOUD_POINTS, Surface, as_surface, register, voxel_downsample
 
 IntpArray = NDArray[np.intp]
 
-VOXEL = 0.25
+SCORING_VOXEL = 0.25
 """Clouds are thinned to one point per cube of this side, metres, before they are compared."""
 
 OVERLAP_DISTANCE = 0.5
 """A point with a neighbour of the other cloud within this distance overlaps it, metres."""
 
-ICP_REACH = 1.0
+ICP_CORRESPONDENCE_DISTANCE = 1.0
 """Correspondence distance of the paper's ICP, metres."""
 
 ICP_POINTS = 2500
 """ICP takes every n-th thinned point so that about so many are left: it is reported, not relied
 on, and it is run for every hypothesis."""
 
-SAMPLE = 6000
+SCORING_SAMPLE = 6000
 """Overlap and free space take every n-th thinned point so that about so many are left: a share of
 them has a standard error of less than 0.7 %."""
 
@@ -96,7 +96,7 @@ def range_image(cloud: PointCloud) -> RangeImage:
     return RangeImage(cloud.origin, nearest, np.isfinite(image))
 
 
-def contradiction(image: RangeImage, points: Array) -> float:
+def free_space_violation(image: RangeImage, points: Array) -> float:
     """Share of points that lie where the LiDAR of ``image`` looked through.
 
     Parameters
@@ -143,30 +143,33 @@ def judge(
     Refusal
         ``too_few_points`` where a cloud is too small to compare.
     """
-    points = thin(target.xyz, VOXEL), thin(source.xyz, VOXEL)
+    points = (
+        voxel_downsample(target.xyz, SCORING_VOXEL),
+        voxel_downsample(source.xyz, SCORING_VOXEL),
+    )
     for name, left in zip(("target", "source"), points, strict=True):
-        if len(left) < MIN_POINTS:
+        if len(left) < MIN_CLOUD_POINTS:
             raise Refusal(
                 "too_few_points",
-                f"the {name} cloud thinned to {VOXEL:g} m has {len(left)} points, {MIN_POINTS} are "
+                f"the {name} cloud thinned to {SCORING_VOXEL:g} m has {len(left)} points, {MIN_CLOUD_POINTS} are "
                 "needed to tell the hypotheses apart; record a scene with more in it",
-                {"lidar": name, "points": len(left), "needed": MIN_POINTS},
+                {"lidar": name, "points": len(left), "needed": MIN_CLOUD_POINTS},
             )
     surface = as_surface(points[0])
     trees = cKDTree(points[0]), cKDTree(points[1])
     images = range_image(target), range_image(source)
-    sampled = tuple(left[:: 1 + len(left) // SAMPLE] for left in points)
+    sampled = tuple(left[:: 1 + len(left) // SCORING_SAMPLE] for left in points)
     hypotheses = []
     for match in matches:
         T = match.T_target_source
         moved = se3.apply(T, sampled[1]), se3.apply(se3.inverse(T), sampled[0])
         distances = [
-            tree.query(xyz, distance_upper_bound=ICP_REACH, workers=CORES)[0]
+            tree.query(xyz, distance_upper_bound=ICP_CORRESPONDENCE_DISTANCE, workers=CORES)[0]
             for tree, xyz in zip(trees, moved, strict=True)
         ]
         overlap = float(np.mean([np.mean(d <= OVERLAP_DISTANCE) for d in distances]))
-        free_space = float(np.mean([contradiction(images[k], moved[k]) for k in (0, 1)]))
-        e_r, e_t = icp_motion(surface, sampled[1][distances[0] <= ICP_REACH], T)
+        free_space = float(np.mean([free_space_violation(images[k], moved[k]) for k in (0, 1)]))
+        e_r, e_t = icp_motion(surface, sampled[1][distances[0] <= ICP_CORRESPONDENCE_DISTANCE], T)
         score = overlap - free_space
         hypotheses.append(Hypothesis(match, e_r, e_t, overlap, free_space, score))
     return tuple(sorted(hypotheses, key=lambda h: (not h.match.exact, -h.score)))
@@ -180,7 +183,7 @@ def icp_motion(target: Surface, points: Array, T: Array) -> tuple[float | None, 
     target
         The prepared target cloud.
     points
-        (N, 3) source points with a target neighbour within `ICP_REACH` under ``T``: ICP uses no
+        (N, 3) source points with a target neighbour within `ICP_CORRESPONDENCE_DISTANCE` under ``T``: ICP uses no
         others, and looking for the neighbours of far ones is what takes its time.
     T
         (4, 4) the hypothesis, target from source.
@@ -192,9 +195,9 @@ def icp_motion(target: Surface, points: Array, T: Array) -> tuple[float | None, 
         it is says nothing for the hypothesis.
     """
     points = points[:: 1 + len(points) // ICP_POINTS]
-    if len(points) < MIN_POINTS:
+    if len(points) < MIN_CLOUD_POINTS:
         return None, None
     moved_by = register(
-        target, as_surface(points), T, method="ICP", reach=ICP_REACH
+        target, as_surface(points), T, method="ICP", reach=ICP_CORRESPONDENCE_DISTANCE
     ).T_target_source @ se3.inverse(T)
     return se3.rotation_angle(moved_by[:3, :3]), float(np.linalg.norm(moved_by[:3, 3]))

@@ -8,13 +8,13 @@ import numpy as np
 import small_gicp
 
 from ..datatypes import Array, IntArray, PointCloud
-from .registration import thin
+from .registration import voxel_downsample
 
-VOXELS = (0.15, 0.3, 0.6)
+PATCH_VOXELS = (0.15, 0.3, 0.6)
 """Patches are fitted to clouds thinned to one point per cube of these sides, metres: small ones
 where points are dense, wide ones that span the rows of a ground seen at a slant."""
 
-NEIGHBOURS = 16
+PATCH_NEIGHBOURS = 16
 """Thinned points that a patch is fitted to."""
 
 MAX_THICKNESS = 0.03
@@ -29,7 +29,7 @@ MIN_THICKNESS = 0.001
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
-BEAM = np.radians(0.5)
+PATCH_RING_BAND = np.radians(0.5)
 """Returns within a band of elevation of this width are taken as one beam's."""
 
 MAX_PATCHES = 2000
@@ -53,7 +53,7 @@ class Patches:
     thickness
         (M,) variance of the points across the patch, m².
     beams
-        (M, NEIGHBOURS) the band of elevation that each point of the patch came from.
+        (M, PATCH_NEIGHBOURS) the band of elevation that each point of the patch came from.
     """
 
     centres: Array
@@ -67,9 +67,9 @@ class Patches:
 def surface_patches(cloud: PointCloud) -> Patches:
     """Fit planes to the neighbourhoods of the thinned cloud and keep the flat ones."""
     parts, points = [], cloud.xyz
-    for voxel in VOXELS:
+    for voxel in PATCH_VOXELS:
         # From fine to coarse each thinning starts at the one before: there are fewer points then.
-        points = thin(points, voxel)
+        points = voxel_downsample(points, voxel)
         parts.append(_patches_of(points, cloud.origin))
     return Patches(
         *(
@@ -80,19 +80,21 @@ def surface_patches(cloud: PointCloud) -> Patches:
 
 
 def _patches_of(points: Array, origin: Array) -> Patches:
-    if len(points) < NEIGHBOURS:
+    if len(points) < PATCH_NEIGHBOURS:
         none, nothing = np.zeros((0, 3)), np.zeros(0)
-        bands = np.zeros((0, NEIGHBOURS), dtype=np.int64)
+        bands = np.zeros((0, PATCH_NEIGHBOURS), dtype=np.int64)
         return Patches(none, none, none, nothing, nothing, bands)
     tree = small_gicp.KdTree(points)
     at = points[:: 1 + len(points) // MAX_PATCHES]
-    index, _ = tree.batch_knn_search(at, NEIGHBOURS)
+    index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
     neighbours = points[np.asarray(index, dtype=np.intp)]
     ray = points - origin
-    band = np.floor(np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1)) / BEAM).astype(np.int64)
+    band = np.floor(np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1)) / PATCH_RING_BAND).astype(
+        np.int64
+    )
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
-    spread = np.matmul(centred.transpose(0, 2, 1), centred) / NEIGHBOURS
+    spread = np.matmul(centred.transpose(0, 2, 1), centred) / PATCH_NEIGHBOURS
     values, vectors = np.linalg.eigh(spread)
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < 0.1 * values[:, 1]
@@ -108,7 +110,7 @@ def _patches_of(points: Array, origin: Array) -> Patches:
     thickness = (
         np.maximum(values[flat, 0], np.median(values[flat, 0])) if flat.any() else values[flat, 0]
     )
-    tilt = thickness / (NEIGHBOURS * values[flat, 1])
+    tilt = thickness / (PATCH_NEIGHBOURS * values[flat, 1])
     normals = np.where(away[:, None], -normals, normals)
     return Patches(
         centres, normals, rays, tilt, np.maximum(thickness, MIN_THICKNESS**2), band[index][flat]

@@ -21,20 +21,20 @@ from scipy.linalg import eigh
 from scipy.spatial import cKDTree
 
 from .. import se3
-from ..datatypes import Array, IntArray, PointCloud, Stage
-from .patches import NEIGHBOURS, Patches, surface_patches
+from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
+from .patches import PATCH_NEIGHBOURS, Patches, surface_patches
 
 MAX_NORMAL_ANGLE = np.radians(35.0)
 """Two patches lie on one surface only if their normals agree so far."""
 
-FINEST_REACH = 0.10
+MIN_CORRESPONDENCE_DISTANCE = 0.10
 """Reach of the correspondences beyond three sigma of the pose, metres."""
 
 SPAN = 0.5
 """Patches as far from each other along their surface may be one surface, metres; how well the one's
 normal foretells the other's place is counted."""
 
-COARSEST_REACH = 1.5
+MAX_CORRESPONDENCE_DISTANCE = 1.5
 """Reach of the correspondences at most, metres."""
 
 RANGE_BIAS, BIAS_WEIGHT, BIAS_RANGE = 0.0035, 10.0, (0.001, 0.03)
@@ -55,7 +55,7 @@ noise of the normals alone would feign."""
 
 MIN_PATCHES = 30
 MIN_SIGMA = 1e-4
-MAX_ITERATIONS = 40
+MAX_REFINEMENT_ITERATIONS = 40
 STEP_ROTATION, STEP_TRANSLATION = 3e-6, 3e-5
 """Stop where a step is below these, rad and m."""
 
@@ -80,7 +80,7 @@ class Pairs:
     cluster
         (P,) which residuals share a place.
     beams_target, beams_source
-        (P, NEIGHBOURS) the beam of each point of the target's, of the source's patch.
+        (P, PATCH_NEIGHBOURS) the beam of each point of the target's, of the source's patch.
     range_target, range_source
         (P,) derivative of the residual with respect to the range that the LiDAR measured.
     """
@@ -115,7 +115,7 @@ class Refinement:
         The same step in rad, and in metres at the source's own origin.
     """
 
-    stage: Stage
+    stage: PoseEstimate
     patches: int
     pull: float
     turned: float
@@ -123,7 +123,7 @@ class Refinement:
 
 
 def refine(
-    target: PointCloud, source: PointCloud, poles: Stage, *, origins_known: bool = False
+    target: PointCloud, source: PointCloud, poles: PoseEstimate, *, origins_known: bool = False
 ) -> Refinement | None:
     """Let the scene sharpen the pose that the poles give.
 
@@ -151,7 +151,7 @@ def refine(
     T: Array = poles.T_target_source
     covariance: Array = poles.covariance
     bias = RANGE_BIAS
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(MAX_REFINEMENT_ITERATIONS):
         pairs = _pairs(target_patches, source_patches, tree, T, covariance, origins_known)
         if pairs is None:
             return None
@@ -174,7 +174,7 @@ def refine(
     e = se3.local(poles.T_target_source, T)
     rms = float(np.sqrt(np.average(r**2, weights=weights)))
     return Refinement(
-        Stage(T, covariance, rms),
+        PoseEstimate(T, covariance, rms),
         len(r),
         float(e @ prior @ e),
         float(np.linalg.norm(e[:3])),
@@ -196,7 +196,7 @@ def _pairs(
     # How far each patch may still be off, from the covariance of the pose: tr(J Σ Jᵀ).
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
     spread = np.sqrt(np.einsum("mik,mik->m", lever @ covariance, lever))
-    reach = np.minimum(FINEST_REACH + 3.0 * spread, COARSEST_REACH)
+    reach = np.minimum(MIN_CORRESPONDENCE_DISTANCE + 3.0 * spread, MAX_CORRESPONDENCE_DISTANCE)
     span = max(float(reach.max()), SPAN)
     distance, nearest = tree.query(moved, distance_upper_bound=span)
     s = np.flatnonzero(distance <= np.maximum(reach, SPAN))
@@ -222,7 +222,7 @@ def _pairs(
         levers=lever[s],
         normal=normal,
         tilt=(source.tilt[s] + target.tilt[t]) / 4,
-        variance=(source.thickness[s] + target.thickness[t]) / NEIGHBOURS
+        variance=(source.thickness[s] + target.thickness[t]) / PATCH_NEIGHBOURS
         + (source.tilt[s] + target.tilt[t]) / 4 * distance[s] ** 2,
         cluster=_labels(np.floor(moved[s] / CLUSTER)),
         beams_target=target.beams[t],
@@ -267,7 +267,7 @@ def _summed(rows: Array, label: IntArray, count: int | None = None) -> Array:
 
 
 def _share_of_beams(beams: IntArray) -> Array:
-    """Share (P, B) of each patch's points (P, NEIGHBOURS) that came from each beam."""
+    """Share (P, B) of each patch's points (P, PATCH_NEIGHBOURS) that came from each beam."""
     found, label = np.unique(beams, return_inverse=True)
     rows = np.arange(len(beams))[:, None] * len(found) + label.reshape(beams.shape)
     counts = np.bincount(rows.reshape(-1), minlength=len(beams) * len(found))

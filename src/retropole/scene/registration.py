@@ -21,8 +21,8 @@ CORES = min(4, os.cpu_count() or 1)
 which wait by spinning, are many times slower where the machine has other work.
 """
 
-MIN_POINTS = 50
-NEIGHBOURS = 10
+MIN_CLOUD_POINTS = 50
+NORMAL_NEIGHBOURS = 10
 """Points that a surface normal is estimated from."""
 
 
@@ -62,7 +62,7 @@ class Registration:
     converged: bool
 
 
-def thin(xyz: Array, voxel: float) -> Array:
+def voxel_downsample(xyz: Array, voxel: float) -> Array:
     """Keep the mean of the points in each cube of side ``voxel`` metres: (N, 3) to (M, 3)."""
     if len(xyz) == 0:
         return np.zeros((0, 3))
@@ -77,19 +77,19 @@ def prepare(xyz: Array, voxel: float, *, threads: int = 1) -> Surface:
     Raises
     ------
     Refusal
-        ``too_few_points`` where fewer than `MIN_POINTS` are left: nothing can be registered to it.
+        ``too_few_points`` where fewer than `MIN_CLOUD_POINTS` are left: nothing can be registered to it.
     """
-    points = thin(xyz, voxel)
-    if len(points) < MIN_POINTS:
+    points = voxel_downsample(xyz, voxel)
+    if len(points) < MIN_CLOUD_POINTS:
         raise Refusal(
             "too_few_points",
             f"{len(points)} points are left of a cloud thinned to {voxel:g} m, "
-            f"{MIN_POINTS} are needed; record a scene with more in it",
-            {"points": len(points), "needed": MIN_POINTS},
+            f"{MIN_CLOUD_POINTS} are needed; record a scene with more in it",
+            {"points": len(points), "needed": MIN_CLOUD_POINTS},
         )
     surface = as_surface(points, threads=threads)
     small_gicp.estimate_normals_covariances(
-        surface.cloud, surface.tree, num_neighbors=NEIGHBOURS, num_threads=threads
+        surface.cloud, surface.tree, num_neighbors=NORMAL_NEIGHBOURS, num_threads=threads
     )
     return surface
 

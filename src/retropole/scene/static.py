@@ -19,17 +19,17 @@ metres, and a tenth of its range."""
 MIN_FRAMES = 3
 """With fewer frames nothing tells what moved."""
 
-MIN_RETURNS = 5
+MIN_RETURNS_PER_RUN = 5
 """Returns on a pole that a frame, or a run of frames, needs to say where the pole is."""
 
-PARTS = 6
+RUNS = 6
 """Runs of frames that a recording is cut into to see whether a pole moved."""
 
 MAX_DRIFT, SIGMAS = 0.02, 5.0
 """A pole moved if it strays by the first, metres, and by so many times the noise."""
 
 
-def keep_standing(cloud: PointCloud) -> PointCloud:
+def remove_dynamic_points(cloud: PointCloud) -> PointCloud:
     """Drop the returns on things that moved while the frames were recorded.
 
     A thing that stands is seen by the other frames in the same direction at the same range. Where
@@ -81,16 +81,16 @@ def drift(pole: Pole, frame: IntArray) -> tuple[float, float]:
     -------
     distance, sigma
         Of the run that lies farthest from the mean; zero and infinite where no two runs have
-        `MIN_RETURNS`.
+        `MIN_RETURNS_PER_RUN`.
     """
     offset = pole.xyz - pole.point
     across = offset - (offset @ pole.direction)[:, None] * pole.direction
-    runs = np.array_split(np.unique(frame), min(PARTS, len(np.unique(frame))))
+    runs = np.array_split(np.unique(frame), min(RUNS, len(np.unique(frame))))
     means: list[Array] = []
     sizes: list[int] = []
     for run in runs:
         own = np.isin(frame, run)
-        if np.count_nonzero(own) >= MIN_RETURNS:
+        if np.count_nonzero(own) >= MIN_RETURNS_PER_RUN:
             means.append(np.median(across[own], axis=0))
             sizes.append(int(np.count_nonzero(own)))
     if len(means) < 2:
@@ -101,7 +101,7 @@ def drift(pole: Pole, frame: IntArray) -> tuple[float, float]:
     return float(apart[worst]), float(np.sqrt(np.pi / 2) * pole.rms / np.sqrt(sizes[worst]))
 
 
-def check_still(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:
+def check_static(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:
     """Refuse poles that moved while the frames were recorded.
 
     Raises

@@ -16,7 +16,7 @@ from ..io import write_pcd
 from ..sensors import Sensor, find_sensor
 from . import paper
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
-from .scanning import EXACT, TYPICAL, Nuisances, Scan, scan
+from .scanning import EXACT, TYPICAL, NoiseModel, Scan, scan
 from .scenes import SURROUNDINGS, draw_lidar, draw_poles, half_turned, symmetric_poles
 
 __all__ = [
@@ -26,7 +26,7 @@ __all__ = [
     "Box",
     "Cylinder",
     "Material",
-    "Nuisances",
+    "NoiseModel",
     "Rectangle",
     "SimulatedPair",
     "SimulationError",
@@ -109,7 +109,7 @@ def _pair(
     poses: tuple[Array, Array],
     sensors: tuple[Sensor, Sensor],
     rng: np.random.Generator,
-    nuisances: Nuisances,
+    nuisances: NoiseModel,
     frames: int,
 ) -> tuple[SimulatedPair, bool]:
     """Scan a scene from two poses, and tell whether both see every pole."""
@@ -145,7 +145,7 @@ def simulate_pair(
     radius: float = 0.02,
     min_pole_angle: float = float(np.radians(15)),
     max_pole_angle: float = float(np.radians(60)),
-    nuisances: Nuisances | None = None,
+    nuisances: NoiseModel | None = None,
     symmetric: bool = False,
     frames: int = 1,
 ) -> SimulatedPair:
@@ -185,7 +185,7 @@ def simulate_pair(
     names = DEFAULT_SENSORS[scene]
     sensors = (find_sensor(sensor_target or names[0]), find_sensor(sensor_source or names[1]))
     if scene == "paper":
-        noise = paper.NOISE if nuisances is None else nuisances
+        noise = paper.PAPER_NOISE if nuisances is None else nuisances
         for _ in range(MAX_DRAWS):
             drawn = paper.draw_poles(rng, radius)
             pair, enough = _pair([], drawn, paper.lidar_poses(), sensors, rng, noise, frames)
@@ -226,7 +226,7 @@ def place_again(
     pair: SimulatedPair,
     rng: np.random.Generator,
     *,
-    nuisances: Nuisances = TYPICAL,
+    nuisances: NoiseModel = TYPICAL,
     frames: int = 1,
 ) -> SimulatedPair:
     """Set the poles of a pair anew, before the same LiDARs in the same surroundings.
@@ -267,7 +267,7 @@ def record_again(
     *,
     moved: Array | None = None,
     poles: bool = True,
-    nuisances: Nuisances = TYPICAL,
+    nuisances: NoiseModel = TYPICAL,
     frames: int = 1,
 ) -> SimulatedPair:
     """Record the same place anew, after the source was moved.

@@ -7,14 +7,14 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array
 from .raycast import Cylinder
-from .scanning import Nuisances
+from .scanning import NoiseModel
 from .scenes import TAPE
 
-RADIUS = 0.02
-NOISE = Nuisances(0.0, 0.006, 0.0, False, 0.0, 0.0, 0.0)
+PAPER_RADIUS = 0.02
+PAPER_NOISE = NoiseModel(0.0, 0.006, 0.0, False, 0.0, 0.0, 0.0)
 """Zero-mean Gaussian of 6 mm in each coordinate, and nothing else."""
 
-POLE_LENGTH = 6.0
+PAPER_POLE_LENGTH = 6.0
 """Centred on z = 0. The paper names none; with poles of 2 m, which a person carries, its estimator
 comes to the error that was measured at its set-up, with 6 m it is a sixth better, with 1 m half as
 bad again."""
@@ -32,7 +32,7 @@ def lidar_poses() -> tuple[Array, Array]:
     return target, source
 
 
-def draw_poles(rng: np.random.Generator, radius: float = RADIUS) -> list[Cylinder]:
+def draw_poles(rng: np.random.Generator, radius: float = PAPER_RADIUS) -> list[Cylinder]:
     """Draw the two poles: n_z > 0.9, axis points in z = 0 with 2 ≤ ‖p‖ ≤ 3, 1.5 to 4 m apart.
 
     The paper also places both points in the y axis, which contradicts these distances: they are
@@ -50,5 +50,5 @@ def draw_poles(rng: np.random.Generator, radius: float = RADIUS) -> list[Cylinde
         while axis[2] <= 0.9:
             axis = rng.normal(size=3)
             axis /= np.linalg.norm(axis)
-        poles.append(Cylinder(point, axis, radius, POLE_LENGTH, TAPE))
+        poles.append(Cylinder(point, axis, radius, PAPER_POLE_LENGTH, TAPE))
     return poles

@@ -16,7 +16,7 @@ GOLDEN = (np.sqrt(5.0) - 1) / 2
 
 
 @dataclass(frozen=True)
-class Nuisances:
+class NoiseModel:
     """What makes a real scan differ from geometry; each can be switched off.
 
     Attributes
@@ -44,8 +44,8 @@ class Nuisances:
     intensity_noise: float = 0.15
 
 
-TYPICAL = Nuisances()
-EXACT = Nuisances(0.0, 0.0, 0.0, False, 0.0, 0.0, 0.0)
+TYPICAL = NoiseModel()
+EXACT = NoiseModel(0.0, 0.0, 0.0, False, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def scan(
     sensor: Sensor,
     T_world_sensor: Array,
     rng: np.random.Generator,
-    nuisances: Nuisances = TYPICAL,
+    nuisances: NoiseModel = TYPICAL,
     frames: int = 1,
 ) -> Scan:
     """Record a standing scene.
@@ -156,7 +156,7 @@ def _intensity(
     reflectance: Array,
     cosine: Array,
     rng: np.random.Generator,
-    nuisances: Nuisances,
+    nuisances: NoiseModel,
 ) -> Array:
     """Intensities on the sensor's scale: diffuse below its threshold, tape above, both unsteady.
 

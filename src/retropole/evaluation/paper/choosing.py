@@ -21,7 +21,7 @@ from .exhibit import Exhibit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PAPER = {
+PAPER_TABLE_III = {
     "a": (0.1027, 0.3949),
     "b": (0.8393, 0.9455),
     "c": (1.6875, 17.4749),
@@ -86,7 +86,7 @@ def four_hypotheses() -> Exhibit:
     judged = judge_corridor(EXAMPLE)
     identity = judged.hypotheses[0].match.T_target_source
     rows = []
-    for name, h in zip(PAPER, judged.hypotheses, strict=False):
+    for name, h in zip(PAPER_TABLE_III, judged.hypotheses, strict=False):
         turn = se3.rotation_angle(h.match.T_target_source[:3, :3] @ identity[:3, :3].T)
         pairs = ", ".join(f"{i}–{j}" for i, j in h.match.pairs)
         rows.append((name, pairs, h.match.pole_rms, float(np.degrees(turn))))
@@ -109,7 +109,7 @@ def choosing(seeds: int) -> tuple[Exhibit, Exhibit]:
     rows = [
         (
             name,
-            *PAPER[name],
+            *PAPER_TABLE_III[name],
             h.icp_rotation,
             h.icp_translation,
             h.overlap,
@@ -117,7 +117,7 @@ def choosing(seeds: int) -> tuple[Exhibit, Exhibit]:
             h.score,
             "yes" if right else "no",
         )
-        for name, h, right in zip(PAPER, example.hypotheses, example.right, strict=False)
+        for name, h, right in zip(PAPER_TABLE_III, example.hypotheses, example.right, strict=False)
     ]
     counts = dict.fromkeys(RULES, 0)
     refused = 0
@@ -155,7 +155,7 @@ def choosing(seeds: int) -> tuple[Exhibit, Exhibit]:
 
 def _draw_poles(figure: Figure, judged: Judged) -> None:
     target, source = judged.poles
-    for k, (name, h) in enumerate(zip(PAPER, judged.hypotheses, strict=False)):
+    for k, (name, h) in enumerate(zip(PAPER_TABLE_III, judged.hypotheses, strict=False)):
         axes: Any = figure.add_subplot(1, 4, k + 1, projection="3d")
         T = h.match.T_target_source
         for i, j in h.match.pairs:
@@ -184,7 +184,7 @@ def _draw_clouds(figure: Figure, judged: Judged) -> None:
     """Draw both clouds from above under each hypothesis."""
     target = judged.pair.target.xyz
     middle = np.mean([pole.point for pole in judged.poles[0]], axis=0)
-    for k, (name, h) in enumerate(zip(PAPER, judged.hypotheses, strict=False)):
+    for k, (name, h) in enumerate(zip(PAPER_TABLE_III, judged.hypotheses, strict=False)):
         axes = figure.add_subplot(1, 4, k + 1)
         moved = se3.apply(h.match.T_target_source, judged.pair.source.xyz)
         for xyz, color in ((target, BLUE), (moved, ORANGE)):

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import se3
-from ...datatypes import Array, PointCloud, Stage
+from ...datatypes import Array, PointCloud, PoseEstimate
 from ...errors import Refusal
 from ...io import read_cloud
 from ...pipeline import calibrate
 from ...report.figures import BLUE, ORANGE
 from ...simulation import simulate_pair
-from ..metrics import KERNEL_WIDTH, VOXEL, Alignment, e_rt, evaluate
+from ..metrics import EVALUATION_VOXEL, KERNEL_WIDTH, Alignment, e_rt, evaluate
 from ..rivals import gicp, icp, planar_surfaces
 from .exhibit import Cell, Exhibit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PAPER = {"planes": 0.0824, "poles": 0.0822, "ICP": 0.0461, "wrong hypothesis": 0.0497}
+PAPER_TABLE_IV = {"planes": 0.0824, "poles": 0.0822, "ICP": 0.0461, "wrong hypothesis": 0.0497}
 """Argument of the entropy's logarithm, by method."""
 
 SEED = 0
@@ -40,7 +40,7 @@ def poses(target: PointCloud, source: PointCloud) -> Methods:
     """Find the pose of two clouds by every method of the table; target from source."""
     found: Methods = {}
     rng = np.random.default_rng(SEED)
-    rivals: dict[str, Callable[[], Stage]] = {
+    rivals: dict[str, Callable[[], PoseEstimate]] = {
         "planes": lambda: planar_surfaces(target, source, rng=rng),
         "ICP": lambda: icp(target, source),
         "GICP": lambda: gicp(target, source),
@@ -69,7 +69,7 @@ def score(target: PointCloud, source: PointCloud, T: Array) -> Alignment:
 
 FIGURES = ("sum 1/m³", "−log", "overlap", "plane residual m")
 NOTE = (
-    f"Rényi's quadratic entropy of both clouds, thinned to {VOXEL} m, kernel {KERNEL_WIDTH} m: the "
+    f"Rényi's quadratic entropy of both clouds, thinned to {EVALUATION_VOXEL} m, kernel {KERNEL_WIDTH} m: the "
     "argument of its logarithm (larger is crisper), and −log of it. The paper says neither how "
     "wide its kernel is nor which points it takes: compare the order, not the size. ICP and GICP "
     "start from the identity."
@@ -88,7 +88,7 @@ def comparing_simulated(seeds: int) -> Exhibit:
         for name, T in found.items():
             if isinstance(T, str):
                 refused[name] = refused.get(name, 0) + 1
-        if any(isinstance(found.get(name, ""), str) for name in PAPER):
+        if any(isinstance(found.get(name, ""), str) for name in PAPER_TABLE_IV):
             continue
         sums = {}
         for name, T in found.items():
@@ -106,7 +106,7 @@ def comparing_simulated(seeds: int) -> Exhibit:
         middle: list[float] | list[None] = [None] * 5
         if name in columns:
             middle = [float(value) for value in np.nanmedian(np.array(columns[name]), axis=0)]
-        rows.append((name, PAPER.get(name), *middle, refused.get(name, 0)))
+        rows.append((name, PAPER_TABLE_IV.get(name), *middle, refused.get(name, 0)))
     return Exhibit(
         "table4_comparing",
         "Table IV: crispness of the aligned clouds, simulated corridors",
@@ -171,15 +171,15 @@ def comparing_real(data: Path) -> Exhibit:
 def _draw(figure: Figure, target: PointCloud, source: PointCloud, found: Methods) -> None:
     """Draw both clouds from above under the paper's four methods."""
     near = np.abs(target.xyz).max(axis=1) < 12.0
-    for k, name in enumerate(PAPER):
-        axes = figure.add_subplot(1, len(PAPER), k + 1)
+    for k, name in enumerate(PAPER_TABLE_IV):
+        axes = figure.add_subplot(1, len(PAPER_TABLE_IV), k + 1)
         T = found[name]
         assert not isinstance(T, str)
         moved = se3.apply(T, source.xyz)
         for xyz, color in ((target.xyz[near], BLUE), (moved, ORANGE)):
             axes.scatter(xyz[::3, 0], xyz[::3, 1], s=0.3, c=color, linewidths=0, rasterized=True)
         sum_ = score(target, source, T).entropy.sum
-        axes.set_title(f"{name}\nsum {sum_:.4g} 1/m³ (paper {PAPER[name]})", fontsize=9)
+        axes.set_title(f"{name}\nsum {sum_:.4g} 1/m³ (paper {PAPER_TABLE_IV[name]})", fontsize=9)
         axes.set(xlim=(-12, 12), ylim=(-12, 12))
         axes.set_aspect("equal")
         axes.tick_params(labelsize=7)

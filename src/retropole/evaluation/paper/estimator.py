@@ -19,7 +19,7 @@ from .exhibit import Exhibit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PAPER = 0.168
+PAPER_E_RT = 0.168
 """The e_rt that the paper reports, metres."""
 
 SIGMA = 0.006
@@ -99,7 +99,7 @@ def simulated_error(setups: int) -> Exhibit:
                 (
                     name,
                     noise,
-                    PAPER if (k, noise) == (0, "isotropic") else None,
+                    PAPER_E_RT if (k, noise) == (0, "isotropic") else None,
                     float(np.median(each)),
                     float(answered.mean()),
                     float(np.quantile(each, 0.9)),
@@ -107,7 +107,7 @@ def simulated_error(setups: int) -> Exhibit:
                 )
             )
     isotropic = errors["isotropic"][:, 0]
-    between = "between" if np.median(isotropic) < PAPER < isotropic.mean() else "not between"
+    between = "between" if np.median(isotropic) < PAPER_E_RT < isotropic.mean() else "not between"
     header = ("estimator", "noise, 6 mm", "paper m", "median m", "mean m", "90 % m", "refused")
     return Exhibit(
         "simulated_e_rt",
@@ -133,6 +133,6 @@ def _draw(figure: Figure, errors: dict[Noise, Array]) -> None:
         for k, (name, color) in enumerate((("paper's", "#d55e00"), ("beam model", "#0072b2"))):
             error = np.sort(each[:, k]).clip(1e-4)
             axes.plot(error, share, styles[noise], color=color, label=f"{name}, noise {noise}")
-    axes.axvline(PAPER, color="k", lw=1, label="reported in the paper")
+    axes.axvline(PAPER_E_RT, color="k", lw=1, label="reported in the paper")
     axes.set(xscale="log", xlabel="e_rt, m", ylabel="share of set-ups below", ylim=(0, 1))
     axes.legend(fontsize=8)

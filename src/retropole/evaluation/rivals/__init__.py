@@ -1,6 +1,6 @@
 """Other ways to the same transform, to set beside our own.
 
-Every method takes target and source and gives a `Stage`, or raises `Refusal`. None of them uses
+Every method takes target and source and gives a `PoseEstimate`, or raises `Refusal`. None of them uses
 the poles.
 """
 
@@ -11,7 +11,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from ...datatypes import PointCloud, Stage
+from ...datatypes import PointCloud, PoseEstimate
 from .fpfh import fpfh_ransac
 from .icp import gicp, icp
 from .kiss import kiss_matcher
@@ -28,7 +28,7 @@ __all__ = [
     "planar_surfaces",
 ]
 
-Method = Callable[[PointCloud, PointCloud, np.random.Generator], Stage]
+Method = Callable[[PointCloud, PointCloud, np.random.Generator], PoseEstimate]
 
 METHODS: dict[str, Method] = {
     "planes": lambda target, source, rng: planar_surfaces(target, source, rng=rng),

@@ -10,33 +10,35 @@ from typing import Any
 
 import numpy as np
 
-from ...datatypes import Array, PointCloud, Stage
+from ...datatypes import Array, PointCloud, PoseEstimate
 from ...errors import MissingExtraError, Refusal
-from ...scene.registration import MIN_POINTS, thin
+from ...scene.registration import MIN_CLOUD_POINTS, voxel_downsample
 from .scene import register_scene
 
-VOXEL = 0.3
+FPFH_VOXEL = 0.3
 """Clouds are thinned to one point per cube of this side, metres."""
 
-NORMAL_RADIUS, FEATURE_RADIUS = 2 * VOXEL, 5 * VOXEL
+NORMAL_RADIUS, FEATURE_RADIUS = 2 * FPFH_VOXEL, 5 * FPFH_VOXEL
 """Of Open3D's own tutorial, metres."""
 
-REACH = 1.5 * VOXEL
+RANSAC_DISTANCE = 1.5 * FPFH_VOXEL
 """A pair of points agrees with a pose that brings them so near, metres (the same tutorial)."""
 
 EDGE_RATIO = 0.9
 """Least ratio of the sides of corresponding triangles (the same)."""
 
-ITERATIONS, CONFIDENCE = 100_000, 0.999
+RANSAC_ITERATIONS, RANSAC_CONFIDENCE = 100_000, 0.999
 
 MIN_FITNESS = 0.1
 """Share of the source's points that must find the target."""
 
-REACHES = (1.0, 0.3)
+FPFH_CORRESPONDENCE_DISTANCES = (1.0, 0.3)
 """Of GICP's corresponding points, metres."""
 
 
-def fpfh_ransac(target: PointCloud, source: PointCloud, *, rng: np.random.Generator) -> Stage:
+def fpfh_ransac(
+    target: PointCloud, source: PointCloud, *, rng: np.random.Generator
+) -> PoseEstimate:
     """Match FPFH features by RANSAC, and refine by GICP.
 
     Parameters
@@ -68,14 +70,14 @@ def fpfh_ransac(target: PointCloud, source: PointCloud, *, rng: np.random.Genera
         clouds[1][1],
         clouds[0][1],
         True,
-        REACH,
+        RANSAC_DISTANCE,
         pipeline.TransformationEstimationPointToPoint(False),
         3,
         [
             pipeline.CorrespondenceCheckerBasedOnEdgeLength(EDGE_RATIO),
-            pipeline.CorrespondenceCheckerBasedOnDistance(REACH),
+            pipeline.CorrespondenceCheckerBasedOnDistance(RANSAC_DISTANCE),
         ],
-        pipeline.RANSACConvergenceCriteria(ITERATIONS, CONFIDENCE),
+        pipeline.RANSACConvergenceCriteria(RANSAC_ITERATIONS, RANSAC_CONFIDENCE),
     )
     T: Array = np.array(found.transformation, dtype=float)
     if found.fitness < MIN_FITNESS or not np.all(np.isfinite(T)):
@@ -85,18 +87,18 @@ def fpfh_ransac(target: PointCloud, source: PointCloud, *, rng: np.random.Genera
             f"{100 * MIN_FITNESS:.0f} % are needed; record where the LiDARs see more of the same",
             {"fitness": float(found.fitness), "needed": MIN_FITNESS},
         )
-    return register_scene(target, source, T, method="GICP", reaches=REACHES)
+    return register_scene(target, source, T, method="GICP", reaches=FPFH_CORRESPONDENCE_DISTANCES)
 
 
 def _featured(open3d: Any, cloud: PointCloud) -> tuple[Any, Any]:
     """Thin a cloud, and describe every point left by how the normals around it stand."""
-    points = thin(cloud.xyz, VOXEL)
-    if len(points) < MIN_POINTS:
+    points = voxel_downsample(cloud.xyz, FPFH_VOXEL)
+    if len(points) < MIN_CLOUD_POINTS:
         raise Refusal(
             "too_few_points",
-            f"{len(points)} points are left of a cloud thinned to {VOXEL:g} m, "
-            f"{MIN_POINTS} are needed; record a scene with more in it",
-            {"points": len(points), "needed": MIN_POINTS},
+            f"{len(points)} points are left of a cloud thinned to {FPFH_VOXEL:g} m, "
+            f"{MIN_CLOUD_POINTS} are needed; record a scene with more in it",
+            {"points": len(points), "needed": MIN_CLOUD_POINTS},
         )
     made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     near = open3d.geometry.KDTreeSearchParamHybrid

@@ -10,17 +10,17 @@ from typing import Literal
 
 import numpy as np
 
-from ...datatypes import PointCloud, Stage
+from ...datatypes import PointCloud, PoseEstimate
 from .scene import register_scene
 
-REACHES = (3.0, 1.0, 0.3)
+ICP_CORRESPONDENCE_DISTANCES = (3.0, 1.0, 0.3)
 """Of corresponding points, metres."""
 
-MAX_ITERATIONS = 100
+MAX_ICP_ITERATIONS = 100
 """For each reach: the identity may be far off."""
 
 
-def icp(target: PointCloud, source: PointCloud) -> Stage:
+def icp(target: PointCloud, source: PointCloud) -> PoseEstimate:
     """Register two clouds, each in its own frame, by point-to-point ICP.
 
     Raises
@@ -31,7 +31,7 @@ def icp(target: PointCloud, source: PointCloud) -> Stage:
     return _from_identity(target, source, "ICP")
 
 
-def gicp(target: PointCloud, source: PointCloud) -> Stage:
+def gicp(target: PointCloud, source: PointCloud) -> PoseEstimate:
     """Register two clouds, each in its own frame, by GICP (small_gicp).
 
     Raises
@@ -42,12 +42,14 @@ def gicp(target: PointCloud, source: PointCloud) -> Stage:
     return _from_identity(target, source, "GICP")
 
 
-def _from_identity(target: PointCloud, source: PointCloud, method: Literal["ICP", "GICP"]) -> Stage:
+def _from_identity(
+    target: PointCloud, source: PointCloud, method: Literal["ICP", "GICP"]
+) -> PoseEstimate:
     return register_scene(
         target,
         source,
         np.eye(4),
         method=method,
-        reaches=REACHES,
-        max_iterations=MAX_ITERATIONS,
+        reaches=ICP_CORRESPONDENCE_DISTANCES,
+        max_iterations=MAX_ICP_ITERATIONS,
     )

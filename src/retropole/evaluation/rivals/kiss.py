@@ -11,22 +11,22 @@ from __future__ import annotations
 import numpy as np
 
 from ... import se3
-from ...datatypes import PointCloud, Stage
+from ...datatypes import PointCloud, PoseEstimate
 from ...errors import MissingExtraError, Refusal
-from ...scene.registration import MIN_POINTS
+from ...scene.registration import MIN_CLOUD_POINTS
 from .scene import register_scene
 
-VOXEL = 0.3
+KISS_VOXEL = 0.3
 """The maker's own default, metres."""
 
 MIN_INLIERS = 5
 """Below this many of its correspondences the maker's own examples call the answer a failure."""
 
-REACHES = (1.0, 0.3)
+KISS_CORRESPONDENCE_DISTANCES = (1.0, 0.3)
 """Of GICP's corresponding points, metres."""
 
 
-def kiss_matcher(target: PointCloud, source: PointCloud) -> Stage:
+def kiss_matcher(target: PointCloud, source: PointCloud) -> PoseEstimate:
     """Match the clouds by KISS-Matcher with its own settings, and refine by GICP.
 
     Parameters
@@ -47,13 +47,13 @@ def kiss_matcher(target: PointCloud, source: PointCloud) -> Stage:
     except ImportError as error:
         raise MissingExtraError("kiss", "the rival KISS-Matcher") from error
 
-    if min(len(target), len(source)) < MIN_POINTS:
+    if min(len(target), len(source)) < MIN_CLOUD_POINTS:
         raise Refusal(
             "too_few_points",
-            f"clouds of {len(target)} and {len(source)} points, {MIN_POINTS} are needed each",
-            {"target": len(target), "source": len(source), "needed": MIN_POINTS},
+            f"clouds of {len(target)} and {len(source)} points, {MIN_CLOUD_POINTS} are needed each",
+            {"target": len(target), "source": len(source), "needed": MIN_CLOUD_POINTS},
         )
-    matcher = matching.KISSMatcher(matching.KISSMatcherConfig(VOXEL))
+    matcher = matching.KISSMatcher(matching.KISSMatcherConfig(KISS_VOXEL))
     found = matcher.estimate(source.xyz.astype(np.float32), target.xyz.astype(np.float32))
     inliers = int(matcher.get_num_final_inliers())
     T = se3.from_rt(
@@ -67,4 +67,4 @@ def kiss_matcher(target: PointCloud, source: PointCloud) -> Stage:
             "needed; record a scene with more in it, or where the LiDARs see more of the same",
             {"inliers": inliers, "needed": MIN_INLIERS},
         )
-    return register_scene(target, source, T, method="GICP", reaches=REACHES)
+    return register_scene(target, source, T, method="GICP", reaches=KISS_CORRESPONDENCE_DISTANCES)

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...datatypes import Array, IntArray, PointCloud
-from ...scene.registration import thin
+from ...scene.registration import voxel_downsample
 
-VOXEL = 0.15
+PLANE_VOXEL = 0.15
 """Clouds are thinned to one point per cube of this side, metres, so that support means area."""
 
-MAX_POINTS = 20_000
+MAX_PLANE_POINTS = 20_000
 """Thinned points that planes are looked for in; a random part of more."""
 
 THICKNESS = 0.05
@@ -23,7 +23,7 @@ THICKNESS = 0.05
 MAX_PLANES = 8
 """Triples grow with the cube of this, and pairs of triples with its sixth power."""
 
-MIN_POINTS = 60
+MIN_PLANE_POINTS = 60
 """Thinned points of a plane."""
 
 MIN_EXTENT = 0.8
@@ -100,17 +100,17 @@ def extract_planes(cloud: PointCloud, rng: np.random.Generator) -> list[Plane]:
     list of Plane
         At most `MAX_PLANES`, in the cloud's frame; empty where the cloud holds none.
     """
-    points = thin(cloud.xyz, VOXEL)
-    if len(points) > MAX_POINTS:
-        points = points[rng.choice(len(points), MAX_POINTS, replace=False)]
+    points = voxel_downsample(cloud.xyz, PLANE_VOXEL)
+    if len(points) > MAX_PLANE_POINTS:
+        points = points[rng.choice(len(points), MAX_PLANE_POINTS, replace=False)]
     planes: list[Plane] = []
     # A strip, too narrow for a plane, is taken away like one, or every round would find it again.
     for _ in range(2 * MAX_PLANES):
-        if len(points) < MIN_POINTS or len(planes) == MAX_PLANES:
+        if len(points) < MIN_PLANE_POINTS or len(planes) == MAX_PLANES:
             break
         normal, offset = _best_plane(points, rng)
         on_it = np.abs(points @ normal + offset) < THICKNESS
-        if np.count_nonzero(on_it) < MIN_POINTS:
+        if np.count_nonzero(on_it) < MIN_PLANE_POINTS:
             break
         inliers, points = points[on_it], points[~on_it]
         spread = np.linalg.eigvalsh(np.cov(inliers.T))

@@ -20,13 +20,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ... import se3
-from ...datatypes import Array, BoolArray, PointCloud, Stage
+from ...datatypes import Array, BoolArray, PointCloud, PoseEstimate
 from ...errors import Refusal
-from ...scene.disambiguation import RangeImage, contradiction, range_image
-from ...scene.registration import thin
+from ...scene.disambiguation import RangeImage, free_space_violation, range_image
+from ...scene.registration import voxel_downsample
 from .plane_extraction import MIN_INDEPENDENCE, Plane, extract_planes, independence, triples
 
-SAME_ANGLE = float(np.radians(3.0))
+SAME_PLANE_ANGLE = float(np.radians(3.0))
 """Triples may match if the angles between their planes differ by no more than this."""
 
 SAME_NORMAL, SAME_OFFSETS = float(np.radians(4.0)), (0.3, 0.15)
@@ -36,26 +36,26 @@ so near the other, metres: before and after a first refinement."""
 ROBUST = 0.05
 """Distances of points from their plane count in full up to here, metres (Huber)."""
 
-VOXEL = 0.3
+SCORING_VOXEL_PLANES = 0.3
 """Clouds are thinned to one point per cube of this side, metres, before poses are judged."""
 
-SAMPLE = 2000
+SCORING_SAMPLE = 2000
 """Poses are judged on every n-th thinned point so that about so many are left."""
 
-NEAR = 0.15
+OVERLAP_WITHIN = 0.15
 """A point overlaps the other cloud where it has a neighbour within this distance, metres."""
 
-CONTRADICTION = 5.0
+VIOLATION_WEIGHT = 5.0
 """What a point weighs that stands where the other LiDAR looked through, against one that overlaps:
 most points of a corridor overlap however it is turned, and few can contradict."""
 
-JUDGED = 120
+MAX_SCORED_POSES = 120
 """Different poses that are refined and judged, those first that lay most planes on each other."""
 
 ALIKE = float(np.radians(1.0)), 0.1
 """Poses closer than both, rad and metres, are one candidate."""
 
-APART = float(np.radians(5.0)), 0.5
+DIFFERENT_POSE = float(np.radians(5.0)), 0.5
 """Poses further apart than either, rad and metres, are different answers."""
 
 MIN_SCORE = 0.15
@@ -65,22 +65,24 @@ MIN_MARGIN = 0.03
 """Score of the best pose over that of the next different one; shares of 2000 points have a standard
 error of 0.01."""
 
-ITERATIONS = 8
+REFINE_ITERATIONS = 8
 
 SKETCH = 200
 """Points of each plane on which candidates are refined; the chosen one is, on all."""
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ScoredPose:
     """A refined pose, and what the surroundings say of it."""
 
-    stage: Stage
+    stage: PoseEstimate
     overlap: float
     score: float
 
 
-def planar_surfaces(target: PointCloud, source: PointCloud, *, rng: np.random.Generator) -> Stage:
+def planar_surfaces(
+    target: PointCloud, source: PointCloud, *, rng: np.random.Generator
+) -> PoseEstimate:
     """Find the pose that lays the planes of the source on those of the target.
 
     Parameters
@@ -92,7 +94,7 @@ def planar_surfaces(target: PointCloud, source: PointCloud, *, rng: np.random.Ge
 
     Returns
     -------
-    Stage
+    PoseEstimate
         The pose, and the RMS distance of the matched planes' points from each other's planes.
 
     Raises
@@ -116,17 +118,17 @@ def planar_surfaces(target: PointCloud, source: PointCloud, *, rng: np.random.Ge
     candidates = candidate_poses(of_target, of_source)
     scene = Surroundings.of(target), Surroundings.of(source)
     sketches = [[p.thinned(SKETCH) for p in planes] for planes in (of_target, of_source)]
-    stages: list[Stage] = []
+    stages: list[PoseEstimate] = []
     for T in _different(candidates, _agreement(of_target, of_source, candidates)):
         stage = refine(sketches[0], sketches[1], T)
         if stage is not None and not _known(stage, stages):
             stages.append(stage)
-    judged = [judge_pose(*scene, stage) for stage in stages]
+    judged = [score_pose(*scene, stage) for stage in stages]
     if not judged:
         raise Refusal(
             "planes_unmatched",
             f"no three of the target's {len(of_target)} planes stand as three of the source's "
-            f"{len(of_source)} do, within {np.degrees(SAME_ANGLE):.0f}°; record where both LiDARs "
+            f"{len(of_source)} do, within {np.degrees(SAME_PLANE_ANGLE):.0f}°; record where both LiDARs "
             "see the same three",
             {"planes_target": len(of_target), "planes_source": len(of_source)},
         )
@@ -151,7 +153,9 @@ def candidate_poses(target: list[Plane], source: list[Plane]) -> Array:
     orders = np.array(list(permutations(range(3))))
     first, second = triples(target), triples(source)[:, orders].reshape(-1, 3)
     angles = [_angles(normals[0][first]), _angles(normals[1][second])]
-    i, j = np.nonzero(np.all(np.abs(angles[0][:, None] - angles[1][None]) < SAME_ANGLE, axis=2))
+    i, j = np.nonzero(
+        np.all(np.abs(angles[0][:, None] - angles[1][None]) < SAME_PLANE_ANGLE, axis=2)
+    )
     first, second = first[i], second[j]
     a, b = normals[0][first], normals[1][second]
     u, _, vt = np.linalg.svd(np.einsum("kpi,kpj->kij", a, b))
@@ -203,7 +207,7 @@ def _agreement(target: list[Plane], source: list[Plane], T: Array) -> Array:
     return np.asarray(np.max(same * np.sqrt(sizes), axis=2, initial=0.0).sum(axis=1))
 
 
-def _known(stage: Stage, others: list[Stage]) -> bool:
+def _known(stage: PoseEstimate, others: list[PoseEstimate]) -> bool:
     """Tell whether a pose is that of one of others."""
     if not others:
         return False
@@ -226,10 +230,10 @@ def _within(limits: tuple[float, float], T: Array, other: Array) -> bool:
 
 
 def _different(poses: Array, rank: Array) -> list[Array]:
-    """The `JUDGED` best ranked poses of which no two are alike."""
+    """The `MAX_SCORED_POSES` best ranked poses of which no two are alike."""
     kept: list[Array] = []
     rest = poses[np.argsort(-rank, kind="stable")]
-    while len(rest) and len(kept) < JUDGED:
+    while len(rest) and len(kept) < MAX_SCORED_POSES:
         best = rest[0]
         kept.append(best)
         alike = _alike(rest, best)
@@ -238,7 +242,7 @@ def _different(poses: Array, rank: Array) -> list[Array]:
     return kept
 
 
-def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
+def refine(target: list[Plane], source: list[Plane], T: Array) -> PoseEstimate | None:
     """Lay the points of matched planes on each other's planes, by Gauss-Newton with Huber weights.
 
     Minimises ``Σ (n_t · (R p_s + t) + d_t)² + Σ (n_s · Rᵀ (p_t − t) + d_s)²`` over the points of
@@ -246,7 +250,7 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
 
     Returns
     -------
-    Stage or None
+    PoseEstimate or None
         None where the planes that are one under ``T`` are not three independent ones.
     """
     rms = 0.0
@@ -263,7 +267,7 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
         normals = np.array([target[i].normal for i, _ in pairs]).reshape(-1, 3)
         if len(pairs) < 3 or independence(normals) < MIN_INDEPENDENCE:
             return None
-        for _ in range(ITERATIONS):
+        for _ in range(REFINE_ITERATIONS):
             residuals, jacobian = _residuals(target, source, pairs, T)
             weight = np.minimum(1.0, ROBUST / np.maximum(np.abs(residuals), 1e-12))
             weighted = jacobian * weight[:, None]
@@ -274,7 +278,7 @@ def refine(target: list[Plane], source: list[Plane], T: Array) -> Stage | None:
             if np.linalg.norm(step) < 1e-6:
                 break
         rms = float(np.sqrt(np.mean(_residuals(target, source, pairs, T)[0] ** 2)))
-    return Stage(T, None, rms)
+    return PoseEstimate(T, None, rms)
 
 
 def _residuals(
@@ -305,11 +309,13 @@ class Surroundings:
     @classmethod
     def of(cls, cloud: PointCloud) -> Surroundings:
         """Thin a cloud and sort it."""
-        points = thin(cloud.xyz, VOXEL)
-        return cls(points[:: 1 + len(points) // SAMPLE], cKDTree(points), range_image(cloud))
+        points = voxel_downsample(cloud.xyz, SCORING_VOXEL_PLANES)
+        return cls(
+            points[:: 1 + len(points) // SCORING_SAMPLE], cKDTree(points), range_image(cloud)
+        )
 
 
-def judge_pose(target: Surroundings, source: Surroundings, stage: Stage) -> Judged:
+def score_pose(target: Surroundings, source: Surroundings, stage: PoseEstimate) -> ScoredPose:
     """Hear the surroundings on a pose: overlap less contradiction, the mean of both directions."""
     overlaps, contradictions = [], []
     T = stage.T_target_source
@@ -317,23 +323,23 @@ def judge_pose(target: Surroundings, source: Surroundings, stage: Stage) -> Judg
         (target, se3.apply(T, source.sample)),
         (source, se3.apply(se3.inverse(T), target.sample)),
     ):
-        distance = one.tree.query(moved, distance_upper_bound=NEAR)[0]
+        distance = one.tree.query(moved, distance_upper_bound=OVERLAP_WITHIN)[0]
         overlaps.append(float(np.mean(np.isfinite(distance))))
-        contradictions.append(contradiction(one.image, moved))
+        contradictions.append(free_space_violation(one.image, moved))
     overlap = float(np.mean(overlaps))
-    return Judged(stage, overlap, overlap - CONTRADICTION * float(np.mean(contradictions)))
+    return ScoredPose(stage, overlap, overlap - VIOLATION_WEIGHT * float(np.mean(contradictions)))
 
 
-def _chosen(judged: list[Judged]) -> Stage:
+def _chosen(judged: list[ScoredPose]) -> PoseEstimate:
     """Give the best pose, or refuse where it is not good, or not better than all others."""
     best, *others = sorted(judged, key=lambda j: -j.score)
     T = best.stage.T_target_source
-    others = [j for j in others if not _within(APART, T, j.stage.T_target_source)]
+    others = [j for j in others if not _within(DIFFERENT_POSE, T, j.stage.T_target_source)]
     if best.score < MIN_SCORE:
         raise Refusal(
             "no_overlap",
             f"under the best of {len(judged)} matches of planes {100 * best.overlap:.0f} % of the "
-            f"points have a neighbour in the other cloud within {NEAR:g} m, and the score less "
+            f"points have a neighbour in the other cloud within {OVERLAP_WITHIN:g} m, and the score less "
             f"what the other LiDAR looked through is {best.score:.2f}, {MIN_SCORE:g} is needed; "
             "record where both LiDARs see the same planes",
             {"overlap": best.overlap, "score": best.score, "needed": MIN_SCORE},

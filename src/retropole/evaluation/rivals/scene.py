@@ -9,17 +9,17 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ... import se3
-from ...datatypes import Array, PointCloud, Stage
+from ...datatypes import Array, PointCloud, PoseEstimate
 from ...errors import Refusal
-from ...scene.registration import CORES, MIN_POINTS, prepare, register
+from ...scene.registration import CORES, MIN_CLOUD_POINTS, prepare, register
 
-VOXEL = 0.2
+REGISTRATION_VOXEL = 0.2
 """Clouds are thinned to one point per cube of this side, metres."""
 
-MAX_ITERATIONS = 30
+MAX_REGISTRATION_ITERATIONS = 30
 """From a start that is nearly right; a third of them is what it takes."""
 
-NEAR = 0.3
+RESIDUAL_WITHIN = 0.3
 """Points with a neighbour of the other cloud within this distance count in the residual, metres."""
 
 
@@ -30,8 +30,8 @@ def register_scene(
     *,
     method: Literal["ICP", "GICP"],
     reaches: Sequence[float],
-    max_iterations: int = MAX_ITERATIONS,
-) -> Stage:
+    max_iterations: int = MAX_REGISTRATION_ITERATIONS,
+) -> PoseEstimate:
     """Register two clouds from a start, with ever closer correspondences.
 
     Parameters
@@ -49,9 +49,9 @@ def register_scene(
 
     Returns
     -------
-    Stage
+    PoseEstimate
         The pose, and the RMS distance of source points from their nearest target points, of those
-        that have one within `NEAR`.
+        that have one within `RESIDUAL_WITHIN`.
 
     Raises
     ------
@@ -60,7 +60,10 @@ def register_scene(
         each other, ``not_converged`` where the iterations run out, ``registration_failed`` where
         the result is not finite.
     """
-    surfaces = prepare(target.xyz, VOXEL, threads=CORES), prepare(source.xyz, VOXEL, threads=CORES)
+    surfaces = (
+        prepare(target.xyz, REGISTRATION_VOXEL, threads=CORES),
+        prepare(source.xyz, REGISTRATION_VOXEL, threads=CORES),
+    )
     T = T_start
     for reach in reaches:
         result = register(
@@ -75,13 +78,13 @@ def register_scene(
         )
     tree = cKDTree(surfaces[0].xyz)
     moved = se3.apply(T, surfaces[1].xyz)
-    distance = tree.query(moved, distance_upper_bound=NEAR, workers=CORES)[0]
+    distance = tree.query(moved, distance_upper_bound=RESIDUAL_WITHIN, workers=CORES)[0]
     near = distance[np.isfinite(distance)]
-    if len(near) < MIN_POINTS:
+    if len(near) < MIN_CLOUD_POINTS:
         raise Refusal(
             "no_overlap",
-            f"{len(near)} of {len(moved)} points end within {NEAR:g} m of the other cloud, "
-            f"{MIN_POINTS} are needed; {method} needs a better start or clouds that overlap",
-            {"points": len(near), "needed": MIN_POINTS},
+            f"{len(near)} of {len(moved)} points end within {RESIDUAL_WITHIN:g} m of the other cloud, "
+            f"{MIN_CLOUD_POINTS} are needed; {method} needs a better start or clouds that overlap",
+            {"points": len(near), "needed": MIN_CLOUD_POINTS},
         )
-    return Stage(T, None, float(np.sqrt(np.mean(near**2))))
+    return PoseEstimate(T, None, float(np.sqrt(np.mean(near**2))))
