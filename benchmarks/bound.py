@@ -72,7 +72,7 @@ def run(job: tuple[int, Noise, int]) -> list[tuple[float, float, float]]:
     """e_rt of the paper's estimator, of ours, and of a draw from the bound, for each trial."""
     seed, noise, trials = job
     rng = np.random.default_rng([seed, 1])
-    pair = simulate_pair("paper", np.random.default_rng(seed), nuisances=EXACT)
+    pair = simulate_pair("paper", np.random.default_rng(seed), noise=EXACT)
     T = pair.T_target_source
     limit = np.zeros((6, 6)) if noise == "none" else bound(pair, noise, rng)
     errors = []

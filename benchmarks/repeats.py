@@ -32,11 +32,11 @@ def run(job: tuple[str, int]) -> tuple[float, float]:
     scene = ("corridor", "street", "harbor")[seed % 3]
     if kind == "placements":
         pairs = [simulate_pair(scene, rng)]
-        pairs += [place_again(pairs[0], rng, nuisances=TYPICAL) for _ in range(3)]
+        pairs += [place_again(pairs[0], rng, noise=TYPICAL) for _ in range(3)]
         one = calibrate(pairs[0].target, pairs[0].source, scene=False)
         all_of_them = calibrate([p.target for p in pairs], [p.source for p in pairs], scene=False)
     else:
-        pairs = [simulate_pair(scene, rng, nuisances=ONLY_NOISE, frames=10)]
+        pairs = [simulate_pair(scene, rng, noise=ONLY_NOISE, frames=10)]
         target, source = pairs[0].target, pairs[0].source
         one = calibrate(first_frame(target), first_frame(source), scene=False)
         all_of_them = calibrate(target, source, scene=False)

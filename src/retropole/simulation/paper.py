@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .. import se3
 from ..datatypes import Array
 from .raycast import Cylinder
-from .scanning import NoiseModel
+from .scanning import EXACT
 from .scenes import TAPE
 
 PAPER_RADIUS = 0.02
-PAPER_NOISE = NoiseModel(0.0, 0.006, 0.0, False, 0.0, 0.0, 0.0)
-"""Zero-mean Gaussian of 6 mm in each coordinate, and nothing else."""
+"""Of the paper's poles, metres."""
+
+PAPER_NOISE = replace(EXACT, isotropic_noise=0.006)
+"""Zero-mean Gaussian noise with σ = 6 mm in each coordinate, and nothing else."""
 
 PAPER_POLE_LENGTH = 6.0
-"""Centred on z = 0. The paper names none; with poles of 2 m, which a person carries, its estimator
-comes to the error that was measured at its set-up, with 6 m it is a sixth better, with 1 m half as
-bad again."""
+"""Centred on z = 0, metres. The paper states none. With poles of 2 m, which a person can carry, its
+estimator ends with the error that was measured at its set-up; with 6 m the error is a sixth
+smaller, with 1 m half as large again."""
+
+PAPER_DISTANCES = 2.0, 3.0
+"""Least and greatest ‖p‖ of the axis points, metres."""
+
+PAPER_SPACING = 1.5, 4.0
+"""Least and greatest ‖p_a − p_b‖, metres."""
+
+PAPER_MIN_UPRIGHT = 0.9
+"""n_z of each axis is greater than this."""
 
 _LIDARS = (
     (np.array([0.094, 0.079, 0.094, 0.988]), np.array([1.0, -1.0, 0.0])),
@@ -27,7 +40,7 @@ _LIDARS = (
 
 
 def lidar_poses() -> tuple[Array, Array]:
-    """Poses (4, 4) of the target and the source LiDAR in the world."""
+    """Poses (4, 4) of the target and the source LiDAR in the world frame."""
     target, source = (se3.from_quaternion_xyzw(q, t) for q, t in _LIDARS)
     return target, source
 
@@ -35,19 +48,22 @@ def lidar_poses() -> tuple[Array, Array]:
 def draw_poles(rng: np.random.Generator, radius: float = PAPER_RADIUS) -> list[Cylinder]:
     """Draw the two poles: n_z > 0.9, axis points in z = 0 with 2 ≤ ‖p‖ ≤ 3, 1.5 to 4 m apart.
 
-    The paper also places both points in the y axis, which contradicts these distances: they are
-    drawn anywhere in z = 0.
+    The paper also places both points on the y axis, which contradicts these distances. Here they
+    are drawn anywhere in z = 0. Both loops repeat until a draw fits: two in five pairs of points
+    and one axis in twenty do.
     """
+    near, far = PAPER_DISTANCES
+    closest, farthest = PAPER_SPACING
     while True:
         bearing = rng.uniform(0, 2 * np.pi, 2)
-        distance = np.sqrt(rng.uniform(2.0**2, 3.0**2, 2))
+        distance = np.sqrt(rng.uniform(near**2, far**2, 2))
         points = np.stack([distance * np.cos(bearing), distance * np.sin(bearing), 0 * bearing], 1)
-        if 1.5 <= np.linalg.norm(points[0] - points[1]) <= 4.0:
+        if closest <= np.linalg.norm(points[0] - points[1]) <= farthest:
             break
     poles = []
     for point in points:
         axis = np.zeros(3)
-        while axis[2] <= 0.9:
+        while axis[2] <= PAPER_MIN_UPRIGHT:
             axis = rng.normal(size=3)
             axis /= np.linalg.norm(axis)
         poles.append(Cylinder(point, axis, radius, PAPER_POLE_LENGTH, TAPE))

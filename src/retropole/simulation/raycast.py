@@ -9,17 +9,21 @@ import numpy as np
 
 from ..datatypes import Array, IntArray
 
+BEAM_MARGIN = 0.2
+"""Added to the bounding radius of a cylinder, metres: the edge of a beam hits it too, and half of 3
+mrad, a common divergence, is 0.15 m at 100 m."""
+
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface looks to a LiDAR.
+    """How a surface reflects the light of a LiDAR.
 
     Attributes
     ----------
     reflectance
         Diffuse reflectance, 0 to 1.
     retro
-        Whether it is retro-reflective: near saturation from most angles.
+        Whether it is retro-reflective: returns near saturation at most angles of incidence.
     """
 
     reflectance: float = 0.4
@@ -28,50 +32,77 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Rectangle:
-    """A flat rectangle: centre, two unit vectors along its sides, and half its sides in metres."""
+    """A flat rectangle.
+
+    Attributes
+    ----------
+    centre
+        (3,) metres.
+    u, v
+        (3,) unit vectors along its sides.
+    half_sides
+        Half of each side, metres.
+    material
+        Of its surface.
+    """
 
     centre: Array
     u: Array
     v: Array
-    half: tuple[float, float]
+    half_sides: tuple[float, float]
     material: Material
 
     @property
-    def bound(self) -> float:
-        """Radius of a sphere about the centre that holds it, metres."""
-        return float(np.hypot(*self.half))
+    def bounding_radius(self) -> float:
+        """Radius of a sphere about the centre that contains it, metres."""
+        return float(np.hypot(*self.half_sides))
 
-    def meet(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
-        """Range (N,) to the surface, infinite where missed, and cosine of incidence (N,)."""
+    def intersect(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
+        """Range (N,) to the surface, infinite for no hit, and cosine of incidence (N,)."""
         normal = np.cross(self.u, self.v)
         cosine = rays @ normal
         with np.errstate(divide="ignore", invalid="ignore"):
             ranges = ((self.centre - origin) @ normal) / cosine
             at = origin + ranges[:, None] * rays - self.centre
-            hit = (ranges > 0) & (np.abs(at @ self.u) <= self.half[0])
-            hit &= np.abs(at @ self.v) <= self.half[1]
+            hit = (ranges > 0) & (np.abs(at @ self.u) <= self.half_sides[0])
+            hit &= np.abs(at @ self.v) <= self.half_sides[1]
         return np.where(hit, ranges, np.inf), np.abs(cosine)
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box: centre, axes as columns of a rotation (3, 3), and half its sides (3,) in metres."""
+    """A box.
+
+    Attributes
+    ----------
+    centre
+        (3,) metres.
+    axes
+        (3, 3) rotation whose columns are the directions of its sides.
+    half_sides
+        (3,) half of each side, metres.
+    material
+        Of its surface.
+    """
 
     centre: Array
     axes: Array
-    half: Array
+    half_sides: Array
     material: Material
 
     @property
-    def bound(self) -> float:
-        """Radius of a sphere about the centre that holds it, metres."""
-        return float(np.linalg.norm(self.half))
+    def bounding_radius(self) -> float:
+        """Radius of a sphere about the centre that contains it, metres."""
+        return float(np.linalg.norm(self.half_sides))
 
-    def meet(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
-        """Range (N,) to the surface, infinite where missed, and cosine of incidence (N,)."""
+    def intersect(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
+        """Range (N,) to the surface, infinite for no hit, and cosine of incidence (N,)."""
         start, direction = (origin - self.centre) @ self.axes, rays @ self.axes
         with np.errstate(divide="ignore", invalid="ignore"):
-            low, high = (-self.half - start) / direction, (self.half - start) / direction
+            low, high = (
+                (-self.half_sides - start) / direction,
+                (self.half_sides - start) / direction,
+            )
         enter = np.minimum(low, high)
         side = np.argmax(enter, axis=1)
         first = np.take_along_axis(enter, side[:, None], 1)[:, 0]
@@ -83,7 +114,19 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A cylinder without caps: centre, unit axis, radius and length in metres."""
+    """A cylinder without end caps.
+
+    Attributes
+    ----------
+    centre
+        (3,) middle of its axis, metres.
+    axis
+        (3,) unit vector.
+    radius, length
+        Metres.
+    material
+        Of its surface.
+    """
 
     centre: Array
     axis: Array
@@ -92,15 +135,15 @@ class Cylinder:
     material: Material
 
     @property
-    def bound(self) -> float:
-        """Radius of a sphere about the centre that holds it, metres."""
-        return float(np.hypot(self.radius, self.length / 2)) + 0.2
+    def bounding_radius(self) -> float:
+        """Radius of a sphere about the centre that contains it and the edge of a beam, metres."""
+        return float(np.hypot(self.radius, self.length / 2)) + BEAM_MARGIN
 
-    def meet(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
-        """Range (N,) to the surface, infinite where missed, and cosine of incidence (N,).
+    def intersect(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
+        """Range (N,) to the surface, infinite for no hit, and cosine of incidence (N,).
 
-        A beam of some width returns from a cylinder that its middle misses by less than half of
-        the width there; the range is then that of the closest part of the cylinder's edge.
+        A beam with a divergence hits the cylinder if its centre line passes by less than half of
+        the beam's width there. The range is then that of the closest approach.
         """
         start = origin - self.centre
         ray_along, start_along = rays @ self.axis, float(start @ self.axis)
@@ -111,13 +154,13 @@ class Cylinder:
         c = float(start_across @ start_across)
         with np.errstate(divide="ignore", invalid="ignore"):
             closest = -b / a
-            miss = np.sqrt(np.maximum(c - b * b / a, 0.0))
-            chord = np.sqrt(np.maximum(self.radius**2 - miss**2, 0.0) / a)
+            distance = np.sqrt(np.maximum(c - b * b / a, 0.0))
+            chord = np.sqrt(np.maximum(self.radius**2 - distance**2, 0.0) / a)
             ranges = closest - chord
-            hit = miss <= self.radius + 0.5 * divergence * np.maximum(closest, 0.0)
+            hit = distance <= self.radius + 0.5 * divergence * np.maximum(closest, 0.0)
             along = start_along + ranges * ray_along
             hit &= (ranges > 0) & (np.abs(along) <= self.length / 2)
-            cosine = np.sqrt(np.maximum(1 - (miss / self.radius) ** 2, 0.0)) * np.sqrt(a)
+            cosine = np.sqrt(np.maximum(1 - (distance / self.radius) ** 2, 0.0)) * np.sqrt(a)
         return np.where(hit, ranges, np.inf), np.where(hit, cosine, 0.0)
 
 
@@ -126,7 +169,17 @@ Surface = Rectangle | Box | Cylinder
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What each ray met first: range (infinite for nothing), surface (−1), cosine of incidence."""
+    """The first surface that each ray hits.
+
+    Attributes
+    ----------
+    ranges
+        (N,) metres; infinite where a ray hits nothing.
+    surface
+        (N,) index of the surface; −1 where a ray hits nothing.
+    cosine
+        (N,) of the angle of incidence.
+    """
 
     ranges: Array
     surface: IntArray
@@ -134,7 +187,7 @@ class Hits:
 
 
 def cast(origin: Array, rays: Array, surfaces: Sequence[Surface], divergence: float = 0.0) -> Hits:
-    """Cast rays from one origin and keep the nearest surface of each.
+    """Cast rays from one origin and find the nearest surface on each.
 
     Parameters
     ----------
@@ -143,9 +196,9 @@ def cast(origin: Array, rays: Array, surfaces: Sequence[Surface], divergence: fl
     rays
         (N, 3) unit directions.
     surfaces
-        What there is to hit.
+        Everything that a ray can hit.
     divergence
-        Full angle of the beams, rad; it matters to cylinders only.
+        Full angle of the beams, rad. Only cylinders, which may be thinner than a beam, use it.
     """
     ranges = np.full(len(rays), np.inf)
     surface = np.full(len(rays), -1, dtype=np.int64)
@@ -153,15 +206,15 @@ def cast(origin: Array, rays: Array, surfaces: Sequence[Surface], divergence: fl
     for k, body in enumerate(surfaces):
         toward = body.centre - origin
         distance = float(np.linalg.norm(toward))
-        # Only rays inside the cone about the bounding sphere can hit.
-        if distance > body.bound:
-            cone = np.sqrt(1 - (body.bound / distance) ** 2)
+        # Only rays inside the cone around the bounding sphere can hit.
+        if distance > body.bounding_radius:
+            cone = np.sqrt(1 - (body.bounding_radius / distance) ** 2)
             rows = np.flatnonzero(rays @ (toward / distance) >= cone)
         else:
             rows = np.arange(len(rays))
         if len(rows) == 0:
             continue
-        found, incidence = body.meet(origin, rays[rows], divergence)
+        found, incidence = body.intersect(origin, rays[rows], divergence)
         nearer = found < ranges[rows]
         rows = rows[nearer]
         ranges[rows], surface[rows], cosine[rows] = found[nearer], k, incidence[nearer]

@@ -1,4 +1,9 @@
-"""Places to calibrate in: surfaces, poles, and where the LiDARs stand."""
+"""Places to calibrate in: surfaces, poles, and where the LiDARs stand.
+
+The numbers inside the functions describe what is drawn, in metres and radians: sizes of things and
+where they stand. They are chosen by eye after real corridors, streets and quays, and no law
+depends on them. Constants at the head are limits that a drawn arrangement must keep.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +20,39 @@ from .raycast import Box, Cylinder, Material, Rectangle, Surface
 TAPE = Material(0.9, retro=True)
 PLASTER, ASPHALT, METAL, BARK = Material(0.7), Material(0.2), Material(0.5), Material(0.3)
 UP = np.array([0.0, 0.0, 1.0])
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+"""Rotation by 180° about the vertical."""
 
 MAX_POLE_DRAWS = 200
-"""Draws of leans, and of feet, before a place is given up."""
+"""Draws of axes, and of feet, before `draw_poles` gives up a place."""
+
+MAX_LEAN = float(np.radians(35.0))
+"""Of a pole from the vertical, rad (chosen)."""
+
+POLE_SPACING = 1.2, 6.0
+"""Least and greatest distance between the feet of two poles, metres (chosen)."""
+
+MAX_POLE_X = 3.0
+"""Poles stand within this distance of the middle along x, metres, in a long place too."""
+
+POLE_LENGTHS = 1.8, 2.5
+"""Least and greatest length of the taped part, metres: what a person carries."""
+
+FOOT_HEIGHT = 0.05
+"""Height above the ground at which the tape starts, metres (chosen)."""
+
+LIDAR_HEIGHTS = 0.5, 2.0
+"""Least and greatest height of a LiDAR, metres: on a robot, on a mast."""
+
+POLE_DISTANCES = 2.2, 8.0
+"""Least and greatest horizontal distance of a LiDAR from a pole, metres (chosen around the 5 m of
+Xue et al. 2019)."""
+
+TILT_SIGMA = float(np.radians(7.0))
+"""1 σ of the roll and pitch of a LiDAR, rad (chosen)."""
+
+UPSIDE_DOWN = 1 / 6
+"""Share of the LiDARs that hang upside down (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +62,7 @@ class Surroundings:
     Attributes
     ----------
     surfaces
-        What stands there, the ground included.
+        Everything that stands there, the ground included.
     clear
         (2,) half extents in x and y, metres, of the middle that is kept clear for poles and LiDARs.
     """
@@ -66,7 +101,7 @@ def _sign(at: Array, yaw: float) -> list[Surface]:
 
 
 def _vest(at: Array, yaw: float) -> list[Surface]:
-    """A person with two retro-reflective bands about the body."""
+    """A person with two retro-reflective bands around the body."""
     bands = [
         _box(np.array([at[0], at[1], z]), np.array([0.24, 0.14, 0.025]), yaw, TAPE)
         for z in (1.05, 1.3)
@@ -95,21 +130,21 @@ def _car(at: Array, yaw: float) -> list[Surface]:
 def corridor(rng: np.random.Generator) -> Surroundings:
     """Draw a corridor: two walls, two ends, a ceiling, door niches, pillars and boxes."""
     half_width, half_length = rng.uniform(1.6, 2.6), rng.uniform(7, 13)
-    height, shift = rng.uniform(2.5, 3.2), rng.uniform(-3, 3)
+    height, middle = rng.uniform(2.5, 3.2), rng.uniform(-3, 3)
     x, y = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     surfaces: list[Surface] = [_ground(PLASTER)]
     surfaces.append(Rectangle(np.array([0, 0, height]), x, y, (60, 60), PLASTER))
     for side in (-1, 1):
-        wall = np.array([shift, side * half_width, height / 2])
+        wall = np.array([middle, side * half_width, height / 2])
         surfaces.append(_wall(wall, x, (half_length, height / 2), PLASTER))
-        end = np.array([shift + side * half_length, 0, height / 2])
+        end = np.array([middle + side * half_length, 0, height / 2])
         surfaces.append(_wall(end, y, (half_width, height / 2), PLASTER))
     for _ in range(rng.integers(5, 10)):
-        side, at = rng.choice([-1, 1]), shift + rng.uniform(-0.95, 0.95) * half_length
+        side, at = rng.choice([-1, 1]), middle + rng.uniform(-0.95, 0.95) * half_length
         depth, width, tall = rng.uniform(0.05, 0.3), rng.uniform(0.2, 0.9), rng.uniform(0.4, height)
         centre = np.array([at, side * (half_width - depth), tall / 2])
         surfaces.append(_box(centre, np.array([width, depth, tall / 2]), 0.0, METAL))
-    return Surroundings(surfaces, (half_length - abs(shift) - 0.5, half_width - 0.75))
+    return Surroundings(surfaces, (half_length - abs(middle) - 0.5, half_width - 0.75))
 
 
 def street(rng: np.random.Generator) -> Surroundings:
@@ -181,13 +216,29 @@ def draw_poles(
     angles: tuple[float, float],
     radius: float,
 ) -> list[Cylinder] | None:
-    """Draw taped poles on the ground, leaning up to 35°, all pairs apart by ``angles`` (rad).
+    """Draw taped poles on the ground that lean by up to `MAX_LEAN`.
 
-    None where `MAX_POLE_DRAWS` draws give no such poles.
+    Parameters
+    ----------
+    rng
+        Draws them.
+    count
+        How many.
+    clear
+        Half extents of the ground on which they stand, metres.
+    angles
+        Least and greatest angle between any two of them, rad.
+    radius
+        Metres.
+
+    Returns
+    -------
+    list of Cylinder or None
+        None where `MAX_POLE_DRAWS` draws give no such poles.
     """
     i, j = np.triu_indices(count, 1)
     for _ in range(MAX_POLE_DRAWS):
-        lean = rng.uniform(0, np.radians(35), count)
+        lean = rng.uniform(0, MAX_LEAN, count)
         toward = rng.uniform(0, 2 * np.pi, count)
         axes = np.stack(
             [np.sin(lean) * np.cos(toward), np.sin(lean) * np.sin(toward), np.cos(lean)], axis=1
@@ -198,58 +249,58 @@ def draw_poles(
     else:
         return None
     for _ in range(MAX_POLE_DRAWS):
-        feet = rng.uniform(-1, 1, (count, 2)) * (min(clear[0], 3.0), clear[1])
+        feet = rng.uniform(-1, 1, (count, 2)) * (min(clear[0], MAX_POLE_X), clear[1])
         gaps = np.linalg.norm(feet[i] - feet[j], axis=1)
-        if np.all((gaps >= 1.2) & (gaps <= 6.0)):
+        if np.all((gaps >= POLE_SPACING[0]) & (gaps <= POLE_SPACING[1])):
             break
     else:
         return None
-    lengths = rng.uniform(1.8, 2.5, count)
+    lengths = rng.uniform(*POLE_LENGTHS, count)
     return [
-        Cylinder(np.r_[foot, 0.05] + axis * length / 2, axis, radius, float(length), TAPE)
+        Cylinder(np.r_[foot, FOOT_HEIGHT] + axis * length / 2, axis, radius, float(length), TAPE)
         for foot, axis, length in zip(feet, axes, lengths, strict=True)
     ]
 
 
 def symmetric_poles(rng: np.random.Generator, radius: float) -> list[Cylinder]:
-    """Draw two poles that a half turn about the vertical lays on each other."""
+    """Draw two poles that a rotation by 180° about the vertical maps onto each other."""
     lean, toward = np.radians(rng.uniform(9, 20)), rng.uniform(0, 2 * np.pi)
     axis = np.array([np.sin(lean) * np.cos(toward), np.sin(lean) * np.sin(toward), np.cos(lean)])
     foot = rng.uniform(0.8, 1.5) * np.array([np.cos(toward + 1.2), np.sin(toward + 1.2)])
-    turn = np.diag([-1.0, -1.0, 1.0])
-    first = np.r_[foot, 0.05] + 1.1 * axis
+    first = np.r_[foot, FOOT_HEIGHT] + 1.1 * axis
     return [
         Cylinder(first, axis, radius, 2.2, TAPE),
-        Cylinder(turn @ first, turn @ axis, radius, 2.2, TAPE),
+        Cylinder(HALF_TURN @ first, HALF_TURN @ axis, radius, 2.2, TAPE),
     ]
 
 
-def half_turned(surfaces: list[Surface]) -> list[Surface]:
-    """Turn surfaces by half a turn about the vertical through the origin."""
-    turn = np.diag([-1.0, -1.0, 1.0])
-    turned: list[Surface] = []
+def rotated_by_180(surfaces: list[Surface]) -> list[Surface]:
+    """Rotate surfaces by 180° about the vertical through the origin."""
+    rotated: list[Surface] = []
     for s in surfaces:
+        centre = HALF_TURN @ s.centre
         if isinstance(s, Rectangle):
-            turned.append(Rectangle(turn @ s.centre, turn @ s.u, turn @ s.v, s.half, s.material))
+            u, v = HALF_TURN @ s.u, HALF_TURN @ s.v
+            rotated.append(Rectangle(centre, u, v, s.half_sides, s.material))
         elif isinstance(s, Box):
-            turned.append(Box(turn @ s.centre, turn @ s.axes, s.half, s.material))
+            rotated.append(Box(centre, HALF_TURN @ s.axes, s.half_sides, s.material))
         else:
-            turned.append(Cylinder(turn @ s.centre, turn @ s.axis, s.radius, s.length, s.material))
-    return turned
+            rotated.append(Cylinder(centre, HALF_TURN @ s.axis, s.radius, s.length, s.material))
+    return rotated
 
 
 def draw_lidar(
     rng: np.random.Generator, poles: list[Cylinder], clear: tuple[float, float]
 ) -> Array | None:
-    """Draw a pose (4, 4) within 2.2 to 8 m of every pole, or None where this draw has none.
+    """Draw a pose (4, 4) within `POLE_DISTANCES` of every pole; None where this draw has none.
 
-    Mostly roughly upright, a sixth upside down, at any heading.
+    Mostly roughly upright, some upside down, at any heading.
     """
-    place = np.r_[rng.uniform(-1, 1, 2) * clear, rng.uniform(0.5, 2.0)]
+    place = np.r_[rng.uniform(-1, 1, 2) * clear, rng.uniform(*LIDAR_HEIGHTS)]
     distance = [float(np.linalg.norm((pole.centre - place)[:2])) for pole in poles]
-    if min(distance) < 2.2 or max(distance) > 8.0:
+    if min(distance) < POLE_DISTANCES[0] or max(distance) > POLE_DISTANCES[1]:
         return None
-    tilt = np.r_[rng.normal(0, np.radians(7), 2), rng.uniform(0, 2 * np.pi)]
-    if rng.uniform() < 1 / 6:
+    tilt = np.r_[rng.normal(0, TILT_SIGMA, 2), rng.uniform(0, 2 * np.pi)]
+    if rng.uniform() < UPSIDE_DOWN:
         tilt[0] += np.pi
     return se3.from_rt(np.asarray(Rotation.from_euler("xyz", tilt).as_matrix()), place)

@@ -1,0 +1,37 @@
+"""Simulated pairs as files that the command line reads."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from ..files import write_atomically
+from ..io import write_pcd
+from .pairs import SimulatedPair
+
+
+def write_pair(pair: SimulatedPair, out: Path) -> None:
+    """Write ``lidar0.pcd`` (target), ``lidar1.pcd`` (source) and ``truth.json`` to a folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_pcd(out / "lidar0.pcd", pair.target)
+    write_pcd(out / "lidar1.pcd", pair.source)
+    truth = {
+        "T_target_source": pair.T_target_source.tolist(),
+        "T_world_target": pair.T_world_target.tolist(),
+        "T_world_source": pair.T_world_source.tolist(),
+        "target": "lidar0.pcd",
+        "source": "lidar1.pcd",
+        "sensors": [sensor.name for sensor in pair.sensors],
+        "poles": [
+            {
+                "point_world_m": pole.centre.tolist(),
+                "direction_world": pole.axis.tolist(),
+                "radius_m": pole.radius,
+                "length_m": pole.length,
+                "returns_target": returns[0],
+                "returns_source": returns[1],
+            }
+            for pole, returns in zip(pair.poles, pair.returns_on_poles, strict=True)
+        ],
+    }
+    write_atomically(out / "truth.json", json.dumps(truth, indent=1).encode() + b"\n")

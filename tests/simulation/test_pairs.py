@@ -1,0 +1,130 @@
+"""Pairs: their truth is true, both LiDARs see every pole, and equal generators give equal pairs."""
+
+import click
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.cli.simulate import simulate
+from retropole.errors import UsageError
+from retropole.simulation import (
+    EXACT,
+    SCENES,
+    SimulatedPair,
+    SimulationError,
+    place_again,
+    record_again,
+    simulate_pair,
+)
+from retropole.simulation.pairs import MIN_RETURNS
+from retropole.simulation.scanning import NoiseModel
+from retropole.simulation.scenes import SURROUNDINGS
+from tests.simulation.surfaces import distance_from
+
+
+def assert_exact(pair: SimulatedPair) -> None:
+    """Check that the points of an exact pair lie on the surfaces of their labels."""
+    for cloud, labels, T in (
+        (pair.target, pair.labels[0], pair.T_world_target),
+        (pair.source, pair.labels[1], pair.T_world_source),
+    ):
+        world = se3.apply(T, cloud.xyz)
+        for k, surface in enumerate(pair.surfaces):
+            assert distance_from(surface, world[labels == k]).max(initial=0.0) < 1e-8
+    np.testing.assert_allclose(
+        pair.T_world_target @ pair.T_target_source, pair.T_world_source, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_exact_scans_lie_on_their_surfaces(scene: str) -> None:
+    assert_exact(simulate_pair(scene, np.random.default_rng(2), noise=EXACT))
+
+
+@pytest.mark.parametrize("scene", sorted(SURROUNDINGS))
+def test_scenes_are_what_was_asked_for(scene: str) -> None:
+    for seed in range(5):
+        pair = simulate_pair(scene, np.random.default_rng(seed), poles=3)
+        axes = np.array([pole.axis for pole in pair.poles])
+        i, j = np.triu_indices(3, 1)
+        angles = np.arccos(np.abs(np.sum(axes[i] * axes[j], axis=1)))
+        assert angles.min() >= np.radians(15)
+        assert min(min(counts) for counts in pair.returns_on_poles) >= MIN_RETURNS
+        assert pair.sees_every_pole
+        assert pair.surfaces == (*pair.surroundings, *pair.poles)
+
+
+def test_equal_generators_give_equal_pairs() -> None:
+    one, two = (simulate_pair("street", np.random.default_rng(4)) for _ in range(2))
+    np.testing.assert_array_equal(one.target.xyz, two.target.xyz)
+    np.testing.assert_array_equal(one.T_target_source, two.T_target_source)
+    other = simulate_pair("street", np.random.default_rng(5))
+    assert not np.array_equal(one.T_target_source, other.T_target_source)
+
+
+def test_every_frame_is_labelled() -> None:
+    pair = simulate_pair("street", np.random.default_rng(1), frames=3)
+    assert pair.target.frame is not None
+    assert np.unique(pair.target.frame).tolist() == [0, 1, 2]
+    assert len(pair.labels[0]) == len(pair.target)
+
+
+def test_wide_beams_return_from_the_edges_of_poles() -> None:
+    counts = [
+        simulate_pair(
+            "paper",
+            np.random.default_rng(6),
+            noise=NoiseModel(0, 0, 0, beam_width=wide, ring_bias=0, retro_bias=0),
+        ).returns_on_poles
+        for wide in (False, True)
+    ]
+    assert np.all(np.array(counts[1]) > np.array(counts[0]))
+
+
+def test_a_rosette_has_no_rings() -> None:
+    pair = simulate_pair("bare", np.random.default_rng(1), sensor_source="Mid-360", frames=20)
+    assert pair.source.ring is None
+    assert pair.target.ring is not None
+
+
+@pytest.mark.parametrize("scene", ["corridor", "paper"])
+def test_poles_in_other_places_leave_all_else_as_it_was(scene: str) -> None:
+    rng = np.random.default_rng(7)
+    pair = simulate_pair(scene, rng, noise=EXACT)
+    again = place_again(pair, rng, noise=EXACT)
+    assert_exact(again)
+    assert again.sees_every_pole
+    assert again.surroundings == pair.surroundings
+    np.testing.assert_array_equal(again.T_target_source, pair.T_target_source)
+    for pole, other in zip(pair.poles, again.poles, strict=True):
+        assert np.linalg.norm(pole.centre - other.centre) > 1e-3
+        assert pole.radius == other.radius
+
+
+def test_a_second_recording_is_of_the_same_place() -> None:
+    rng, step = np.random.default_rng(8), np.array([0.01, 0.0, 0.02, 0.1, 0.0, -0.05])
+    pair = simulate_pair("harbor", rng, noise=EXACT)
+    still = record_again(pair, rng, noise=EXACT)
+    np.testing.assert_allclose(still.T_target_source, pair.T_target_source, atol=1e-12)
+    assert still.poles == pair.poles
+    moved = record_again(pair, rng, moved=step, poles=False, noise=EXACT)
+    assert_exact(moved)
+    assert moved.surfaces == pair.surroundings
+    np.testing.assert_allclose(
+        se3.local(pair.T_target_source, moved.T_target_source), step, atol=1e-9
+    )
+
+
+def test_impossible_demands_are_named() -> None:
+    with pytest.raises(UsageError, match="street"):
+        simulate_pair("moon", np.random.default_rng(0))
+    with pytest.raises(UsageError, match="no sensor"):
+        simulate_pair("street", np.random.default_rng(0), sensor_target="eye")
+    with pytest.raises(SimulationError, match="2 poles"):
+        simulate_pair("street", np.random.default_rng(0), min_pole_angle=float(np.radians(80)))
+
+
+def test_the_command_offers_every_scene() -> None:
+    offered = next(each.type for each in simulate.params if each.name == "scene")
+    assert isinstance(offered, click.Choice)
+    assert set(offered.choices) == set(SCENES)
