@@ -12,7 +12,7 @@ from tests.paths import PACKAGE
 
 LAYERS = (
     # Ground: what all share.
-    *("se3", "errors", "datatypes", "files", "sensors", "uncertainty"),
+    *("reasons", "se3", "errors", "files", "sensors", "uncertainty", "datatypes"),
     # The steps: a match is solved by alignment, and the scene judges matches.
     *("io", "extraction", "alignment", "matching", "scene"),
     # The method and its answer.

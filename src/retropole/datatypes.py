@@ -1,23 +1,30 @@
-"""What the steps hand to each other: frozen data classes over arrays.
+"""What the steps hand to each other: frozen data classes over arrays, in metres and radians.
 
-Frames: every cloud, pole and ray is in the frame of its own LiDAR unless a name says otherwise.
-Units: metres, radians.
+Every cloud, pole and ray is in the frame of its own LiDAR unless a name says otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import se3
+from .errors import Refusal
+from .reasons import Code
+from .se3 import PoseDifference
+from .sensors import Sensor
+from .uncertainty import WeakDirection
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+PER_POINT = ("intensity", "ring", "time", "frame")
+"""Fields of a cloud that have one value per point, or are None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +38,7 @@ class PointCloud:
     intensity
         (N,) float64 on the sensor's own scale, or None where the file has none.
     ring
-        (N,) int64 beam index, or None.
+        (N,) int64 index of the ring (laser channel), or None.
     time
         (N,) float64 seconds, or None.
     frame
@@ -58,25 +65,21 @@ class PointCloud:
         """Check that all arrays are as long as `xyz`."""
         if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
             raise ValueError(f"xyz must be (N, 3), is {self.xyz.shape}")
-        for name in ("intensity", "ring", "time", "frame"):
+        for name in PER_POINT:
             value = getattr(self, name)
             if value is not None and value.shape != (len(self.xyz),):
                 raise ValueError(f"{name} must be ({len(self.xyz)},), is {value.shape}")
 
-    def __len__(self) -> int:
-        """Count the points."""
+    def __len__(self) -> int:  # noqa: D105
         return len(self.xyz)
 
     def select(self, index: BoolArray | IntArray) -> PointCloud:
         """Keep the points of a mask or index array (points, not `dropped`, are re-counted)."""
-        return replace(
-            self,
-            xyz=self.xyz[index],
-            intensity=None if self.intensity is None else self.intensity[index],
-            ring=None if self.ring is None else self.ring[index],
-            time=None if self.time is None else self.time[index],
-            frame=None if self.frame is None else self.frame[index],
-        )
+        kept: dict[str, Any] = {"xyz": self.xyz[index]}
+        for name in PER_POINT:
+            value = getattr(self, name)
+            kept[name] = None if value is None else value[index]
+        return replace(self, **kept)
 
     def transformed(self, T_new_old: Array) -> PointCloud:
         """Express the cloud, its beam origin included, in another frame."""
@@ -89,7 +92,7 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class Pole:
-    """One pole seen by one LiDAR: a line, and the points on it (M2).
+    """One pole seen by one LiDAR: a line, and the points on it.
 
     Attributes
     ----------
@@ -99,13 +102,14 @@ class Pole:
         (3,) unit vector; its sign means nothing.
     xyz
         (N, 3) the returns on the pole. They lie on its surface, facing the sensor, so the line
-        fitted to them runs about π r/4 in front of the axis (M6).
+        fitted to them runs about π r/4 in front of the axis (docs/method.md, A line is not the
+        axis).
     length
         Extent of the points along the line, metres.
     rms
         Root mean square distance of the points from the line, metres.
     rings
-        How many beams (rings) hit it.
+        How many rings of the LiDAR hit it.
     index
         (N,) index of the points in their cloud.
     """
@@ -125,25 +129,21 @@ class RejectedCluster:
 
     Attributes
     ----------
-    index
-        (N,) index of its points in their cloud.
-    centre
-        (3,) centroid, metres.
-    code
-        Stable reason: ``too_few_points``, ``too_few_rings``, ``too_short``, ``too_wide``, …
-    reason
-        The same in words and numbers.
+    index, centre
+        (N,) index of its points in their cloud, and (3,) their centroid, metres.
+    code, reason
+        One of `reasons.cluster` or ``too_few_points``; the same in words and numbers.
     """
 
     index: IntArray
     centre: Array
-    code: str
+    code: Code
     reason: str
 
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """All that `extraction.extract_poles` found in one cloud.
+    """All that `extraction.poles.extract_poles` found in one cloud.
 
     Attributes
     ----------
@@ -154,9 +154,9 @@ class Detection:
     threshold
         Intensity from which a return counts as retro-reflective, on the sensor's own scale.
     threshold_source
-        Where the threshold comes from: ``given``, ``sensor VLP-16``, ``auto``.
+        Where it comes from: ``given``, ``VLP-16``, ``auto: …``.
     retro_points
-        How many points passed the threshold.
+        How many points passed it.
     """
 
     poles: tuple[Pole, ...]
@@ -168,7 +168,7 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """One way of laying the source poles on the target poles (M4).
+    """One way of laying the source poles on the target poles (Xue et al. 2019, Fig. 4).
 
     Attributes
     ----------
@@ -181,6 +181,8 @@ class Match:
     exact
         Whether the lines themselves fit: one of the four of the Klein group, or a match of three
         or more poles.
+    converged
+        Whether the solver came to rest.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -189,39 +191,40 @@ class Match:
     T_target_source: Array
     pole_rms: float
     exact: bool
+    converged: bool
     information: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A match of the poles, and what the scene says of it (M5).
+    """A match of the poles, and what the scene says of it (Xue et al. 2019, Tab. III).
 
     Attributes
     ----------
     match
-        The pairs of poles and the pose they give.
+        The pairs of poles and their pose.
     icp_rotation, icp_translation
         The paper's e_r, rad, and e_t, m: how far ICP moves from here; None where too few points
-        lie near the target for ICP to say anything.
+        lie near the target for ICP.
     overlap
         Share of the points with a neighbour in the other cloud, 0 to 1.
-    free_space
+    free_space_violation
         Share of the points that stand where the other LiDAR looked through, 0 to 1.
     score
-        What the hypotheses are ranked by, larger is better.
+        Overlap less free-space violation; the hypotheses are ranked by it.
     """
 
     match: Match
     icp_rotation: float | None
     icp_translation: float | None
     overlap: float
-    free_space: float
+    free_space_violation: float
     score: float
 
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """A pose and how sure it is.
+    """A pose and its covariance.
 
     Attributes
     ----------
@@ -230,7 +233,7 @@ class PoseEstimate:
     covariance
         (6, 6) over ``[φ_x φ_y φ_z δ_x δ_y δ_z]``, rad and m, target axes; None where not known.
     rms
-        Root mean square residual of the stage, metres.
+        Root mean square residual of what it was estimated from, metres.
     """
 
     T_target_source: Array
@@ -239,73 +242,53 @@ class PoseEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class Scan:
+    """What one LiDAR recorded of one placement of the poles, and what was found in it.
+
+    Attributes
+    ----------
+    cloud
+        The cloud that was used: of several frames, without dynamic points.
+    sensor
+        What recorded it; None where not known.
+    detection, refusal
+        What was found; or, where the cloud cannot be searched for poles, why.
+    """
+
+    cloud: PointCloud
+    sensor: Sensor | None = None
+    detection: Detection | None = None
+    refusal: Refusal | None = None
+
+    @property
+    def poles(self) -> tuple[Pole, ...]:
+        """Poles found in it."""
+        return self.detection.poles if self.detection else ()
+
+
+@dataclass(frozen=True, eq=False)
 class Placement:
-    """One placement of the poles: what both LiDARs recorded, and what was found in it.
+    """One placement of the poles, as both LiDARs recorded it.
 
     Attributes
     ----------
     target, source
-        The clouds that were used: of several frames, without what moved.
-    found
-        The detection in the target and in the source, as far as it came to that.
+        What each LiDAR recorded.
     left_out
-        How far the poles' pose lies from that without this placement, rad and m; None where it is
-        the only one, or where the rest gives no pose.
+        How far the poles' pose lies from that without this placement; None where it is the only
+        one, or where the others give no pose.
     """
 
-    target: PointCloud
-    source: PointCloud
-    found: tuple[Detection | None, Detection | None] = (None, None)
-    left_out: tuple[float, float] | None = None
-
-    @property
-    def target_poles(self) -> tuple[Pole, ...]:
-        """Poles found in the target."""
-        return self.found[0].poles if self.found[0] else ()
-
-    @property
-    def source_poles(self) -> tuple[Pole, ...]:
-        """Poles found in the source."""
-        return self.found[1].poles if self.found[1] else ()
-
-    def with_detection(self, side: int, detection: Detection) -> Placement:
-        """Add what was found in the target (side 0) or the source (1)."""
-        found = (detection, self.found[1]) if side == 0 else (self.found[0], detection)
-        return replace(self, found=found)
-
-    def with_left_out(self, apart: tuple[float, float]) -> Placement:
-        """Add how far the pose lies from that without this placement."""
-        return replace(self, left_out=apart)
-
-
-@dataclass(frozen=True, eq=False)
-class WeakDirection:
-    """The direction in which a pose is least sure, at the poles.
-
-    Attributes
-    ----------
-    direction
-        (3,) unit vector, target axes.
-    sigma
-        1 σ of where the poles lie along it, metres.
-    words
-        The direction, and how far it may be off, for a person.
-    condition
-        Ratio of the largest to the least 1 σ of the six directions of the pose, in metres at the
-        poles (a turn counts by how far it moves what is 10 m away).
-    """
-
-    direction: Array
-    sigma: float
-    words: str
-    condition: float
+    target: Scan
+    source: Scan
+    left_out: PoseDifference | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Reason:
     """Why a verdict is not a plain ok: a stable code, words with numbers, and the numbers."""
 
-    code: str
+    code: Code
     message: str
     values: Mapping[str, float | int | str]
 
@@ -325,7 +308,7 @@ class Calibration:
     covariance
         (6, 6) over ``[φ, δ]``, rad and m, target axes; None when refused.
     poles, refined
-        The pose from the poles alone, and with the scene; None where a stage was not reached.
+        The pose from the poles alone, and with the scene; None where it did not come to that.
     hypotheses
         All ways of laying the poles on each other, the chosen one first.
     margin
@@ -333,7 +316,7 @@ class Calibration:
     predicted_error
         (range, 1 σ error of a point at that range), metres; empty when refused.
     weakest
-        The direction in which the pose is least sure; None when refused.
+        The direction in which the pose is least certain; None when refused.
     placements
         What was recorded and found, one for each placement of the poles.
     seconds
@@ -352,8 +335,3 @@ class Calibration:
     weakest: WeakDirection | None
     placements: tuple[Placement, ...]
     seconds: Mapping[str, float]
-
-    @property
-    def detections(self) -> tuple[Detection | None, Detection | None]:
-        """What was found in the target and in the source of the first placement."""
-        return self.placements[0].found if self.placements else (None, None)

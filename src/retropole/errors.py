@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from .reasons import Code
+
 
 class RetropoleError(Exception):
     """Base of all errors raised by retropole."""
@@ -14,7 +16,7 @@ class ReadError(RetropoleError):
 
 
 class UsageError(RetropoleError):
-    """An argument or option that makes no sense, said in the caller's words."""
+    """An argument or option that makes no sense; the message uses the caller's words."""
 
 
 class MissingExtraError(RetropoleError):
@@ -29,7 +31,7 @@ class MissingExtraError(RetropoleError):
     """
 
     def __init__(self, extra: str, purpose: str) -> None:
-        super().__init__(f"{purpose} needs an optional part: pip install 'retropole[{extra}]'")
+        super().__init__(f"{purpose} needs an extra: pip install 'retropole[{extra}]'")
         self.extra = extra
 
 
@@ -39,7 +41,7 @@ class Refusal(RetropoleError):
     Parameters
     ----------
     code
-        Stable machine-readable reason, for example ``too_few_poles``.
+        Stable machine-readable reason, of the tables in `reasons`.
     message
         The reason in numbers, and what the user can do about it.
     values
@@ -47,13 +49,13 @@ class Refusal(RetropoleError):
     """
 
     def __init__(
-        self, code: str, message: str, values: Mapping[str, float | int | str] | None = None
+        self, code: Code, message: str, values: Mapping[str, float | int | str] | None = None
     ) -> None:
         super().__init__(message)
-        self.code = code
+        self.code: Code = code
         self.message = message
         self.values = dict(values or {})
 
-    def __reduce__(self) -> tuple[type[Refusal], tuple[str, str, dict[str, float | int | str]]]:
+    def __reduce__(self) -> tuple[type[Refusal], tuple[Code, str, dict[str, float | int | str]]]:
         """Rebuild from all three, so that a refusal gets across processes."""
         return Refusal, (self.code, self.message, self.values)

@@ -5,21 +5,29 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from . import se3
 from .alignment.adjustment import BeamAlignment, align_beams
 from .alignment.observations import beams_of
-from .datatypes import Calibration, Hypothesis, Placement, PointCloud, Pole, Reason
+from .datatypes import Array, Calibration, Hypothesis, Placement, PointCloud, Reason, Scan
 from .errors import Refusal
 from .extraction.poles import extract_poles
-from .matching.correspondence import match_poles
-from .matching.placements import merged, recurring
-from .matching.prior import RotationPrior, agreeing
-from .scene.disambiguation import judge
-from .scene.refinement import refine
+from .matching import correspondence
+from .matching.placements import (
+    PairedPlacement,
+    PlacementHypotheses,
+    PlacementMatches,
+    merged,
+    rank_joint_hypotheses,
+    recurring,
+)
+from .matching.prior import RotationPrior, agreeing_with_prior
+from .scene import disambiguation
+from .scene.refinement import Refinement, refine
 from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .uncertainty import predicted_error, weakest_direction
@@ -27,9 +35,6 @@ from .verdict import check_choice, margin_of, weaknesses
 
 DEFAULT_RADIUS = 0.02
 """Radius of the taped poles, metres (Xue et al. 2019)."""
-
-Pairing = tuple[list[Pole], list[Pole]]
-"""The poles of a placement that the chosen hypothesis pairs: the target's, the source's."""
 
 
 def calibrate(
@@ -53,7 +58,7 @@ def calibrate(
         The two clouds, each in its own frame; both need an intensity. Or as many clouds of each as
         there were placements of the poles, in the same order: one pose is found for all.
     radius, radius_sigma
-        Radius of the poles and its 1 σ, metres; a radius that is not known for sure is estimated.
+        Radius of the poles and its 1 σ, metres; a radius that is not known exactly is estimated.
     sensors
         What the target and the source LiDAR are; None where not known.
     thresholds
@@ -64,7 +69,7 @@ def calibrate(
     scene
         Whether the scene refines the pose that the poles give.
     prior
-        What is known of the rotation; hypotheses that contradict it are passed over.
+        What is known of the rotation; hypotheses that contradict it are left out.
     progress
         Called with the name of each step as it starts.
 
@@ -74,108 +79,185 @@ def calibrate(
         With `status` ``refused``, the reasons and no transform where the data carry no answer;
         never a guess.
     """
+    clouds = zip(_each(target), _each(source), strict=True)
+    (sensor_target, sensor_source), (threshold_target, threshold_source) = sensors, thresholds
+    find_target = partial(
+        find_poles, sensor=sensor_target, threshold=threshold_target, radius=radius
+    )
+    find_source = partial(
+        find_poles, sensor=sensor_source, threshold=threshold_source, radius=radius
+    )
+    align_poles = partial(align, radius=radius, radius_sigma=radius_sigma)
     seconds: dict[str, float] = {}
-    placements: list[Placement] = []
+    step = partial(_timed, seconds, progress)
     hypotheses: tuple[Hypothesis, ...] = ()
 
-    @contextmanager
-    def step(name: str) -> Iterator[None]:
-        progress(name)
-        start = time.perf_counter()
-        yield
-        seconds[name] = time.perf_counter() - start
-
-    def align(paired: Sequence[Pairing], start: np.ndarray) -> BeamAlignment:
-        """Align the poles of some placements (their index in `placements` is that in `paired`)."""
-        beams = []
-        for side in (0, 1):
-            standing = [(pole, k) for k, pair in enumerate(paired) for pole in pair[side]]
-            clouds = [(placements[k].target, placements[k].source)[side] for _, k in standing]
-            beams.append(beams_of([pole for pole, _ in standing], clouds, sensors[side]))
-        return align_beams(beams[0], beams[1], start, radius=radius, radius_sigma=radius_sigma)
-
     # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the way.
-    one_thread = threadpool_limits(1, user_api="blas")
-    try:
+    with threadpool_limits(1, user_api="blas"):
         with step("extract"):
-            for cloud_target, cloud_source in zip(_each(target), _each(source), strict=True):
-                here = Placement(
-                    remove_dynamic_points(cloud_target), remove_dynamic_points(cloud_source)
-                )
-                placements.append(here)
-                for side, cloud in enumerate((here.target, here.source)):
-                    found = extract_poles(
-                        cloud, sensor=sensors[side], threshold=thresholds[side], radius=radius
-                    )
-                    here = placements[-1] = here.with_detection(side, found)
-                    check_static(("target", "source")[side], cloud, found.poles)
-        with step("match"):
-            matches = [
-                agreeing(match_poles(p.target_poles, p.source_poles, poles), prior)
-                for p in placements
-            ]
-        with step("disambiguate"):
-            judged = [
-                judge(p.target, p.source, m) for p, m in zip(placements, matches, strict=True)
-            ]
-            hypotheses = judged[0]
-            choices = recurring(judged, [p.source_poles for p in placements])
-            joint = [choice.joint for choice in choices]
-            left = [h for h in judged[0] if all(h.match is not j.match for j in joint)]
-            hypotheses = tuple(joint + (left if len(placements) == 1 else []))
-            check_choice(hypotheses)
-            paired: list[Pairing] = [
-                (
-                    [p.target_poles[i] for i, _ in h.match.pairs],
-                    [p.source_poles[j] for _, j in h.match.pairs],
-                )
-                for p, h in zip(placements, choices[0].each, strict=True)
-            ]
-        with step("align"):
-            aligned = align(paired, hypotheses[0].match.T_target_source)
-            placements = _left_out(placements, paired, aligned, align)
-        with step("refine"):
-            refined = (
-                refine(
-                    merged([p.target for p in placements]),
-                    merged([p.source for p in placements]),
-                    aligned.stage,
-                )
-                if scene
-                else None
-            )
+            placements = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
+        try:
+            check_poles(placements)
+            with step("match"):
+                matched = [match_poles(placement, poles, prior) for placement in placements]
+            with step("disambiguate"):
+                scored = [score_hypotheses(each) for each in matched]
+                hypotheses = scored[0].hypotheses
+                choices = recurring(scored)
+                hypotheses = rank_joint_hypotheses(choices, scored)
+                check_choice(hypotheses)
+                paired = choices[0].paired
+            with step("align"):
+                aligned = align_poles(paired, hypotheses[0].match.T_target_source)
+                placements = leave_one_out(paired, aligned, align_poles)
+            with step("refine"):
+                refined = refine_by_scene(placements, aligned) if scene else None
+        except Refusal as refusal:
+            return refused(refusal, placements, hypotheses, seconds)
+    return answered(paired, placements, hypotheses, aligned, refined, seconds)
+
+
+def find_poles(
+    cloud: PointCloud, *, sensor: Sensor | None, threshold: float | None, radius: float
+) -> Scan:
+    """Find the poles in a cloud; of several frames, without what moved.
+
+    Never raises a refusal: the scan holds it, and `check_poles` raises it, so that what was found
+    elsewhere is not lost.
+    """
+    static = remove_dynamic_points(cloud)
+    try:
+        detection = extract_poles(static, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
-        return Calibration(
-            status="refused",
-            reasons=(Reason(refusal.code, refusal.message, refusal.values),),
-            T_target_source=None,
-            covariance=None,
-            poles=None,
-            refined=None,
-            hypotheses=hypotheses,
-            margin=margin_of(hypotheses),
-            predicted_error=(),
-            weakest=None,
-            placements=tuple(placements),
-            seconds=seconds,
-        )
-    finally:
-        one_thread.restore_original_limits()
-    answer = aligned.stage if refined is None else refined.stage
-    weakest = weakest_direction(answer, aligned.axis_points, aligned.axis_directions)
-    reasons = weaknesses(paired, hypotheses, aligned, sensors, weakest, refined)
+        return Scan(static, sensor, None, refusal)
+    return Scan(static, sensor, detection)
+
+
+def check_poles(placements: Sequence[Placement]) -> None:
+    """Refuse clouds that could not be searched, and poles that moved while they were recorded.
+
+    Raises
+    ------
+    Refusal
+        ``no_intensity`` or ``moving_pole``.
+    """
+    for placement in placements:
+        for name, scan in (("target", placement.target), ("source", placement.source)):
+            if scan.refusal is not None:
+                raise scan.refusal
+            check_static(name, scan.cloud, scan.poles)
+
+
+def match_poles(
+    placement: Placement, count: int | None, prior: RotationPrior | None
+) -> PlacementMatches:
+    """Find every way of laying the source poles on the target poles that the prior allows."""
+    found = correspondence.match_poles(placement.target.poles, placement.source.poles, count)
+    return PlacementMatches(placement, agreeing_with_prior(found, prior))
+
+
+def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
+    """Score every match of a placement by the scene."""
+    target, source = matched.placement.target.cloud, matched.placement.source.cloud
+    hypotheses = disambiguation.score_hypotheses(target, source, matched.matches)
+    return PlacementHypotheses(matched.placement, hypotheses)
+
+
+def align(
+    paired: Sequence[PairedPlacement], T_start: Array, *, radius: float, radius_sigma: float
+) -> BeamAlignment:
+    """Align the paired poles of all placements by where the beams can have met them."""
+    target = [(pole, each.placement.target.cloud) for each in paired for pole in each.target_poles]
+    source = [(pole, each.placement.source.cloud) for each in paired for pole in each.source_poles]
+    return align_beams(
+        beams_of(target, paired[0].placement.target.sensor),
+        beams_of(source, paired[0].placement.source.sensor),
+        T_start,
+        radius=radius,
+        radius_sigma=radius_sigma,
+    )
+
+
+def leave_one_out(
+    paired: Sequence[PairedPlacement],
+    aligned: BeamAlignment,
+    align_poles: Callable[[Sequence[PairedPlacement], Array], BeamAlignment],
+) -> tuple[Placement, ...]:
+    """Say of each of several placements how the poles' pose differs without it."""
+    if len(paired) < 2:
+        return tuple(each.placement for each in paired)
+    T = aligned.pose.T_target_source
+    found = []
+    for one in paired:
+        try:
+            without = align_poles([each for each in paired if each is not one], T)
+        except Refusal:
+            found.append(one.placement)
+            continue
+        apart = se3.difference(T, without.pose.T_target_source)
+        found.append(replace(one.placement, left_out=apart))
+    return tuple(found)
+
+
+def refine_by_scene(placements: Sequence[Placement], aligned: BeamAlignment) -> Refinement | None:
+    """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
+    return refine(
+        merged([placement.target.cloud for placement in placements]),
+        merged([placement.source.cloud for placement in placements]),
+        aligned.pose,
+    )
+
+
+def answered(
+    paired: Sequence[PairedPlacement],
+    placements: tuple[Placement, ...],
+    hypotheses: tuple[Hypothesis, ...],
+    aligned: BeamAlignment,
+    refined: Refinement | None,
+    seconds: dict[str, float],
+) -> Calibration:
+    """State the answer: its pose, what error to expect, and what makes it weak."""
+    pose = aligned.pose if refined is None else refined.pose
+    assert pose.covariance is not None
+    weakest = weakest_direction(
+        pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
+    )
+    reasons = tuple(weaknesses(paired, hypotheses, aligned, weakest, refined))
     return Calibration(
         status="warn" if reasons else "ok",
-        reasons=tuple(reasons),
-        T_target_source=answer.T_target_source,
-        covariance=answer.covariance,
-        poles=aligned.stage,
-        refined=None if refined is None else refined.stage,
+        reasons=reasons,
+        T_target_source=pose.T_target_source,
+        covariance=pose.covariance,
+        poles=aligned.pose,
+        refined=None if refined is None else refined.pose,
         hypotheses=hypotheses,
         margin=margin_of(hypotheses),
-        predicted_error=predicted_error(answer.covariance),
+        predicted_error=predicted_error(pose.covariance),
         weakest=weakest,
-        placements=tuple(placements),
+        placements=placements,
+        seconds=seconds,
+    )
+
+
+def refused(
+    refusal: Refusal,
+    placements: tuple[Placement, ...],
+    hypotheses: tuple[Hypothesis, ...],
+    seconds: dict[str, float],
+) -> Calibration:
+    """State a refusal, with all that was found before it."""
+    return Calibration(
+        status="refused",
+        reasons=(Reason(refusal.code, refusal.message, refusal.values),),
+        T_target_source=None,
+        covariance=None,
+        poles=None,
+        refined=None,
+        hypotheses=hypotheses,
+        margin=margin_of(hypotheses),
+        predicted_error=(),
+        weakest=None,
+        placements=placements,
         seconds=seconds,
     )
 
@@ -184,24 +266,10 @@ def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
     return [clouds] if isinstance(clouds, PointCloud) else clouds
 
 
-def _left_out(
-    placements: list[Placement],
-    paired: list[Pairing],
-    aligned: BeamAlignment,
-    align: Callable[[Sequence[Pairing], np.ndarray], BeamAlignment],
-) -> list[Placement]:
-    """Say of each of several placements how the poles' pose differs without it."""
-    if len(placements) < 2:
-        return placements
-    T = aligned.stage.T_target_source
-    found = []
-    for k, placement in enumerate(placements):
-        rest: list[Pairing] = [p if j != k else ([], []) for j, p in enumerate(paired)]
-        try:
-            step = se3.local(T, align(rest, T).stage.T_target_source)
-        except Refusal:
-            found.append(placement)
-            continue
-        apart = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
-        found.append(placement.with_left_out(apart))
-    return found
+@contextmanager
+def _timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
+    """Name a step that starts, and note how long it took."""
+    progress(name)
+    start = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - start

@@ -1,39 +1,72 @@
 """The result document: everything that a run found, as one JSON file that other programs read.
 
 Schema ``retropole/result/1``. Metres and radians; 4×4 matrices row by row; poses and covariances
-say in which frame and order they are.
+say in which frame and order they are. The names in the file are a contract: where a field has a
+better name here, the file keeps the old one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
-import numpy as np
 
 from . import __version__
-from .datatypes import (
-    Array,
-    Calibration,
-    Detection,
-    Hypothesis,
-    Placement,
-    Pole,
-    PoseEstimate,
-    WeakDirection,
-)
+from .datatypes import Array, Calibration, Detection, Hypothesis, Placement, Pole, PoseEstimate
+from .uncertainty import WeakDirection
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
 COVARIANCE_FRAME = "target axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
-RANGES_M = (1.0, 10.0, 30.0, 60.0)
 
 Matrix = list[list[float]]
 
 
-class ReasonDoc(msgspec.Struct):
+class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """The options of a run, as the command line takes them.
+
+    Attributes
+    ----------
+    radius_m, radius_sigma_m
+        Radius of the poles and its 1 σ.
+    up, prior_rpy_deg, prior_sigma_deg
+        What is known of the rotation; None where nothing is.
+    poles
+        Exact number of poles; None for any.
+    refine
+        Whether the scene refines the pose.
+    seed
+        Of whatever is drawn at random.
+    threshold_target, threshold_source
+        Thresholds that were asked for; None where the sensor or the cloud decides.
+    sensor_target, sensor_source
+        Sensors by name, or ``auto``.
+    target_topic, source_topic
+        Topics of bags.
+    frames
+        Start, stop and step of the frames that were asked for.
+    """
+
+    radius_m: float = 0.02
+    radius_sigma_m: float = 0.0
+    up: bool = False
+    prior_rpy_deg: tuple[float, float, float] | None = None
+    prior_sigma_deg: float = 10.0
+    poles: int | None = None
+    refine: bool = True
+    seed: int = 0
+    threshold_target: float | None = None
+    threshold_source: float | None = None
+    sensor_target: str = "auto"
+    sensor_source: str = "auto"
+    target_topic: str | None = None
+    source_topic: str | None = None
+    frames: tuple[int | None, int | None, int | None] | None = None
+
+
+class ReasonDoc(msgspec.Struct, frozen=True):
     """Why a verdict is not a plain ok."""
 
     code: str
@@ -41,22 +74,22 @@ class ReasonDoc(msgspec.Struct):
     values: dict[str, float | int | str]
 
 
-class PoseEstimateDoc(msgspec.Struct):
-    """A pose of one stage."""
+class PoseEstimateDoc(msgspec.Struct, frozen=True):
+    """A pose, from the poles or refined."""
 
     T_target_source: Matrix
     covariance: Matrix | None
     rms_m: float
 
 
-class StagesDoc(msgspec.Struct):
-    """The poses on the way."""
+class StagesDoc(msgspec.Struct, frozen=True):
+    """The poses on the way: from the poles alone, and refined by the scene."""
 
     poles: PoseEstimateDoc | None
     refined: PoseEstimateDoc | None
 
 
-class HypothesisDoc(msgspec.Struct):
+class HypothesisDoc(msgspec.Struct, frozen=True):
     """One way of laying the source poles on the target poles."""
 
     pairs: list[tuple[int, int]]
@@ -66,12 +99,12 @@ class HypothesisDoc(msgspec.Struct):
     icp_rotation_rad: float | None
     icp_translation_m: float | None
     overlap: float
-    free_space: float
+    free_space_violation: float = msgspec.field(name="free_space")
     score: float
     chosen: bool
 
 
-class PoleDoc(msgspec.Struct):
+class PoleDoc(msgspec.Struct, frozen=True):
     """One pole as one LiDAR sees it, in that LiDAR's frame."""
 
     point_m: list[float]
@@ -82,8 +115,8 @@ class PoleDoc(msgspec.Struct):
     rms_m: float
 
 
-class RejectedDoc(msgspec.Struct):
-    """A retro-reflective cluster that is no pole."""
+class RejectedDoc(msgspec.Struct, frozen=True):
+    """A retro-reflective cluster that was rejected."""
 
     centre_m: list[float]
     points: int
@@ -91,14 +124,14 @@ class RejectedDoc(msgspec.Struct):
     reason: str
 
 
-class PolesDoc(msgspec.Struct):
+class PolesDoc(msgspec.Struct, frozen=True):
     """The poles of both LiDARs."""
 
     target: list[PoleDoc]
     source: list[PoleDoc]
 
 
-class InputDoc(msgspec.Struct):
+class InputDoc(msgspec.Struct, frozen=True):
     """What was read."""
 
     path: str
@@ -109,15 +142,15 @@ class InputDoc(msgspec.Struct):
     threshold: float | None
 
 
-class ErrorAtRange(msgspec.Struct):
+class ErrorAtRange(msgspec.Struct, frozen=True):
     """Predicted error of a point at a range, 1 sigma."""
 
     range_m: float
     sigma_m: float
 
 
-class WeakestDoc(msgspec.Struct):
-    """The direction in which the pose is least sure, at the poles, target axes."""
+class WeakestDoc(msgspec.Struct, frozen=True):
+    """The direction in which the pose is least certain, at the poles, target axes."""
 
     direction: list[float]
     sigma_m: float
@@ -125,7 +158,7 @@ class WeakestDoc(msgspec.Struct):
     condition: float
 
 
-class PlacementDoc(msgspec.Struct):
+class PlacementDoc(msgspec.Struct, frozen=True):
     """One of several placements: its poles, and how far the pose without it is from the whole."""
 
     poles_target: int
@@ -134,7 +167,7 @@ class PlacementDoc(msgspec.Struct):
     left_out_translation_m: float | None
 
 
-class ResultDoc(msgspec.Struct, kw_only=True):
+class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     """The whole document."""
 
     schema: Literal["retropole/result/1"] = RESULT_SCHEMA
@@ -152,13 +185,18 @@ class ResultDoc(msgspec.Struct, kw_only=True):
     poles: PolesDoc
     placements: list[PlacementDoc] = []
     inputs: list[InputDoc]
-    config: dict[str, Any]
+    config: RunConfig
     version: str
     created: str
     seconds: dict[str, float]
 
+    @property
+    def chosen(self) -> HypothesisDoc | None:
+        """The hypothesis that was chosen; None where the run was refused."""
+        return next((hypothesis for hypothesis in self.hypotheses if hypothesis.chosen), None)
 
-class DetectionDoc(msgspec.Struct):
+
+class DetectionDoc(msgspec.Struct, frozen=True):
     """What `retropole detect` found in one file."""
 
     input: InputDoc
@@ -168,26 +206,30 @@ class DetectionDoc(msgspec.Struct):
     rejected: list[RejectedDoc]
 
 
-def _matrix(value: Array | None) -> Any:
-    return None if value is None else np.asarray(value).tolist()
+def _rows(value: Array) -> Matrix:
+    return [[float(v) for v in row] for row in value]
 
 
-def _stage(stage: PoseEstimate | None) -> PoseEstimateDoc | None:
-    if stage is None:
+def _pose(pose: PoseEstimate | None) -> PoseEstimateDoc | None:
+    if pose is None:
         return None
-    return PoseEstimateDoc(_matrix(stage.T_target_source), _matrix(stage.covariance), stage.rms)
+    return PoseEstimateDoc(
+        _rows(pose.T_target_source),
+        None if pose.covariance is None else _rows(pose.covariance),
+        pose.rms,
+    )
 
 
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
     return HypothesisDoc(
         pairs=list(hypothesis.match.pairs),
-        T_target_source=_matrix(hypothesis.match.T_target_source),
+        T_target_source=_rows(hypothesis.match.T_target_source),
         pole_rms_m=hypothesis.match.pole_rms,
         exact=hypothesis.match.exact,
         icp_rotation_rad=hypothesis.icp_rotation,
         icp_translation_m=hypothesis.icp_translation,
         overlap=hypothesis.overlap,
-        free_space=hypothesis.free_space,
+        free_space_violation=hypothesis.free_space_violation,
         score=hypothesis.score,
         chosen=chosen,
     )
@@ -204,8 +246,24 @@ def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
     if len(placements) < 2:
         return []
     return [
-        PlacementDoc(len(p.target_poles), len(p.source_poles), *(p.left_out or (None, None)))
-        for p in placements
+        PlacementDoc(
+            len(each.target.poles),
+            len(each.source.poles),
+            None if each.left_out is None else each.left_out.rotation,
+            None if each.left_out is None else each.left_out.translation,
+        )
+        for each in placements
+    ]
+
+
+def _with_thresholds(inputs: Sequence[InputDoc], placements: Sequence[Placement]) -> list[InputDoc]:
+    """Add the threshold that was used to each input; target and source take turns."""
+    scans = [scan for placement in placements for scan in (placement.target, placement.source)]
+    return [
+        item
+        if scan.detection is None
+        else msgspec.structs.replace(item, threshold=scan.detection.threshold)
+        for item, scan in zip(inputs, scans, strict=True)
     ]
 
 
@@ -242,7 +300,7 @@ def result_document(
     calibration: Calibration,
     *,
     inputs: Sequence[InputDoc],
-    config: dict[str, Any],
+    config: RunConfig,
     seconds: dict[str, float],
 ) -> ResultDoc:
     """Write a calibration as the result document.
@@ -252,35 +310,36 @@ def result_document(
     calibration
         The answer, or the refusal.
     inputs
-        Target and source, as they were read.
+        Target and source of each placement, as they were read.
     config
         The options of the run.
     seconds
         Time of each step, reading included.
     """
     answered = calibration.status != "refused"
-    found = calibration.detections
+    first = calibration.placements[0]
+    T, covariance = calibration.T_target_source, calibration.covariance
     return ResultDoc(
         status=calibration.status,
         reasons=[ReasonDoc(r.code, r.message, dict(r.values)) for r in calibration.reasons],
-        T_target_source=_matrix(calibration.T_target_source),
-        covariance=_matrix(calibration.covariance),
+        T_target_source=None if T is None else _rows(T),
+        covariance=None if covariance is None else _rows(covariance),
         predicted_error=[
             ErrorAtRange(range_m, sigma) for range_m, sigma in calibration.predicted_error
         ]
         or None,
         weakest=_weakest(calibration.weakest),
-        stages=StagesDoc(_stage(calibration.poles), _stage(calibration.refined)),
+        stages=StagesDoc(_pose(calibration.poles), _pose(calibration.refined)),
         hypotheses=[
             _hypothesis(h, answered and k == 0) for k, h in enumerate(calibration.hypotheses)
         ],
         margin=calibration.margin,
         poles=PolesDoc(
-            pole_documents(found[0].poles if found[0] else ()),
-            pole_documents(found[1].poles if found[1] else ()),
+            pole_documents(first.target.poles),
+            pole_documents(first.source.poles),
         ),
         placements=_placements(calibration.placements),
-        inputs=list(inputs),
+        inputs=_with_thresholds(inputs, calibration.placements),
         config=config,
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),

@@ -6,6 +6,8 @@ of the target frame. `retract` and `local` are the two directions of that chart.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -64,9 +66,54 @@ def local(T: Array, T_other: Array) -> Array:
     )
 
 
+class PoseDifference(NamedTuple):
+    """How far two poses are apart: angle of the rotation, rad, and translation, metres."""
+
+    rotation: float
+    translation: float
+
+
+def difference(T: Array, T_other: Array) -> PoseDifference:
+    """Angle, rad, and length, m, of the step that `local` gives."""
+    step = local(T, T_other)
+    return PoseDifference(float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:])))
+
+
+def difference_at(T: Array, T_other: Array, points: Array) -> PoseDifference:
+    """Angle between two poses, rad, and the largest distance of where they put points (N, 3), m."""
+    apart = np.linalg.norm(apply(T, points) - apply(T_other, points), axis=1)
+    angle = rotation_angle(T[:3, :3] @ T_other[:3, :3].T)
+    return PoseDifference(angle, float(apart.max()))
+
+
 def rotation_angle(R: Array) -> float:
     """Angle in radians of a rotation matrix (3, 3)."""
     return float(np.linalg.norm(log_so3(R)))
+
+
+def rpy_from_rotation(R: Array) -> Array:
+    """Roll, pitch and yaw (3,) in radians of a rotation matrix (3, 3).
+
+    About fixed axes, x first, as in ROS and URDF: ``R = R_z(yaw) R_y(pitch) R_x(roll)``. Where the
+    pitch is ± 90° only roll ± yaw is determined; roll is therefore read off what is left of the
+    rotation once the yaw is taken out, so that the three always give the rotation back.
+    """
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    # Second row of R_z(yaw)ᵀ R = R_y(pitch) R_x(roll), which is (0, cos roll, −sin roll).
+    c, s = np.cos(yaw), np.sin(yaw)
+    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return np.array([roll, pitch, yaw])
+
+
+def rotation_from_rpy(rpy: Array) -> Array:
+    """Rotation matrix (3, 3) of roll, pitch and yaw (3,) in radians; see `rpy_from_rotation`."""
+    return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
+
+
+def quaternion_xyzw(R: Array) -> Array:
+    """Unit quaternion ``x y z w`` (4,) of a rotation matrix (3, 3), with w ≥ 0."""
+    return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True))
 
 
 def from_quaternion_xyzw(quaternion: Array, translation: Array) -> Array:

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from .datatypes import Array
 from .errors import UsageError
+from .se3 import Array
 
 PAPER_TABLE_I = "Xue et al. 2019, Table I"
 

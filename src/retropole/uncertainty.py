@@ -2,19 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from . import se3
-from .datatypes import Array, PoseEstimate, WeakDirection
+from .se3 import Array
 
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
 
 LEVER = 10.0
-"""Distance at which a turn is counted beside a shift in the condition number, metres."""
+"""Distance at which a rotation is counted beside a translation in the condition number, metres."""
 
 ALONG = np.cos(np.radians(30.0))
 """A direction within this angle of another goes by its name."""
+
+
+@dataclass(frozen=True, eq=False)
+class WeakDirection:
+    """The direction in which a pose is least certain, at the poles.
+
+    Attributes
+    ----------
+    direction, sigma
+        (3,) unit vector, target axes, and 1 σ of where the poles lie along it, metres.
+    words
+        The direction, and how far it may be off, for a person.
+    condition
+        Ratio of the largest to the least 1 σ of the six directions of the pose, in metres at the
+        poles (a rotation counts by how far it moves a point 10 m away).
+    """
+
+    direction: Array
+    sigma: float
+    words: str
+    condition: float
 
 
 def predicted_error(
@@ -56,11 +79,11 @@ def covariance_at(covariance: Array, T: Array, point: Array) -> Array:
     Parameters
     ----------
     covariance
-        (6, 6) over ``[φ, δ]``, rad and m, target axes: δ is the shift of the source's origin.
+        (6, 6) over ``[φ, δ]``, rad and m, target axes: δ is the translation of the source's origin.
     T
         (4, 4) the pose, target from source.
     point
-        (3,) in the target frame: δ becomes the shift of what is there, ``δ + φ × (point − t)``.
+        (3,) in the target frame: δ becomes the translation of what is there, ``δ + φ × (point − t)``.
     """
     J = np.eye(6)
     J[3:, :3] = -se3.hat(point - T[:3, 3])
@@ -68,20 +91,19 @@ def covariance_at(covariance: Array, T: Array, point: Array) -> Array:
 
 
 def weakest_direction(
-    stage: PoseEstimate, axis_points: Array, axis_directions: Array
+    T: Array, covariance: Array, axis_points: Array, axis_directions: Array
 ) -> WeakDirection:
-    """Name the direction in which the poles' place is least sure.
+    """Name the direction in which it is least certain where the poles are.
 
     Parameters
     ----------
-    stage
-        Pose with its covariance.
+    T, covariance
+        (4, 4) and (6, 6) the pose, target from source, and its covariance.
     axis_points, axis_directions
         (K, 3) the axes of the poles, target frame.
     """
-    assert stage.covariance is not None
     middle = axis_points.mean(axis=0)
-    at = covariance_at(stage.covariance, stage.T_target_source, middle)
+    at = covariance_at(covariance, T, middle)
     values, vectors = np.linalg.eigh(at[3:, 3:])
     direction, sigma = vectors[:, 2], float(np.sqrt(max(values[2], 0.0)))
     # Poles have no sign: their mean direction is that of their scatter.

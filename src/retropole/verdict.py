@@ -7,11 +7,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .alignment.adjustment import BeamAlignment
-from .datatypes import Hypothesis, Pole, Reason, WeakDirection
+from .datatypes import Hypothesis, Pole, Reason, Scan
 from .errors import Refusal
 from .matching.correspondence import widest_angle
+from .matching.placements import PairedPlacement
 from .scene.refinement import Refinement
-from .sensors import Sensor
+from .uncertainty import WeakDirection
 
 RIVAL_OVERLAP = 0.62
 RIVAL_FREE_SPACE_VIOLATION = 0.025
@@ -37,10 +38,10 @@ FEW_POINTS = 12
 """Returns on a pole below which its line is weak."""
 
 FEW_RINGS = 3
-"""Beams on a pole up to which its direction is weak."""
+"""Rings on a pole up to which its direction is weak."""
 
 NOISE_RATIO, ANY_NOISE = 3.0, 0.03
-"""Returns on poles scatter no more than this many times the noise that the sensor's maker states,
+"""Returns on poles scatter no more than this many times the noise that the manufacturer states,
 or, of a sensor not known, than this, metres."""
 
 WEAK_SIGMA = 0.05
@@ -81,15 +82,16 @@ def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
         raise Refusal(
             "ambiguous",
             f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
-            f"{best.overlap:.2f} and {rival.overlap:.2f}, contradicted {best.free_space:.3f} and "
-            f"{rival.free_space:.3f}): add a third pole, or move the poles, a car or a box so "
-            "that the surroundings are not symmetric about the poles",
+            f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
+            f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): add a third "
+            "pole, or move the poles, a car or a box so that the surroundings are not symmetric "
+            "about the poles",
             {
                 "rivals": len(rivals),
                 "overlap": best.overlap,
                 "rival_overlap": rival.overlap,
-                "free_space": best.free_space,
-                "rival_free_space": rival.free_space,
+                "free_space": best.free_space_violation,
+                "rival_free_space": rival.free_space_violation,
             },
         )
 
@@ -98,15 +100,15 @@ def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
     return (
         hypothesis.match.exact
         and hypothesis.overlap >= RIVAL_OVERLAP * best.overlap
-        and hypothesis.free_space <= best.free_space + RIVAL_FREE_SPACE_VIOLATION
+        and hypothesis.free_space_violation
+        <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
     )
 
 
 def weaknesses(
-    paired: Sequence[tuple[Sequence[Pole], Sequence[Pole]]],
+    paired: Sequence[PairedPlacement],
     hypotheses: Sequence[Hypothesis],
     aligned: BeamAlignment,
-    sensors: Sequence[Sensor | None],
     weakest: WeakDirection,
     refined: Refinement | None,
 ) -> list[Reason]:
@@ -115,24 +117,23 @@ def weaknesses(
     Parameters
     ----------
     paired
-        Per placement, the poles of the target and of the source that the choice pairs.
+        Every placement, its poles paired by the choice.
     hypotheses
         All hypotheses, the chosen one first.
     aligned
         The poles' pose.
-    sensors
-        What the target and the source are; None where not known.
     weakest
-        The direction in which the answer is least sure.
+        The direction in which the answer is least certain.
     refined
         The pose of poles and scene; None where the scene was not asked, or had nothing to say.
     """
     return [
         *_weak_choice(hypotheses),
         *_weak_poles(paired),
-        *_noisy_poles(aligned, sensors),
+        *_noisy_poles(paired[0], aligned),
         *_weak_pose(aligned, weakest),
         *check_agreement(refined),
+        *_not_converged(aligned, refined),
     ]
 
 
@@ -147,8 +148,10 @@ def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:
         )
 
 
-def _weak_poles(paired: Sequence[tuple[Sequence[Pole], Sequence[Pole]]]) -> Iterator[Reason]:
-    angle = widest_angle([pole for target, _ in paired for pole in target])
+def _weak_poles(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
+    target = [pole for each in paired for pole in each.target_poles]
+    source = [pole for each in paired for pole in each.source_poles]
+    angle = widest_angle(target)
     if angle < WEAK_ANGLE:
         degrees = float(np.degrees(angle))
         yield Reason(
@@ -157,74 +160,106 @@ def _weak_poles(paired: Sequence[tuple[Sequence[Pole], Sequence[Pole]]]) -> Iter
             "or more",
             {"angle_deg": degrees},
         )
-    for side, name in enumerate(("target", "source")):
-        poles = [pole for pair in paired for pole in pair[side]]
-        points, rings = min(len(p.xyz) for p in poles), min(p.rings for p in poles)
-        if points < FEW_POINTS:
-            yield Reason(
-                "few_points",
-                f"a pole has {points} returns from the {name} LiDAR; move it nearer or record "
-                "more frames",
-                {"lidar": name, "points": points},
-            )
-        elif rings <= FEW_RINGS:
-            yield Reason(
-                "few_rings",
-                f"a pole meets {rings} beams of the {name} LiDAR; move it nearer, or take a longer "
-                "one",
-                {"lidar": name, "rings": rings},
-            )
+    yield from _thin_evidence("target", target)
+    yield from _thin_evidence("source", source)
 
 
-def _noisy_poles(aligned: BeamAlignment, sensors: Sequence[Sensor | None]) -> Iterator[Reason]:
-    for name, noise, sensor in zip(("target", "source"), aligned.noise, sensors, strict=True):
-        expected = ANY_NOISE if sensor is None else sensor.range_noise
-        allowed = ANY_NOISE if sensor is None else NOISE_RATIO * sensor.range_noise
-        if noise > allowed:
-            yield Reason(
-                "noisy_poles",
-                f"the {name}'s returns on the poles scatter by {1000 * noise:.0f} mm along the "
-                f"beam, {1000 * allowed:.0f} mm are the most to expect: is --radius right, and "
-                "did the poles stand still?",
-                {"lidar": name, "noise_m": noise, "expected_m": expected},
-            )
+def _thin_evidence(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
+    """Say which LiDAR has little to tell of a pole."""
+    points, rings = min(len(p.xyz) for p in poles), min(p.rings for p in poles)
+    if points < FEW_POINTS:
+        yield Reason(
+            "few_points",
+            f"a pole has {points} returns from the {lidar} LiDAR; move it nearer or record more "
+            "frames",
+            {"lidar": lidar, "points": points},
+        )
+    elif rings <= FEW_RINGS:
+        yield Reason(
+            "few_rings",
+            f"a pole is met by {rings} rings of the {lidar} LiDAR; move it nearer, or use a longer "
+            "one",
+            {"lidar": lidar, "rings": rings},
+        )
+
+
+def _noisy_poles(paired: PairedPlacement, aligned: BeamAlignment) -> Iterator[Reason]:
+    target, source = aligned.noise
+    yield from _noisy("target", paired.placement.target, target)
+    yield from _noisy("source", paired.placement.source, source)
+
+
+def _noisy(lidar: str, scan: Scan, noise: float) -> Iterator[Reason]:
+    """Say which LiDAR's returns on the poles scatter more than its manufacturer's figure allows."""
+    expected = ANY_NOISE if scan.sensor is None else scan.sensor.range_noise
+    allowed = ANY_NOISE if scan.sensor is None else NOISE_RATIO * scan.sensor.range_noise
+    if noise > allowed:
+        yield Reason(
+            "noisy_poles",
+            f"the {lidar}'s returns on the poles scatter by {1000 * noise:.0f} mm along the beam, "
+            f"{1000 * allowed:.0f} mm are the most to expect: is --radius right, and did the poles "
+            "stand still?",
+            {"lidar": lidar, "noise_m": noise, "expected_m": expected},
+        )
 
 
 def _weak_pose(aligned: BeamAlignment, weakest: WeakDirection) -> Iterator[Reason]:
     if weakest.sigma > WEAK_SIGMA:
         yield Reason(
             "weak_direction",
-            f"least sure is {weakest.words} (1 σ); lean the poles more against each other, move "
+            f"least certain is {weakest.words} (1 σ); lean the poles more against each other, move "
             "them nearer, or add a placement",
             {"sigma_m": weakest.sigma, "allowed_m": WEAK_SIGMA, "condition": weakest.condition},
         )
-        assert aligned.stage.covariance is not None
+        assert aligned.pose.covariance is not None
         with_offset, without = (
             float(np.sqrt(np.trace(c[3:, 3:])))
-            for c in (aligned.stage.covariance, aligned.covariance_sure)
+            for c in (aligned.pose.covariance, aligned.covariance_if_known)
         )
         if with_offset > OFFSET_SHARE * without:
             yield Reason(
                 "offset_not_separable",
                 "the returns cannot tell the pose from a range offset that the tape may cause, or "
-                f"from an error of the radius: with these known the poles' pose would be sure to "
-                f"{100 * without:.1f} cm, so it is to {100 * with_offset:.1f} cm; put poles on "
+                f"from an error of the radius: with these known the poles' pose would have 1 σ of "
+                f"{100 * without:.1f} cm, without {100 * with_offset:.1f} cm; put poles on "
                 "different sides of the LiDARs",
                 {"sigma_m": with_offset, "sigma_if_known_m": without},
             )
 
 
 def check_agreement(refined: Refinement | None) -> list[Reason]:
-    """Warn where the scene draws the pose further away than the poles' uncertainty allows."""
-    if refined is None or refined.pull <= MAX_MAHALANOBIS_SQ:
+    """Warn where the scene moves the pose further away than the poles' uncertainty allows."""
+    if refined is None or refined.mahalanobis_sq <= MAX_MAHALANOBIS_SQ:
         return []
+    apart = refined.from_poles
     return [
         Reason(
             "poles_and_scene_disagree",
-            f"the scene draws the pose {1000 * refined.moved:.0f} mm and "
-            f"{np.degrees(refined.turned):.2f}° away from the poles, "
-            f"{np.sqrt(refined.pull / 6):.1f} times what their uncertainty allows: did "
+            f"the scene moves the pose {1000 * apart.translation:.0f} mm and "
+            f"{np.degrees(apart.rotation):.2f}° away from the poles, "
+            f"{np.sqrt(refined.mahalanobis_sq / 6):.1f} times what their uncertainty allows: did "
             "something move between the two recordings, or is --radius wrong?",
-            {"pull": refined.pull, "moved_m": refined.moved, "turned_rad": refined.turned},
+            {
+                "pull": refined.mahalanobis_sq,
+                "moved_m": apart.translation,
+                "turned_rad": apart.rotation,
+            },
         )
     ]
+
+
+def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterator[Reason]:
+    if not aligned.converged:
+        yield Reason(
+            "not_converged",
+            f"the poles' pose still moved after {aligned.iterations} iterations; record more "
+            "frames, or look at what was taken for a pole",
+            {"stage": "poles", "iterations": aligned.iterations},
+        )
+    if refined is not None and not refined.converged:
+        yield Reason(
+            "not_converged",
+            f"the refinement by the scene still moved after {refined.iterations} iterations; "
+            "compare with --no-refine",
+            {"stage": "refined", "iterations": refined.iterations},
+        )

@@ -1,21 +1,21 @@
-"""How beams meet a taped pole, or pass it by: what a return says of the pole's axis (eq. 3–6).
+"""What a return says of the axis of a taped pole, and what a beam says that passed beside it.
 
-Xue et al. 2019 walk along the facing arc of the pole by solving eq. 5 for each step. Here every
-beam is held against the cylinder in closed form, which is exact, and holds for beams off the middle
-too, which sweep a cone and not the plane of eq. 3.
+Xue et al. 2019, eq. 3–6, walk along the facing arc of the pole by solving eq. 5 for each step. Here
+every beam is compared with the cylinder in closed form. That is exact, and covers beams off the
+middle too, which sweep a cone and not the plane of eq. 3.
 
 In the plane across the axis, seen from the LiDAR, a return lies a depth g in front of the axis and
-m beside it. Without noise ``g = √(r² − m²)`` with ``|m| ≤ r``. With noise σ_g in depth and σ_m
-sideways, and beams evenly spaced across the pole,
+has a lateral offset m from it. Without noise ``g = √(r² − m²)`` with ``|m| ≤ r``. With noise σ_g in
+depth and σ_m sideways, and beams evenly spaced across the pole,
 
     p(g, m) = 1/2(r+w) ∫_{−r−w}^{r+w} N(g; √max(r² − x², 0), σ_g²) N(m; x, σ_m²) dx,
 
 the facing half of the circle, blurred; w is how far beside the pole the middle of a wide beam may
-pass and still return from its edge. For σ_m → 0 its logarithm is the squared difference of the
-measured range from that at which the beam meets the pole, and a return whose beam would miss it is
-paid for smoothly in σ_m. A beam that went on to something behind the pole has passed beside it:
+be and still return from its edge. For σ_m → 0 its logarithm is the squared difference of the
+measured range from that at which the beam meets the pole; a return whose beam would miss the pole
+is penalised smoothly in σ_m. A beam that went on to something behind the pole has the likelihood
 
-    P(pass) = 1 − Φ((r + w − m)/σ_m) + Φ((−r − w − m)/σ_m).
+    P(passed) = 1 − Φ((r + w − m)/σ_m) + Φ((−r − w − m)/σ_m).
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
 """Share of returns that may be no part of a pole, and how far from it they may lie, metres."""
 
 LOST = 0.05
-"""Share of the beams on a pole that may return from behind it all the same."""
+"""Share of the beams towards a pole that may return from behind it all the same."""
 
 NODES, EDGE_NODES = 20, 6
 """Of the integral over the arc, and over each edge beside it."""
 
 MAX_SIDEWAYS_SIGMAS = 6.0
-"""What lies further than so many σ_m sideways does not count in the integral."""
+"""The integral leaves out what is further than so many σ_m away sideways: 2e-9 of a normal
+distribution."""
 
 _GAUSS, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(NODES)
 _EDGE, _EDGE_WEIGHT = np.polynomial.legendre.leggauss(EDGE_NODES)
@@ -45,26 +46,26 @@ _EDGE, _EDGE_WEIGHT = np.polynomial.legendre.leggauss(EDGE_NODES)
 
 @dataclass(frozen=True, eq=False)
 class ClosestApproach:
-    """How beams pass an axis, before the radius of the pole comes in.
+    """Where beams come closest to an axis; the radius of the pole plays no part.
 
     Attributes
     ----------
-    nearest
-        (N,) range along the beam at which it is nearest to the axis, metres.
-    miss
+    ranges
+        (N,) range along the beam of the point closest to the axis, metres.
+    lateral_offset
         (N,) signed distance between beam and axis there, metres.
     sine
         (N,) sine of the angle between beam and axis.
-    nearest_axis, miss_axis, sine_axis
+    ranges_by_axis, lateral_offset_by_axis, sine_by_axis
         (N, 6) derivatives with respect to the axis: its point, then its direction.
     """
 
-    nearest: Array
-    miss: Array
+    ranges: Array
+    lateral_offset: Array
     sine: Array
-    nearest_axis: Array
-    miss_axis: Array
-    sine_axis: Array
+    ranges_by_axis: Array
+    lateral_offset_by_axis: Array
+    sine_by_axis: Array
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -76,7 +77,7 @@ def _cross(a: Array, b: Array) -> Array:
 def closest_approach(
     origin: Array, directions: Array, point: Array, axis: Array
 ) -> ClosestApproach:
-    """Pass beams by an axis.
+    """Find where beams come closest to an axis.
 
     Parameters
     ----------
@@ -101,21 +102,21 @@ def closest_approach(
     with np.errstate(divide="ignore", invalid="ignore"):
         sine = np.sqrt(square)
         b = np.sum(w * d, axis=1) - w_axis * cosine
-        nearest = -b / square
-        miss = np.sum(w * _cross(d, n), axis=1) / sine
+        ranges = -b / square
+        lateral_offset = np.sum(w * _cross(d, n), axis=1) / sine
         sine_n = -(cosine / sine)[:, None] * d
         b_q = -d + cosine[:, None] * n
         b_n = -cosine[:, None] * w - w_axis[:, None] * d
-        nearest_q = -b_q / square[:, None]
-        nearest_n = -b_n / square[:, None] + (2 * b / (square * sine))[:, None] * sine_n
-        miss_q = -_cross(d, n) / sine[:, None]
-        miss_n = _cross(w, d) / sine[:, None] - (miss / sine)[:, None] * sine_n
+        ranges_q = -b_q / square[:, None]
+        ranges_n = -b_n / square[:, None] + (2 * b / (square * sine))[:, None] * sine_n
+        lateral_q = -_cross(d, n) / sine[:, None]
+        lateral_n = _cross(w, d) / sine[:, None] - (lateral_offset / sine)[:, None] * sine_n
     return ClosestApproach(
-        nearest,
-        miss,
+        ranges,
+        lateral_offset,
         sine,
-        np.concatenate([nearest_q, nearest_n], axis=1),
-        np.concatenate([miss_q, miss_n], axis=1),
+        np.concatenate([ranges_q, ranges_n], axis=1),
+        np.concatenate([lateral_q, lateral_n], axis=1),
         np.concatenate([np.zeros_like(sine_n), sine_n], axis=1),
     )
 
@@ -150,9 +151,9 @@ class ArcLikelihood:
 
 def arc_likelihood(
     depth: Array,
-    miss: Array,
+    lateral_offset: Array,
     sigma_depth: Array,
-    sigma_miss: Array,
+    sigma_lateral: Array,
     radius: float,
     half_width: Array | float = 0.0,
 ) -> ArcLikelihood:
@@ -160,9 +161,9 @@ def arc_likelihood(
 
     Parameters
     ----------
-    depth, miss
+    depth, lateral_offset
         (N,) g and m, metres.
-    sigma_depth, sigma_miss
+    sigma_depth, sigma_lateral
         (N,) noise of g and m, metres.
     radius
         Of the pole, metres; zero is a line.
@@ -170,21 +171,24 @@ def arc_likelihood(
         (N,) w, metres: half of the beam's width at the pole.
     """
     w = np.broadcast_to(np.asarray(half_width, dtype=np.float64), depth.shape)
-    reach = MAX_SIDEWAYS_SIGMAS * sigma_miss
-    # Nodes over the arc, x = r sin θ, cut to what lies within reach of each return.
-    low = np.clip(miss - reach, -radius, radius - np.minimum(reach, radius))
-    high = np.clip(miss + reach, np.minimum(reach, radius) - radius, radius)
+    span = MAX_SIDEWAYS_SIGMAS * sigma_lateral
+    # Nodes over the arc, x = r sin θ, cut to what lies within span of each return.
+    low = np.clip(lateral_offset - span, -radius, radius - np.minimum(span, radius))
+    high = np.clip(lateral_offset + span, np.minimum(span, radius) - radius, radius)
     safe = max(radius, 1e-9)
     start, end = np.arcsin(low / safe), np.arcsin(high / safe)
     theta = start[:, None] + (end - start)[:, None] * (0.5 + 0.5 * _GAUSS)
     cosine, sine = np.cos(theta), np.sin(theta)
     weight = (end - start)[:, None] * 0.5 * _GAUSS_WEIGHT * cosine
     # A node's place is (r c, r s + offset): on the edges beside the arc c = 0, s = ±1. Weights
-    # depend on r too: `growth` is the derivative of their logarithm, `bend` its own.
+    # depend on r too: the gradient and the curvature of their logarithm are kept beside them.
     offset = np.zeros_like(theta)
     weight = weight * (radius / (2 * (safe + w)))[:, None]
     whole = 1.0 / (safe + w)[:, None]
-    growth, bend = offset + (1 / safe - whole), offset - (1 / safe**2 - whole**2)
+    log_weight_gradient, log_weight_curvature = (
+        offset + (1 / safe - whole),
+        offset - (1 / safe**2 - whole**2),
+    )
     if radius <= 1e-9:
         weight = np.full_like(theta, 1.0 / NODES)
     elif np.any(w > 0):
@@ -195,39 +199,49 @@ def arc_likelihood(
         sine = np.concatenate([sine, flat + 1.0, flat - 1.0], axis=1)
         offset = np.concatenate([offset, beyond, -beyond], axis=1)
         weight = np.concatenate([weight, edge, edge], axis=1)
-        growth = np.concatenate([growth, flat - whole, flat - whole], axis=1)
-        bend = np.concatenate([bend, flat + whole**2, flat + whole**2], axis=1)
-    inverse_depth, inverse_miss = 1.0 / sigma_depth[:, None], 1.0 / sigma_miss[:, None]
+        log_weight_gradient = np.concatenate(
+            [log_weight_gradient, flat - whole, flat - whole], axis=1
+        )
+        log_weight_curvature = np.concatenate(
+            [log_weight_curvature, flat + whole**2, flat + whole**2], axis=1
+        )
+    inverse_depth, inverse_lateral = 1.0 / sigma_depth[:, None], 1.0 / sigma_lateral[:, None]
     off_depth = (radius * cosine - depth[:, None]) * inverse_depth
-    off_miss = (radius * sine + offset - miss[:, None]) * inverse_miss
-    square_depth, square_miss = off_depth**2, off_miss**2
-    exponent = -0.5 * (square_depth + square_miss)
+    off_lateral = (radius * sine + offset - lateral_offset[:, None]) * inverse_lateral
+    square_depth, square_lateral = off_depth**2, off_lateral**2
+    exponent = -0.5 * (square_depth + square_lateral)
     top = exponent.max(axis=1)
     part = weight * np.exp(exponent - top[:, None])
     total = part.sum(axis=1)
     part /= total[:, None]
-    scale = (1 - OUTLIERS) / (2 * np.pi) / (sigma_depth * sigma_miss)
+    scale = (1 - OUTLIERS) / (2 * np.pi) / (sigma_depth * sigma_lateral)
     log_pole = top + np.log(total * scale)
     log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_RADIUS**2)))
     inlier = np.exp(log_pole - log)
     # Derivatives of a node's exponent with respect to g, m, r, and the mean of what they leave.
-    u = np.stack([off_depth * inverse_depth, off_miss * inverse_miss, np.zeros_like(part)], axis=2)
-    u[:, :, 2] = growth - (u[:, :, 0] * cosine + u[:, :, 1] * sine)
+    u = np.stack(
+        [off_depth * inverse_depth, off_lateral * inverse_lateral, np.zeros_like(part)], axis=2
+    )
+    u[:, :, 2] = log_weight_gradient - (u[:, :, 0] * cosine + u[:, :, 1] * sine)
     score = inlier[:, None] * np.einsum("nk,nki->ni", part, u)
     second = -np.matmul((part[:, :, None] * u).transpose(0, 2, 1), u)
     mean = np.stack([part, part * cosine, part * sine, part * cosine**2], axis=2).sum(axis=1)
-    square = inverse_depth[:, 0] ** 2, inverse_miss[:, 0] ** 2
+    square = inverse_depth[:, 0] ** 2, inverse_lateral[:, 0] ** 2
     second[:, 0, 0] += square[0]
     second[:, 1, 1] += square[1]
     second[:, 0, 2] -= mean[:, 1] * square[0]
     second[:, 1, 2] -= mean[:, 2] * square[1]
     second[:, 2, :2] = second[:, :2, 2]
     second[:, 2, 2] += mean[:, 3] * square[0]
-    second[:, 2, 2] += (part * sine**2).sum(axis=1) * square[1] - (part * bend).sum(axis=1)
+    second[:, 2, 2] += (part * sine**2).sum(axis=1) * square[1] - (part * log_weight_curvature).sum(
+        axis=1
+    )
     information = inlier[:, None, None] * second + score[:, :, None] * score[:, None, :]
-    noise = np.stack([(part * square_depth).sum(axis=1), (part * square_miss).sum(axis=1)], axis=1)
+    noise = np.stack(
+        [(part * square_depth).sum(axis=1), (part * square_lateral).sum(axis=1)], axis=1
+    )
     fourth = np.stack(
-        [(part * square_depth**2).sum(axis=1), (part * square_miss**2).sum(axis=1)], axis=1
+        [(part * square_depth**2).sum(axis=1), (part * square_lateral**2).sum(axis=1)], axis=1
     )
     return ArcLikelihood(log, score, information, inlier, noise, fourth - noise**2)
 
@@ -252,13 +266,13 @@ class PassedBeamLikelihood:
 
 
 def passed_beam_likelihood(
-    miss: Array, sigma_miss: Array, radius: float, half_width: Array | float = 0.0
+    lateral_offset: Array, sigma_lateral: Array, radius: float, half_width: Array | float = 0.0
 ) -> PassedBeamLikelihood:
     """Probability that beams passed beside a pole; see the head of this module.
 
     Parameters
     ----------
-    miss, sigma_miss
+    lateral_offset, sigma_lateral
         (N,) m and its noise, metres.
     radius
         Of the pole, metres.
@@ -266,8 +280,11 @@ def passed_beam_likelihood(
         (N,) w, metres. An edge that a wide beam touches may return or not, so the middle of its
         part counts.
     """
-    s = 1.0 / sigma_miss
-    right, left = (radius + half_width - miss) * s, (-radius - half_width - miss) * s
+    s = 1.0 / sigma_lateral
+    right, left = (
+        (radius + half_width - lateral_offset) * s,
+        (-radius - half_width - lateral_offset) * s,
+    )
     density = [np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi) for x in (right, left)]
     keep = 1.0 - LOST
     p = LOST + keep * (1.0 - ndtr(right) + ndtr(left))

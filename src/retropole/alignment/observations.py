@@ -1,4 +1,4 @@
-"""The beams that a LiDAR sent at the poles: those that returned, and those that passed."""
+"""The beams that a LiDAR sent at the poles: those that returned, and those that passed beside."""
 
 from __future__ import annotations
 
@@ -12,15 +12,25 @@ from ..sensors import Sensor
 from .likelihood import closest_approach
 
 RING_BAND = np.radians(0.4)
-"""Returns within a band of elevation of this width are taken as one beam's where rings are not
-known."""
+"""Returns within a band of elevation of this width, rad, are taken for one ring's where rings are
+not known: the widest spacing that sensors of 64 rings and more have."""
 
 DIVERGENCE = 0.003
-"""Full angle of the beams of a sensor that is not known, rad: makers state 1.5 to 8 mrad."""
+"""Full angle of the beams of a sensor that is not known, rad: manufacturers state 1.5 to 8 mrad."""
 
 PASSING, PASSED_BEHIND = 0.015, 0.3
-"""A beam passes a pole within the first distance of its surface, and returns from so far behind it,
-metres."""
+"""A beam passes beside a pole within the first distance of its surface, and returns from so far
+behind it, metres."""
+
+SEARCH_MARGIN = 0.5
+"""Passing beams are looked for so far beyond half the length of a pole, metres."""
+
+NEAREST_PASSED = 0.7
+"""Returns nearer than this part of the pole's range are not looked at: they hide the pole."""
+
+RMS_MARGIN = 2.0
+"""Beams within so many times the pole's rms of its surface count as close: the axis is not known
+better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +44,13 @@ class Beams:
     directions, ranges
         (N, 3) and (N,) of the returns.
     pole, ring
-        (N,) which pole each lies on, and which beam of the LiDAR it came from.
+        (N,) which pole each lies on, and which ring of the LiDAR it came from.
     half_width
-        (N,) half of the beam's width at the return, metres; zero where the sensor is not known.
-    passing, passed
-        (M, 3) directions of beams that went on behind a pole, and (M,) which pole.
-    passing_half_width
+        (N,) half of the beam's width at the return, metres.
+    passed_directions, passed_pole
+        (M, 3) directions of beams that went on behind a pole, and (M,) which pole; none where the
+        sensor is not known.
+    passed_half_width
         (M,) half of their width at the pole.
     """
 
@@ -49,72 +60,66 @@ class Beams:
     pole: IntArray
     ring: IntArray
     half_width: Array
-    passing: Array
-    passed: IntArray
-    passing_half_width: Array
+    passed_directions: Array
+    passed_pole: IntArray
+    passed_half_width: Array
 
 
-def beams_of(
-    poles: Sequence[Pole], clouds: Sequence[PointCloud], sensor: Sensor | None = None
-) -> Beams:
+def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = None) -> Beams:
     """Turn the returns on poles, and those from close behind them, into beams.
 
     Parameters
     ----------
-    poles
-        One LiDAR's poles.
-    clouds
-        The cloud that each pole was found in. All share the beam origin.
+    seen
+        One LiDAR's poles, each with the cloud that it was found in. All clouds share the beam
+        origin.
     sensor
         What recorded them. Where it is known, the width of its beams is, and beams that passed
         close beside a pole are told from those that met its edge.
     """
-    origin = clouds[0].origin
+    origin = seen[0][1].origin
     divergence = DIVERGENCE if sensor is None else sensor.divergence
-    ray = np.concatenate([pole.xyz for pole in poles]) - origin
+    ray = np.concatenate([pole.xyz for pole, _ in seen]) - origin
     ranges = np.linalg.norm(ray, axis=1)
-    own = np.repeat(np.arange(len(poles)), [len(pole.xyz) for pole in poles])
-    if all(cloud.ring is not None for cloud in clouds):
-        ring = np.concatenate(
-            [
-                cloud.ring[pole.index]
-                for pole, cloud in zip(poles, clouds, strict=True)
-                if cloud.ring is not None
-            ]
-        )
+    rings = [None if cloud.ring is None else cloud.ring[pole.index] for pole, cloud in seen]
+    known = [ring for ring in rings if ring is not None]
+    if len(known) == len(rings):
+        ring = np.concatenate(known)
     else:
         ring = np.floor(np.arcsin(ray[:, 2] / ranges) / RING_BAND)
-    beyond = [
-        np.zeros((0, 3)) if sensor is None else _passing(pole, cloud, divergence)
-        for pole, cloud in zip(poles, clouds, strict=True)
+    passed = [
+        np.zeros((0, 3)) if sensor is None else _passed(pole, cloud, divergence)
+        for pole, cloud in seen
     ]
-    passed = np.repeat(np.arange(len(poles)), [len(rays) for rays in beyond])
-    away = np.array([np.linalg.norm(pole.point - origin) for pole in poles])
+    passed_pole = np.repeat(np.arange(len(seen)), [len(rays) for rays in passed])
+    away = np.array([np.linalg.norm(pole.point - origin) for pole, _ in seen])
     return Beams(
         origin=origin,
         directions=ray / ranges[:, None],
         ranges=ranges,
-        pole=own,
+        pole=np.repeat(np.arange(len(seen)), [len(pole.xyz) for pole, _ in seen]),
         ring=np.unique(ring, return_inverse=True)[1].reshape(-1).astype(np.int64),
         half_width=0.5 * divergence * ranges,
-        passing=np.concatenate(beyond),
-        passed=passed,
-        passing_half_width=0.5 * divergence * away[passed],
+        passed_directions=np.concatenate(passed),
+        passed_pole=passed_pole,
+        passed_half_width=0.5 * divergence * away[passed_pole],
     )
 
 
-def _passing(pole: Pole, cloud: PointCloud, divergence: float) -> Array:
+def _passed(pole: Pole, cloud: PointCloud, divergence: float) -> Array:
     """Directions (M, 3) of the beams that passed close beside a pole and returned from behind."""
     ray = cloud.xyz - cloud.origin
     ranges = np.linalg.norm(ray, axis=1)
     away = float(np.linalg.norm(pole.point - cloud.origin))
-    reach = np.sin(np.arctan2(0.5 * pole.length + 0.5, away))
+    sine = np.sin(np.arctan2(0.5 * pole.length + SEARCH_MARGIN, away))
     toward = ray @ ((pole.point - cloud.origin) / away)
-    nearby = np.flatnonzero((ranges > 0.7 * away) & (toward > np.sqrt(1 - reach**2) * ranges))
+    nearby = np.flatnonzero(
+        (ranges > NEAREST_PASSED * away) & (toward > np.sqrt(1 - sine**2) * ranges)
+    )
     directions = ray[nearby] / ranges[nearby, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
-    along = (cloud.origin + by.nearest[:, None] * directions - pole.point) @ pole.direction
+    along = (cloud.origin + by.ranges[:, None] * directions - pole.point) @ pole.direction
     own = (pole.xyz - pole.point) @ pole.direction
-    close = np.abs(by.miss) < 2 * np.abs(pole.rms) + PASSING + 0.5 * divergence * away
-    close &= (along > own.min()) & (along < own.max())
-    return np.asarray(directions[close & (ranges[nearby] > by.nearest + PASSED_BEHIND)])
+    room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
+    close = (np.abs(by.lateral_offset) < room) & (along > own.min()) & (along < own.max())
+    return np.asarray(directions[close & (ranges[nearby] > by.ranges + PASSED_BEHIND)])

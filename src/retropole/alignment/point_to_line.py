@@ -2,10 +2,10 @@
 
 Xue et al. 2019, eq. 1–2: ``R*, t* = argmin Σ_n Σ_k π_nk ‖d(R p_n + t, line_k)‖²`` with lines from
 the target LiDAR and points from the source LiDAR. It is fast and needs no model of the sensor, so
-every hypothesis is judged with it.
+every hypothesis is solved with it.
 
 Its limit is a bias, not noise: returns lie on the side of a pole that faces the sensor, on average
-π r/4 in front of its axis, and each LiDAR errs towards itself. `beam_alignment` is without it.
+π r/4 in front of its axis, and each LiDAR errs towards itself. `adjustment` is free of it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,20 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array
 from ..errors import Refusal
+from .solver import Solution, Step, levenberg_marquardt
 
-MAX_ITERATIONS = 60
-STEP_TOLERANCE = 1e-9
-"""Stop where the step (rad and m together) is below this."""
+MAX_LINE_ITERATIONS = 60
+"""Most starts need 5 to 15."""
+
+LINE_STEP_TOLERANCE = 1e-9
+"""Stop where the step, rad and m together, is below this: far below any noise."""
+
+LINE_DAMPING, MIN_LINE_DAMPING = 1e-6, 1e-15
+"""At the start, and at least: the closed-form starts are near their optimum."""
+
+MIN_EIGENVALUE_RATIO = 1e-9
+"""Least ratio of the scaled information's eigenvalues: below it a direction of the pose is free to
+rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +44,8 @@ class LineAlignment:
         (4, 4) pose that maps the source points onto the target lines.
     rms
         Root mean square distance of the points from their lines at the solution, metres.
+    converged
+        Whether the solver came to rest.
     information
         (6, 6) Gauss–Newton matrix ``JᵀJ`` over ``[φ, δ]`` in target axes, per unit variance of a
         point's distance from its line.
@@ -41,6 +53,7 @@ class LineAlignment:
 
     T_target_source: Array
     rms: float
+    converged: bool
     information: Array
 
 
@@ -113,31 +126,42 @@ def align_poles(
     root = np.sqrt(np.repeat(counts, 6) / 6.0)
     q, n = (np.repeat([line[part] for line in target_lines], 6, axis=0) for part in (0, 1))
 
-    def weighted(T: Array) -> tuple[Array, Array]:
-        residuals, jacobian = point_line_residuals(T, points, q, n)
-        return root[:, None] * residuals, root[:, None, None] * jacobian
+    def at(T: Array) -> _SquaredDistances:
+        residuals, J = point_line_residuals(T, points, q, n)
+        r, J = root[:, None] * residuals, root[:, None, None] * J
+        return _SquaredDistances(
+            T,
+            float(np.sum(r**2)),
+            np.einsum("nij,ni->j", J, r),
+            np.einsum("nij,nik->jk", J, J),
+        )
 
-    T, damping = T_start, 1e-6
-    residuals, J = weighted(T)
-    cost = float(np.sum(residuals**2))
-    for _ in range(MAX_ITERATIONS):
-        H = np.einsum("nij,nik->jk", J, J)
-        g = np.einsum("nij,ni->j", J, residuals)
-        # Marquardt's scaling keeps radians and metres from being weighed against each other.
-        step = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g)
-        T_new = se3.retract(T, step)
-        residuals_new, J_new = weighted(T_new)
-        cost_new = float(np.sum(residuals_new**2))
-        if cost_new <= cost:
-            T, residuals, J, cost = T_new, residuals_new, J_new, cost_new
-            damping = max(damping / 10.0, 1e-15)
-        else:
-            damping *= 10.0
-        if np.linalg.norm(step) < STEP_TOLERANCE or damping > 1e8:
-            break
-    H = np.einsum("nij,nik->jk", J, J)
-    _check_rank(H)
-    return LineAlignment(T, float(np.sqrt(cost / counts.sum())), H)
+    def small(step: Step) -> bool:
+        return float(np.linalg.norm(step.step)) < LINE_STEP_TOLERANCE
+
+    found: Solution[_SquaredDistances] = levenberg_marquardt(
+        at(T_start),
+        lambda now, step, damping: at(se3.retract(now.T, step)),
+        small,
+        tolerance=LINE_STEP_TOLERANCE,
+        damping=LINE_DAMPING,
+        min_damping=MIN_LINE_DAMPING,
+        max_iterations=MAX_LINE_ITERATIONS,
+    )
+    end = found.point
+    _check_rank(end.curvature)
+    rms = float(np.sqrt(end.cost / counts.sum()))
+    return LineAlignment(end.T, rms, found.converged, end.curvature)
+
+
+@dataclass(frozen=True, eq=False)
+class _SquaredDistances:
+    """Sum of squared distances at a pose, m², half its gradient, and its Gauss–Newton matrix."""
+
+    T: Array
+    cost: float
+    gradient: Array
+    curvature: Array
 
 
 def _check_rank(H: Array) -> None:
@@ -145,7 +169,7 @@ def _check_rank(H: Array) -> None:
     scale = np.sqrt(np.diag(H) + 1e-300)
     eigenvalues = np.linalg.eigvalsh(H / np.outer(scale, scale))
     ratio = float(eigenvalues[0] / eigenvalues[-1])
-    if not np.isfinite(ratio) or ratio < 1e-9:
+    if not np.isfinite(ratio) or ratio < MIN_EIGENVALUE_RATIO:
         raise Refusal(
             "degenerate_poles",
             f"the poles leave one direction of the pose free (eigenvalue ratio {ratio:.1e}); "

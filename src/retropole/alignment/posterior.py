@@ -1,8 +1,8 @@
-"""The posterior of shared cylinders: what all beams of both LiDARs say together, and its slopes.
+"""The posterior of shared cylinders: what all beams of both LiDARs say together, and its gradient.
 
 The state holds the pose, a range offset that all retro-reflective returns of one LiDAR share, the
 radius, and the axes of the poles in the target frame. Derivatives are analytic, over a step of
-`State.moved`.
+`State.moved`. The cost is the negative logarithm of the posterior.
 """
 
 from __future__ import annotations
@@ -19,6 +19,20 @@ from .observations import Beams
 
 SHARED = 9
 """Parameters before those of the axes: pose 6, offsets 2, radius 1."""
+
+RETURN_CURVATURE = 0.02
+"""Least curvature of a return's own cost that a step is taken with, in units of its information
+``1/σ²``: beyond the inflection of the likelihood the true one is negative. It steers the steps
+only, the covariance takes the true curvature."""
+
+NOISE_CURVATURE = 0.05
+"""The same for the logarithm of the noise, per return that lies on a pole."""
+
+NOISE_STEP = (-1.0, 0.5)
+"""Bounds of a step of the logarithm of the noise: at most e times less, 1.6 times more."""
+
+MIN_PRIOR_SIGMA = 1e-9
+"""A parameter with less prior 1 σ than this, metres, is known: its prior has this width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,29 +65,53 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """How beams lie to the axes: depth, miss, sine (N,); Jacobian (N, 2, P) over a step."""
+class BeamGeometry:
+    """How beams lie to their axes.
+
+    Attributes
+    ----------
+    depth, lateral_offset, sine
+        (N,) each: how far the return lies in front of the axis and beside it, metres, and the sine
+        of the angle between beam and axis.
+    jacobian
+        (N, 2, P) derivative of depth and lateral offset by a step of `State.moved`.
+    """
 
     depth: Array
-    miss: Array
+    lateral_offset: Array
     sine: Array
     jacobian: Array
 
 
-def look(
+def beam_geometry(
     state: State, lidar: int, origin: Array, directions: Array, ranges: Array, own: IntArray
-) -> Sight:
-    """Depth g and miss m of beams at their own axis, and the Jacobian over a step of `State`.
+) -> BeamGeometry:
+    """Depth and lateral offset of beams at their own axis, and the Jacobian over a step of `State`.
 
-    The radius is no part of either; `ranges` may be anything where only the miss is wanted.
+    The radius is no part of either; `ranges` may be anything where only the lateral offset matters.
+
+    Parameters
+    ----------
+    state
+        Pose and axes.
+    lidar
+        0 for the target, 1 for the source: whether the pose comes in, and which range offset.
+    origin, directions, ranges
+        (3,), (N, 3) and (N,): the beams in the LiDAR's own frame, metres.
+    own
+        (N,) the pole of each beam.
     """
     q, n = state.points, state.directions
     T = state.T if lidar else np.eye(4)
     R, t = T[:3, :3], T[:3, 3]
     by = closest_approach(origin, directions, ((q - t) @ R)[own], (n @ R)[own])
-    ahead = by.nearest - ranges + state.offsets[lidar]
+    ahead = by.ranges - ranges + state.offsets[lidar]
     grad = np.stack(
-        [by.sine[:, None] * by.nearest_axis + ahead[:, None] * by.sine_axis, by.miss_axis], axis=1
+        [
+            by.sine[:, None] * by.ranges_by_axis + ahead[:, None] * by.sine_by_axis,
+            by.lateral_offset_by_axis,
+        ],
+        axis=1,
     )
     grad_q, grad_n = grad[:, :, :3] @ R.T, grad[:, :, 3:] @ R.T
     J = np.zeros((len(own), 2, SHARED + 4 * len(q)))
@@ -83,42 +121,71 @@ def look(
     J[:, 0, 6 + lidar] = by.sine
     B = state.tangents[own]
     block = np.concatenate([grad_q @ B, grad_n @ B], axis=2)
-    rows = np.arange(len(own))
+    index = np.arange(len(own))
     for k in range(4):
-        J[rows, :, SHARED + 4 * own + k] = block[:, :, k]
-    return Sight(ahead * by.sine, by.miss, by.sine, J)
+        J[index, :, SHARED + 4 * own + k] = block[:, :, k]
+    return BeamGeometry(ahead * by.sine, by.lateral_offset, by.sine, J)
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Where a maximisation stands.
+class RingSums:
+    """Sums over the returns of each ring of one LiDAR.
+
+    Attributes
+    ----------
+    curvature
+        (R, P) of the curvature times the derivative of a range offset of the ring.
+    gradient
+        (R,) of the residuals in depth over their variance.
+    weight
+        (R,) of the inverse variances.
+    """
+
+    curvature: Array
+    gradient: Array
+    weight: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """What the beams of one LiDAR add to the cost and its derivatives."""
+
+    log: float
+    score: Array
+    information: Array
+    lifted: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The posterior at a state.
 
     Attributes
     ----------
     state, log_noise
-        And the logarithm of the noise in depth and sideways of each LiDAR, (2, 2).
-    log
-        Of the posterior.
-    gradient, information, safe_information
-        Its slope (P,), negative curvature (P, P), and one that is positive everywhere.
+        Where, and the logarithm of the noise in depth and sideways of each LiDAR, (2, 2).
+    cost
+        Negative logarithm of the posterior.
+    gradient, information, curvature
+        Of the cost: its derivative (P,), its second derivative (P, P), and one that is positive
+        definite everywhere.
     noise_step
-        (2, 2) where the noise should go.
+        (2, 2) where the logarithm of the noise should go.
     inliers
         How many returns lie on the poles.
     rings
-        Per LiDAR, sums over the returns of each beam: of the curvature times derivative of a range
-        offset (R, P), of the residuals in depth over their variance (R,), and of the weights (R,).
+        Sums over each ring of the target, and of the source.
     """
 
     state: State
     log_noise: Array
-    log: float
+    cost: float
     gradient: Array
     information: Array
-    safe_information: Array
+    curvature: Array
     noise_step: Array
     inliers: float
-    rings: tuple[tuple[Array, Array, Array], ...]
+    rings: tuple[RingSums, ...]
 
 
 @dataclass(frozen=True)
@@ -130,75 +197,123 @@ class Priors:
     radius_sigma: float
 
 
-def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors) -> Fit:
-    """Posterior of the state under given noise, its slopes, and where the noise should go."""
+def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors) -> Posterior:
+    """Evaluate the posterior of a state under given noise, and where the noise should go.
+
+    Parameters
+    ----------
+    state
+        Pose, offsets, radius and axes.
+    log_noise
+        (2, 2) logarithm of the noise, metres, in depth and sideways, of each LiDAR.
+    beams
+        Of the target and of the source.
+    priors
+        Of range offsets and radius.
+    """
     size = SHARED + 4 * len(state.points)
     x, prior = np.zeros(size), np.zeros(size)
     x[6:8], x[8] = state.offsets, state.radius - priors.radius
-    prior[6:8], prior[8] = (1.0 / max(s, 1e-9) ** 2 for s in (priors.bias, priors.radius_sigma))
-    log, gradient = -0.5 * float(prior @ x**2), -prior * x
-    information, safe = np.diag(prior), np.diag(prior)
+    sigmas = (max(sigma, MIN_PRIOR_SIGMA) for sigma in (priors.bias, priors.radius_sigma))
+    prior[6:8], prior[8] = (1.0 / sigma**2 for sigma in sigmas)
+    log, score = -0.5 * float(prior @ x**2), -prior * x
+    information, lifted = np.diag(prior), np.diag(prior)
     noise_step, inliers, rings = np.zeros((2, 2)), 0.0, []
-    for i, one in enumerate(beams):
-        sigma = np.exp(log_noise[i])
-        sight = look(state, i, one.origin, one.directions, one.ranges, one.pole)
-        sigma_depth = np.hypot(sigma[0] * sight.sine, sigma[1] * np.sqrt(1.0 - sight.sine**2))
-        sigma_miss = np.full_like(sigma_depth, sigma[1])
-        arc = arc_likelihood(
-            sight.depth, sight.miss, sigma_depth, sigma_miss, state.radius, one.half_width
-        )
-        J = np.concatenate([sight.jacobian, np.zeros((len(one.pole), 1, size))], axis=1)
-        J[:, 2, 8] = 1.0
-        flat = J.reshape(-1, size)
-        log += float(arc.log.sum())
-        gradient = gradient + arc.score.reshape(-1) @ flat
-        pull = arc.information @ J
-        information = information + flat.T @ pull.reshape(-1, size)
-        # Far from the top the posterior is no hill everywhere; there, climb by a rounder one.
-        least_curve = np.linalg.eigvalsh(arc.information)[:, 0]
-        lift = np.maximum(0.02 * arc.inlier / sigma_depth**2 - least_curve, 0.0)
-        safe = safe + flat.T @ (pull + lift[:, None, None] * J).reshape(-1, size)
-        if len(one.passed):
-            far = np.zeros(len(one.passed))
-            by = look(state, i, one.origin, one.passing, far, one.passed)
-            gone = passed_beam_likelihood(
-                by.miss, np.full_like(far, sigma[1]), state.radius, one.passing_half_width
-            )
-            K = by.jacobian.copy()
-            K[:, 0] = K[:, 1]
-            K[:, 1] = 0.0
-            K[:, 1, 8] = 1.0
-            log += float(gone.log.sum())
-            gradient = gradient + gone.score.reshape(-1) @ K.reshape(-1, size)
-            curve = K.reshape(-1, size).T @ (gone.information @ K).reshape(-1, size)
-            information = information + curve
-            lift = np.maximum(-np.linalg.eigvalsh(gone.information)[:, 0], 0.0)
-            rounder = (gone.information + lift[:, None, None] * np.eye(2)) @ K
-            safe = safe + K.reshape(-1, size).T @ rounder.reshape(-1, size)
-        # Newton in the logarithm of the noise; expectation-maximisation where that is no hill.
-        slope = arc.inlier @ (arc.noise - 1.0)
-        bend = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
-        noise_step[i] = slope / np.maximum(bend, 0.05 * arc.inlier.sum())
-        inliers += float(arc.inlier.sum())
-        count = int(one.ring.max()) + 1
-        sums = np.zeros((count, size))
-        np.add.at(sums, one.ring, pull[:, 0] * sight.sine[:, None])
-        weight = arc.inlier / sigma_depth**2
-        rings.append(
-            (
-                sums,
-                np.bincount(one.ring, arc.score[:, 0], count).astype(np.float64),
-                np.bincount(one.ring, weight, count).astype(np.float64),
-            )
-        )
-    return Fit(
+    for lidar, one in enumerate(beams):
+        noise = np.exp(log_noise[lidar])
+        on_poles = _on_poles(state, lidar, one, noise)
+        noise_step[lidar] = on_poles.noise_step
+        inliers += on_poles.inliers
+        rings.append(on_poles.rings)
+        for terms in (on_poles.terms, _passed(state, lidar, one, noise)):
+            log += terms.log
+            score = score + terms.score
+            information = information + terms.information
+            lifted = lifted + terms.lifted
+    return Posterior(
         state,
         log_noise,
-        log,
-        gradient,
+        -log,
+        -score,
         information,
-        safe,
-        np.clip(noise_step, -1.0, 0.5),
+        lifted,
+        np.clip(noise_step, *NOISE_STEP),
         inliers,
         tuple(rings),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _OnPoles:
+    """What the returns on the poles say: of the state, of the log-noise (2,), of each ring."""
+
+    terms: _Terms
+    noise_step: Array
+    inliers: float
+    rings: RingSums
+
+
+def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
+    """Evaluate the returns on the poles."""
+    size = SHARED + 4 * len(state.points)
+    seen = beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole)
+    sigma_depth = np.hypot(noise[0] * seen.sine, noise[1] * np.sqrt(1.0 - seen.sine**2))
+    sigma_lateral = np.full_like(sigma_depth, noise[1])
+    arc = arc_likelihood(
+        seen.depth, seen.lateral_offset, sigma_depth, sigma_lateral, state.radius, beams.half_width
+    )
+    J = np.concatenate([seen.jacobian, np.zeros((len(beams.pole), 1, size))], axis=1)
+    J[:, 2, 8] = 1.0
+    flat = J.reshape(-1, size)
+    weighted = arc.information @ J
+    least = np.linalg.eigvalsh(arc.information)[:, 0]
+    lift = np.maximum(RETURN_CURVATURE * arc.inlier / sigma_depth**2 - least, 0.0)
+    terms = _Terms(
+        float(arc.log.sum()),
+        arc.score.reshape(-1) @ flat,
+        flat.T @ weighted.reshape(-1, size),
+        flat.T @ (weighted + lift[:, None, None] * J).reshape(-1, size),
+    )
+    # Newton in the logarithm of the noise; expectation-maximisation where that is not concave.
+    gradient = arc.inlier @ (arc.noise - 1.0)
+    curvature = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
+    noise_step = gradient / np.maximum(curvature, NOISE_CURVATURE * arc.inlier.sum())
+    count = int(beams.ring.max()) + 1
+    by_ring = np.zeros((count, size))
+    np.add.at(by_ring, beams.ring, weighted[:, 0] * seen.sine[:, None])
+    sums = RingSums(
+        by_ring,
+        np.bincount(beams.ring, arc.score[:, 0], count).astype(np.float64),
+        np.bincount(beams.ring, arc.inlier / sigma_depth**2, count).astype(np.float64),
+    )
+    return _OnPoles(terms, noise_step, float(arc.inlier.sum()), sums)
+
+
+def _passed(state: State, lidar: int, beams: Beams, noise: Array) -> _Terms:
+    """What the beams that passed beside the poles say."""
+    size = SHARED + 4 * len(state.points)
+    if not len(beams.passed_pole):
+        zero = np.zeros((size, size))
+        return _Terms(0.0, np.zeros(size), zero, zero)
+    any_range = np.zeros(len(beams.passed_pole))
+    seen = beam_geometry(
+        state, lidar, beams.origin, beams.passed_directions, any_range, beams.passed_pole
+    )
+    free = passed_beam_likelihood(
+        seen.lateral_offset,
+        np.full_like(any_range, noise[1]),
+        state.radius,
+        beams.passed_half_width,
+    )
+    J = np.zeros_like(seen.jacobian)
+    J[:, 0] = seen.jacobian[:, 1]
+    J[:, 1, 8] = 1.0
+    flat = J.reshape(-1, size)
+    lift = np.maximum(-np.linalg.eigvalsh(free.information)[:, 0], 0.0)
+    lifted = (free.information + lift[:, None, None] * np.eye(2)) @ J
+    return _Terms(
+        float(free.log.sum()),
+        free.score.reshape(-1) @ flat,
+        flat.T @ (free.information @ J).reshape(-1, size),
+        flat.T @ lifted.reshape(-1, size),
     )

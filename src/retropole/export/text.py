@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 
+from .. import se3
 from ..datatypes import Array
 from ..errors import ReadError
 from .found import Found
@@ -16,7 +17,6 @@ from .transform import (
     names_in_words,
     number,
     to_quaternion,
-    to_rpy,
 )
 
 TRANSLATION = ("x", "y", "z")
@@ -57,8 +57,8 @@ def read_matrix(data: bytes) -> list[Found]:
 def pose_values(transform: Transform, rotation: tuple[str, ...]) -> dict[str, str]:
     """Write translation and quaternion or roll-pitch-yaw as numbers by name."""
     T = transform.T_parent_child
-    turn = to_quaternion(T) if rotation == QUATERNION else to_rpy(T)
-    values = (*T[:3, 3], *turn)
+    angles = to_quaternion(T) if rotation == QUATERNION else se3.rpy_from_rotation(T[:3, :3])
+    values = (*T[:3, 3], *angles)
     return dict(zip((*TRANSLATION, *rotation), map(number, values), strict=True))
 
 
@@ -96,9 +96,9 @@ def pose_of(values: dict[str, str]) -> Array:
             f"expected {' '.join(TRANSLATION)} and {' '.join(QUATERNION)} or {' '.join(RPY)}, "
             f"got {' '.join(values) or 'nothing'}"
         )
-    t, turn = ([to_float(values[name]) for name in names] for names in (TRANSLATION, kind))
+    t, angles = ([to_float(values[name]) for name in names] for names in (TRANSLATION, kind))
     build = from_quaternion if kind == QUATERNION else from_rpy
-    return build(np.array(t), np.array(turn))
+    return build(np.array(t), np.array(angles))
 
 
 def to_float(word: str) -> float:

@@ -11,7 +11,6 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..datatypes import Array
@@ -156,7 +155,7 @@ def from_quaternion(translation: Array, xyzw: Array) -> Array:
 
 def to_quaternion(T: Array) -> Array:
     """Unit quaternion ``x y z w`` (4,) of a 4×4 transform, with w ≥ 0."""
-    return np.asarray(Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
+    return se3.quaternion_xyzw(T[:3, :3])
 
 
 def from_rpy(translation: Array, rpy: Array) -> Array:
@@ -166,24 +165,7 @@ def from_rpy(translation: Array, rpy: Array) -> Array:
     """
     if not (np.isfinite(rpy).all() and np.isfinite(translation).all()):
         raise ReadError("no rigid transform: a number is not finite")
-    R = np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
-    return se3.from_rt(R, np.asarray(translation, dtype=float))
-
-
-def to_rpy(T: Array) -> Array:
-    """Roll, pitch and yaw (3,) in radians of a 4×4 transform; `from_rpy` is the way back.
-
-    Where the pitch is ±90°, only roll ± yaw is determined. Roll is therefore read off what is left
-    of the rotation once the yaw is taken out: however poorly the yaw is known there, the three
-    together give the rotation back.
-    """
-    R = T[:3, :3]
-    yaw = np.arctan2(R[1, 0], R[0, 0])
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    # Second row of Rz(yaw)ᵀ R = Ry(pitch) Rx(roll), which is (0, cos roll, -sin roll).
-    c, s = np.cos(yaw), np.sin(yaw)
-    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return np.array([roll, pitch, yaw])
+    return se3.from_rt(se3.rotation_from_rpy(rpy), np.asarray(translation, dtype=float))
 
 
 def quoted(name: str) -> str:

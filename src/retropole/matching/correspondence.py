@@ -34,7 +34,15 @@ DISTANCE_TOLERANCE = 0.08
 of the axis of a 2 cm pole, towards itself."""
 
 EXACT_RMS = 0.05
-"""Pole residual, metres, up to which a start counts as an exact match of the lines."""
+"""Pole residual, metres, up to which a start counts as an exact match of the lines: three times
+what the facing sides of a 2 cm pole leave."""
+
+EXTENSION_RMS = 3 * EXACT_RMS
+"""Distance within which further poles fall into place under a match of two, metres."""
+
+MAX_LEAN, MAX_GAP = np.radians(10.0), 1.0
+"""Two poles of a match are one only if they lean against each other by less, rad, and if less lies
+between them along the line, metres: two lines far apart along themselves are two posts."""
 
 SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
 """Matches nearer to each other than this, rad and m, are one."""
@@ -43,7 +51,7 @@ MAX_PAIR_MATCHES = 200
 """How many pairs of pole pairs are tried, the most alike first."""
 
 MAX_HYPOTHESES = 16
-"""How many hypotheses go on to be judged by the scene: most poles, least expected error first."""
+"""How many hypotheses go on to be scored by the scene: most poles, least expected error first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +206,9 @@ def _solve(
         [source[j].xyz for _, j in pairs],
         T_start,
     )
-    return Match(pairs, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.information)
+    return Match(
+        pairs, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.converged, fit.information
+    )
 
 
 def _extend(
@@ -215,12 +225,11 @@ def _extend(
         along = np.diff(se3.apply(T, ends), axis=0)[0] / 2
         for i, other in enumerate(target):
             across = np.cross(moved - other.point, other.direction)
-            # Two lines far apart along themselves are two posts, not one.
             gap = abs((moved[1] - other.point) @ other.direction)
             gap -= (pole.length + other.length) / 2
             misfit = float(np.linalg.norm(across, axis=1).max())
             leaning = float(np.linalg.norm(np.cross(along, other.direction)))
-            distance[i, j] = misfit if leaning < np.sin(np.radians(10.0)) and gap < 1.0 else np.inf
+            distance[i, j] = misfit if leaning < np.sin(MAX_LEAN) and gap < MAX_GAP else np.inf
     rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
     return tuple(
         (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= gate
@@ -267,7 +276,7 @@ def match_poles(
             if two_and_two:
                 matches.append(match)
             elif match.exact:
-                pairs = _extend(target, source, match.T_target_source, 3 * EXACT_RMS)
+                pairs = _extend(target, source, match.T_target_source, EXTENSION_RMS)
                 if len(pairs) > 2 and set(match.pairs) <= set(pairs):
                     match = _solve(target, source, pairs, match.T_target_source)
                 matches.append(match)
@@ -334,10 +343,5 @@ def _distinct(matches: list[Match], source_points: Array) -> list[Match]:
 
 def same_pose(one: Match, other: Match, source_points: Array) -> bool:
     """Whether two matches put the source, and points (N, 3) of it, in nearly the same place."""
-    turn = one.T_target_source[:3, :3] @ other.T_target_source[:3, :3].T
-    shift = se3.apply(one.T_target_source, source_points)
-    shift = shift - se3.apply(other.T_target_source, source_points)
-    return (
-        se3.rotation_angle(turn) < SAME_POSE_ANGLE
-        and float(np.linalg.norm(shift, axis=1).max()) < SAME_POSE_DISTANCE
-    )
+    apart = se3.difference_at(one.T_target_source, other.T_target_source, source_points)
+    return apart.rotation < SAME_POSE_ANGLE and apart.translation < SAME_POSE_DISTANCE

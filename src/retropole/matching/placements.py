@@ -12,38 +12,58 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import se3
-from ..datatypes import Array, Hypothesis, PointCloud, Pole
+from ..datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..errors import Refusal
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4
-"""Poses of two placements are one if they differ by less, rad, and metres where the poles stand."""
+"""Poses of two placements are one if they differ by less, rad, and metres where the poles stand:
+three times what the poles of one placement leave open (docs/accuracy.md)."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacementMatches:
+    """A placement and the matches of its poles."""
+
+    placement: Placement
+    matches: list[Match]
+
+
+@dataclass(frozen=True, eq=False)
+class PlacementHypotheses:
+    """A placement and all its hypotheses, the best score first."""
+
+    placement: Placement
+    hypotheses: tuple[Hypothesis, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PairedPlacement:
+    """A placement whose poles one hypothesis pairs."""
+
+    placement: Placement
+    hypothesis: Hypothesis
+
+    @property
+    def target_poles(self) -> list[Pole]:
+        """The paired poles of the target."""
+        return [self.placement.target.poles[i] for i, _ in self.hypothesis.match.pairs]
+
+    @property
+    def source_poles(self) -> list[Pole]:
+        """The paired poles of the source, in the order of the target's."""
+        return [self.placement.source.poles[j] for _, j in self.hypothesis.match.pairs]
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A pose that recurs: the joint hypothesis, and the one of each placement."""
+    """A pose that recurs: the joint hypothesis, and every placement paired by its own."""
 
     joint: Hypothesis
-    each: tuple[Hypothesis, ...]
+    paired: tuple[PairedPlacement, ...]
 
 
-def _apart(one: Hypothesis, other: Hypothesis, at: Array) -> tuple[float, float]:
-    A, B = one.match.T_target_source, other.match.T_target_source
-    shift = se3.apply(A, at) - se3.apply(B, at)
-    return se3.rotation_angle(A[:3, :3] @ B[:3, :3].T), float(np.linalg.norm(shift, axis=1).max())
-
-
-def recurring(
-    hypotheses: Sequence[Sequence[Hypothesis]], sources: Sequence[Sequence[Pole]]
-) -> list[Choice]:
+def recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
     """Find the poses that recur in all placements, the best score first.
-
-    Parameters
-    ----------
-    hypotheses
-        Of each placement.
-    sources
-        The source's poles of each placement: poses are compared where these stand.
 
     Raises
     ------
@@ -51,36 +71,62 @@ def recurring(
         ``placements_disagree`` where no pose recurs.
     """
     choices = []
-    at = np.array([pole.point for poles in sources for pole in poles])
+    first, *others = scored
+    at = np.array([pole.point for each in scored for pole in each.placement.source.poles])
     nearest = np.inf
-    for first in hypotheses[0]:
-        if not first.match.exact:
+    for hypothesis in first.hypotheses:
+        if not hypothesis.match.exact:
             continue
-        each = [first]
-        for others in hypotheses[1:]:
-            gaps = [(*_apart(first, h, at), h) for h in others if h.match.exact]
-            angle, distance, best = min(
-                gaps, key=lambda gap: gap[0] / AGREE_ANGLE + gap[1] / AGREE_DISTANCE
-            )
-            if angle > AGREE_ANGLE or distance > AGREE_DISTANCE:
-                nearest = min(nearest, distance)
+        paired = [PairedPlacement(first.placement, hypothesis)]
+        for other in others:
+            apart, best = _nearest(hypothesis, other.hypotheses, at)
+            if apart.rotation > AGREE_ANGLE or apart.translation > AGREE_DISTANCE:
+                nearest = min(nearest, apart.translation)
                 break
-            each.append(best)
+            paired.append(PairedPlacement(other.placement, best))
         else:
-            overlap = float(np.mean([h.overlap for h in each]))
-            free_space = float(np.mean([h.free_space for h in each]))
-            joint = replace(
-                first, overlap=overlap, free_space=free_space, score=overlap - free_space
-            )
-            choices.append(Choice(joint, tuple(each)))
+            choices.append(Choice(_joint([each.hypothesis for each in paired]), tuple(paired)))
     if not choices:
         raise Refusal(
             "placements_disagree",
-            f"no pose fits all {len(hypotheses)} placements; the nearest two are {nearest:.2f} m "
+            f"no pose fits all {len(scored)} placements; the nearest two are {nearest:.2f} m "
             "apart: did a LiDAR move between them, or are the files of a placement swapped?",
-            {"placements": len(hypotheses), "nearest_m": nearest},
+            {"placements": len(scored), "nearest_m": nearest},
         )
     return sorted(choices, key=lambda choice: -choice.joint.score)
+
+
+def rank_joint_hypotheses(
+    choices: Sequence[Choice], scored: Sequence[PlacementHypotheses]
+) -> tuple[Hypothesis, ...]:
+    """List the joint hypotheses, the best first; of a single placement, all others after them."""
+    joint = tuple(choice.joint for choice in choices)
+    if len(scored) > 1:
+        return joint
+    matches = [h.match for h in joint]
+    others = [h for h in scored[0].hypotheses if all(h.match is not match for match in matches)]
+    return (*joint, *others)
+
+
+def _nearest(
+    hypothesis: Hypothesis, others: Sequence[Hypothesis], at: Array
+) -> tuple[se3.PoseDifference, Hypothesis]:
+    """Find the exact hypothesis of another placement whose pose is nearest, and how near it is."""
+    T = hypothesis.match.T_target_source
+    gaps = [(se3.difference_at(T, h.match.T_target_source, at), h) for h in others if h.match.exact]
+    return min(
+        gaps,
+        key=lambda gap: gap[0].rotation / AGREE_ANGLE + gap[0].translation / AGREE_DISTANCE,
+    )
+
+
+def _joint(each: Sequence[Hypothesis]) -> Hypothesis:
+    """Average what the scenes of all placements say; pose and pairs are the first one's."""
+    overlap = float(np.mean([h.overlap for h in each]))
+    violation = float(np.mean([h.free_space_violation for h in each]))
+    return replace(
+        each[0], overlap=overlap, free_space_violation=violation, score=overlap - violation
+    )
 
 
 def merged(clouds: Sequence[PointCloud]) -> PointCloud:

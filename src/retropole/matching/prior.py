@@ -6,19 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..datatypes import Array, Match
 from ..errors import Refusal, UsageError
 
 MAX_SIGMAS = 3.0
-"""A hypothesis that lies further from the prior, in 1 σ of it, is passed over."""
+"""A hypothesis that lies further from the prior, in 1 σ of it, is left out."""
 
 
 @dataclass(frozen=True, eq=False)
 class RotationPrior:
-    """Knowledge of how the source is turned against the target.
+    """What is known of the rotation of the source in the target's frame.
 
     Attributes
     ----------
@@ -55,13 +54,11 @@ def rotation_prior(
         raise UsageError("--up and --prior-rpy-deg exclude each other")
     sigma = float(np.radians(sigma_deg))
     if rpy_deg is not None:
-        # Lower case: about fixed axes, x first, which is what ROS calls rpy.
-        rotation = Rotation.from_euler("xyz", np.radians(rpy_deg)).as_matrix()
-        return RotationPrior(np.asarray(rotation), sigma)
+        return RotationPrior(se3.rotation_from_rpy(np.radians(rpy_deg)), sigma)
     return RotationPrior(None, sigma) if up else None
 
 
-def agreeing(matches: Sequence[Match], prior: RotationPrior | None) -> list[Match]:
+def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -> list[Match]:
     """Keep the matches that agree with the prior.
 
     Raises

@@ -11,17 +11,20 @@ from ..datatypes import Array, IntArray, PointCloud
 from .registration import voxel_downsample
 
 PATCH_VOXELS = (0.15, 0.3, 0.6)
-"""Patches are fitted to clouds thinned to one point per cube of these sides, metres: small ones
-where points are dense, wide ones that span the rows of a ground seen at a slant."""
+"""Patches are fitted to clouds downsampled to one point per cube of these sides, metres: small ones
+where points are dense, wide ones that span the rings on ground seen at a slant."""
 
 PATCH_NEIGHBOURS = 16
-"""Thinned points that a patch is fitted to."""
+"""Downsampled points that a patch is fitted to."""
 
 MAX_THICKNESS = 0.03
 """RMS distance of a patch's points from its plane, metres, above which it is no surface."""
 
 MAX_LEVERAGE = 0.35
 """Share of a patch's lesser extent that a single point may account for."""
+
+MAX_FLATNESS = 0.1
+"""Most variance across a patch, as a part of that along its lesser extent."""
 
 MIN_THICKNESS = 0.001
 """Least RMS thickness of a patch, metres: no surface is flatter, nor any LiDAR finer."""
@@ -30,7 +33,7 @@ MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
 PATCH_RING_BAND = np.radians(0.5)
-"""Returns within a band of elevation of this width are taken as one beam's."""
+"""Returns within a band of elevation of this width, rad, are taken for one ring's."""
 
 MAX_PATCHES = 2000
 """Patches of each cloud: every n-th is taken so that about so many are left."""
@@ -52,7 +55,7 @@ class Patches:
         (M,) variance of the normals, rad².
     thickness
         (M,) variance of the points across the patch, m².
-    beams
+    rings
         (M, PATCH_NEIGHBOURS) the band of elevation that each point of the patch came from.
     """
 
@@ -61,14 +64,14 @@ class Patches:
     rays: Array
     tilt: Array
     thickness: Array
-    beams: IntArray
+    rings: IntArray
 
 
 def surface_patches(cloud: PointCloud) -> Patches:
-    """Fit planes to the neighbourhoods of the thinned cloud and keep the flat ones."""
+    """Fit planes to the neighbourhoods of the downsampled cloud and keep the flat ones."""
     parts, points = [], cloud.xyz
     for voxel in PATCH_VOXELS:
-        # From fine to coarse each thinning starts at the one before: there are fewer points then.
+        # From fine to coarse, each starts from the one before: there are fewer points then.
         points = voxel_downsample(points, voxel)
         parts.append(_patches_of(points, cloud.origin))
     return Patches(
@@ -97,8 +100,8 @@ def _patches_of(points: Array, origin: Array) -> Patches:
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / PATCH_NEIGHBOURS
     values, vectors = np.linalg.eigh(spread)
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
-    flat &= values[:, 0] < 0.1 * values[:, 1]
-    # Of a row and one point beside it the plane goes through that point, whatever its error.
+    flat &= values[:, 0] < MAX_FLATNESS * values[:, 1]
+    # The plane of one ring and a point beside it goes through that point, whatever its error.
     aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
     flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
     centres, normals = centres[flat], vectors[flat, :, 0]

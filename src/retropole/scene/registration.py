@@ -22,20 +22,22 @@ which wait by spinning, are many times slower where the machine has other work.
 """
 
 MIN_CLOUD_POINTS = 50
+"""Least points of a downsampled cloud that anything can be registered to: fewer fit anywhere."""
+
 NORMAL_NEIGHBOURS = 10
-"""Points that a surface normal is estimated from."""
+"""Points that a surface normal is estimated from (small_gicp's default when it prepares clouds)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A thinned cloud made ready for registration.
+    """A downsampled cloud prepared for registration.
 
     Attributes
     ----------
     xyz
         (M, 3) one point per occupied voxel, metres.
     cloud, tree
-        small_gicp's own forms of it.
+        small_gicp's own types of it.
     """
 
     xyz: Array
@@ -52,7 +54,7 @@ class Registration:
     T_target_source
         (4, 4) pose at the end.
     inliers
-        Source points that had a target neighbour within reach.
+        Source points that had a target neighbour within the correspondence distance.
     converged
         Whether the step fell below the tolerance before the iterations ran out.
     """
@@ -67,23 +69,23 @@ def voxel_downsample(xyz: Array, voxel: float) -> Array:
     if len(xyz) == 0:
         return np.zeros((0, 3))
     # One thread: with more, small_gicp's result differs from run to run.
-    thinned = small_gicp.voxelgrid_sampling(np.ascontiguousarray(xyz, dtype=float), voxel)
-    return np.array(thinned.points()[:, :3])
+    sampled = small_gicp.voxelgrid_sampling(np.ascontiguousarray(xyz, dtype=float), voxel)
+    return np.array(sampled.points()[:, :3])
 
 
 def prepare(xyz: Array, voxel: float, *, threads: int = 1) -> Surface:
-    """Thin a cloud and estimate its local surfaces.
+    """Downsample a cloud and estimate its local surfaces.
 
     Raises
     ------
     Refusal
-        ``too_few_points`` where fewer than `MIN_CLOUD_POINTS` are left: nothing can be registered to it.
+        ``too_few_points`` where fewer than `MIN_CLOUD_POINTS` are left.
     """
     points = voxel_downsample(xyz, voxel)
     if len(points) < MIN_CLOUD_POINTS:
         raise Refusal(
             "too_few_points",
-            f"{len(points)} points are left of a cloud thinned to {voxel:g} m, "
+            f"{len(points)} points are left of a cloud downsampled to {voxel:g} m, "
             f"{MIN_CLOUD_POINTS} are needed; record a scene with more in it",
             {"points": len(points), "needed": MIN_CLOUD_POINTS},
         )
@@ -106,7 +108,7 @@ def register(
     T_start: Array,
     *,
     method: Literal["ICP", "PLANE_ICP", "GICP"],
-    reach: float,
+    max_correspondence_distance: float,
     max_iterations: int = 30,
     threads: int = 1,
 ) -> Registration:
@@ -120,7 +122,7 @@ def register(
         (4, 4) start, target from source.
     method
         ``ICP`` is point to point, ``PLANE_ICP`` point to plane, ``GICP`` plane to plane.
-    reach
+    max_correspondence_distance
         Largest distance of corresponding points, metres.
     max_iterations
         Steps at most.
@@ -138,7 +140,7 @@ def register(
         target.tree,
         np.ascontiguousarray(T_start, dtype=float),
         registration_type=method,
-        max_correspondence_distance=reach,
+        max_correspondence_distance=max_correspondence_distance,
         num_threads=threads,
         max_iterations=max_iterations,
     )

@@ -1,0 +1,194 @@
+"""Least squares, once for all: damped steps for a fixed problem, plain steps for a changing one.
+
+Both say whether they converged and after how many iterations; a caller that ignores `converged`
+is in error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from ..datatypes import Array
+
+MAX_DAMPING = 1e8
+"""Damping beyond which no step of any use is left."""
+
+STALLED = 1e-3
+"""Where even a step of this part of the tolerance does not lower the cost, rounding is all that is
+left of it: the minimum is reached."""
+
+
+class Quadratic(Protocol):
+    """A cost near a point: its value, gradient (P,) and positive definite curvature (P, P)."""
+
+    @property
+    def cost(self) -> float:
+        """Value at the point."""
+
+    @property
+    def gradient(self) -> Array:
+        """(P,) derivative by the step."""
+
+    @property
+    def curvature(self) -> Array:
+        """(P, P) second derivative by the step, or a positive definite stand-in for it."""
+
+
+class Model(Protocol):
+    """A cost whose values cannot be compared from step to step, since its terms change."""
+
+    @property
+    def gradient(self) -> Array:
+        """(P,) derivative by the step."""
+
+    @property
+    def curvature(self) -> Array:
+        """(P, P) second derivative by the step, or a positive definite stand-in for it."""
+
+
+Q = TypeVar("Q", bound=Quadratic)
+M = TypeVar("M", bound=Model)
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a solver.
+
+    Attributes
+    ----------
+    step
+        (P,) in the units of the parameters.
+    scaled
+        (P,) in units of ``1/√curvature`` of each: where the cost is a negative log-likelihood, of
+        the 1 σ that each parameter would have were all others known.
+    gain
+        By how much the cost fell; 0 where it cannot be compared.
+    """
+
+    step: Array
+    scaled: Array
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solution(Generic[S]):
+    """Where a solver ended.
+
+    Attributes
+    ----------
+    point
+        The last point, whatever the problem makes of one.
+    converged
+        Whether the last step was small, or no further one lowers the cost.
+    iterations
+        How many steps were tried.
+    damping
+        Of the next step.
+    """
+
+    point: S
+    converged: bool
+    iterations: int
+    damping: float = 0.0
+
+
+def levenberg_marquardt(
+    start: Q,
+    advance: Callable[[Q, Array, float], Q],
+    small: Callable[[Step], bool],
+    *,
+    tolerance: float,
+    damping: float,
+    min_damping: float,
+    slack: float = 0.0,
+    max_iterations: int,
+) -> Solution[Q]:
+    """Minimise a cost by damped Newton steps (Marquardt 1963).
+
+    Damping is relative to each parameter's own curvature, which keeps radians and metres from being
+    weighed against each other.
+
+    Parameters
+    ----------
+    start
+        The cost at the start.
+    advance
+        From the cost at a point, a step (P,) and the damping to the cost after the step.
+    small
+        Whether a step that was taken is small enough to stop.
+    tolerance
+        Largest entry of a scaled step that counts as small: only used to tell a minimum to rounding
+        from a failure where no step lowers the cost.
+    damping, min_damping
+        At the start, and at least.
+    slack
+        A cost may rise by this part of itself: rounding.
+    max_iterations
+        Steps at most.
+    """
+    now = start
+    for iteration in range(1, max_iterations + 1):
+        scale = np.sqrt(np.diag(now.curvature)) + 1e-12
+        damped = now.curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
+        scaled = -np.linalg.solve(damped, now.gradient / scale)
+        new = advance(now, scaled / scale, damping)
+        gain = now.cost - new.cost
+        if gain >= -slack * abs(now.cost):
+            now, damping = new, max(damping / 10.0, min_damping)
+            if small(Step(np.asarray(scaled / scale), np.asarray(scaled), gain)):
+                return Solution(now, True, iteration, damping)
+        elif np.abs(scaled).max() < STALLED * tolerance:
+            return Solution(now, True, iteration, damping)
+        else:
+            damping *= 10.0
+            if damping > MAX_DAMPING:
+                return Solution(now, False, iteration, damping)
+    return Solution(now, False, max_iterations, damping)
+
+
+def gauss_newton(
+    start: S,
+    linearise: Callable[[S], M | None],
+    move: Callable[[S, M, Array], S],
+    small: Callable[[Step], bool],
+    *,
+    max_iterations: int,
+) -> Solution[S] | None:
+    """Repeat plain Gauss–Newton steps where correspondences or weights change from step to step.
+
+    There is no cost to compare, so no step is taken back.
+
+    Parameters
+    ----------
+    start
+        The point to start from.
+    linearise
+        The problem at a point; None where too little of it is left.
+    move
+        From a point, the problem there and a step (P,) to the next point.
+    small
+        Whether a step is small enough to stop.
+    max_iterations
+        Steps at most.
+
+    Returns
+    -------
+    Solution or None
+        None where `linearise` gave None.
+    """
+    point = start
+    for iteration in range(1, max_iterations + 1):
+        model = linearise(point)
+        if model is None:
+            return None
+        step = -np.asarray(np.linalg.solve(model.curvature, model.gradient), dtype=np.float64)
+        point = move(point, model, step)
+        scaled = step * np.sqrt(np.abs(np.diag(model.curvature)))
+        if small(Step(step, scaled, 0.0)):
+            return Solution(point, True, iteration)
+    return Solution(point, False, max_iterations)

@@ -1,0 +1,84 @@
+"""Every reason code: what it means, and what to do about it.
+
+One table for each place where codes are met. The report, the command line and the page *Every
+reason code* of the documentation take their words from here, and `Code` is the type of all codes,
+so that mypy finds a code that is in no table. To add one, add it to the type and the table of its
+file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, cast
+
+from .check import CHECK, PREFIXED, CheckCode, Prefix
+from .cluster import CLUSTER, ClusterCode
+from .explanation import Explanation, plain
+from .other_methods import OTHER_METHODS, OtherMethodCode
+from .refused import REFUSED, RefusedCode
+from .warning import WARNINGS, WarningCode
+
+__all__ = [
+    "GROUPS",
+    "PREFIXED",
+    "REASONS",
+    "ClusterCode",
+    "Code",
+    "Explanation",
+    "Group",
+    "Prefix",
+    "explain",
+    "plain",
+    "prefixed",
+]
+
+Code = RefusedCode | WarningCode | CheckCode | OtherMethodCode | ClusterCode
+
+
+class Group(NamedTuple):
+    """The codes of one place where they are met, with the words that introduce them."""
+
+    title: str
+    introduction: str
+    reasons: Mapping[str, Explanation]
+
+
+GROUPS: tuple[Group, ...] = (
+    Group("Calibration refused", "Exit code 3, and no transform.", {**REFUSED}),
+    Group("Calibrated, with a warning", "There is a transform; look twice.", {**WARNINGS}),
+    Group(
+        "Check",
+        "Reasons of [`retropole check`](check.md): why it cannot tell, or what to know of its "
+        "answer.",
+        {**CHECK},
+    ),
+    Group(
+        "Other methods",
+        "Codes of the other methods in [`retropole compare`](compare.md). They say nothing of "
+        "retropole's own answer.",
+        {**OTHER_METHODS},
+    ),
+    Group(
+        "Why a cluster is no pole",
+        "`retropole detect` and the report give each retro-reflective cluster that was rejected "
+        "one of these, or `too_few_points`. Most are right: signs and vests ought to be rejected. "
+        "They matter where your pole is among them.",
+        {**CLUSTER},
+    ),
+)
+
+REASONS: dict[str, Explanation] = {
+    code: text for group in GROUPS for code, text in group.reasons.items()
+}
+
+
+def prefixed(prefix: Prefix, code: str) -> Code:
+    """Put a prefix in front of a code: ``prefixed("stored", "few_points")``."""
+    return cast("Code", f"{prefix}_{code}")
+
+
+def explain(code: str) -> Explanation | None:
+    """Look a code up, with or without a prefix; None where it is not known."""
+    if code in REASONS:
+        return REASONS[code]
+    return next((text for p, text in PREFIXED.items() if code.startswith(f"{p}_")), None)

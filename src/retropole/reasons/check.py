@@ -1,0 +1,79 @@
+"""Reasons of ``retropole check``: why it cannot tell, or what to know of its answer."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from .explanation import Explanation
+
+CheckCode = Literal[
+    "poles_not_trusted",
+    "no_covariance",
+    "no_common_surfaces",
+    "clouds_do_not_fit",
+    "too_weak",
+    "within_tolerance",
+    "size_unsure",
+]
+
+CHECK: dict[CheckCode, Explanation] = {
+    "poles_not_trusted": Explanation(
+        "The new poles do not fit the scene",
+        "The new poles gave a pose that does not fit the scene. The scene was used instead.",
+        (
+            "Check for other retro-reflective objects, and that the poles stood still between the "
+            "two recordings.",
+        ),
+    ),
+    "no_covariance": Explanation(
+        "The stored transform has no covariance",
+        "The stored file does not say how certain it is.",
+        ("Give `result.json`, or `--sigma-deg` and `--sigma-m`.",),
+    ),
+    "no_common_surfaces": Explanation(
+        "The clouds have no surfaces in common",
+        "Near the stored pose the clouds have no surfaces in common.",
+        ("A LiDAR was moved far, or the files are swapped. Calibrate again, with poles.",),
+    ),
+    "clouds_do_not_fit": Explanation(
+        "The clouds do not fit together",
+        "The clouds do not fit together at or near the stored pose.",
+        ("Moved far, other LiDARs, or recorded at different times. Calibrate again.",),
+    ),
+    "too_weak": Explanation(
+        "A movement might have been missed",
+        "No movement was found, but one of the tolerance might have been missed.",
+        (
+            "The message says whether the stored calibration or the new recordings are weak. "
+            "Calibrate with the scene, add poles, record more frames, or widen `--tolerance-deg` "
+            "and `--tolerance-m`.",
+        ),
+    ),
+    "within_tolerance": Explanation(
+        "It moved by less than the tolerance",
+        "A movement was found, and it is surely smaller than the tolerance. The answer is *same*.",
+        ("Nothing. Narrow the tolerance where it matters.",),
+    ),
+    "size_unsure": Explanation(
+        "It moved, by how much is uncertain",
+        "That it moved is certain, by how much is not.",
+        ("Calibrate again; after a gross movement, with poles.",),
+    ),
+}
+
+Prefix = Literal["stored", "poles"]
+"""Put in front of a code of the stored result, and of the new recordings' poles."""
+
+PREFIXED: dict[Prefix, Explanation] = {
+    "stored": Explanation(
+        "The stored result has a weakness",
+        "In front of any code above: a warning or a refusal of the stored result itself.",
+        ("Calibrate again, better, and store that.",),
+    ),
+    "poles": Explanation(
+        "The new recordings could not be calibrated by poles",
+        "In front of any code above: why the new recordings could not be calibrated by poles. The "
+        "scene was used instead.",
+        ("Nothing, where no poles stand there. Otherwise see the code.",),
+    ),
+}

@@ -1,0 +1,168 @@
+"""Why a calibration was refused: exit code 3, and no transform."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from .explanation import Explanation
+
+RefusedCode = Literal[
+    "no_intensity",
+    "too_few_poles",
+    "parallel_poles",
+    "no_match",
+    "pole_count",
+    "ambiguous",
+    "no_overlap",
+    "too_few_points",
+    "prior_contradicted",
+    "placements_disagree",
+    "moving_pole",
+    "poor_fit",
+    "degenerate_poles",
+    "registration_failed",
+    "refused",
+]
+
+REFUSED: dict[RefusedCode, Explanation] = {
+    "no_intensity": Explanation(
+        "The recording has no intensity",
+        "The file has no intensity, or the same for every point. Tape cannot be told from the "
+        "rest.",
+        (
+            "Record with intensity (reflectivity, signal). `retropole info FILE` shows what a file "
+            "has.",
+            "Some converters drop it: convert again, or use the bag itself. "
+            "[Names that are known](formats.md#names).",
+            "In Python, give an array of shape (N, 4): x, y, z, intensity.",
+        ),
+    ),
+    "too_few_poles": Explanation(
+        "Too few poles were found",
+        "One LiDAR sees fewer than two poles, or fewer than `--poles` asks for.",
+        (
+            "`retropole detect FILE` lists what it found and "
+            "[why the rest was rejected](#why-a-cluster-is-no-pole); the report marks it.",
+            "If the pole is not marked at all, its returns are below the threshold. Lower "
+            "`--threshold-target` or `--threshold-source`; [`retropole view`](viewer.md) shows "
+            "what that does.",
+            "If the pole is marked with few returns, stand it nearer, about 5 m, or record more "
+            "frames.",
+            "If the pole is beside a wall, a person or a sign, move it free.",
+        ),
+    ),
+    "parallel_poles": Explanation(
+        "The poles are parallel",
+        "All poles seen by a LiDAR are less than 5° apart. The place along them is left open.",
+        ("Lean one by 15° or more against the other and record again.",),
+    ),
+    "no_match": Explanation(
+        "The two LiDARs' poles do not fit each other",
+        "The poles of the two LiDARs do not agree in angle and distance.",
+        (
+            "Check with `retropole detect` that both see the same two poles, not a post or another "
+            "object.",
+            "If a pole moved between the recordings, record again.",
+            "Check that the points are in metres and that no other program has distorted them.",
+        ),
+    ),
+    "pole_count": Explanation(
+        "Not the number of poles you asked for",
+        "Poles agree between the LiDARs, but not as many as `--poles` says.",
+        (
+            "Cover or remove other retro-reflective objects, make the missing pole visible, or "
+            "leave `--poles` out.",
+        ),
+    ),
+    "ambiguous": Explanation(
+        "More than one answer fits",
+        "More than one way of laying the poles on each other fits the surroundings equally. "
+        "[Why](hypotheses.md). In `retropole compare`, of `planes`: two matches of planes fit "
+        "equally well.",
+        (
+            "A third pole always decides.",
+            "Move a car, a box or the poles so that the place is no longer symmetric about them.",
+            "Say what you know: `--up` where both LiDARs stand upright, or `--prior-rpy-deg R P "
+            "Y`.",
+        ),
+    ),
+    "no_overlap": Explanation(
+        "The two clouds do not show the same place",
+        "Under the best hypothesis fewer than 25 % of the points find a neighbour in the other "
+        "cloud. In `retropole compare`, of a rival: too few points end near the other cloud, its "
+        "start was too far off.",
+        (
+            "Check that both LiDARs see the same place, and that it was recorded at the same time.",
+            "Check with `retropole detect` that signs or posts were not taken for the poles.",
+            "If the fields of view hardly overlap, stand the poles, and some objects, where both "
+            "look.",
+        ),
+    ),
+    "too_few_points": Explanation(
+        "There are too few points to decide by",
+        "Too few returns: on a pole, in a cluster, or in a cloud that was downsampled to compare "
+        "it.",
+        (
+            "On a pole: stand it nearer, or record more frames.",
+            "In the scene: record a place with walls, kerbs or parked cars. `check`, `evaluate` "
+            "and `compare` need that too.",
+        ),
+    ),
+    "prior_contradicted": Explanation(
+        "Nothing found agrees with the rotation you gave",
+        "No way of laying the poles on each other agrees with `--up` or `--prior-rpy-deg` within "
+        "3 σ.",
+        (
+            "Check signs and order: roll, pitch, yaw in degrees, about fixed axes, of the source "
+            "in the target's frame.",
+            "Leave out `--up` where a LiDAR hangs upside down.",
+            "Widen `--prior-sigma-deg`, or leave the prior out.",
+        ),
+    ),
+    "placements_disagree": Explanation(
+        "The placements do not agree on one pose",
+        "No pose fits all placements.",
+        (
+            "Check that each `--placement` names the target first.",
+            "If a LiDAR moved between placements, those before and after cannot be used together.",
+            "Calibrate them one by one to see which differs.",
+        ),
+    ),
+    "moving_pole": Explanation(
+        "A pole moved while it was recorded",
+        "A pole strays between frames by more than 2 cm and more than its noise allows.",
+        (
+            "Fasten the poles, keep hands and wind off, and record again.",
+            "Or read the frames while it stood still: `--frames A:B`.",
+        ),
+    ),
+    "poor_fit": Explanation(
+        "The returns do not fit round poles",
+        "The returns do not lie on poles that both LiDARs share: more than 5 cm of noise, or fewer "
+        "than half of the returns fit.",
+        (
+            "Check `--radius` with a calliper. It is half the thickness, in metres.",
+            "Check what was taken for a pole: a bent pole, a sign or the hand that holds the pole "
+            "does not fit.",
+        ),
+    ),
+    "degenerate_poles": Explanation(
+        "The poles leave a part of the pose free",
+        "The poles leave the pose free in some direction by more than 0.1 rad or 0.5 m.",
+        ("Lean one by 15° or more against the other; stand them apart, upright, about 5 m away.",),
+    ),
+    "registration_failed": Explanation(
+        "The scene could not be registered",
+        "The registration of the scene did not end in a rigid transform.",
+        (
+            "Try `--no-refine`, which keeps to the poles. If that is `ok`, record a place with "
+            "more surfaces that both see.",
+        ),
+    ),
+    "refused": Explanation(
+        "The result was refused",
+        "`retropole export`, `evaluate` and `check` were given a result that was refused and gives "
+        "no reason. Where it gives one, its code is shown instead.",
+        ("Calibrate until there is a transform; the result's own `reasons` say what is missing.",),
+    ),
+}

@@ -1,0 +1,96 @@
+"""What makes an answer weak that is good enough to give."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from .explanation import Explanation
+
+WarningCode = Literal[
+    "not_converged",
+    "small_margin",
+    "nearly_parallel_poles",
+    "few_points",
+    "few_rings",
+    "noisy_poles",
+    "weak_direction",
+    "offset_not_separable",
+    "poles_and_scene_disagree",
+]
+
+WARNINGS: dict[WarningCode, Explanation] = {
+    "not_converged": Explanation(
+        "The solution still moved when the iterations ran out",
+        "A least-squares step was still larger than its tolerance after the last iteration: of "
+        "the poles, or of the refinement by the scene. The message says which, and after how many. "
+        "In `retropole compare`, ICP or GICP refuses with this code: it needs a better start.",
+        (
+            "Compare with `--no-refine`, which keeps to the poles.",
+            "Record more frames, or a place with more surfaces that both LiDARs see.",
+        ),
+    ),
+    "small_margin": Explanation(
+        "Another answer scores nearly as well",
+        "The chosen hypothesis leads the next by less than 0.1.",
+        (
+            "Look at the hypotheses in the [report](report.md). If walls and ground coincide in "
+            "one only, use the answer.",
+            "Better: a third pole, or `--up`.",
+        ),
+    ),
+    "nearly_parallel_poles": Explanation(
+        "The poles are nearly parallel",
+        "The poles are less than 15° apart: height is weak.",
+        ("Lean one more and record again. [What it costs](placing.md).",),
+    ),
+    "few_points": Explanation(
+        "A pole has few returns",
+        "A pole has fewer than 12 returns from one LiDAR.",
+        ("Stand that pole nearer, about 5 m away, or record some seconds and give all frames.",),
+    ),
+    "few_rings": Explanation(
+        "A pole is on few rings",
+        "A pole is met by 3 rings or fewer of one LiDAR: its direction is weak.",
+        ("Stand it nearer or more upright, or use a longer one, so that more rings cross it.",),
+    ),
+    "noisy_poles": Explanation(
+        "The returns on the poles scatter more than they should",
+        "Returns on the poles scatter along the beam by more than three times what the "
+        "manufacturer states, or 3 cm where the sensor is not known.",
+        (
+            "Check `--radius` with a calliper, and that the poles stood still.",
+            "Name the sensor if it was recognised wrongly: `--sensor-target`, `--sensor-source`.",
+        ),
+    ),
+    "weak_direction": Explanation(
+        "One direction of the pose is weak",
+        "At the poles, the least certain direction has more than 5 cm, 1 σ. The message names it.",
+        (
+            "*height along the poles*: lean them more against each other.",
+            "*sideways, from pole to pole*, *across the plane of the poles*: stand them nearer, or "
+            "further apart.",
+            "Any direction: add another placement, "
+            "[`--placement`](placing.md#one-placement-is-weak-make-more).",
+        ),
+    ),
+    "offset_not_separable": Explanation(
+        "A range offset or the radius may be mistaken for the pose",
+        "A range offset of the tape, or an error of the radius, would look the same as another "
+        "pose.",
+        (
+            "Put poles on different sides of the LiDARs.",
+            "Measure the radius; leave `--radius-sigma` at 0 where it is known.",
+        ),
+    ),
+    "poles_and_scene_disagree": Explanation(
+        "The poles and the scene disagree",
+        "The scene moves the pose further from the poles than their uncertainty allows.",
+        (
+            "If walls coincide and poles do not: a pole moved, or `--radius` is wrong.",
+            "If poles coincide and walls do not: something large moved; `--no-refine` keeps to the "
+            "poles.",
+            "Clouds that another program has moved have lost their beam origin: "
+            "[accuracy](accuracy.md#what-the-figures-rest-on).",
+        ),
+    ),
+}

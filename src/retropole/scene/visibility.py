@@ -1,0 +1,224 @@
+"""What one LiDAR saw, and whether the other's points agree with it: overlap and free space.
+
+Overlap is the share of points with a neighbour in the other cloud. Free space is violated by a
+point that stands where the other LiDAR looked through. Everything that asks either of these asks
+here: the choice of the hypothesis, the check of a site, the score of a transform, other methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from .. import se3
+from ..datatypes import Array, BoolArray, PointCloud
+from .registration import CORES, voxel_downsample
+
+RANGE_CELL = np.radians(1.0)
+"""Side of a cell of the range image, rad: wider than the spacing of rings and firings of most
+LiDARs, so that a seen surface leaves few cells empty."""
+
+RANGE_MARGIN, RELATIVE_RANGE_MARGIN = 0.5, 0.1
+"""A point must be this far, metres, and this part of its range in front of what the other LiDAR
+saw in its direction to violate free space: poles leave up to a degree of error in the pose."""
+
+OVERLAP_DISTANCE = 0.5
+"""A point with a neighbour of the other cloud within this distance overlaps it, metres: the poles'
+pose may be off by as much at the far end of a scan."""
+
+
+class Cells(NamedTuple):
+    """Cells of direction: row by elevation from below, column by azimuth from −π."""
+
+    row: NDArray[np.intp]
+    column: NDArray[np.intp]
+
+
+IMAGE_SHAPE = int(np.pi / RANGE_CELL), int(2 * np.pi / RANGE_CELL)
+
+
+def cells_of(rays: Array) -> Cells:
+    """Sort rays (N, 3), of any length, into cells of direction."""
+    rows, columns = IMAGE_SHAPE
+    azimuth = np.arctan2(rays[:, 1], rays[:, 0])
+    elevation = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+    row = np.clip(((elevation + np.pi / 2) / np.pi * rows).astype(np.intp), 0, rows - 1)
+    column = ((azimuth + np.pi) / (2 * np.pi) * columns).astype(np.intp) % columns
+    return Cells(row, column)
+
+
+class Nearest(NamedTuple):
+    """Ranges by cell of direction.
+
+    Attributes
+    ----------
+    ranges
+        (E, A) least range in each cell and its neighbours, metres; infinite where none of them
+        holds a return.
+    seen
+        (E, A) whether the cell itself holds a return.
+    """
+
+    ranges: Array
+    seen: BoolArray
+
+
+def nearest_around(cells: Cells, ranges: Array) -> Nearest:
+    """Take the least range in each cell and its neighbours.
+
+    A point beside an edge may fall into the cell of what lies behind, hence the neighbours.
+    """
+    image = np.full(IMAGE_SHAPE, np.inf)
+    np.minimum.at(image, cells, ranges)
+    rows = np.pad(image, ((1, 1), (0, 0)), constant_values=np.inf)
+    nearest = np.minimum(np.minimum(rows[:-2], rows[1:-1]), rows[2:])
+    nearest = np.minimum(np.minimum(np.roll(nearest, 1, 1), nearest), np.roll(nearest, -1, 1))
+    return Nearest(nearest, np.isfinite(image))
+
+
+def range_margin(ranges: Array) -> Array:
+    """How far behind a point (N,) the other LiDAR must have seen to contradict it, metres."""
+    return np.maximum(RANGE_MARGIN, RELATIVE_RANGE_MARGIN * ranges)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """How far a LiDAR saw in each direction.
+
+    Attributes
+    ----------
+    origin
+        (3,) where the beams start, in the cloud's frame.
+    nearest
+        Ranges by cell of direction.
+    """
+
+    origin: Array
+    nearest: Nearest
+
+
+def range_image(cloud: PointCloud) -> RangeImage:
+    """Sort a cloud's ranges into cells of direction about its beam origin."""
+    rays = cloud.xyz - cloud.origin
+    return RangeImage(cloud.origin, nearest_around(cells_of(rays), np.linalg.norm(rays, axis=1)))
+
+
+def free_space_violation(image: RangeImage, points: Array) -> float:
+    """Share of points that stand where the LiDAR of ``image`` looked through.
+
+    Parameters
+    ----------
+    image
+        What the one LiDAR saw.
+    points
+        (N, 3) returns of the other, in the frame of the first.
+
+    Notes
+    -----
+    A file that was moved into another frame no longer tells where its sensor was. Seen from a wrong
+    origin the measure is weaker, but it does not turn against the truth: a point on a surface that
+    the other LiDAR measured has that surface in its direction from wherever one looks, so the right
+    hypothesis is not contradicted.
+    """
+    rays = points - image.origin
+    ranges = np.linalg.norm(rays, axis=1)
+    cells = cells_of(rays)
+    behind = image.nearest.ranges[cells] > ranges + range_margin(ranges)
+    return float(np.mean(behind & image.nearest.seen[cells]))
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What one LiDAR saw, prepared to be compared with another's view.
+
+    Attributes
+    ----------
+    points
+        (S, 3) a sample of the downsampled cloud, its own frame, metres.
+    tree
+        Of the whole downsampled cloud.
+    image
+        Of the cloud as it was recorded.
+    """
+
+    points: Array
+    tree: cKDTree
+    image: RangeImage
+
+    @property
+    def size(self) -> int:
+        """How many points the downsampled cloud has."""
+        return int(self.tree.n)
+
+
+def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
+    """Prepare a cloud.
+
+    Parameters
+    ----------
+    cloud
+        In its own frame.
+    voxel
+        It is downsampled to one point per cube of this side, metres, so that the dense ground near
+        the LiDAR does not outvote the rest.
+    sample
+        Every n-th point is compared, so that about so many are; None compares all.
+    """
+    points = voxel_downsample(cloud.xyz, voxel)
+    step = 1 if sample is None else 1 + len(points) // sample
+    return View(points[::step], cKDTree(points), range_image(cloud))
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How two views agree under a pose.
+
+    Attributes
+    ----------
+    overlap, free_space_violation
+        Shares of the points, mean of both directions.
+    distances
+        (S,) of the source's points from the target's cloud, metres; infinite beyond the limit.
+    """
+
+    overlap: float
+    free_space_violation: float
+    distances: Array
+
+
+def compare_views(
+    target: View, source: View, T: Array, *, within: float, limit: float | None = None
+) -> Agreement:
+    """Compare two views under a pose.
+
+    Parameters
+    ----------
+    target, source
+        Each in its own frame.
+    T
+        (4, 4) target from source.
+    within
+        A point with a neighbour of the other cloud within this distance overlaps it, metres.
+    limit
+        Neighbours further away are not looked for, metres; None takes ``within``.
+    """
+    there, back = se3.apply(T, source.points), se3.apply(se3.inverse(T), target.points)
+    bound = within if limit is None else limit
+    distances = [
+        tree.query(points, distance_upper_bound=bound, workers=CORES)[0]
+        for tree, points in ((target.tree, there), (source.tree, back))
+    ]
+    violation = np.mean(
+        [free_space_violation(target.image, there), free_space_violation(source.image, back)]
+    )
+    return Agreement(overlap(distances, within), float(violation), distances[0])
+
+
+def overlap(distances: Sequence[Array], within: float) -> float:
+    """Share of points with a neighbour within a distance, metres: mean over both clouds."""
+    return float(np.mean([np.mean(each <= within) for each in distances]))
