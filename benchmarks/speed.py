@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from retropole import se3
-from retropole.evaluation.metrics import RQE_POINTS, rqe
+from retropole.evaluation.entropy import rqe
+from retropole.evaluation.metrics import RQE_POINTS
 from retropole.io import write_pcd
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair

@@ -19,7 +19,8 @@ from retropole import se3
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.observations import beams_of
 from retropole.datatypes import Calibration
-from retropole.evaluation.metrics import RQE_POINTS, rqe
+from retropole.evaluation.entropy import rqe
+from retropole.evaluation.metrics import RQE_POINTS
 from retropole.extraction.poles import extract_poles
 from retropole.matching.correspondence import match_poles
 from retropole.pipeline import calibrate

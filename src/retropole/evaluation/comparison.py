@@ -13,29 +13,25 @@ from ..datatypes import Array, Calibration, PointCloud
 from ..errors import Refusal, UsageError
 from ..pipeline import DEFAULT_RADIUS, calibrate
 from ..sensors import Sensor
+from .methods import ALL_METHODS, OURS
 from .metrics import Alignment, Errors, errors_of, evaluate
-from .rivals import METHODS as RIVALS
-from .rivals import missing_extra
-
-OURS = ("poles", "poles+scene")
-ALL_METHODS = (*OURS, *RIVALS)
-"""Names of all methods: the poles alone and with the scene, then the rivals."""
+from .rivals import load_rival, missing_extra
 
 Status = Literal["ok", "warn", "refused", "missing"]
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What came of one method.
+    """The outcome of one method.
 
     Attributes
     ----------
     method
-        Its name in `ALL_METHODS`.
+        Its name in `methods.ALL_METHODS`.
     status
         ``missing`` where the extra that it needs is not installed.
     codes
-        Codes of the reasons of a refusal or warning; of a missing method the extra.
+        Codes of the reasons of a refusal or warning; of a missing method the name of the extra.
     message
         The first reason in words.
     T_target_source
@@ -45,7 +41,7 @@ class Compared:
     errors
         Against the truth; None without either.
     seconds
-        It took, from clouds in memory; None where it did not run.
+        Time that it took, with the clouds in memory; None where it did not run.
     """
 
     method: str
@@ -77,7 +73,7 @@ def compare(
     target, source
         Clouds, each in its own frame.
     methods
-        Names out of `ALL_METHODS`.
+        Names from `methods.ALL_METHODS`.
     T_true
         (4, 4) truth, where it is known.
     radius, sensors, thresholds
@@ -109,57 +105,59 @@ def compare(
             ours = ours or calibrate(
                 target, source, radius=radius, sensors=sensors, thresholds=thresholds
             )
-            run = _of_ours(name, ours)
+            outcome = _outcome_of_ours(name, ours)
         else:
-            run = _of_rival(name, target, source, seed)
-        found.append(_scored(run, target, source, T_true, seed))
+            outcome = _run_rival(name, target, source, seed)
+        found.append(_scored(outcome, target, source, T_true, seed))
     return found
 
 
-def _of_ours(name: str, answer: Calibration) -> Compared:
+def _outcome_of_ours(name: str, answer: Calibration) -> Compared:
+    """Take the outcome of the poles alone, or with the scene, from one calibration."""
     codes = tuple(reason.code for reason in answer.reasons)
     message = answer.reasons[0].message if answer.reasons else ""
     alone = name == "poles"
     seconds = sum(s for step, s in answer.seconds.items() if not (alone and step == "refine"))
-    stage = answer.poles if alone else answer.refined
+    pose = answer.poles if alone else answer.refined
     if answer.status == "refused":
         return Compared(name, "refused", codes, message, seconds=seconds)
-    if stage is None:
+    if pose is None:
         return Compared(
             name,
             "refused",
             ("no_scene",),
-            "the scene has too few surfaces that both see to refine the poles' pose",
+            "both LiDARs see too few surfaces of the scene to refine the pose of the poles",
             seconds=seconds,
         )
-    return Compared(name, answer.status, codes, message, stage.T_target_source, seconds=seconds)
+    return Compared(name, answer.status, codes, message, pose.T_target_source, seconds=seconds)
 
 
-def _of_rival(name: str, target: PointCloud, source: PointCloud, seed: int) -> Compared:
+def _run_rival(name: str, target: PointCloud, source: PointCloud, seed: int) -> Compared:
     extra = missing_extra(name)
     if extra is not None:
         return Compared(name, "missing", (extra,), f"pip install 'retropole[{extra}]'")
+    rival, rng = load_rival(name), np.random.default_rng(seed)
     start = time.perf_counter()
     try:
-        stage = RIVALS[name](target, source, np.random.default_rng(seed))
+        pose = rival(target, source, rng)
     except Refusal as refusal:
         seconds = time.perf_counter() - start
         return Compared(name, "refused", (refusal.code,), refusal.message, seconds=seconds)
     return Compared(
-        name, "ok", T_target_source=stage.T_target_source, seconds=time.perf_counter() - start
+        name, "ok", T_target_source=pose.T_target_source, seconds=time.perf_counter() - start
     )
 
 
 def _scored(
-    run: Compared, target: PointCloud, source: PointCloud, T_true: Array | None, seed: int
+    outcome: Compared, target: PointCloud, source: PointCloud, T_true: Array | None, seed: int
 ) -> Compared:
     """Add how the clouds lie together, and the errors where the truth is known."""
-    T = run.T_target_source
+    T = outcome.T_target_source
     if T is None:
-        return run
+        return outcome
     # Every method is scored on the same points, or chance would rank those that are alike.
     return replace(
-        run,
+        outcome,
         alignment=evaluate(target, source, T, rng=np.random.default_rng(seed)),
         errors=None if T_true is None else errors_of(T, T_true),
     )

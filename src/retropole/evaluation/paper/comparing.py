@@ -1,23 +1,23 @@
-"""Table IV: crispness of the aligned clouds, by method, without a truth."""
+"""Table IV: how sharp the aligned clouds are, by method, without a truth."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import se3
-from ...datatypes import Array, PointCloud, PoseEstimate
+from ...datatypes import Array, PointCloud
 from ...errors import Refusal
 from ...io import read_cloud
 from ...pipeline import calibrate
 from ...report.figures import BLUE, ORANGE
 from ...simulation import simulate_pair
-from ..metrics import EVALUATION_VOXEL, KERNEL_WIDTH, Alignment, e_rt, evaluate
-from ..rivals import gicp, icp, planar_surfaces
+from ..entropy import KERNEL_WIDTH
+from ..metrics import EVALUATION_VOXEL, Alignment, e_rt, evaluate
+from ..rivals import load_rival
 from .exhibit import Cell, Exhibit
 
 if TYPE_CHECKING:
@@ -26,35 +26,37 @@ if TYPE_CHECKING:
 PAPER_TABLE_IV = {"planes": 0.0824, "poles": 0.0822, "ICP": 0.0461, "wrong hypothesis": 0.0497}
 """Argument of the entropy's logarithm, by method."""
 
-SEED = 0
+SCORING_SEED = 0
 """Of the points that the entropy is taken of, and of the planes that are drawn."""
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""What a wrong hypothesis looks like where there are no poles to make one: about the vertical."""
+"""Rotation by 180° about the vertical: it stands for a wrong hypothesis in recordings without
+poles."""
 
-Methods = dict[str, Array | str]
+RIVAL_NAMES = {"planes": "planes", "ICP": "icp", "GICP": "gicp"}
+"""Name of each rival of the table in the registry."""
+
+SHOWN_RANGE = 12.0
+"""Figures show so much around the target, metres."""
+
+PosesOrCodes = dict[str, Array | str]
 """The pose of each method, or the code of its refusal."""
 
 
-def poses(target: PointCloud, source: PointCloud) -> Methods:
+def poses(target: PointCloud, source: PointCloud) -> PosesOrCodes:
     """Find the pose of two clouds by every method of the table; target from source."""
-    found: Methods = {}
-    rng = np.random.default_rng(SEED)
-    rivals: dict[str, Callable[[], PoseEstimate]] = {
-        "planes": lambda: planar_surfaces(target, source, rng=rng),
-        "ICP": lambda: icp(target, source),
-        "GICP": lambda: gicp(target, source),
-    }
-    for name, run in rivals.items():
+    found: PosesOrCodes = {}
+    rng = np.random.default_rng(SCORING_SEED)
+    for name, registered in RIVAL_NAMES.items():
         try:
-            found[name] = run().T_target_source
+            found[name] = load_rival(registered)(target, source, rng).T_target_source
         except Refusal as refusal:
             found[name] = refusal.code
     if target.intensity is None or source.intensity is None:
         return found
     answer = calibrate(target, source)
-    for name, stage in (("poles", answer.poles), ("poles and scene", answer.refined)):
-        found[name] = answer.reasons[0].code if stage is None else stage.T_target_source
+    for name, pose in (("poles", answer.poles), ("poles and scene", answer.refined)):
+        found[name] = answer.reasons[0].code if pose is None else pose.T_target_source
     if answer.status != "refused":
         wrong = [h for h in answer.hypotheses[1:] if h.match.exact]
         if wrong:
@@ -64,15 +66,15 @@ def poses(target: PointCloud, source: PointCloud) -> Methods:
 
 def score(target: PointCloud, source: PointCloud, T: Array) -> Alignment:
     """Score a pose on the same points as every other pose of the same clouds."""
-    return evaluate(target, source, T, rng=np.random.default_rng(SEED))
+    return evaluate(target, source, T, rng=np.random.default_rng(SCORING_SEED))
 
 
 FIGURES = ("sum 1/m³", "−log", "overlap", "plane residual m")
 NOTE = (
-    f"Rényi's quadratic entropy of both clouds, thinned to {EVALUATION_VOXEL} m, kernel {KERNEL_WIDTH} m: the "
-    "argument of its logarithm (larger is crisper), and −log of it. The paper says neither how "
-    "wide its kernel is nor which points it takes: compare the order, not the size. ICP and GICP "
-    "start from the identity."
+    f"Rényi's quadratic entropy of both clouds, downsampled to {EVALUATION_VOXEL} m, kernel "
+    f"{KERNEL_WIDTH} m: the argument of its logarithm (larger is sharper), and −log of it. The "
+    "paper states neither the width of its kernel nor which points it takes: compare the order, "
+    "not the size. ICP and GICP start from the identity."
 )
 
 
@@ -81,7 +83,7 @@ def comparing_simulated(seeds: int) -> Exhibit:
     columns: dict[str, list[tuple[float, ...]]] = {}
     refused: dict[str, int] = {}
     ordered = compared = 0
-    example: tuple[PointCloud, PointCloud, Methods] | None = None
+    example: tuple[PointCloud, PointCloud, PosesOrCodes] | None = None
     for seed in range(seeds):
         pair = simulate_pair("corridor", np.random.default_rng(seed))
         found = {**poses(pair.target, pair.source), "truth": pair.T_target_source}
@@ -109,13 +111,13 @@ def comparing_simulated(seeds: int) -> Exhibit:
         rows.append((name, PAPER_TABLE_IV.get(name), *middle, refused.get(name, 0)))
     return Exhibit(
         "table4_comparing",
-        "Table IV: crispness of the aligned clouds, simulated corridors",
+        "Table IV: sharpness of the aligned clouds, simulated corridors",
         ("method", "paper", *FIGURES, "e_rt m", "refused"),
         tuple(rows),
         f"{NOTE} Medians over the {compared} of {seeds} corridors in which all four of the paper's "
-        f"methods answered; in {ordered} of these planes and poles both were crisper than ICP and "
-        "the wrong hypothesis. Crisp is not right: a corridor that ICP slides along itself, or "
-        "turns half round, lies on itself all the same, and the e_rt beside tells.",
+        f"methods answered; in {ordered} of these planes and poles both were sharper than ICP and "
+        "the wrong hypothesis. Sharp is not right: a corridor that ICP translates along itself, or "
+        "rotates by 180°, lies on itself all the same, and the e_rt beside it shows so.",
         None if example is None else lambda figure: _draw(figure, *example),
         (14.0, 4.5),
     )
@@ -160,26 +162,25 @@ def comparing_real(data: Path) -> Exhibit:
             rows.append((pair, name, s.entropy.sum, s.entropy.log, s.overlap, s.plane_residual))
     return Exhibit(
         "table4_recorded",
-        "Table IV: crispness of the aligned clouds, real recordings",
+        "Table IV: sharpness of the aligned clouds, real recordings",
         ("recording", "method", *FIGURES),
         tuple(rows),
         f"{NOTE} No public recording shows two taped poles, so ours refuses here, and the wrong "
-        "hypothesis is the reference (or the planes' pose) turned half way round the vertical.",
+        "hypothesis is the reference (or the planes' pose) rotated by 180° about the vertical.",
     )
 
 
-def _draw(figure: Figure, target: PointCloud, source: PointCloud, found: Methods) -> None:
+def _draw(figure: Figure, target: PointCloud, source: PointCloud, found: PosesOrCodes) -> None:
     """Draw both clouds from above under the paper's four methods."""
-    near = np.abs(target.xyz).max(axis=1) < 12.0
+    near = np.abs(target.xyz).max(axis=1) < SHOWN_RANGE
     for k, name in enumerate(PAPER_TABLE_IV):
         axes = figure.add_subplot(1, len(PAPER_TABLE_IV), k + 1)
         T = found[name]
         assert not isinstance(T, str)
-        moved = se3.apply(T, source.xyz)
-        for xyz, color in ((target.xyz[near], BLUE), (moved, ORANGE)):
+        for xyz, color in ((target.xyz[near], BLUE), (se3.apply(T, source.xyz), ORANGE)):
             axes.scatter(xyz[::3, 0], xyz[::3, 1], s=0.3, c=color, linewidths=0, rasterized=True)
         sum_ = score(target, source, T).entropy.sum
         axes.set_title(f"{name}\nsum {sum_:.4g} 1/m³ (paper {PAPER_TABLE_IV[name]})", fontsize=9)
-        axes.set(xlim=(-12, 12), ylim=(-12, 12))
+        axes.set(xlim=(-SHOWN_RANGE, SHOWN_RANGE), ylim=(-SHOWN_RANGE, SHOWN_RANGE))
         axes.set_aspect("equal")
         axes.tick_params(labelsize=7)

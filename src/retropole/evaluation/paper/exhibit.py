@@ -23,11 +23,11 @@ class Exhibit:
     name
         Stem of its files.
     title
-        What of the paper it is.
+        Which table or figure of the paper it is.
     header, rows
         The table; None where there is no figure to give.
     note
-        What to know when reading it; paragraphs of Markdown.
+        What to know when reading it, in Markdown.
     draw
         Draws the figure; None where there is none.
     size

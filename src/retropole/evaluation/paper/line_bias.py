@@ -16,13 +16,13 @@ from .exhibit import Exhibit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-TURNS = {
+PAPER_ORIENTATIONS = {
     "q1": np.array([-0.120, 0.263, -0.013, 0.957]),
     "q2": np.array([0.0, 0.0, 0.0, 1.0]),
 }
-"""Orientations of the LiDAR; quaternions x y z w, normalised where they are used."""
+"""Orientations of the LiDAR in Table II; quaternions x y z w, normalised where they are used."""
 
-PAPER = {
+PAPER_TABLE_II = {
     (10, 0.3): (0.061196, 0.060038),
     (10, 0.2): (0.027408, 0.028638),
     (10, 0.1): (0.007277, 0.008005),
@@ -36,14 +36,14 @@ PAPER = {
 """Mean-square error under q1 and q2, m², by distance and radius, metres."""
 
 PHASES = 20
-"""Places of the beams between one step of azimuth and the next over which the spread is taken."""
+"""Starts of the sweep within one step of azimuth over which the spread is taken."""
 
-POLE_LENGTH = 100.0
-"""So long that the field of view ends the line, metres."""
+ENDLESS_POLE = 100.0
+"""Length of the pole, metres: the field of view ends the line, as in the paper."""
 
 
 def line_error(centre: Array, direction: Array, heights: tuple[float, float]) -> float:
-    """Mean-square distance of a line from the z axis between two heights, square metres.
+    """Mean-square distance of a line from the z axis between two heights, m² (eq. 6).
 
     ``E = n_z/(z_max − z_min) ∫ [(x_c + n_x s)² + (y_c + n_y s)²] ds`` with s from
     ``(z_min − z_c)/n_z`` to ``(z_max − z_c)/n_z``. Xue et al. 2019 print a product between the two
@@ -56,42 +56,44 @@ def line_error(centre: Array, direction: Array, heights: tuple[float, float]) ->
     heights
         z_min and z_max, metres.
     """
-    slope = direction[:2] / direction[2]
-    # In z the integrand is a parabola: its mean is the middle squared plus slope² · span²/12.
-    middle = centre[:2] + slope * (0.5 * (heights[0] + heights[1]) - centre[2])
+    gradient = direction[:2] / direction[2]
+    # In z the integrand is a parabola: its mean is the middle squared plus gradient² · span²/12.
+    middle = centre[:2] + gradient * (0.5 * (heights[0] + heights[1]) - centre[2])
     span = heights[1] - heights[0]
-    return float(middle @ middle + slope @ slope * span**2 / 12.0)
+    return float(middle @ middle + gradient @ gradient * span**2 / 12.0)
 
 
 def expected_line_error(radius: float) -> float:
-    """What `line_error` tends to where many beams meet the pole: (π r/4)², square metres.
+    """What `line_error` tends to where many beams hit the pole: (π r/4)², m².
 
-    Beams evenly spaced across the pole meet it π r/4 in front of the axis on average: a bias
-    towards the sensor, which no number of returns averages away.
+    Beams evenly spaced across the pole hit it π r/4 in front of the axis on average: a bias
+    towards the sensor, which no number of returns averages out.
     """
     return (np.pi * radius / 4.0) ** 2
 
 
-def points_on_pole(distance: float, radius: float, turn: str, phase: float = 0.0) -> Array:
-    """Where the beams of a VLP-16 at (distance, 0, 0) meet a pole on the z axis: (N, 3), metres.
+def points_on_pole(distance: float, radius: float, orientation: str, phase: float = 0.0) -> Array:
+    """Where the beams of a VLP-16 at (distance, 0, 0) hit a pole on the z axis: (N, 3), metres.
+
+    The set-up of eq. 3–5, solved by exact ray casting.
 
     Parameters
     ----------
     distance, radius
         Metres.
-    turn
-        The LiDAR's orientation, one of `TURNS`.
+    orientation
+        Of the LiDAR, one of `PAPER_ORIENTATIONS`.
     phase
-        Where the first beam of a turn stands, in steps of azimuth; at 0 one stands at azimuth 0,
-        and, untilted, one meets the pole in its middle.
+        Azimuth of the first firing of a sweep, in steps of azimuth. At 0 one firing is at azimuth
+        0, and one of an untilted LiDAR hits the middle of the pole.
     """
     sensor = find_sensor("VLP-16")
-    pose = se3.from_quaternion_xyzw(TURNS[turn], np.array([distance, 0.0, 0.0]))
+    pose = se3.from_quaternion_xyzw(PAPER_ORIENTATIONS[orientation], np.array([distance, 0.0, 0.0]))
     azimuth = (phase + np.arange(round(2 * np.pi / sensor.azimuth_step))) * sensor.azimuth_step
     azimuth, elevation = (a.ravel() for a in np.meshgrid(azimuth, sensor.elevations))
     level = np.cos(elevation)
     rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
-    pole = Cylinder(np.zeros(3), np.array([0.0, 0.0, 1.0]), radius, POLE_LENGTH, Material())
+    pole = Cylinder(np.zeros(3), np.array([0.0, 0.0, 1.0]), radius, ENDLESS_POLE, Material())
     rays = rays @ pose[:3, :3].T
     ranges = cast(pose[:3, 3], rays, [pole]).ranges
     hit = np.isfinite(ranges)
@@ -106,32 +108,32 @@ def error_of_fit(points: Array) -> float:
 
 
 def line_bias() -> Exhibit:
-    """Compute every cell of Table II, and its spread over the azimuth's phase."""
+    """Compute every cell of Table II, and its spread over the phase of the sweep."""
     rows = []
-    for (distance, radius), figures in PAPER.items():
-        for turn, paper in zip(TURNS, figures, strict=True):
-            points = points_on_pole(distance, radius, turn)
+    for (distance, radius), figures in PAPER_TABLE_II.items():
+        for orientation, paper in zip(PAPER_ORIENTATIONS, figures, strict=True):
+            points = points_on_pole(distance, radius, orientation)
             ours = error_of_fit(points)
             spread = [
-                error_of_fit(points_on_pole(distance, radius, turn, k / PHASES))
+                error_of_fit(points_on_pole(distance, radius, orientation, k / PHASES))
                 for k in range(PHASES)
             ]
-            law = expected_line_error(radius)
+            expected = expected_line_error(radius)
             rows.append(
                 (
                     distance,
                     radius,
-                    turn,
+                    orientation,
                     len(points),
                     paper,
                     ours,
                     round(ours / paper, 3),
                     min(spread),
                     max(spread),
-                    law,
+                    expected,
                 )
             )
-    header = ("x_p m", "r m", "turn", "points", "paper m²", "ours m²", "ours / paper")
+    header = ("x_p m", "r m", "orientation", "points", "paper m²", "ours m²", "ours / paper")
     return Exhibit(
         "table2_two_matlab",
         "Table II: mean-square distance of a fitted line from the pole's axis, VLP-16",
@@ -140,16 +142,16 @@ def line_bias() -> Exhibit:
         "The paper prints a product between the two squares of the integrand; only their sum gives "
         "its table. Ours are for a beam at azimuth 0, the spread for beams anywhere within a step "
         "of 0.2°. Few beams hit a thin pole far away (at 10 m and r = 0.1 m five of each ring), so "
-        "there it decides where they start, which the paper does not say. All follow (π r/4)²: "
-        "returns lie π r/4 in front of the axis on average, towards the LiDAR.",
+        "there the start of the sweep decides, which the paper does not state. All follow "
+        "(π r/4)²: returns lie π r/4 in front of the axis on average, towards the LiDAR.",
         lambda figure: _draw(figure, rows),
         (13.0, 5.0),
     )
 
 
 def _draw(figure: Figure, rows: Sequence[tuple[Any, ...]]) -> None:
-    """Draw the points from the side and from above, and the law over the table."""
-    side, above, law = figure.subplots(1, 3, width_ratios=(1, 1, 1.3))
+    """Draw the points from the side and from above, and the expected error over the table."""
+    side, above, errors = figure.subplots(1, 3, width_ratios=(1, 1, 1.3))
     points = points_on_pole(6, 0.3, "q1")
     side.scatter(points[:, 0], points[:, 2], s=6, color="#0072b2", linewidths=0)
     side.axvline(0.0, color="#9aa0a6", lw=1)
@@ -164,20 +166,21 @@ def _draw(figure: Figure, rows: Sequence[tuple[Any, ...]]) -> None:
     above.set(title="from above; the LiDAR is on the right", xlabel="x, m", ylabel="y, m")
     above.set_aspect("equal")
     above.legend(fontsize=8, loc="lower left")
-    _draw_law(law, rows)
+    _draw_errors(errors, rows)
 
 
-def _draw_law(axes: Any, rows: Sequence[tuple[Any, ...]]) -> None:
+def _draw_errors(axes: Any, rows: Sequence[tuple[Any, ...]]) -> None:
+    """Draw the table over the radius, with the expected error."""
     radius = np.linspace(0.08, 0.35, 50)
     axes.plot(radius, (np.pi * radius / 4) ** 2, "k-", lw=1, label="(π r/4)²")
     styles = {10: ("o", "#d55e00"), 6: ("s", "#0072b2"), 4: ("^", "#009e73")}
-    for distance, r, turn, _, paper, ours, _, least, most, _ in rows:
+    for distance, r, orientation, _, paper, ours, _, least, most, _ in rows:
         marker, color = styles[distance]
         # Cells of one radius stand side by side.
-        near = r * (0.97 if turn == "q1" else 1.03) * {10: 0.985, 6: 1.0, 4: 1.015}[distance]
+        near = r * (0.97 if orientation == "q1" else 1.03) * {10: 0.985, 6: 1.0, 4: 1.015}[distance]
         axes.plot([near, near], [least, most], color=color, lw=3, alpha=0.4)
         axes.plot(near, paper, marker, mfc="none", mec=color, ms=8)
-        name = f"{distance} m" if (r, turn) == (0.3, "q1") else ""
+        name = f"{distance} m" if (r, orientation) == (0.3, "q1") else ""
         axes.plot(near, ours, marker, color=color, ms=4, label=name)
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -1,51 +1,77 @@
-"""Other ways to the same transform, to set beside our own.
+"""Other ways to the same transform, to compare with our own.
 
-Every method takes target and source and gives a `PoseEstimate`, or raises `Refusal`. None of them uses
-the poles.
+Every rival is a function ``(target, source, rng) -> PoseEstimate`` that raises `Refusal` where it
+has no answer. None of them uses the poles. To add one, write its module and add its line to
+`RIVALS`: the command line, the comparison and the benchmarks take it from there. Importing the
+registry loads no rival.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
-from ...datatypes import PointCloud, PoseEstimate
-from .fpfh import fpfh_ransac
-from .icp import gicp, icp
-from .kiss import kiss_matcher
-from .planes import planar_surfaces
+    from ...datatypes import PointCloud, PoseEstimate
 
-__all__ = [
-    "EXTRAS",
-    "METHODS",
-    "fpfh_ransac",
-    "gicp",
-    "icp",
-    "kiss_matcher",
-    "missing_extra",
-    "planar_surfaces",
-]
+    Method = Callable[[PointCloud, PointCloud, np.random.Generator], PoseEstimate]
 
-Method = Callable[[PointCloud, PointCloud, np.random.Generator], PoseEstimate]
 
-METHODS: dict[str, Method] = {
-    "planes": lambda target, source, rng: planar_surfaces(target, source, rng=rng),
-    "icp": lambda target, source, rng: icp(target, source),
-    "gicp": lambda target, source, rng: gicp(target, source),
-    "kiss": lambda target, source, rng: kiss_matcher(target, source),
-    "fpfh": lambda target, source, rng: fpfh_ransac(target, source, rng=rng),
+class Extra(NamedTuple):
+    """What a rival needs beyond the core.
+
+    Attributes
+    ----------
+    name
+        Of the extra of this package that installs it.
+    module
+        Its module: where that is found, the extra is installed.
+    """
+
+    name: str
+    module: str
+
+
+class Rival(NamedTuple):
+    """One line of the registry.
+
+    Attributes
+    ----------
+    title
+        What it is, for a person.
+    function
+        Where it is, ``module:function`` within this folder.
+    extra
+        What it needs beyond the core; None where it needs nothing.
+    """
+
+    title: str
+    function: str
+    extra: Extra | None = None
+
+
+RIVALS: dict[str, Rival] = {
+    "planes": Rival("planar surfaces (Jiao et al. 2019)", "planes:planar_surfaces"),
+    "icp": Rival("point-to-point ICP from the identity", "icp:icp"),
+    "gicp": Rival("plane-to-plane ICP from the identity", "icp:gicp"),
+    "kiss": Rival("KISS-Matcher, then GICP", "kiss:kiss_matcher", Extra("kiss", "kiss_matcher")),
+    "fpfh": Rival("FPFH with RANSAC, then GICP", "fpfh:fpfh_ransac", Extra("open3d", "open3d")),
 }
-"""Every rival by its name; those that draw nothing leave the generator alone."""
-
-EXTRAS = {"kiss": ("kiss", "kiss_matcher"), "fpfh": ("open3d", "open3d")}
-"""The extra that brings what a rival needs, and the module that tells whether it is there."""
+"""Every rival by its name."""
 
 
-def missing_extra(method: str) -> str | None:
-    """Name the extra that a rival lacks; None where it can run."""
-    if method not in EXTRAS:
-        return None
-    extra, module = EXTRAS[method]
-    return extra if find_spec(module) is None else None
+def load_rival(name: str) -> Method:
+    """Import a rival of `RIVALS`; what it needs beyond the core is imported when it is called."""
+    module, function = RIVALS[name].function.split(":")
+    method: Method = getattr(import_module(f".{module}", __name__), function)
+    return method
+
+
+def missing_extra(name: str) -> str | None:
+    """Name the extra that a rival of `RIVALS` lacks; None where it can run."""
+    extra = RIVALS[name].extra
+    return None if extra is None or find_spec(extra.module) is not None else extra.name

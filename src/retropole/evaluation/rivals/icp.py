@@ -1,7 +1,7 @@
 """ICP and generalised ICP alone, from the identity.
 
-Point to point (Besl and McKay 1992; the other rival of M9), and plane to plane (Segal, Haehnel and
-Thrun 2009), as if the LiDARs stood in one place and looked one way.
+Point to point (Besl and McKay 1992), the other rival of Xue et al. 2019, Table IV; and plane to
+plane (Segal, Haehnel and Thrun 2009). Both start as if the two frames were one.
 """
 
 from __future__ import annotations
@@ -11,33 +11,48 @@ from typing import Literal
 import numpy as np
 
 from ...datatypes import PointCloud, PoseEstimate
-from .scene import register_scene
+from .registration import register_clouds
 
 ICP_CORRESPONDENCE_DISTANCES = (3.0, 1.0, 0.3)
-"""Of corresponding points, metres."""
+"""Largest distances of corresponding points, one after the other, metres (chosen: from the error
+of a bad start to that of a good one)."""
 
 MAX_ICP_ITERATIONS = 100
-"""For each reach: the identity may be far off."""
+"""For each of these distances: the identity may be far off."""
 
 
-def icp(target: PointCloud, source: PointCloud) -> PoseEstimate:
-    """Register two clouds, each in its own frame, by point-to-point ICP.
+def icp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
+    """Register two clouds by point-to-point ICP.
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+    rng
+        Not used: nothing is drawn.
 
     Raises
     ------
     Refusal
-        As `scene.register_scene`.
+        As `registration.register_clouds`.
     """
     return _from_identity(target, source, "ICP")
 
 
-def gicp(target: PointCloud, source: PointCloud) -> PoseEstimate:
-    """Register two clouds, each in its own frame, by GICP (small_gicp).
+def gicp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
+    """Register two clouds by GICP (small_gicp).
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+    rng
+        Not used: nothing is drawn.
 
     Raises
     ------
     Refusal
-        As `scene.register_scene`.
+        As `registration.register_clouds`.
     """
     return _from_identity(target, source, "GICP")
 
@@ -45,11 +60,11 @@ def gicp(target: PointCloud, source: PointCloud) -> PoseEstimate:
 def _from_identity(
     target: PointCloud, source: PointCloud, method: Literal["ICP", "GICP"]
 ) -> PoseEstimate:
-    return register_scene(
+    return register_clouds(
         target,
         source,
         np.eye(4),
         method=method,
-        reaches=ICP_CORRESPONDENCE_DISTANCES,
+        max_correspondence_distances=ICP_CORRESPONDENCE_DISTANCES,
         max_iterations=MAX_ICP_ITERATIONS,
     )

@@ -1,9 +1,9 @@
 """KISS-Matcher and GICP: registration of whole clouds without a start.
 
 H. Lim et al., *KISS-Matcher: Fast and Robust Point Cloud Registration Revisited*, ICRA 2025: point
-features, outliers pruned by a graph, a robust solver. GICP sharpens its answer, and where GICP does
-not come to rest there is none: a wrong match shows so more often than by its own count of inliers.
-Draws nothing from us, and still differs a little from run to run.
+features, outliers pruned by a graph, a robust solver. GICP refines its answer. Where GICP does not
+converge there is no answer: this reveals a wrong match more often than the number of inliers does.
+The answer differs a little from run to run.
 """
 
 from __future__ import annotations
@@ -14,25 +14,27 @@ from ... import se3
 from ...datatypes import PointCloud, PoseEstimate
 from ...errors import MissingExtraError, Refusal
 from ...scene.registration import MIN_CLOUD_POINTS
-from .scene import register_scene
+from .registration import register_clouds
 
 KISS_VOXEL = 0.3
-"""The maker's own default, metres."""
+"""The authors' own default, metres."""
 
 MIN_INLIERS = 5
-"""Below this many of its correspondences the maker's own examples call the answer a failure."""
+"""With fewer correspondences that agree, its authors' own examples call the answer a failure."""
 
 KISS_CORRESPONDENCE_DISTANCES = (1.0, 0.3)
-"""Of GICP's corresponding points, metres."""
+"""Largest distances of GICP's corresponding points, one after the other, metres."""
 
 
-def kiss_matcher(target: PointCloud, source: PointCloud) -> PoseEstimate:
+def kiss_matcher(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
     """Match the clouds by KISS-Matcher with its own settings, and refine by GICP.
 
     Parameters
     ----------
     target, source
         Clouds, each in its own frame. Intensities are not used.
+    rng
+        Not used: KISS-Matcher draws by itself.
 
     Raises
     ------
@@ -40,7 +42,7 @@ def kiss_matcher(target: PointCloud, source: PointCloud) -> PoseEstimate:
         Without the extra ``kiss``.
     Refusal
         ``too_few_points``, ``unmatched`` where it finds too few correspondences that agree, and as
-        `scene.register_scene`.
+        `registration.register_clouds`.
     """
     try:
         import kiss_matcher as matching
@@ -67,4 +69,10 @@ def kiss_matcher(target: PointCloud, source: PointCloud) -> PoseEstimate:
             "needed; record a scene with more in it, or where the LiDARs see more of the same",
             {"inliers": inliers, "needed": MIN_INLIERS},
         )
-    return register_scene(target, source, T, method="GICP", reaches=KISS_CORRESPONDENCE_DISTANCES)
+    return register_clouds(
+        target,
+        source,
+        T,
+        method="GICP",
+        max_correspondence_distances=KISS_CORRESPONDENCE_DISTANCES,
+    )

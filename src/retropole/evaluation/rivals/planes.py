@@ -1,56 +1,53 @@
-"""Planar surfaces: three linearly independent planes in both clouds give the pose (M9).
+"""Planar surfaces: three linearly independent planes in both clouds give the pose.
 
-J. Jiao et al., *A novel dual-LiDAR calibration algorithm using planar surfaces*, IV 2019. Planes
-are found by RANSAC in each cloud, three of the one laid on three of the other in every order,
-rotation taken from the normals and translation from the offsets in closed form, and refined by
-least squares of points on planes. No start is needed.
+J. Jiao et al., *A novel dual-LiDAR calibration algorithm using planar surfaces*, IV 2019; a rival
+of Xue et al. 2019, Table IV. Planes are found by RANSAC in each cloud, three of the one laid on
+three of the other in every order, the rotation taken from the normals and the translation from the
+offsets in closed form, and refined by least squares of points on planes. No start is needed.
 
-How to choose where many triples fit is left open there, and a corridor fits itself after half a
-turn, to the millimetre in its planes. Here the surroundings choose: the share of points with a
-neighbour in the other cloud, less that which stands where the other LiDAR looked through. Where
-two different poses fit alike there is no answer.
+How to choose where many triples fit is left open there, and a corridor fits itself after a rotation
+by 180°, to the millimetre in its planes. Here the surroundings decide: the share of points with a
+neighbour in the other cloud, less the weighted share that stands where the other LiDAR looked
+through. Where two different poses fit alike there is no answer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ... import se3
 from ...datatypes import Array, BoolArray, PointCloud, PoseEstimate
 from ...errors import Refusal
-from ...scene.disambiguation import RangeImage, free_space_violation, range_image
-from ...scene.registration import voxel_downsample
-from .plane_extraction import MIN_INDEPENDENCE, Plane, extract_planes, independence, triples
+from ...scene.visibility import View, compare_views, view_of
+from .plane_extraction import MAX_ROUNDS, PlaneSearch, extract_planes, triples
+from .plane_poses import (
+    MAX_REFINE_STEPS,
+    SAME_PLANE_ANGLE,
+    RefinedPose,
+    agreement,
+    candidate_poses,
+    refine,
+)
 
-SAME_PLANE_ANGLE = float(np.radians(3.0))
-"""Triples may match if the angles between their planes differ by no more than this."""
+PLANES_SCORING_VOXEL = 0.3
+"""Clouds are downsampled to one point per cube of this side, metres, before poses are scored."""
 
-SAME_NORMAL, SAME_OFFSETS = float(np.radians(4.0)), (0.3, 0.15)
-"""Under a pose two planes are one if their normals agree so far, rad, and the middle of each lies
-so near the other, metres: before and after a first refinement."""
+PLANES_SCORING_SAMPLE = 2000
+"""Poses are scored on every n-th downsampled point so that about so many are left."""
 
-ROBUST = 0.05
-"""Distances of points from their plane count in full up to here, metres (Huber)."""
-
-SCORING_VOXEL_PLANES = 0.3
-"""Clouds are thinned to one point per cube of this side, metres, before poses are judged."""
-
-SCORING_SAMPLE = 2000
-"""Poses are judged on every n-th thinned point so that about so many are left."""
-
-OVERLAP_WITHIN = 0.15
-"""A point overlaps the other cloud where it has a neighbour within this distance, metres."""
+PLANES_OVERLAP_DISTANCE = 0.15
+"""A point overlaps the other cloud where it has a neighbour within this distance, metres: a pose
+from planes is good to a few centimetres."""
 
 VIOLATION_WEIGHT = 5.0
-"""What a point weighs that stands where the other LiDAR looked through, against one that overlaps:
-most points of a corridor overlap however it is turned, and few can contradict."""
+"""Weight of a point that stands where the other LiDAR looked through, against one that overlaps:
+most points of a corridor overlap however it is rotated, and few can contradict."""
 
 MAX_SCORED_POSES = 120
-"""Different poses that are refined and judged, those first that lay most planes on each other."""
+"""Different poses that are refined and scored; the rest agree on fewer planes."""
 
 ALIKE = float(np.radians(1.0)), 0.1
 """Poses closer than both, rad and metres, are one candidate."""
@@ -58,30 +55,38 @@ ALIKE = float(np.radians(1.0)), 0.1
 DIFFERENT_POSE = float(np.radians(5.0)), 0.5
 """Poses further apart than either, rad and metres, are different answers."""
 
-MIN_SCORE = 0.15
-"""Overlap less weighted contradiction, below which planes agree by chance."""
+MIN_PLANES_SCORE = 0.15
+"""Overlap less weighted violation, below which planes agree by chance."""
 
-MIN_MARGIN = 0.03
+MIN_PLANES_MARGIN = 0.03
 """Score of the best pose over that of the next different one; shares of 2000 points have a standard
 error of 0.01."""
 
-REFINE_ITERATIONS = 8
-
-SKETCH = 200
-"""Points of each plane on which candidates are refined; the chosen one is, on all."""
+REFINED_POINTS = 200
+"""Points of each plane on which candidates are refined; the chosen one is refined on all."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScoredPose:
-    """A refined pose, and what the surroundings say of it."""
+    """A refined pose, and how it agrees with the surroundings.
 
-    stage: PoseEstimate
+    Attributes
+    ----------
+    refined
+        On `REFINED_POINTS` of each plane.
+    overlap
+        Share of the points with a neighbour in the other cloud.
+    score
+        Overlap less `VIOLATION_WEIGHT` times the free-space violation; larger is better.
+    """
+
+    refined: RefinedPose
     overlap: float
     score: float
 
 
 def planar_surfaces(
-    target: PointCloud, source: PointCloud, *, rng: np.random.Generator
+    target: PointCloud, source: PointCloud, rng: np.random.Generator
 ) -> PoseEstimate:
     """Find the pose that lays the planes of the source on those of the target.
 
@@ -102,131 +107,72 @@ def planar_surfaces(
     Refusal
         ``too_few_planes`` where a cloud has no three linearly independent planes,
         ``planes_unmatched`` where no three of the one fit three of the other,
-        ``no_overlap`` where some do and the surroundings deny it,
-        ``ambiguous`` where different poses fit alike.
+        ``no_overlap`` where some do but the surroundings contradict,
+        ``ambiguous`` where different poses fit alike,
+        ``not_converged`` where the refinement of the chosen pose still moves.
     """
-    of_target, of_source = extract_planes(target, rng), extract_planes(source, rng)
-    for lidar, found in (("target", of_target), ("source", of_source)):
-        if len(triples(found)) == 0:
-            raise Refusal(
-                "too_few_planes",
-                f"the {lidar} cloud has {len(found)} planes, but no three that are linearly "
-                "independent; record where the ground and two walls that are not parallel are "
-                "seen",
-                {"lidar": lidar, "planes": len(found), "needed": 3},
-            )
-    candidates = candidate_poses(of_target, of_source)
-    scene = Surroundings.of(target), Surroundings.of(source)
-    sketches = [[p.thinned(SKETCH) for p in planes] for planes in (of_target, of_source)]
-    stages: list[PoseEstimate] = []
-    for T in _different(candidates, _agreement(of_target, of_source, candidates)):
-        stage = refine(sketches[0], sketches[1], T)
-        if stage is not None and not _known(stage, stages):
-            stages.append(stage)
-    judged = [score_pose(*scene, stage) for stage in stages]
-    if not judged:
+    searches = extract_planes(target, rng), extract_planes(source, rng)
+    for lidar, search in zip(("target", "source"), searches, strict=True):
+        _require_three(lidar, search)
+    planes = searches[0].planes, searches[1].planes
+    samples = [[plane.sampled(REFINED_POINTS) for plane in each] for each in planes]
+    candidates = candidate_poses(*planes)
+    refined: list[RefinedPose] = []
+    for T in _different(candidates, agreement(*planes, candidates)):
+        # A candidate that has not converged is still scored: it only has to point to the answer,
+        # which is refined again, on all points.
+        found = refine(samples[0], samples[1], T)
+        if found is not None and not _is_known(found, refined):
+            refined.append(found)
+    if not refined:
         raise Refusal(
             "planes_unmatched",
-            f"no three of the target's {len(of_target)} planes stand as three of the source's "
-            f"{len(of_source)} do, within {np.degrees(SAME_PLANE_ANGLE):.0f}°; record where both LiDARs "
-            "see the same three",
-            {"planes_target": len(of_target), "planes_source": len(of_source)},
+            f"no three of the target's {len(planes[0])} planes have the same angles between them "
+            f"as three of the source's {len(planes[1])}, within "
+            f"{np.degrees(SAME_PLANE_ANGLE):.0f}°; record where both LiDARs see the same three",
+            {"planes_target": len(planes[0]), "planes_source": len(planes[1])},
         )
-    chosen = _chosen(judged)
-    return refine(of_target, of_source, chosen.T_target_source) or chosen
+    views = [view_of(c, PLANES_SCORING_VOXEL, PLANES_SCORING_SAMPLE) for c in (target, source)]
+    best = _best([score_pose(views[0], views[1], each) for each in refined])
+    # Where the planes of all points no longer match as those of the sample did, the sample decides.
+    final = refine(*planes, best.pose.T_target_source) or best
+    if not final.converged:
+        raise Refusal(
+            "not_converged",
+            f"the refinement on planes still moves after {MAX_REFINE_STEPS} steps; record where "
+            "both LiDARs see more of the same planes",
+            {"iterations": MAX_REFINE_STEPS},
+        )
+    return final.pose
 
 
-def candidate_poses(target: list[Plane], source: list[Plane]) -> Array:
-    """Lay every three independent planes of the source on every three of the target, in any order.
-
-    Rotation: the orthogonal Procrustes problem of the normals; translation: the three equations
-    ``n_target · t = d_source − d_target`` of the offsets.
-
-    Returns
-    -------
-    (K, 4, 4) float64
-        Poses, target from source; triples whose planes stand otherwise to each other, or that only
-        a reflection lays on each other, are left out.
-    """
-    normals = [np.array([p.normal for p in each]).reshape(-1, 3) for each in (target, source)]
-    offsets = [np.array([p.offset for p in each]) for each in (target, source)]
-    orders = np.array(list(permutations(range(3))))
-    first, second = triples(target), triples(source)[:, orders].reshape(-1, 3)
-    angles = [_angles(normals[0][first]), _angles(normals[1][second])]
-    i, j = np.nonzero(
-        np.all(np.abs(angles[0][:, None] - angles[1][None]) < SAME_PLANE_ANGLE, axis=2)
-    )
-    first, second = first[i], second[j]
-    a, b = normals[0][first], normals[1][second]
-    u, _, vt = np.linalg.svd(np.einsum("kpi,kpj->kij", a, b))
-    proper = np.linalg.det(u @ vt) > 0
-    # Of mirrored triples Procrustes would still give the rotation nearest to a reflection.
-    R = (u @ vt)[proper]
-    gap = offsets[1][second[proper]] - offsets[0][first[proper]]
-    T = np.tile(np.eye(4), (len(R), 1, 1))
-    T[:, :3, :3] = R
-    T[:, :3, 3] = np.linalg.solve(a[proper], gap[..., None])[..., 0]
-    return T
-
-
-def _angles(normals: Array) -> Array:
-    """Angles (K, 3) between the first and second, second and third, third and first of triples."""
-    cosines = np.einsum("kpi,kpi->kp", normals, np.roll(normals, -1, 1))
-    return np.asarray(np.arccos(np.clip(cosines, -1, 1)))
-
-
-def _matched(
-    target: list[Plane], source: list[Plane], T: Array, same_offset: float
-) -> tuple[Array, Array]:
-    """Tell which planes are one under poses (..., 4, 4): (..., P, Q) bool, and how far apart they
-    are, metres."""
-    a, b = (np.array([p.normal for p in each]) for each in (target, source))
-    d, e = (np.array([p.offset for p in each]) for each in (target, source))
-    at, bt = (np.array([p.xyz.mean(axis=0) for p in each]) for each in (target, source))
-    R, t = T[..., :3, :3], T[..., :3, 3]
-    turned = b @ np.swapaxes(R, -1, -2)
-    moved = bt @ np.swapaxes(R, -1, -2) + t[..., None, :]
-    alike = a @ np.swapaxes(turned, -1, -2) > np.cos(SAME_NORMAL)
-    off_target = np.abs(a @ np.swapaxes(moved, -1, -2) + d[:, None])
-    along = at @ np.swapaxes(turned, -1, -2) - (turned @ t[..., None])[..., 0][..., None, :]
-    apart = np.maximum(off_target, np.abs(along + e))
-    return alike & (apart < same_offset), apart
-
-
-def _shared_support(target: list[Plane], source: list[Plane]) -> Array:
-    """Give the lesser support (P, Q) of every two planes."""
-    supports = [np.array([float(p.support) for p in each]) for each in (target, source)]
-    return np.asarray(np.minimum(supports[0][:, None], supports[1]))
-
-
-def _agreement(target: list[Plane], source: list[Plane], T: Array) -> Array:
-    """How many points lie on planes that are one under each of the poses (K, 4, 4)."""
-    same, _ = _matched(target, source, T, SAME_OFFSETS[0])
-    sizes = _shared_support(target, source)
-    # A plane counts once, with its best partner; the square root keeps one large one from deciding.
-    return np.asarray(np.max(same * np.sqrt(sizes), axis=2, initial=0.0).sum(axis=1))
-
-
-def _known(stage: PoseEstimate, others: list[PoseEstimate]) -> bool:
-    """Tell whether a pose is that of one of others."""
-    if not others:
-        return False
-    return bool(
-        np.any(_alike(np.array([s.T_target_source for s in others]), stage.T_target_source))
+def _require_three(lidar: str, search: PlaneSearch) -> None:
+    """Refuse a cloud without three linearly independent planes."""
+    if len(triples(search.planes)) > 0:
+        return
+    given_up = "" if search.complete else f", and the search was given up after {MAX_ROUNDS} rounds"
+    raise Refusal(
+        "too_few_planes",
+        f"the {lidar} cloud has {len(search.planes)} planes, but no three that are linearly "
+        f"independent{given_up}; record where the ground and two walls that are not parallel are "
+        "seen",
+        {"lidar": lidar, "planes": len(search.planes), "needed": 3},
     )
 
 
 def _alike(poses: Array, T: Array) -> BoolArray:
-    """Tell which of the poses (K, 4, 4) are one candidate with another."""
+    """Tell which of the poses (K, 4, 4) are one candidate with another (4, 4)."""
     trace = np.einsum("kij,ij->k", poses[:, :3, :3], T[:3, :3])
     near = np.linalg.norm(poses[:, :3, 3] - T[:3, 3], axis=1) < ALIKE[1]
     return np.asarray(near & ((trace - 1) / 2 > np.cos(ALIKE[0])))
 
 
-def _within(limits: tuple[float, float], T: Array, other: Array) -> bool:
-    """Tell whether two poses are closer than a rotation (rad) and a translation (metres)."""
-    step = se3.local(T, other)
-    return bool(np.linalg.norm(step[:3]) < limits[0] and np.linalg.norm(step[3:]) < limits[1])
+def _is_known(refined: RefinedPose, others: Sequence[RefinedPose]) -> bool:
+    """Tell whether a pose is one candidate with any of others."""
+    if not others:
+        return False
+    poses = np.array([other.pose.T_target_source for other in others])
+    return bool(_alike(poses, refined.pose.T_target_source).any())
 
 
 def _different(poses: Array, rank: Array) -> list[Array]:
@@ -242,113 +188,41 @@ def _different(poses: Array, rank: Array) -> list[Array]:
     return kept
 
 
-def refine(target: list[Plane], source: list[Plane], T: Array) -> PoseEstimate | None:
-    """Lay the points of matched planes on each other's planes, by Gauss-Newton with Huber weights.
-
-    Minimises ``Σ (n_t · (R p_s + t) + d_t)² + Σ (n_s · Rᵀ (p_t − t) + d_s)²`` over the points of
-    both, so that swapping the clouds inverts the answer.
-
-    Returns
-    -------
-    PoseEstimate or None
-        None where the planes that are one under ``T`` are not three independent ones.
-    """
-    rms = 0.0
-    sizes = _shared_support(target, source)
-    for same_offset, nearest in zip(SAME_OFFSETS, (False, True), strict=True):
-        same, apart = _matched(target, source, T, same_offset)
-        # A rough pose may lay a wall on the niche beside it: first go by size, then by distance.
-        cost = np.where(same, apart if nearest else -sizes, np.inf)
-        pairs = [
-            (i, j)
-            for i, j in zip(*np.nonzero(same), strict=True)
-            if cost[i, j] == cost[i].min() == cost[:, j].min()
-        ]
-        normals = np.array([target[i].normal for i, _ in pairs]).reshape(-1, 3)
-        if len(pairs) < 3 or independence(normals) < MIN_INDEPENDENCE:
-            return None
-        for _ in range(REFINE_ITERATIONS):
-            residuals, jacobian = _residuals(target, source, pairs, T)
-            weight = np.minimum(1.0, ROBUST / np.maximum(np.abs(residuals), 1e-12))
-            weighted = jacobian * weight[:, None]
-            step = np.asarray(
-                np.linalg.solve(weighted.T @ jacobian, -weighted.T @ residuals), float
-            )
-            T = se3.retract(T, step)
-            if np.linalg.norm(step) < 1e-6:
-                break
-        rms = float(np.sqrt(np.mean(_residuals(target, source, pairs, T)[0] ** 2)))
-    return PoseEstimate(T, None, rms)
+def score_pose(target: View, source: View, refined: RefinedPose) -> ScoredPose:
+    """Score a pose by the surroundings: overlap less weighted free-space violation."""
+    T = refined.pose.T_target_source
+    found = compare_views(target, source, T, within=PLANES_OVERLAP_DISTANCE)
+    score = found.overlap - VIOLATION_WEIGHT * found.free_space_violation
+    return ScoredPose(refined, found.overlap, score)
 
 
-def _residuals(
-    target: list[Plane], source: list[Plane], pairs: list[tuple[int, int]], T: Array
-) -> tuple[Array, Array]:
-    """Distances (N,) of matched points from each other's planes, and their (N, 6) derivative."""
-    residuals, jacobians = [], []
-    R, t = T[:3, :3], T[:3, 3]
-    for i, j in pairs:
-        n, m = target[i].normal, R @ source[j].normal
-        turned, gone = source[j].xyz @ R.T, target[i].xyz - t
-        residuals += [turned @ n + n @ t + target[i].offset, gone @ m + source[j].offset]
-        jacobians += [
-            np.hstack([turned @ se3.hat(-n).T, np.broadcast_to(n, turned.shape)]),
-            np.hstack([gone @ se3.hat(m).T, np.broadcast_to(-m, gone.shape)]),
-        ]
-    return np.concatenate(residuals), np.vstack(jacobians)
-
-
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """A cloud made ready for judging poses: a sample of it, its neighbours, how far it saw."""
-
-    sample: Array
-    tree: cKDTree
-    image: RangeImage
-
-    @classmethod
-    def of(cls, cloud: PointCloud) -> Surroundings:
-        """Thin a cloud and sort it."""
-        points = voxel_downsample(cloud.xyz, SCORING_VOXEL_PLANES)
-        return cls(
-            points[:: 1 + len(points) // SCORING_SAMPLE], cKDTree(points), range_image(cloud)
-        )
-
-
-def score_pose(target: Surroundings, source: Surroundings, stage: PoseEstimate) -> ScoredPose:
-    """Hear the surroundings on a pose: overlap less contradiction, the mean of both directions."""
-    overlaps, contradictions = [], []
-    T = stage.T_target_source
-    for one, moved in (
-        (target, se3.apply(T, source.sample)),
-        (source, se3.apply(se3.inverse(T), target.sample)),
-    ):
-        distance = one.tree.query(moved, distance_upper_bound=OVERLAP_WITHIN)[0]
-        overlaps.append(float(np.mean(np.isfinite(distance))))
-        contradictions.append(free_space_violation(one.image, moved))
-    overlap = float(np.mean(overlaps))
-    return ScoredPose(stage, overlap, overlap - VIOLATION_WEIGHT * float(np.mean(contradictions)))
-
-
-def _chosen(judged: list[ScoredPose]) -> PoseEstimate:
+def _best(scored: Sequence[ScoredPose]) -> RefinedPose:
     """Give the best pose, or refuse where it is not good, or not better than all others."""
-    best, *others = sorted(judged, key=lambda j: -j.score)
-    T = best.stage.T_target_source
-    others = [j for j in others if not _within(DIFFERENT_POSE, T, j.stage.T_target_source)]
-    if best.score < MIN_SCORE:
+    best, *others = sorted(scored, key=lambda s: -s.score)
+    T = best.refined.pose.T_target_source
+    rivals = [s for s in others if _is_different(T, s.refined.pose.T_target_source)]
+    if best.score < MIN_PLANES_SCORE:
         raise Refusal(
             "no_overlap",
-            f"under the best of {len(judged)} matches of planes {100 * best.overlap:.0f} % of the "
-            f"points have a neighbour in the other cloud within {OVERLAP_WITHIN:g} m, and the score less "
-            f"what the other LiDAR looked through is {best.score:.2f}, {MIN_SCORE:g} is needed; "
-            "record where both LiDARs see the same planes",
-            {"overlap": best.overlap, "score": best.score, "needed": MIN_SCORE},
+            f"under the best of {len(scored)} matches of planes {100 * best.overlap:.0f} % of the "
+            f"points have a neighbour in the other cloud within {PLANES_OVERLAP_DISTANCE:g} m, and "
+            "the score less what the other LiDAR looked through is "
+            f"{best.score:.2f}, {MIN_PLANES_SCORE:g} is needed; record where both LiDARs see the "
+            "same planes",
+            {"overlap": best.overlap, "score": best.score, "needed": MIN_PLANES_SCORE},
         )
-    if others and best.score - others[0].score < MIN_MARGIN:
+    if rivals and best.score - rivals[0].score < MIN_PLANES_MARGIN:
         raise Refusal(
             "ambiguous",
-            f"two matches of planes fit alike: scores {best.score:.3f} and {others[0].score:.3f}, "
-            f"{MIN_MARGIN:g} apart are needed; record where no turn lays the scene on itself",
-            {"score": best.score, "runner_up": others[0].score, "needed": MIN_MARGIN},
+            f"two matches of planes fit alike: scores {best.score:.3f} and {rivals[0].score:.3f}, "
+            f"{MIN_PLANES_MARGIN:g} apart are needed; record where no rotation maps the scene onto "
+            "itself",
+            {"score": best.score, "runner_up": rivals[0].score, "needed": MIN_PLANES_MARGIN},
         )
-    return best.stage
+    return best.refined
+
+
+def _is_different(T: Array, other: Array) -> bool:
+    """Tell whether two poses (4, 4) are different answers."""
+    apart = se3.difference(T, other)
+    return not (apart.rotation < DIFFERENT_POSE[0] and apart.translation < DIFFERENT_POSE[1])

@@ -14,22 +14,22 @@ from ...errors import Refusal
 from ...scene.registration import CORES, MIN_CLOUD_POINTS, prepare, register
 
 REGISTRATION_VOXEL = 0.2
-"""Clouds are thinned to one point per cube of this side, metres."""
+"""Clouds are downsampled to one point per cube of this side, metres."""
 
 MAX_REGISTRATION_ITERATIONS = 30
 """From a start that is nearly right; a third of them is what it takes."""
 
-RESIDUAL_WITHIN = 0.3
-"""Points with a neighbour of the other cloud within this distance count in the residual, metres."""
+RESIDUAL_DISTANCE = 0.3
+"""Points with a neighbour in the other cloud within this distance count in the residual, metres."""
 
 
-def register_scene(
+def register_clouds(
     target: PointCloud,
     source: PointCloud,
     T_start: Array,
     *,
     method: Literal["ICP", "GICP"],
-    reaches: Sequence[float],
+    max_correspondence_distances: Sequence[float],
     max_iterations: int = MAX_REGISTRATION_ITERATIONS,
 ) -> PoseEstimate:
     """Register two clouds from a start, with ever closer correspondences.
@@ -42,16 +42,17 @@ def register_scene(
         (4, 4) start, target from source.
     method
         ``ICP`` is point to point, ``GICP`` plane to plane.
-    reaches
-        Largest distances of corresponding points, metres, one after the other.
+    max_correspondence_distances
+        Metres, one after the other. Only the last registration has to converge: those before it
+        bring its start nearer.
     max_iterations
-        Steps at most, for each reach.
+        At most, for each distance.
 
     Returns
     -------
     PoseEstimate
         The pose, and the RMS distance of source points from their nearest target points, of those
-        that have one within `RESIDUAL_WITHIN`.
+        that have one within `RESIDUAL_DISTANCE`.
 
     Raises
     ------
@@ -64,27 +65,33 @@ def register_scene(
         prepare(target.xyz, REGISTRATION_VOXEL, threads=CORES),
         prepare(source.xyz, REGISTRATION_VOXEL, threads=CORES),
     )
-    T = T_start
-    for reach in reaches:
+    T, converged = T_start, False
+    for distance in max_correspondence_distances:
         result = register(
-            *surfaces, T, method=method, reach=reach, max_iterations=max_iterations, threads=CORES
+            *surfaces,
+            T,
+            method=method,
+            max_correspondence_distance=distance,
+            max_iterations=max_iterations,
+            threads=CORES,
         )
-        T = result.T_target_source
-    if not result.converged:
+        T, converged = result.T_target_source, result.converged
+    if not converged:
         raise Refusal(
             "not_converged",
             f"{method} still moves after {max_iterations} iterations; it needs a better start",
             {"iterations": max_iterations},
         )
     tree = cKDTree(surfaces[0].xyz)
-    moved = se3.apply(T, surfaces[1].xyz)
-    distance = tree.query(moved, distance_upper_bound=RESIDUAL_WITHIN, workers=CORES)[0]
-    near = distance[np.isfinite(distance)]
+    aligned = se3.apply(T, surfaces[1].xyz)
+    distances = tree.query(aligned, distance_upper_bound=RESIDUAL_DISTANCE, workers=CORES)[0]
+    near = distances[np.isfinite(distances)]
     if len(near) < MIN_CLOUD_POINTS:
         raise Refusal(
             "no_overlap",
-            f"{len(near)} of {len(moved)} points end within {RESIDUAL_WITHIN:g} m of the other cloud, "
-            f"{MIN_CLOUD_POINTS} are needed; {method} needs a better start or clouds that overlap",
+            f"{len(near)} of {len(aligned)} points end within {RESIDUAL_DISTANCE:g} m of the other "
+            f"cloud, {MIN_CLOUD_POINTS} are needed; {method} needs a better start or clouds that "
+            "overlap",
             {"points": len(near), "needed": MIN_CLOUD_POINTS},
         )
     return PoseEstimate(T, None, float(np.sqrt(np.mean(near**2))))
