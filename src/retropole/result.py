@@ -27,26 +27,9 @@ Matrix = list[list[float]]
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    Attributes
-    ----------
-    radius_m, radius_sigma_m
-        Radius of the poles and its 1 σ.
-    up, prior_rpy_deg, prior_sigma_deg
-        What is known of the rotation; None where nothing is.
-    poles
-        Exact number of poles; None for any.
-    refine
-        Whether the scene refines the pose.
-    seed
-        Of whatever is drawn at random.
-    threshold_target, threshold_source
-        Thresholds that were asked for; None where the sensor or the cloud decides.
-    sensor_target, sensor_source
-        Sensors by name, or ``auto``.
-    target_topic, source_topic
-        Topics of bags.
-    frames
-        Start, stop and step of the frames that were asked for.
+    None stands for what was not asked for: any number of poles, no prior of the rotation, the
+    sensor's or the cloud's own threshold, the only topic, frames evenly spread. Frames are start,
+    stop and step. Sensors are names, or ``auto``.
     """
 
     radius_m: float = 0.02

@@ -10,13 +10,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
 
 from ..datatypes import Array
 from ..errors import MissingExtraError, ReadError, Refusal
+from ..reasons import Code
 from ..result import COVARIANCE_ORDER, ResultDoc, decode
 from .found import Found
 from .text import RPY, RPY_MEANING, TRANSLATION, pose_of, pose_values
@@ -107,7 +108,7 @@ def _of_result(result: ResultDoc) -> Found:
     if T is None:
         why = result.reasons[0] if result.reasons else None
         raise Refusal(
-            why.code if why else "refused",
+            cast("Code", why.code) if why else "refused",
             f"the calibration was refused, there is no transform: {why.message if why else '–'}",
             why.values if why else None,
         )

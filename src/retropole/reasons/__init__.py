@@ -8,7 +8,6 @@ file.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple, cast
 
 from .check import CHECK, PREFIXED, CheckCode, Prefix
@@ -40,36 +39,36 @@ class Group(NamedTuple):
 
     title: str
     introduction: str
-    reasons: Mapping[str, Explanation]
+    reasons: tuple[tuple[Code, Explanation], ...]
 
 
 GROUPS: tuple[Group, ...] = (
-    Group("Calibration refused", "Exit code 3, and no transform.", {**REFUSED}),
-    Group("Calibrated, with a warning", "There is a transform; look twice.", {**WARNINGS}),
+    Group("Calibration refused", "Exit code 3, and no transform.", tuple(REFUSED.items())),
+    Group(
+        "Calibrated, with a warning", "There is a transform; look twice.", tuple(WARNINGS.items())
+    ),
     Group(
         "Check",
         "Reasons of [`retropole check`](check.md): why it cannot tell, or what to know of its "
         "answer.",
-        {**CHECK},
+        tuple(CHECK.items()),
     ),
     Group(
         "Other methods",
         "Codes of the other methods in [`retropole compare`](compare.md). They say nothing of "
         "retropole's own answer.",
-        {**OTHER_METHODS},
+        tuple(OTHER_METHODS.items()),
     ),
     Group(
         "Why a cluster is no pole",
         "`retropole detect` and the report give each retro-reflective cluster that was rejected "
         "one of these, or `too_few_points`. Most are right: signs and vests ought to be rejected. "
         "They matter where your pole is among them.",
-        {**CLUSTER},
+        tuple(CLUSTER.items()),
     ),
 )
 
-REASONS: dict[str, Explanation] = {
-    code: text for group in GROUPS for code, text in group.reasons.items()
-}
+REASONS: dict[str, Explanation] = {code: text for group in GROUPS for code, text in group.reasons}
 
 
 def prefixed(prefix: Prefix, code: str) -> Code:

@@ -1,0 +1,114 @@
+"""``retropole check`` as a user runs it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.simulation import record_again, simulate_pair, write_pair
+
+SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
+
+
+def retropole(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "retropole", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    street, rng = simulate_pair("street", np.random.default_rng(1)), np.random.default_rng(17)
+    write_pair(street, folder / "first")
+    write_pair(record_again(street, rng, poles=False), folder / "same")
+    write_pair(record_again(street, rng, moved=SMALL_ROTATION, poles=False), folder / "moved")
+    done = retropole(
+        "calibrate", "first/lidar0.pcd", "first/lidar1.pcd", "--out", "r", "-q", cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def run(site: Path, result: str, recording: str, *words: str) -> tuple[int, str]:
+    files = f"{recording}/lidar0.pcd", f"{recording}/lidar1.pcd"
+    done = retropole("check", result, *files, *words, cwd=site)
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stdout
+
+
+def test_exit_codes_and_words(site: Path) -> None:
+    code, text = run(site, "r", "same")
+    assert code == 0, text
+    assert text.startswith("verdict: same\n")
+    code, text = run(site, "r/result.json", "moved")
+    assert code == 4, text
+    assert "about the target's +z (yaw)" in text
+    assert "found by the scene alone" in text
+    assert run(site, "r", "missing") == (2, "")
+    assert run(site, "missing", "same") == (2, "")
+    assert run(site, "r", "same", "--sigma-deg", "1")[0] == 2
+    assert run(site, "r", "same", "-q") == (0, "")
+
+
+@pytest.mark.parametrize(("recording", "status"), [("same", "same"), ("moved", "moved")])
+def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
+    _, text = run(site, "r", recording, "--json")
+    assert text.count("\n") == 1
+    answer = json.loads(text)
+    assert answer["status"] == status
+    assert answer["used"] == "scene"
+    assert 0 <= answer["p_value"] <= 1
+    assert answer["sigma_deg"] > 0
+    assert answer["sigma_m"] > 0
+    assert answer["moved_deg"] == pytest.approx(0.3 if status == "moved" else 0.0, abs=0.05)
+
+
+def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:
+    words = ("--parent", "front", "--child", "rear", "--out", "r.urdf")
+    assert retropole("export", "r", "--to", "urdf", *words, cwd=site).returncode == 0
+    code, text = run(site, "r.urdf", "same", "--json")
+    assert code == 3
+    answer = json.loads(text)
+    assert answer["status"] == "cannot_tell"
+    assert answer["moved_deg"] is None
+    assert [reason["code"] for reason in answer["reasons"]] == ["stored_no_covariance"]
+    assert run(site, "r.urdf", "same", "--sigma-deg", "0.01", "--sigma-m", "0.002", "-q")[0] == 0
+    assert run(site, "r.urdf", "same", "--sigma-deg", "1", "--sigma-m", "0.1", "-q")[0] == 3
+
+
+def test_an_inverted_export_is_turned_back(site: Path) -> None:
+    words = ("--to", "json", "--invert", "--out", "inverted.json")
+    assert retropole("export", "r", *words, cwd=site).returncode == 0
+    assert run(site, "inverted.json", "same", "-q")[0] == 0
+
+
+def test_a_refused_result_cannot_tell(site: Path) -> None:
+    files = "same/lidar0.pcd", "same/lidar1.pcd"
+    assert retropole("calibrate", *files, "--out", "refused", "-q", cwd=site).returncode == 3
+    code, text = run(site, "refused", "same", "--json")
+    assert code == 3
+    assert json.loads(text)["reasons"][0]["code"].startswith("stored_")
+
+
+def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
+    result = json.loads((site / "r" / "result.json").read_text())
+    # A topic is of bags: it is left alone where the new recordings are files.
+    result["config"]["target_topic"] = "/front"
+    result["reasons"] = [{"code": "small_margin", "message": "leads by 0.05", "values": {}}]
+    (site / "told.json").write_text(json.dumps(result))
+    code, text = run(site, "told.json", "same")
+    assert code == 0, text
+    assert "stored_small_margin: leads by 0.05" in text
+    result["config"]["sensor_source"] = "nonsense"
+    (site / "wrong.json").write_text(json.dumps(result))
+    assert run(site, "wrong.json", "same") == (2, "")
+    assert run(site, "r", "same", "--target-topic", "/front") == (2, "")
+
+
+def test_help_has_worked_examples(site: Path) -> None:
+    done = retropole("check", "--help", cwd=site)
+    assert done.returncode == 0
+    assert "retropole check " in done.stdout.split("Examples:")[1]

@@ -1,0 +1,180 @@
+"""Same, moved, or cannot tell: laws of the test of two poses."""
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.datatypes import Array, PoseEstimate
+from retropole.export.transform import Transform, inverted
+from retropole.monitoring.movement import (
+    DEFAULT_TOLERANCE,
+    FALSE_ALARM,
+    MIN_POWER,
+    CheckResult,
+    Tolerance,
+    compare_poses,
+    detection_power,
+)
+
+
+def covariance(
+    rng: np.random.Generator, rotation: float = 3e-4, translation: float = 2e-3
+) -> Array:
+    """Draw a covariance of about these sigmas, with correlations."""
+    A = rng.normal(size=(6, 6)) * np.repeat([rotation, translation], 3)[:, None] / np.sqrt(6)
+    return np.asarray(A @ A.T + np.diag(np.repeat([rotation, translation], 3) ** 2) / 10)
+
+
+def drawn(T: Array, spread: Array, rng: np.random.Generator) -> PoseEstimate:
+    return PoseEstimate(se3.retract(T, rng.multivariate_normal(np.zeros(6), spread)), spread, 0.0)
+
+
+def test_equal_poses_are_the_same() -> None:
+    rng = np.random.default_rng(0)
+    T, spread = se3.random(rng), covariance(rng)
+    answer = compare_poses(PoseEstimate(T, spread, 0.0), PoseEstimate(T, spread, 0.0), "poles")
+    assert answer.status == "same"
+    assert answer.chi2 == pytest.approx(0.0, abs=1e-12)
+    assert answer.p_value == pytest.approx(1.0)
+    assert answer.covariance is not None
+    np.testing.assert_allclose(answer.covariance, 2 * spread)
+
+
+def test_stored_and_new_may_change_places() -> None:
+    rng = np.random.default_rng(1)
+    T = se3.random(rng)
+    one, other = drawn(T, covariance(rng), rng), drawn(T, covariance(rng), rng)
+    forth, back = compare_poses(one, other, "poles"), compare_poses(other, one, "poles")
+    assert forth.chi2 is not None
+    assert forth.chi2 == pytest.approx(back.chi2)
+    assert forth.power == pytest.approx(back.power)
+    assert forth.status == back.status
+
+
+def test_a_rotation_of_the_targets_frame_changes_nothing() -> None:
+    rng = np.random.default_rng(2)
+    T, C, D = se3.random(rng), covariance(rng), covariance(rng)
+    one, other = drawn(T, C, rng), drawn(T, D, rng)
+    A = se3.random(rng)
+    R = np.kron(np.eye(2), A[:3, :3])
+    plain = compare_poses(one, other, "scene")
+    moved = compare_poses(
+        PoseEstimate(A @ one.T_target_source, R @ C @ R.T, 0.0),
+        PoseEstimate(A @ other.T_target_source, R @ D @ R.T, 0.0),
+        "scene",
+    )
+    assert moved.chi2 == pytest.approx(plain.chi2)
+    assert moved.power == pytest.approx(plain.power)
+    for ours, theirs in ((moved.rotation, plain.rotation), (moved.translation, plain.translation)):
+        assert ours is not None
+        assert theirs is not None
+        assert ours.length == pytest.approx(theirs.length)
+        assert ours.sigma == pytest.approx(theirs.sigma)
+
+
+def test_exchanging_the_lidars_changes_nothing_to_first_order() -> None:
+    rng = np.random.default_rng(3)
+    T = se3.random(rng, 2.0)
+    C, D = covariance(rng), covariance(rng)
+    one, other = drawn(T, C, rng), drawn(T, D, rng)
+
+    def the_other_way(pose: PoseEstimate) -> PoseEstimate:
+        back = inverted(Transform(pose.T_target_source, "a", "b", pose.covariance))
+        return PoseEstimate(back.T_parent_child, back.covariance, 0.0)
+
+    forth = compare_poses(one, other, "poles")
+    back = compare_poses(the_other_way(one), the_other_way(other), "poles")
+    assert forth.chi2 is not None
+    assert back.chi2 == pytest.approx(forth.chi2, rel=0.02)
+
+
+def test_the_false_alarm_rate_is_as_stated() -> None:
+    rng = np.random.default_rng(4)
+    T, C, D = se3.random(rng), covariance(rng), covariance(rng)
+    runs = 2000
+    # Of a tolerance of nothing, no movement is below it.
+    alarms = sum(
+        compare_poses(drawn(T, C, rng), drawn(T, D, rng), "poles", Tolerance(1e-9, 1e-9)).status
+        == "moved"
+        for _ in range(runs)
+    )
+    assert alarms / runs == pytest.approx(FALSE_ALARM, abs=4 * np.sqrt(FALSE_ALARM / runs))
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_the_power_is_what_sampling_gives_in_the_worst_direction(part: int) -> None:
+    rng = np.random.default_rng(5 + part)
+    # One part certain, the other just not certain enough.
+    spread = covariance(rng, *((1.0e-3, 1e-4) if part == 0 else (1e-5, 6e-3)))
+    own = slice(3 * part, 3 * part + 3)
+    values, vectors = np.linalg.eigh(spread[own, own])
+    tolerance = (DEFAULT_TOLERANCE.rotation, DEFAULT_TOLERANCE.translation)[part]
+    # Of all movements with this part, the one that the covariance most likes.
+    worst = spread[:, own] @ vectors[:, -1] / values[-1] * tolerance
+    assert np.linalg.norm(worst[own]) == pytest.approx(tolerance)
+    power = detection_power(spread, DEFAULT_TOLERANCE)
+    assert 0.1 < power < 0.98
+    runs = 20_000
+    seen = rng.multivariate_normal(worst, spread, runs)
+    chi2 = np.einsum("ni,ij,nj->n", seen, np.linalg.inv(spread), seen)
+    limit = 16.811893829770927
+    assert np.mean(chi2 > limit) == pytest.approx(power, abs=4 * np.sqrt(0.25 / runs))
+    for _ in range(20):
+        any_other = rng.normal(size=6) * np.repeat([1e-2, 1e-1], 3)
+        any_other *= tolerance / np.linalg.norm(any_other[own])
+        least = worst @ np.linalg.solve(spread, worst)
+        assert any_other @ np.linalg.solve(spread, any_other) >= least * (1 - 1e-9)
+
+
+def test_the_power_has_its_limits() -> None:
+    assert detection_power(1e-12 * np.eye(6), DEFAULT_TOLERANCE) == pytest.approx(1.0)
+    assert detection_power(1e6 * np.eye(6), DEFAULT_TOLERANCE) == pytest.approx(
+        FALSE_ALARM, rel=1e-3
+    )
+    powers = [
+        detection_power(s * np.diag([1e-6] * 3 + [1e-4] * 3), DEFAULT_TOLERANCE) for s in (1, 2, 4)
+    ]
+    assert powers == sorted(powers, reverse=True)
+
+
+def test_a_test_that_could_not_see_a_movement_does_not_say_same() -> None:
+    rng = np.random.default_rng(7)
+    T = se3.random(rng)
+    certain, uncertain = (
+        PoseEstimate(T, covariance(rng), 0.0),
+        PoseEstimate(T, covariance(rng, 0.01, 0.05), 0.0),
+    )
+    for stored, new, blamed in ((certain, uncertain, "new"), (uncertain, certain, "stored")):
+        answer = compare_poses(stored, new, "poles")
+        assert answer.status == "cannot_tell"
+        assert answer.power is not None
+        assert answer.power < MIN_POWER
+        assert [r.code for r in answer.reasons] == ["too_weak"]
+        assert f"the {blamed} " in answer.reasons[0].message
+    # A wider tolerance asks for less; a movement that sticks out is one all the same.
+    assert compare_poses(certain, uncertain, "poles", Tolerance(0.3, 1.0)).status == "same"
+    far = PoseEstimate(se3.retract(T, np.r_[0, 0, 0, 1.0, 0, 0]), uncertain.covariance, 0.0)
+    answer = compare_poses(certain, far, "poles")
+    assert answer.status == "moved"
+    assert [r.code for r in answer.reasons] == ["size_unsure"]
+
+
+def test_a_movement_below_the_tolerance_is_told_as_such() -> None:
+    rng = np.random.default_rng(8)
+    T, spread = se3.random(rng), covariance(rng, 1e-6, 1e-5)
+    near = PoseEstimate(se3.retract(T, np.r_[0, 0, 1e-4, 0.001, 0, 0]), spread, 0.0)
+    answer = compare_poses(PoseEstimate(T, spread, 0.0), near, "poles")
+    assert answer.status == "same"
+    assert [r.code for r in answer.reasons] == ["within_tolerance"]
+    assert answer.p_value is not None
+    assert answer.p_value < FALSE_ALARM
+    assert (
+        compare_poses(PoseEstimate(T, spread, 0.0), near, "poles", Tolerance(1e-5, 1e-3)).status
+        == "moved"
+    )
+
+
+def test_properties_of_an_answer_without_pose() -> None:
+    nothing = CheckResult("cannot_tell", ())
+    assert nothing.rotation is None
+    assert nothing.translation is None
