@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..evaluation.methods import ALL_METHODS, OURS
+from ..evaluation.rivals import RIVALS
 from .common import (
     CLOUD,
     CONTEXT,
@@ -31,11 +33,49 @@ if TYPE_CHECKING:
     from ..evaluation.comparison import Compared
 
 COMPARE_SCHEMA = "retropole/compare/1"
-WIDTH = 160
-"""Of the table where there is no terminal to ask."""
+
+TABLE_WIDTH = 160
+"""Columns of the table where there is no terminal to ask."""
 
 
-@click.command(context_settings=CONTEXT)
+def _list_of_methods() -> str:
+    """Every method with its title, and the extra that it needs, one per line."""
+    width = max(map(len, ALL_METHODS))
+    lines = [f"  {name:<{width}}  {title}" for name, title in OURS.items()]
+    for name, rival in RIVALS.items():
+        needs = "" if rival.extra is None else f"; needs the extra {rival.extra.name!r}"
+        lines.append(f"  {name:<{width}}  {rival.title}{needs}")
+    return "\n".join(lines)
+
+
+HELP = f"""Compare retropole with other methods on one pair of clouds.
+
+\b
+Methods:
+{_list_of_methods()}
+
+The others use the surroundings and no poles. Their ok is their own word: only the errors against a
+truth tell whether they are right.
+
+\b
+Examples:
+  retropole compare front.pcd rear.pcd
+  retropole simulate corridor --seed 4 --out s
+  retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
+  retropole compare front.pcd rear.pcd --methods poles+scene,kiss
+  retropole compare drive.bag drive.bag --target-topic /front --source-topic /rear
+  retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
+
+\b
+Exit code:
+  0    at least one method answered
+  2    a file or an option is wrong, or no method that was asked for is installed
+  3    all refused
+  130  interrupted
+"""
+
+
+@click.command(context_settings=CONTEXT, help=HELP)
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(
@@ -45,7 +85,8 @@ WIDTH = 160
 )
 @click.option(
     "--methods",
-    help="Names between commas: poles, poles+scene, planes, icp, gicp, kiss, fpfh.  [default: all]",
+    metavar="NAMES",
+    help=f"Names between commas: {', '.join(ALL_METHODS)}.  [default: all]",
 )
 @radius_option
 @sensor_options
@@ -56,7 +97,7 @@ WIDTH = 160
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Seed of what methods draw, and of the points on which they are scored.",
+    help="Seed of what methods draw, and of the points that they are scored on.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
@@ -77,30 +118,7 @@ def compare(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Set retropole and its rivals side by side on one pair of clouds.
-
-    Rivals use the surroundings and no poles: planes (planar surfaces), icp and gicp from the
-    identity, kiss (KISS-Matcher, then GICP; optional part 'kiss') and fpfh (FPFH and RANSAC, then
-    GICP; optional part 'open3d'). A rival's ok is its own word: only the errors against a truth
-    tell whether it is right.
-
-    \b
-    Examples:
-      retropole compare front.pcd rear.pcd
-      retropole simulate corridor --seed 4 --out s
-      retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
-      retropole compare front.pcd rear.pcd --methods poles+scene,kiss
-      retropole compare drive.bag drive.bag --target-topic /front --source-topic /rear
-      retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
-
-    \b
-    Exit code:
-      0    at least one method answered
-      2    a file or an option is wrong, or no method that was asked for is installed
-      3    all refused
-      130  interrupted
-    """
-    from ..evaluation.comparison import ALL_METHODS
+    """Run the methods, print a table or JSON, and tell by the exit code whether one answered."""
     from ..evaluation.comparison import compare as run
     from ..export import read_transform
 
@@ -164,11 +182,12 @@ def _libraries_print_to_stderr() -> Iterator[None]:
 
 
 def _angles_deg(T: Array) -> list[float]:
-    """Roll, pitch and yaw about fixed axes, x first, degrees."""
-    from scipy.spatial.transform import Rotation
+    """Roll, pitch and yaw of a pose (4, 4), degrees; see `se3.rpy_from_rotation`."""
+    import numpy as np
 
-    angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
-    return [float(angle) for angle in angles]
+    from ..se3 import rpy_from_rotation
+
+    return [float(angle) for angle in np.degrees(rpy_from_rotation(T[:3, :3]))]
 
 
 def _document(each: Compared) -> dict[str, Any]:
@@ -204,10 +223,11 @@ def _print_table(found: Sequence[Compared], known: bool) -> None:
     for name in columns + errors:
         table.add_column(name, justify="right")
     for each in found:
-        words = {"missing": "not installed", "warn": "warn"}.get(each.status, each.status)
-        if each.codes and each.status != "missing":
-            words += " " + ", ".join(each.codes)
-        row = [each.method, words]
+        if each.status == "missing":
+            verdict = "not installed"
+        else:
+            verdict = " ".join([each.status, ", ".join(each.codes)]).strip()
+        row = [each.method, verdict]
         T, alignment = each.T_target_source, each.alignment
         if T is None or alignment is None:
             row += [""] * 8
@@ -219,4 +239,4 @@ def _print_table(found: Sequence[Compared], known: bool) -> None:
             row.append(f"{each.errors.e_rt:.4f}")
             row += [f"{np.degrees(each.errors.rotation):.3f}", f"{each.errors.translation:.4f}"]
         table.add_row(*row)
-    Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
+    Console(width=None if sys.stdout.isatty() else TABLE_WIDTH).print(table)

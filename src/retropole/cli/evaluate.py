@@ -18,7 +18,7 @@ TRANSFORM = click.Path(path_type=Path)
     "--transform",
     type=TRANSFORM,
     required=True,
-    help="The transform to judge: result.json or its folder, or any format of `retropole export`.",
+    help="The transform to score: result.json or its folder, or any format of `retropole export`.",
 )
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
@@ -44,13 +44,14 @@ def evaluate(
     frames: slice | None,
     as_json: bool,
 ) -> int:
-    """Judge a transform from SOURCE to TARGET, whatever tool found it, by the clouds it aligns.
+    """Score a transform from SOURCE to TARGET, whatever tool found it, by the clouds it aligns.
 
-    No truth is needed: overlap is the share of points with a neighbour of the other cloud within
-    0.5 m, the plane residual the median distance from the other cloud's surfaces, and the entropy
-    (Renyi's quadratic entropy of both clouds thinned to 0.1 m; its sum is larger, its -log smaller,
-    the crisper they lie). Crisp is not always right: a corridor turned half round lies on itself.
-    Compare transforms of the same two clouds; the figures of other clouds are on another scale.
+    No truth is needed. Overlap is the share of points with a neighbour in the other cloud within
+    0.5 m. The plane residual is the median distance from the other cloud's surfaces. The entropy is
+    Renyi's quadratic entropy of both clouds together, downsampled to 0.1 m: the sharper they are,
+    the larger is its sum and the smaller its -log. Sharp is not always right: a corridor rotated by
+    180 deg lies on itself. Compare transforms of the same two clouds only; figures of other clouds
+    are on another scale.
 
     \b
     Examples:
@@ -60,9 +61,9 @@ def evaluate(
 
     \b
     Exit code:
-      0    judged
+      0    scored
       2    a file or an option is wrong
-      3    a cloud is too small to judge by, or the transform is a refused result
+      3    a cloud is too small to score by, or the transform is a refused result
     """
     import json
 

@@ -31,7 +31,7 @@ from .common import CONTEXT, OUT, progress_on_terminal
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def paper(out: Path, seeds: int, data: Path | None, quiet: bool) -> int:
-    """Make the tables and figures of the method's paper anew, its figures beside ours.
+    """Reproduce the tables and figures of the method's paper, its figures beside ours.
 
     Tables I to IV, Fig. 4 and the simulated error of Xue et al. 2019: each a table as Markdown
     and CSV, and a figure as PNG and SVG. index.md holds all tables.
@@ -53,7 +53,7 @@ def paper(out: Path, seeds: int, data: Path | None, quiet: bool) -> int:
         picture = "" if exhibit.draw is None else f"\n![{exhibit.title}]({exhibit.name}.png)\n"
         pages.append(exhibit.markdown().replace("# ", "## ", 1) + picture)
     index = out / "index.md"
-    write_atomically(index, "\n".join(["# Xue et al. 2019, made anew\n", *pages]).encode())
+    write_atomically(index, "\n".join(["# Xue et al. 2019, reproduced\n", *pages]).encode())
     if not quiet:
         click.echo(f"written: {index} and {len(written)} tables and figures beside it")
     return 0

@@ -19,7 +19,7 @@ from .common import CONTEXT, OUT, progress_on_terminal, radius_option
     help="Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--sensor-target", help="Sensor's name.  [default: as the scene has it]")
+@click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
 @click.option("--poles", type=click.IntRange(min=1), default=2, show_default=True)
 @radius_option
