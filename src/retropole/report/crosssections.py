@@ -2,45 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
 
 from .. import se3
-from ..datatypes import Array, Detection
+from ..alignment.solver import Step, gauss_newton
+from ..datatypes import Array, Placement
+from ..result import ResultDoc
+from .names import LIDARS, pair_name
 
-HALF = 110.0
+HALF_PICTURE = 110.0
 """Half the side of a picture, in its own units."""
 
-MAX_ITERATIONS = 50
+MAX_CIRCLE_ITERATIONS = 50
+
+CIRCLE_STEP_TOLERANCE = 1e-6
+"""A step of the circle's centre shorter than this, metres, is the last: no picture shows less than
+a tenth of a millimetre."""
+
+CIRCLE_DAMPING = 1e-6
+"""Part of the mean curvature that is added in every direction: returns in one direction from the
+centre leave the other free."""
 
 RESIDUAL_SCALE = 0.01
 """Returns further than this from the surface, metres, count for less and less in its place."""
 
+SHOWN_RETURNS = 0.98
+"""Share of the returns that a picture holds; strays are cut off."""
 
-def cross_sections(
-    result: Mapping[str, Any], detections: tuple[Detection | None, Detection | None] | None
-) -> str:
-    """Draw the returns of both LiDARs on each pair of poles in the plane across the pole."""
-    target, source = detections or (None, None)
-    chosen = next((h for h in result.get("hypotheses") or [] if h.get("chosen")), None)
-    radius = (result.get("config") or {}).get("radius_m")
-    if target is None or source is None or chosen is None or not isinstance(radius, int | float):
+
+@dataclass(frozen=True, eq=False)
+class Circle:
+    """A circle of known radius fitted to points.
+
+    Attributes
+    ----------
+    centre
+        (2,) in the plane and the units of the points.
+    converged
+        Whether the solver came to rest.
+    """
+
+    centre: Array
+    converged: bool
+
+
+def cross_sections(result: ResultDoc, first: Placement) -> str:
+    """Draw the returns of both LiDARs on each pair of poles in the plane across the pole.
+
+    Parameters
+    ----------
+    result
+        The result document.
+    first
+        The first placement of the poles, whose poles the result lists.
+    """
+    target, source = first.target.detection, first.source.detection
+    chosen = result.chosen
+    if target is None or source is None or chosen is None or result.T_target_source is None:
         return ""
-    if result.get("T_target_source") is None:
-        return ""
-    T = np.asarray(result["T_target_source"], dtype=float)
+    T = np.array(result.T_target_source)
     figures = [
         _figure(
-            f"T{i}–S{j}",
+            pair_name((i, j)),
             target.poles[i].xyz,
             se3.apply(T, source.poles[j].xyz),
             T[:3, 3],
-            float(radius),
+            result.config.radius_m,
         )
-        for i, j in chosen.get("pairs") or []
+        for i, j in chosen.pairs
     ]
     return (
         '<h3>Returns, looking along each pole</h3><div class="sections">'
@@ -59,24 +91,46 @@ def across(points: Array) -> tuple[Array, Array]:
     return centre, axes[1:]
 
 
-def fit_circle(flat: Array, radius: float, start: Array) -> Array:
-    """Centre (2,) of the circle of a given radius that runs nearest to points (N, 2).
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Gradient (2,) and Gauss–Newton matrix (2, 2) of the distances from a circle."""
 
-    Gauss–Newton with weights; scipy's optimisers would take a tenth of a second to import.
+    gradient: Array
+    curvature: Array
+
+
+def fit_circle(flat: Array, radius: float, start: Array) -> Circle:
+    """Fit a circle of a given radius to points (N, 2), with weights against strays.
+
+    Parameters
+    ----------
+    flat
+        (N, 2) points in a plane, metres.
+    radius
+        Of the circle, metres; no step is longer.
+    start
+        (2,) centre to start from.
     """
-    centre = start
-    for _ in range(MAX_ITERATIONS):
+
+    def linearise(centre: Array) -> _Residuals:
         away = flat - centre
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         outward, residual = away / distance[:, None], distance - radius
         weighted = outward / np.sqrt(1.0 + (residual / RESIDUAL_SCALE) ** 2)[:, None]
         H = weighted.T @ outward
-        step = np.linalg.solve(H + 1e-6 * np.trace(H) * np.eye(2), weighted.T @ residual)
-        step *= min(1.0, radius / max(float(np.linalg.norm(step)), 1e-12))
-        centre = centre + step
-        if np.linalg.norm(step) < 1e-6:
-            break
-    return np.asarray(centre)
+        damped = H + CIRCLE_DAMPING * np.trace(H) * np.eye(2)
+        return _Residuals(-weighted.T @ residual, damped)
+
+    def move(centre: Array, _: _Residuals, step: Array) -> Array:
+        length = float(np.linalg.norm(step))
+        return np.asarray(centre + step * min(1.0, radius / max(length, 1e-12)))
+
+    def small(step: Step) -> bool:
+        return float(np.linalg.norm(step.step)) < CIRCLE_STEP_TOLERANCE
+
+    found = gauss_newton(start, linearise, move, small, max_iterations=MAX_CIRCLE_ITERATIONS)
+    assert found is not None
+    return Circle(found.point, found.converged)
 
 
 def _figure(name: str, target: Array, source: Array, origin: Array, radius: float) -> str:
@@ -87,29 +141,35 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
     sensors = [-(axes @ centre), axes @ (origin - centre)]
     towards = [s / max(float(np.linalg.norm(s)), 1e-9) for s in sensors]
     start = -np.mean(towards, axis=0) * radius * np.pi / 4
-    middle = fit_circle(np.concatenate(flat), radius, start)
-    away = np.concatenate(flat) - middle
-    rms = float(np.sqrt(np.mean((np.linalg.norm(away, axis=1) - radius) ** 2)))
-    reach = float(max(3 * radius, np.quantile(np.linalg.norm(away, axis=1), 0.98)))
-    scale = (HALF - 14) / reach
+    circle = fit_circle(np.concatenate(flat), radius, start)
+    distances = np.linalg.norm(np.concatenate(flat) - circle.centre, axis=1)
+    rms = float(np.sqrt(np.mean((distances - radius) ** 2)))
+    half_width = float(max(3 * radius, np.quantile(distances, SHOWN_RETURNS)))
+    scale = (HALF_PICTURE - 14) / half_width
     dots = "".join(
-        f'<circle class="{which}" cx="{x:.1f}" cy="{y:.1f}" r="1.9"/>'
-        for which, points in zip(("target", "source"), flat, strict=True)
-        for x, y in ((points - middle) * scale * [1, -1])
-        if max(abs(x), abs(y)) < HALF
+        f'<circle class="{lidar}" cx="{x:.1f}" cy="{y:.1f}" r="1.9"/>'
+        for lidar, points in zip(LIDARS, flat, strict=True)
+        for x, y in ((points - circle.centre) * scale * [1, -1])
+        if max(abs(x), abs(y)) < HALF_PICTURE
     )
+    inner, outer = HALF_PICTURE - 12, HALF_PICTURE - 2
     rim = "".join(
-        f'<line class="{which}" x1="{x * (HALF - 12):.1f}" y1="{-y * (HALF - 12):.1f}" '
-        f'x2="{x * (HALF - 2):.1f}" y2="{-y * (HALF - 2):.1f}"/>'
-        for which, (x, y) in zip(("target", "source"), towards, strict=True)
+        f'<line class="{lidar}" x1="{x * inner:.1f}" y1="{-y * inner:.1f}" '
+        f'x2="{x * outer:.1f}" y2="{-y * outer:.1f}"/>'
+        for lidar, (x, y) in zip(LIDARS, towards, strict=True)
     )
-    bar = 10.0 ** np.floor(np.log10(reach))
-    said = f"{name}: {1000 * rms:.1f} mm rms from the surface"
+    bar = 10.0 ** np.floor(np.log10(half_width))
+    words = f"{1000 * rms:.1f} mm rms from the surface"
+    if not circle.converged:
+        words += " (the fit of the circle did not converge)"
+    side = f"{2 * HALF_PICTURE:g}"
+    left, bottom = 8 - HALF_PICTURE, HALF_PICTURE - 8
     return (
-        f'<figure><svg viewBox="{-HALF:g} {-HALF:g} {2 * HALF:g} {2 * HALF:g}" role="img" '
-        f'aria-label="{escape(said)}">{dots}<circle class="pole" r="{radius * scale:.1f}"/>{rim}'
-        f'<path class="bar" d="M{8 - HALF:g} {HALF - 8:g}h{bar * scale:.1f}"/>'
-        f'<text x="{8 - HALF:g}" y="{HALF - 13:g}">{100 * bar:g} cm</text></svg>'
-        f"<figcaption><b>{escape(name)}</b> {1000 * rms:.1f} mm rms from the surface, "
+        f'<figure><svg viewBox="{-HALF_PICTURE:g} {-HALF_PICTURE:g} {side} {side}" role="img" '
+        f'aria-label="{escape(f"{name}: {words}")}">{dots}'
+        f'<circle class="pole{"" if circle.converged else " unconverged"}" r="{radius * scale:.1f}"/>'
+        f'{rim}<path class="bar" d="M{left:g} {bottom:g}h{bar * scale:.1f}"/>'
+        f'<text x="{left:g}" y="{bottom - 5:g}">{100 * bar:g} cm</text></svg>'
+        f"<figcaption><b>{escape(name)}</b> {words}, "
         f"{len(target)} + {len(source)} returns</figcaption></figure>"
     )

@@ -5,111 +5,244 @@ from __future__ import annotations
 import math
 from html import escape
 
+import msgspec
 import numpy as np
 
 from .. import se3
-from ..datatypes import Detection
+from ..datatypes import Placement, Scan
+from ..result import ResultDoc, RunConfig
 from .crosssections import cross_sections
-from .sections import Result, centimetres, number, table
+from .markup import MISSING, centimetres, number, table
+from .names import LIDARS, pair_name, pole_name
 
-Detections = tuple[Detection | None, Detection | None]
+UNFOLDED_CLUSTERS = 4
+"""Up to so many rejected clusters are listed unfolded."""
+
+REJECTED_SYMBOLS = {"target": "×", "source": "+"}
+"""How the view marks the rejected clusters of each LiDAR."""
 
 
-def poles(result: Result, detections: Detections | None) -> str:
-    """List the poles, their residuals under the transform, and the rejected clusters."""
-    found = result.get("poles") or {}
+def poles(result: ResultDoc, first: Placement) -> str:
+    """List the poles, their residuals under the transform, and the rejected clusters.
+
+    Parameters
+    ----------
+    result
+        The result document.
+    first
+        The first placement of the poles, whose poles the result lists.
+    """
     rows = [
         (
-            f"{which} {which[0].upper()}{k}",
-            *(number(value, 3) for value in pole["point_m"]),
-            number(pole.get("length_m"), 2),
-            pole.get("points", "–"),
-            pole.get("rings", "–"),
-            number(pole.get("rms_m"), 1, 1000),
+            f"{lidar} {pole_name(lidar, k)}",
+            *(number(value, 3) for value in pole.point_m),
+            number(pole.length_m, 2),
+            pole.points,
+            pole.rings,
+            number(pole.rms_m, 1, 1000),
         )
-        for which in ("target", "source")
-        for k, pole in enumerate(found.get(which) or [])
+        for lidar, found in zip(LIDARS, (result.poles.target, result.poles.source), strict=True)
+        for k, pole in enumerate(found)
     ]
     header = ("pole", "x, m", "y, m", "z, m", "length, m", "points", "rings", "rms, mm")
     listed = table("Poles, each in its LiDAR's frame", header, rows)
-    parts = [
-        '<section aria-labelledby="poles"><h2 id="poles">Poles</h2>',
-        "" if rows else "<p>No pole was found in either cloud.</p>",
-        f'<div class="columns">{listed if rows else ""}{_residuals(result, detections)}</div>',
-        _radius_note(result),
-        cross_sections(result, detections),
-    ]
-    for which, mark, detection in zip(
-        ("target", "source"), "×+", detections or (None, None), strict=True
-    ):
-        if detection is None or not detection.rejected:
-            continue
-        count = f"Rejected in the {which}: {len(detection.rejected)}"
-        clusters = [
-            (
-                f"{mark} {k}",
-                r.code,
-                r.reason,
-                len(r.index),
-                *(number(v, 2) for v in r.centre.tolist()),
-            )
-            for k, r in enumerate(detection.rejected)
-        ]
-        opened = " open" if result.get("status") == "refused" or len(clusters) <= 4 else ""
-        columns = ("mark", "code", "reason", "points", "x, m", "y, m", "z, m")
-        refused = table(f"Rejected clusters of the {which}", columns, clusters, (1, 2))
-        parts.append(f"<details{opened}><summary>{count}</summary>{refused}</details>")
-    return "".join([*parts, "</section>"])
+    unfold = result.status == "refused"
+    return "".join(
+        (
+            '<section aria-labelledby="poles"><h2 id="poles">Poles</h2>',
+            "" if rows else "<p>No pole was found in either cloud.</p>",
+            f'<div class="columns">{listed if rows else ""}{_residuals(result, first)}</div>',
+            _radius_note(result),
+            cross_sections(result, first),
+            _rejected("target", first.target, unfold),
+            _rejected("source", first.source, unfold),
+            "</section>",
+        )
+    )
 
 
-def _residuals(result: Result, detections: Detections | None) -> str:
-    """Distance of each source pole from its target pole's line, under the transform."""
-    chosen = next((h for h in result.get("hypotheses") or [] if h.get("chosen")), None)
-    if chosen is None or result.get("T_target_source") is None:
+def _rejected(lidar: str, scan: Scan, unfold: bool) -> str:
+    """List the rejected clusters of one LiDAR, each with its reason."""
+    if scan.detection is None or not scan.detection.rejected:
         return ""
-    T = np.asarray(result["T_target_source"], dtype=float)
+    rows = [
+        (
+            f"{REJECTED_SYMBOLS[lidar]} {k}",
+            cluster.code,
+            cluster.reason,
+            len(cluster.index),
+            *(number(value, 2) for value in cluster.centre.tolist()),
+        )
+        for k, cluster in enumerate(scan.detection.rejected)
+    ]
+    header = ("mark", "code", "reason", "points", "x, m", "y, m", "z, m")
+    is_open = " open" if unfold or len(rows) <= UNFOLDED_CLUSTERS else ""
+    listed = table(f"Rejected clusters of the {lidar}", header, rows, (1, 2))
+    summary = f"<summary>Rejected in the {lidar}: {len(rows)}</summary>"
+    return f"<details{is_open}>{summary}{listed}</details>"
+
+
+def _residuals(result: ResultDoc, first: Placement) -> str:
+    """Distance of each source pole from its target pole's line, under the transform."""
+    if result.chosen is None or result.T_target_source is None:
+        return ""
+    T = np.array(result.T_target_source)
+    detection = first.source.detection
     rows = []
-    for i, j in chosen.get("pairs") or []:
-        a, b = result["poles"]["target"][i], result["poles"]["source"][j]
-        n = np.asarray(a["direction"], dtype=float)
-        seen = detections[1] if detections else None
-        points = seen.poles[j].xyz if seen else np.array([b["point_m"]], dtype=float)
-        away = se3.apply(T, points) - np.asarray(a["point_m"], dtype=float)
-        off = away - (away @ n)[:, None] * n
-        distance = np.linalg.norm(off, axis=1)
-        sine = np.linalg.norm(np.cross(T[:3, :3] @ np.asarray(b["direction"], dtype=float), n))
+    for i, j in result.chosen.pairs:
+        a, b = result.poles.target[i], result.poles.source[j]
+        n = np.array(a.direction)
+        points = np.array([b.point_m]) if detection is None else detection.poles[j].xyz
+        away = se3.apply(T, points) - np.array(a.point_m)
+        lateral = away - (away @ n)[:, None] * n
+        distance = np.linalg.norm(lateral, axis=1)
+        sine = float(np.linalg.norm(np.cross(T[:3, :3] @ np.array(b.direction), n)))
+        rms, largest = float(np.sqrt(np.mean(distance**2))), float(distance.max())
         rows.append(
             (
-                f"T{i}–S{j}",
-                number(math.degrees(math.asin(min(1.0, float(sine)))), 2),
-                number(float(np.linalg.norm(off.mean(axis=0))), 1, 1000),
-                number(float(np.sqrt(np.mean(distance**2))), 1, 1000) if seen else "–",
-                number(float(distance.max()), 1, 1000) if seen else "–",
+                pair_name((i, j)),
+                number(math.degrees(math.asin(min(1.0, sine))), 2),
+                number(float(np.linalg.norm(lateral.mean(axis=0))), 1, 1000),
+                MISSING if detection is None else number(rms, 1, 1000),
+                MISSING if detection is None else number(largest, 1, 1000),
             )
         )
-    header = ("pair", "angle, deg", "mean offset, mm", "rms, mm", "largest, mm")
-    return table("Source pole from the target pole's line, with the transform", header, rows)
+    header = ("pair", "angle, deg", "lateral offset, mm", "rms, mm", "largest, mm")
+    return table("Source poles from the target poles' lines, with the transform", header, rows)
 
 
-def _radius_note(result: Result) -> str:
-    radius = (result.get("config") or {}).get("radius_m")
-    if result.get("T_target_source") is None or not isinstance(radius, int | float):
+def _radius_note(result: ResultDoc) -> str:
+    if result.T_target_source is None:
         return ""
+    millimetres = 1000 * result.config.radius_m
     return (
         '<p class="note">Returns lie on the side of the pole that faces their LiDAR: at a radius '
-        f"of {1000 * radius:g} mm two LiDARs may see lines up to {1000 * radius * math.pi / 2:.0f} "
+        f"of {millimetres:g} mm two LiDARs may see lines up to {millimetres * math.pi / 2:.0f} "
         "mm apart though the transform is exact.</p>"
     )
 
 
 _STATE = {
-    **{f"phi_{axis}": f"turn about {axis} (phi_{axis})" for axis in "xyz"},
-    **{f"delta_{axis}": f"shift along {axis} (delta_{axis})" for axis in "xyz"},
+    **{f"phi_{axis}": f"rotation about {axis} (phi_{axis})" for axis in "xyz"},
+    **{f"delta_{axis}": f"translation along {axis} (delta_{axis})" for axis in "xyz"},
 }
 
 
+def uncertainty(result: ResultDoc) -> str:
+    """Show the covariance and what it means at each range."""
+    if result.T_target_source is None:
+        return ""
+    tables, matrix = [], "<p>This run gives no covariance.</p>"
+    if result.covariance is not None:
+        covariance, order = np.array(result.covariance), result.covariance_order
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        written = [number(s, 4, 180 / math.pi, " deg") for s in sigma[:3]]
+        written += [number(s, 2, 100, " cm") for s in sigma[3:]]
+        states = [(_STATE.get(name, name), s) for name, s in zip(order, written, strict=True)]
+        tables.append(table("1 σ of the pose", ("state", "1 σ"), states))
+        entries = [
+            (name, *(f"{value:.3e}" for value in row))
+            for name, row in zip(order, covariance, strict=True)
+        ]
+        matrix = (
+            f"<p>{escape(result.covariance_frame)}</p>"
+            "<details><summary>Covariance matrix</summary>"
+            f"{table('Covariance, rad and m', ('', *order), entries)}</details>"
+        )
+    estimates = (("poles alone", result.stages.poles), ("refined", result.stages.refined))
+    residuals = [(name, number(e.rms_m, 1, 1000)) for name, e in estimates if e is not None]
+    if residuals:
+        tables.append(table("Pose estimates", ("estimate", "rms residual, mm"), residuals))
+    ranges = [(f"{e.range_m:g} m", centimetres(e.sigma_m)) for e in result.predicted_error or []]
+    if ranges:
+        tables.append(table("A source point in the target frame", ("at range", "1 σ"), ranges))
+    return (
+        '<section aria-labelledby="uncertainty"><h2 id="uncertainty">Uncertainty</h2>'
+        f'{_weakest(result)}<div class="columns">{"".join(tables)}</div>{matrix}</section>'
+    )
+
+
+def _weakest(result: ResultDoc) -> str:
+    """Say in which direction the pose is least certain."""
+    weakest = result.weakest
+    if weakest is None:
+        return ""
+    direction = ", ".join(number(value, 2) for value in weakest.direction)
+    return (
+        f"<p>Least certain, at the poles: {escape(weakest.words)} (1 σ), along ({direction}) in "
+        "the target frame. Ratio of the largest to the smallest 1 σ of the six directions of the "
+        f"pose: {number(weakest.condition, 1)}.</p>"
+    )
+
+
+def placements(result: ResultDoc) -> str:
+    """Say of each of several placements how the poles' pose differs without it."""
+    if len(result.placements) < 2:
+        return ""
+    rows = [
+        (
+            f"placement {k}",
+            f"{each.poles_target} + {each.poles_source}",
+            number(each.left_out_rotation_rad, 3, 180 / math.pi),
+            number(each.left_out_translation_m, 1, 1000),
+        )
+        for k, each in enumerate(result.placements, 1)
+    ]
+    header = ("placement", "poles, target + source", "rotation, deg", "translation, mm")
+    return (
+        '<section aria-labelledby="placements"><h2 id="placements">Placements</h2>'
+        f"<p>One pose was found for all {len(rows)} placements of the poles. Each was left out "
+        "once: the figures say how far the poles' pose lies from the pose without it. A placement "
+        "that stands out from the others deserves a look; choose it above the view.</p>"
+        + table("Change of the pose without each placement", header, rows)
+        + "</section>"
+    )
+
+
+def provenance(result: ResultDoc) -> str:
+    """List inputs, options, version and times."""
+    several = len(result.inputs) > 2
+    inputs = [
+        (
+            f"{LIDARS[k % 2]} {k // 2 + 1}" if several else LIDARS[k % 2],
+            item.path,
+            f"{item.points:,}",
+            f"{item.dropped:,}",
+            item.sensor,
+            MISSING if item.threshold is None else f"{item.threshold:g}",
+            item.sha256,
+        )
+        for k, item in enumerate(result.inputs)
+    ]
+    header = ("input", "path", "points", "dropped", "sensor", "threshold", "sha256")
+    times = [(step, number(seconds, 3)) for step, seconds in result.seconds.items()]
+    times.append(("sum", number(float(sum(result.seconds.values())), 3)))
+    return (
+        '<section aria-labelledby="run"><h2 id="run">This run</h2>'
+        f"<p>retropole {escape(result.version)}, {escape(result.created)}</p>"
+        + table("Inputs", header, inputs, (1, 4, 6))
+        + '<div class="columns">'
+        + table("Options", ("option", "value"), _options(result.config), (1,))
+        + table("Time", ("step", "seconds"), times)
+        + "</div></section>"
+    )
+
+
+def _options(config: RunConfig) -> list[tuple[str, str]]:
+    """Write every option of the run, whatever there are, as a person would."""
+    options = msgspec.structs.asdict(config) | {"frames": _slice(config)}
+    return [(name, _option(value)) for name, value in options.items()]
+
+
+def _slice(config: RunConfig) -> str | None:
+    """Write the frames as the command line takes them: ``0:20``, ``::10``."""
+    if config.frames is None:
+        return None
+    parts = config.frames[:2] if config.frames[2] is None else config.frames
+    return ":".join("" if part is None else str(part) for part in parts)
+
+
 def _option(value: object) -> str:
-    """Write an option of the run as a person would."""
     if value is None:
         return "default"
     if isinstance(value, bool):
@@ -117,108 +250,3 @@ def _option(value: object) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     return str(value)
-
-
-def uncertainty(result: Result) -> str:
-    """Show the covariance and what it means at each range."""
-    if result.get("T_target_source") is None:
-        return ""
-    stages = (result.get("stages") or {}).items()
-    rows = [(name, number(s.get("rms_m"), 1, 1000)) for name, s in stages if s is not None]
-    tables = [table("Stages", ("stage", "rms residual, mm"), rows)] if rows else []
-    matrix = "<p>This run gives no covariance.</p>"
-    if result.get("covariance") is not None:
-        covariance = np.asarray(result["covariance"], dtype=float)
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-        order = [str(name) for name in result.get("covariance_order") or range(6)]
-        turned = [number(s, 4, 180 / math.pi, " deg") for s in sigma[:3]]
-        shifted = [number(s, 2, 100, " cm") for s in sigma[3:]]
-        rows = [(_STATE.get(n, n), s) for n, s in zip(order, turned + shifted, strict=True)]
-        tables.insert(0, table("1 σ of the pose", ("state", "1 σ"), rows))
-        full = [(n, *(f"{v:.3e}" for v in row)) for n, row in zip(order, covariance, strict=True)]
-        matrix = (
-            f"<p>{escape(str(result.get('covariance_frame', '')))}</p>"
-            "<details><summary>Covariance matrix</summary>"
-            f"{table('Covariance, rad and m', ('', *order), full)}</details>"
-        )
-    ranges = [
-        (f"{e['range_m']:g} m", centimetres(e.get("sigma_m")))
-        for e in result.get("predicted_error") or []
-    ]
-    if ranges:
-        tables.append(table("A source point in the target frame", ("at range", "1 σ"), ranges))
-    weakest = result.get("weakest") or {}
-    said = ""
-    if weakest.get("words"):
-        x, y, z = (number(v, 2) for v in weakest["direction"])
-        said = (
-            f"<p>Least sure, at the poles: {escape(str(weakest['words']))} (1 σ), along ({x}, {y}, "
-            f"{z}) in the target frame. Ratio of the most to the least sure of the six directions "
-            f"of the pose: {number(weakest.get('condition'), 1)}.</p>"
-        )
-    return (
-        '<section aria-labelledby="uncertainty"><h2 id="uncertainty">Uncertainty</h2>'
-        f'{said}<div class="columns">{"".join(tables)}</div>{matrix}</section>'
-    )
-
-
-def placements(result: Result) -> str:
-    """Say of each of several placements how far the poles' pose lies from that without it."""
-    listed = result.get("placements") or []
-    if len(listed) < 2:
-        return ""
-    rows = [
-        (
-            f"placement {k}",
-            f"{p.get('poles_target', '–')} + {p.get('poles_source', '–')}",
-            number(p.get("left_out_rotation_rad"), 3, 180 / math.pi),
-            number(p.get("left_out_translation_m"), 1, 1000),
-        )
-        for k, p in enumerate(listed, 1)
-    ]
-    header = ("placement", "poles, target + source", "turned, deg", "moved, mm")
-    return (
-        '<section aria-labelledby="placements"><h2 id="placements">Placements</h2>'
-        f"<p>One pose was found for all {len(listed)} placements of the poles. Each was left out "
-        "in turn: the figures say how far the poles' pose lies from the one without it. A "
-        "placement that stands out from the others deserves a look; choose it above the view.</p>"
-        + table("Pose without each placement", header, rows)
-        + "</section>"
-    )
-
-
-def provenance(result: Result) -> str:
-    """List inputs, options, version and times."""
-    given = result.get("inputs") or []
-    names = ["target", "source"]
-    if len(given) > 2:
-        names = [f"{name} {k}" for k in range(1, len(given) // 2 + 1) for name in names]
-    inputs = [
-        (
-            which,
-            item.get("path", "–"),
-            f"{item.get('points', 0):,}",
-            f"{item.get('dropped', 0):,}",
-            item.get("sensor") or "–",
-            "–" if item.get("threshold") is None else f"{item['threshold']:g}",
-            item.get("sha256", "–"),
-        )
-        for which, item in zip(names, given, strict=False)
-    ]
-    header = ("input", "path", "points", "dropped", "sensor", "threshold", "sha256")
-    config = [
-        (k, "default" if v is None else _option(v)) for k, v in (result.get("config") or {}).items()
-    ]
-    seconds = dict(result.get("seconds") or {})
-    times = [(k, number(v, 3)) for k, v in seconds.items()]
-    times.append(("sum", number(float(sum(seconds.values())), 3)))
-    return (
-        '<section aria-labelledby="run"><h2 id="run">This run</h2>'
-        f"<p>retropole {escape(str(result.get('version', '?')))}, "
-        f"{escape(str(result.get('created', 'time unknown')))}</p>"
-        + table("Inputs", header, inputs, (1, 4, 6))
-        + '<div class="columns">'
-        + table("Options", ("option", "value"), config, (1,))
-        + table("Time", ("step", "seconds"), times)
-        + "</div></section>"
-    )

@@ -1,10 +1,10 @@
-"""A cloud as a page carries it: thinned, quantised, in base64."""
+"""A cloud as a page carries it: a part of its points, quantised, in base64."""
 
 from __future__ import annotations
 
 import base64
-from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +20,46 @@ MAX_SHOWN_RANGE = 300.0
 return would coarsen all coordinates, and the box stays under 600 m, so a step under 1 cm."""
 
 
+SHOWN_RADIUS = (4.0, 30.0)
+"""Least and largest radius of what the camera starts by looking at, metres."""
+
+DEFAULT_RANGE = 10.0
+"""What a cloud without points is taken to span, metres."""
+
+
+class PackedCloud(msgspec.Struct, frozen=True):
+    """A cloud for the page's own code.
+
+    Attributes
+    ----------
+    xyz
+        Base64 of little-endian uint16 (n, 3); a point is ``low + size * xyz / 65535``, metres.
+    intensity
+        Base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale; None where that says nothing.
+    low, size
+        (3,) corner and extent of the points, metres.
+    on_poles, in_rejected
+        How many points are on poles, and in rejected clusters; they come first, in this order.
+    shown, total, far
+        How many points are packed, the cloud has, and are left out as too far.
+    origin, centre, radius
+        (3,) where the beams start, and what to look at: (3,) its centre and its radius, metres.
+    """
+
+    xyz: str
+    intensity: str | None
+    low: list[float]
+    size: list[float]
+    on_poles: int
+    in_rejected: int
+    shown: int
+    total: int
+    far: int
+    origin: list[float]
+    centre: list[float]
+    radius: float
+
+
 def _clusters(detection: Detection | None) -> tuple[IntpArray, IntpArray]:
     """Indices of the points on poles, and of those in rejected clusters."""
     empty = np.zeros(0, dtype=np.intp)
@@ -30,7 +70,7 @@ def _clusters(detection: Detection | None) -> tuple[IntpArray, IntpArray]:
     return np.unique(poles), np.setdiff1d(rejected, poles)
 
 
-def _thin(ranges: Array, kept: IntpArray, budget: int) -> IntpArray:
+def _draw(ranges: Array, kept: IntpArray, budget: int) -> IntpArray:
     """Choose points to show: those given, and a draw weighted by range from the others.
 
     A spinning LiDAR crowds its returns near itself; weights that grow with range leave the far
@@ -51,7 +91,7 @@ def _thin(ranges: Array, kept: IntpArray, budget: int) -> IntpArray:
 
 def pack_cloud(
     cloud: PointCloud, detection: Detection | None = None, *, max_points: int
-) -> dict[str, Any]:
+) -> PackedCloud:
     """Pack a cloud for the page.
 
     Parameters
@@ -63,15 +103,6 @@ def pack_cloud(
         before all others.
     max_points
         At most this many points are packed.
-
-    Returns
-    -------
-    dict
-        ``xyz``: base64 of little-endian uint16 (n, 3), a point is ``low + size * xyz / 65535``
-        (metres); ``intensity``: base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale, or
-        None; ``counts``: points on poles, in rejected clusters, in all; ``total``, ``far``: points
-        of the cloud, and how many of them are left out as too far; ``centre`` (3,) and ``radius``:
-        what to look at, metres.
     """
     offset = cloud.xyz - cloud.origin
     squared = np.einsum("ij,ij->i", offset, offset)
@@ -83,7 +114,7 @@ def pack_cloud(
     position = np.zeros(len(cloud), dtype=np.intp)
     position[candidates] = np.arange(len(candidates))
     ranges = np.sqrt(squared[candidates])
-    shown = candidates[_thin(ranges, position[kept], max_points)]
+    shown = candidates[_draw(ranges, position[kept], max_points)]
 
     xyz = cloud.xyz[shown]
     low = xyz.min(axis=0) if len(xyz) else np.zeros(3)
@@ -91,20 +122,22 @@ def pack_cloud(
     quantised = np.rint((xyz - low) * (COORDINATE_STEPS / size)).astype("<u2")
     seen = [pole.point for pole in detection.poles] if detection else []
     centre = np.mean([cloud.origin, *seen], axis=0)
-    spread = np.quantile(ranges, 0.75) if len(ranges) else 10.0
-    reach = max((float(np.linalg.norm(p - cloud.origin)) for p in seen), default=0.0)
-    return {
-        "xyz": base64.b64encode(quantised.tobytes()).decode(),
-        "intensity": _intensity(cloud.intensity, shown),
-        "low": low.tolist(),
-        "size": size.tolist(),
-        "counts": [len(poles), len(rejected), len(shown)],
-        "total": len(cloud),
-        "far": len(cloud) - len(candidates),
-        "origin": cloud.origin.tolist(),
-        "centre": centre.tolist(),
-        "radius": float(np.clip(max(spread, 1.5 * reach), 4.0, 30.0)),
-    }
+    spread = np.quantile(ranges, 0.75) if len(ranges) else DEFAULT_RANGE
+    farthest = max((float(np.linalg.norm(p - cloud.origin)) for p in seen), default=0.0)
+    return PackedCloud(
+        xyz=base64.b64encode(quantised.tobytes()).decode(),
+        intensity=_intensity(cloud.intensity, shown),
+        low=low.tolist(),
+        size=size.tolist(),
+        on_poles=len(poles),
+        in_rejected=len(rejected),
+        shown=len(shown),
+        total=len(cloud),
+        far=len(cloud) - len(candidates),
+        origin=cloud.origin.tolist(),
+        centre=centre.tolist(),
+        radius=float(np.clip(max(spread, 1.5 * farthest), *SHOWN_RADIUS)),
+    )
 
 
 def _intensity(intensity: Array | None, shown: IntpArray) -> str | None:

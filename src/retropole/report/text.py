@@ -5,10 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from .. import se3
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
-from ..result import DetectionDoc, HypothesisDoc, InputDoc, PoleDoc, ResultDoc
+from ..reasons import explain, plain
+from ..result import (
+    DetectionDoc,
+    HypothesisDoc,
+    InputDoc,
+    PlacementDoc,
+    PoleDoc,
+    ReasonDoc,
+    ResultDoc,
+)
+from .markup import unlinked
+from .names import LIDARS, hypothesis_name
+
+ACTIONS = 2
+"""How many actions are named of what to do about a reason; the report lists them all."""
+
+BAR = 40
+"""Characters of the longest bar of a histogram."""
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -46,7 +63,7 @@ def _pole_rows(name: str, poles: Sequence[PoleDoc]) -> list[list[str]]:
     ]
 
 
-_POLE_HEADER = ("pole", "x m", "y m", "z m", "length m", "points", "rows", "rms mm")
+_POLE_HEADER = ("pole", "x m", "y m", "z m", "length m", "points", "rings", "rms mm")
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -59,14 +76,14 @@ def _degrees(value: float | None) -> float | None:
 
 def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
     return [
-        f"{chr(ord('a') + k)}{' *' if hypothesis.chosen else ''}",
+        f"{hypothesis_name(k)}{' *' if hypothesis.chosen else ''}",
         " ".join(f"{i}-{j}" for i, j in hypothesis.pairs),
         "yes" if hypothesis.exact else "no",
         f"{1000 * hypothesis.pole_rms_m:.1f}",
         _number(hypothesis.icp_rotation_rad, 4),
         _number(hypothesis.icp_translation_m, 4),
         f"{hypothesis.overlap:.3f}",
-        f"{hypothesis.free_space:.3f}",
+        f"{hypothesis.free_space_violation:.3f}",
         f"{hypothesis.score:.3f}",
     ]
 
@@ -79,7 +96,7 @@ _HYPOTHESIS_HEADER = (
     "e_r rad",
     "e_t m",
     "overlap",
-    "against",
+    "free-space violation",
     "score",
 )
 
@@ -87,10 +104,8 @@ _HYPOTHESIS_HEADER = (
 def transform_lines(matrix: Sequence[Sequence[float]]) -> list[str]:
     """Write a 4×4 transform as matrix, translation, quaternion and angles."""
     T = np.array(matrix)
-    rotation = Rotation.from_matrix(T[:3, :3])
-    x, y, z, w = rotation.as_quat()
-    # Lower case: about fixed axes, x first, which is what ROS calls rpy.
-    roll, pitch, yaw = np.degrees(rotation.as_euler("xyz"))
+    x, y, z, w = se3.quaternion_xyzw(T[:3, :3])
+    roll, pitch, yaw = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
     lines = ["  [" + " ".join(f"{value:12.8f}" for value in row) + "]" for row in T]
     return [
         *lines,
@@ -110,8 +125,7 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
     written
         Paths of the files that hold it.
     """
-    names = ("target", "source")
-    parts = [_input_line(names[k % 2], document) for k, document in enumerate(result.inputs)]
+    parts = [_input_line(LIDARS[k % 2], document) for k, document in enumerate(result.inputs)]
     parts.append("")
     poles = _pole_rows("target", result.poles.target) + _pole_rows("source", result.poles.source)
     if poles:
@@ -131,24 +145,41 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
             )
             parts.append(f"  predicted error, 1 sigma: {at}")
         if result.weakest is not None:
-            parts.append(f"  least sure, 1 sigma: {result.weakest.words}")
+            parts.append(f"  least certain, 1 sigma: {result.weakest.words}")
         if result.placements:
             rows = [
-                [
-                    f"{k}",
-                    f"{p.poles_target} + {p.poles_source}",
-                    _number(_degrees(p.left_out_rotation_rad), 3),
-                    _number(p.left_out_translation_m, 4),
-                ]
-                for k, p in enumerate(result.placements)
+                _placement_row(k, placement) for k, placement in enumerate(result.placements, 1)
             ]
-            header = ("placement", "poles", "without it: deg", "m")
-            parts += ["", table(header, rows)]
+            parts += ["", "The poles' pose without each placement differs from it by"]
+            parts.append(table(_PLACEMENT_HEADER, rows))
         parts.append("")
     parts.append(f"verdict: {result.status}")
-    parts += [f"  {reason.code}: {reason.message}" for reason in result.reasons]
+    for reason in result.reasons:
+        parts += reason_lines(reason)
     parts.append("written: " + ", ".join(written))
     return "\n".join(parts)
+
+
+_PLACEMENT_HEADER = ("placement", "poles", "rotation deg", "translation m")
+
+
+def _placement_row(k: int, placement: PlacementDoc) -> list[str]:
+    return [
+        f"{k}",
+        f"{placement.poles_target} + {placement.poles_source}",
+        _number(_degrees(placement.left_out_rotation_rad), 3),
+        _number(placement.left_out_translation_m, 4),
+    ]
+
+
+def reason_lines(reason: ReasonDoc) -> list[str]:
+    """Write a reason on a line, and what to do about it on the next where that is known."""
+    lines = [f"  {reason.code}: {reason.message}"]
+    known = explain(reason.code)
+    if known is not None and known.advice:
+        actions = " ".join(plain(unlinked(action)) for action in known.advice[:ACTIONS])
+        lines.append(f"    what to do: {actions}")
+    return lines
 
 
 def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
@@ -178,10 +209,6 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     if written:
         parts.append("written: " + ", ".join(written))
     return "\n".join(parts)
-
-
-BAR = 40
-"""Characters of the longest bar of a histogram."""
 
 
 def describe_info(document: InfoDoc) -> str:

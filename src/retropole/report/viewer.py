@@ -1,4 +1,4 @@
-"""Look at clouds live: move the threshold, and see which poles are found and what is rejected.
+"""View clouds live: move the threshold, and see which poles are found and what is rejected.
 
 The page is served to this machine alone (127.0.0.1), by viser.
 """
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..datatypes import Array, Detection, PointCloud, Pole
 from ..errors import MissingExtraError
 from ..extraction.poles import extract_poles
+from ..pipeline import DEFAULT_RADIUS
 from ..sensors import Sensor
 
 if TYPE_CHECKING:
@@ -26,24 +27,25 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 
-WAIT = 0.15
-"""Seconds that a slider has to rest before the poles are looked for again."""
+DEBOUNCE_SECONDS = 0.15
+"""Seconds that a slider has to rest before the poles are searched for again."""
 
 MAX_DRAWN_POINTS = 300_000
-"""Points of a cloud that are drawn; poles are looked for in all."""
+"""Points of a cloud that are drawn; poles are searched for in all."""
 
 SLIDER_STEPS = 400
 """Steps of the threshold slider, from the median intensity to the largest."""
 
-MAX_LABELS, MAX_ROWS = 40, 12
+MAX_LABELS, MAX_LINES = 40, 12
 """Rejected clusters that get a label in the scene, and a line in the panel: the largest ones."""
 
-RETRO, POLE, REJECTED = (255, 196, 0), (0, 190, 110), (235, 75, 75)
+RETRO_COLOUR, POLE_COLOUR, REJECTED_COLOUR = (255, 196, 0), (0, 190, 110), (235, 75, 75)
+"""Of retro-reflective points, of poles, and of rejected clusters."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A cloud to look at.
+    """A cloud to view.
 
     Attributes
     ----------
@@ -65,7 +67,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Viewer:
-    """A server under way, and for each cloud its slider and the text that says what was found."""
+    """A running server, and for each cloud its slider and the text that says what was found."""
 
     server: viser.ViserServer
     sliders: tuple[Any, ...]
@@ -84,7 +86,7 @@ class Viewer:
 
 @dataclass(frozen=True)
 class SliderRange:
-    """Lowest and highest threshold of a slider, and its step, on the intensity's own scale."""
+    """Lowest and highest threshold of a slider, and its step, on the cloud's scale of intensity."""
 
     low: float
     high: float
@@ -107,7 +109,7 @@ def colours(intensity: Array, threshold: float) -> NDArray[np.uint8]:
     low, high = np.quantile(intensity, [0.01, 0.99])
     level = np.clip((intensity - low) / max(float(high - low), 1e-9), 0.0, 1.0)
     shaded = np.repeat((70 + 110 * np.sqrt(level))[:, None], 3, axis=1).astype(np.uint8)
-    shaded[intensity >= threshold] = RETRO
+    shaded[intensity >= threshold] = RETRO_COLOUR
     return shaded
 
 
@@ -136,15 +138,15 @@ def describe(detection: Detection) -> str:
         by_code = Counter(r.code for r in detection.rejected).most_common()
         said = ", ".join(f"{number} × {code}" for code, number in by_code)
         lines += ["", f"**{len(detection.rejected)} rejected:** {said}", ""]
-        largest = _largest(detection)[:MAX_ROWS]
+        largest = _largest(detection)[:MAX_LINES]
         lines += [f"- ×{k}: {detection.rejected[k].reason}" for k in largest]
-        if len(detection.rejected) > MAX_ROWS:
-            lines += ["", f"The {MAX_ROWS} largest are listed."]
+        if len(detection.rejected) > MAX_LINES:
+            lines += ["", f"The {MAX_LINES} largest are listed."]
     return "\n".join(lines)
 
 
-def debounced(action: Callable[[], None], wait: float = WAIT) -> Callable[[], None]:
-    """Make of an action one that runs once calls have rested for ``wait`` seconds."""
+def debounced(action: Callable[[], None], wait: float = DEBOUNCE_SECONDS) -> Callable[[], None]:
+    """Wrap an action so that it runs once, when no call has come for ``wait`` seconds."""
     one_at_a_time, scheduling = threading.Lock(), threading.Lock()
     timer: threading.Timer | None = None
 
@@ -152,7 +154,7 @@ def debounced(action: Callable[[], None], wait: float = WAIT) -> Callable[[], No
         with one_at_a_time:
             action()
 
-    def ask() -> None:
+    def request() -> None:
         nonlocal timer
         with scheduling:
             if timer is not None:
@@ -161,10 +163,10 @@ def debounced(action: Callable[[], None], wait: float = WAIT) -> Callable[[], No
             timer.daemon = True
             timer.start()
 
-    return ask
+    return request
 
 
-def serve(shown: Sequence[Shown], *, radius: float = 0.02, port: int = 8080) -> Viewer:
+def serve(shown: Sequence[Shown], *, radius: float = DEFAULT_RADIUS, port: int = 8080) -> Viewer:
     """Serve clouds with a threshold slider each, until the viewer's server is stopped.
 
     Parameters
@@ -200,7 +202,7 @@ def serve(shown: Sequence[Shown], *, radius: float = 0.02, port: int = 8080) -> 
     )
     server.gui.add_markdown(
         "Yellow: bright points. Green: poles. Red: rejected, with the reason. Move a threshold to "
-        "look again."
+        "search again."
     )
     parts = [
         _add(server, k, s, d, radius) for k, (s, d) in enumerate(zip(shown, found, strict=True))
@@ -222,7 +224,7 @@ def _largest(detection: Detection) -> list[int]:
 def _add(
     server: viser.ViserServer, number: int, shown: Shown, first: Detection, radius: float
 ) -> tuple[Any, Any]:
-    """Add a cloud, its slider and its text; looking again happens when the slider rests."""
+    """Add a cloud, its slider and its text; it is searched again when the slider rests."""
     cloud, intensity = shown.cloud, shown.cloud.intensity
     assert intensity is not None
     drawn = np.arange(len(cloud))
@@ -238,7 +240,7 @@ def _add(
         slider = server.gui.add_slider(
             "Threshold", span.low, span.high, span.step, initial_value=first.threshold
         )
-        drawn_of = f"{len(drawn):,} of {len(cloud):,} points drawn; the threshold began "
+        drawn_of = f"{len(drawn):,} of {len(cloud):,} points drawn; the threshold started "
         server.gui.add_markdown(f"{drawn_of}at {first.threshold:g} ({first.threshold_source}).")
         text = server.gui.add_markdown(describe(first))
     points = server.scene.add_point_cloud(
@@ -260,22 +262,22 @@ def _add(
             labels.extend(_marks(server, root, detection))
             text.content = describe(detection)
 
-    def look() -> None:
+    def search() -> None:
         threshold = float(slider.value)
         sensor = shown.sensor
         show(extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius))
 
-    again = debounced(look)
+    search_soon = debounced(search)
 
-    def moved(_: Any) -> None:
-        text.content = "Looking …"
-        again()
+    def slider_moved(_: Any) -> None:
+        text.content = "Searching …"
+        search_soon()
 
-    def switched(_: Any) -> None:
+    def visibility_changed(_: Any) -> None:
         frame.visible = seen.value
 
-    slider.on_update(moved)
-    seen.on_update(switched)
+    slider.on_update(slider_moved)
+    seen.on_update(visibility_changed)
     show(first)
     return slider, text
 
@@ -285,7 +287,9 @@ def _marks(server: viser.ViserServer, root: str, detection: Detection) -> list[A
     marks: list[Any] = []
     if detection.poles:
         lines = segments(detection.poles)
-        marks.append(server.scene.add_line_segments(f"{root}/poles", lines, POLE, thickness=0.06))
+        marks.append(
+            server.scene.add_line_segments(f"{root}/poles", lines, POLE_COLOUR, thickness=0.06)
+        )
         for k, pole in enumerate(detection.poles):
             top = max(lines[k], key=lambda end: float(end[2]))
             name, text = f"{root}/pole{k}", f"pole {k}: {len(pole.xyz)} points"
@@ -296,7 +300,7 @@ def _marks(server: viser.ViserServer, root: str, detection: Detection) -> list[A
             server.scene.add_point_cloud(
                 f"{root}/rejected",
                 centres,
-                REJECTED,
+                REJECTED_COLOUR,
                 point_size=0.12,
                 point_shape="diamond",
                 precision="float32",

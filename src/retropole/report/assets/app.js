@@ -5,7 +5,7 @@
   const started = performance.now();
   const root = document.documentElement;
 
-  // --- copying, frame names and theme: they work whatever becomes of the view ---
+  // --- copying, frame names and theme: they work even where the view does not ---
 
   const exportTexts = new Map(all("[data-export]").map((pre) => [pre, pre.textContent]));
   function nameFrames() {
@@ -45,14 +45,14 @@
 
   const scene = JSON.parse($("#data").textContent);
   /** Make a placement's clouds, poles and rejected clusters those of the scene. */
-  function stand(k) {
+  function showPlacement(k) {
     const placement = scene.placements[k];
     placement.decoded ||= placement.clouds.map(decodeCloud);
     Object.assign(scene, { clouds: placement.decoded, poles: placement.poles, rejected: placement.rejected });
     root.dataset.placement = String(k + 1);
     $("#shown").textContent = placement.shown;
   }
-  stand(0);
+  showPlacement(0);
   const poses = new Map(scene.poses.map((pose) => [pose.id, pose]));
   const layers = { target: true, source: true, poles: true, rejected: true, ellipsoid: true, intensity: true };
   const state = { mode: "apart", pose: scene.poses.length ? scene.poses[0].id : null, T: IDENTITY, size: 1.5 };
@@ -72,7 +72,7 @@
   let width = 0, height = 0;
   const ratio = () => Math.min(devicePixelRatio || 1, 2);
 
-  function look(plain) {
+  function styleOf(plain) {
     return {
       ground: colour("--view"), colours: [colour("--target"), colour("--source")],
       text: `rgb(${colour("--text")})`, soft: `rgb(${colour("--soft")})`, faint: `rgb(${colour("--line")})`,
@@ -96,7 +96,7 @@
   }
 
   function paint() {
-    const style = look(false), parts = panes();
+    const style = styleOf(false), parts = panes();
     view.paint(parts, style, height);
     const context = marks.getContext("2d");
     context.setTransform(style.dpr, 0, 0, style.dpr, 0, 0);
@@ -111,7 +111,7 @@
 
   /** Draw every hypothesis in its panel, from where the main view looks. */
   function paintPanels() {
-    const source = $("#points"), style = look(true), dpr = style.dpr;
+    const source = $("#points"), style = styleOf(true), dpr = style.dpr;
     for (const panel of all(".panel")) {
       const target = panel.querySelector("canvas"), box = target.getBoundingClientRect();
       const w = Math.min(Math.floor(box.width), width), h = Math.min(Math.floor(box.height), height);
@@ -130,27 +130,27 @@
     paint();
   }
 
-  let asked = false, later = 0;
+  let requested = false, later = 0;
   function repaint(withPanels = true) {
-    if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; paint(); }); }
+    if (!requested) { requested = true; requestAnimationFrame(() => { requested = false; paint(); }); }
     if (withPanels) { clearTimeout(later); later = setTimeout(paintPanels, 150); }
   }
 
-  // --- poses: the source cloud slides from one to the next ---
+  // --- poses: the source cloud moves smoothly from one to the next ---
 
-  const gentle = matchMedia("(prefers-reduced-motion: reduce)");
-  let slide = 0;
+  const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
+  let motion = 0;
   function goal() { return state.mode === "after" && state.pose ? poses.get(state.pose).T : IDENTITY; }
   function moveTo(T) {
-    const from = state.T, run = ++slide;
-    if (gentle.matches || view.kind !== "webgl" || state.mode === "apart") { state.T = T; repaint(false); return; }
+    const from = state.T, run = ++motion;
+    if (reducedMotion.matches || view.kind !== "webgl" || state.mode === "apart") { state.T = T; repaint(false); return; }
     const split = (M) => {
       const matrix = new THREE.Matrix4().set(...M.flat());
       return { q: new THREE.Quaternion().setFromRotationMatrix(matrix), t: new THREE.Vector3().setFromMatrixPosition(matrix) };
     };
     const [a, b] = [split(from), split(T)], begin = performance.now();
     const step = () => {
-      if (run !== slide) return;
+      if (run !== motion) return;
       const s = Math.min(1, (performance.now() - begin) / 450), eased = s * s * (3 - 2 * s);
       if (s < 1) {
         const m = new THREE.Matrix4().makeRotationFromQuaternion(a.q.clone().slerp(b.q, eased));
@@ -166,12 +166,12 @@
 
   function describe() {
     if (state.mode === "apart") return "Apart: each cloud in its own frame.";
-    if (state.mode === "before") return "Before: both clouds as recorded, one frame laid on the other.";
+    if (state.mode === "before") return "Before: both clouds as recorded, as if they had one frame.";
     const pose = poses.get(state.pose);
     const shown = state.pose === "result" && scene.ellipsoid && layers.ellipsoid
       ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
-    const doubt = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
-    return `After: source moved by ${pose.id === "result" ? "the result" : pose.label}.${doubt}${shown}`;
+    const caution = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
+    return `After: source transformed by ${pose.id === "result" ? "the result" : pose.label}.${caution}${shown}`;
   }
   function refresh() {
     root.dataset.mode = state.mode;
@@ -202,7 +202,7 @@
   scene.placements.forEach((placement, k) => $("#placement").append(new Option(`${k + 1}: ${placement.files}`, k)));
   $(".placement").hidden = scene.placements.length < 2;
   $("#placement").addEventListener("change", (e) => {
-    stand(Number(e.target.value));
+    showPlacement(Number(e.target.value));
     view.load(scene.clouds);
     refresh();
     repaint();
@@ -213,7 +213,7 @@
   $('[data-layer="ellipsoid"]').hidden = !scene.ellipsoid;
   $('[data-layer="rejected"]').hidden = !scene.placements.some((p) => p.rejected.flat().length);
   $('[data-layer="poles"]').hidden = !scene.placements.some((p) => p.poles.flat().length);
-  $('[data-layer="intensity"]').hidden = !scene.clouds.some((c) => c.counts[2]);
+  $('[data-layer="intensity"]').hidden = !scene.clouds.some((c) => c.shown);
   for (const name of ["top", "side"]) $(`[data-preset="${name}"]`).hidden = view.kind === "top";
   all("button[data-mode]").forEach((b) => b.addEventListener("click", () => setMode(b.dataset.mode)));
   all("[data-layer]").forEach((b) => b.addEventListener("click", () => toggle(b.dataset.layer)));
@@ -227,16 +227,16 @@
   $("#size").addEventListener("input", (e) => { state.size = Number(e.target.value); repaint(false); });
 
   // The wheel scrolls the page until the view has been clicked or focused.
-  const idle = view.kind === "webgl" ? "Drag to turn; click, then wheel to zoom" : "Drag to move; click, then wheel to zoom";
-  $("#hint").textContent = matchMedia("(pointer: coarse)").matches ? "Drag to turn, pinch to zoom" : idle;
+  const mouse = view.kind === "webgl" ? "Drag to rotate; click, then wheel to zoom" : "Drag to move; click, then wheel to zoom";
+  $("#hint").textContent = matchMedia("(pointer: coarse)").matches ? "Drag to rotate, pinch to zoom" : mouse;
   marks.addEventListener("pointerdown", () => { marks.focus({ preventScroll: true }); $("#hint").hidden = true; });
   marks.addEventListener("focus", () => view.allowWheel(true));
   marks.addEventListener("blur", () => view.allowWheel(false));
   if (matchMedia("(pointer: coarse)").matches) view.allowWheel(true);
 
-  const turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
+  const orbits = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
   marks.addEventListener("keydown", (e) => {
-    if (e.key in turns) view.orbit(...turns[e.key]);
+    if (e.key in orbits) view.orbit(...orbits[e.key]);
     else if (e.key === "+" || e.key === "=") view.zoom(1 / 1.15);
     else if (e.key === "-") view.zoom(1.15);
     else if (e.key === "Home") view.preset("oblique");

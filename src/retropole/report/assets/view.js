@@ -25,16 +25,16 @@ function decodeCloud(packed) {
   return { ...packed, xyz, intensity, count: xyz.length / 3 };
 }
 
-/** Turn and shift from frame 0 to frame 1, so that both panes look past their sensor at the poles. */
-function frameShift(clouds) {
+/** Rotation about z and translation from frame 0 to frame 1, so that both panes look past their sensor at the poles. */
+function frameChange(clouds) {
   const [a, b] = clouds.map((c) => Math.atan2(c.centre[1] - c.origin[1], c.centre[0] - c.origin[0]));
-  const turn = b - a, cos = Math.cos(turn), sin = Math.sin(turn);
+  const angle = b - a, cos = Math.cos(angle), sin = Math.sin(angle);
   const [p, q] = [clouds[0].centre, clouds[1].centre];
   const point = (x) => {
     const d = [x[0] - p[0], x[1] - p[1], x[2] - p[2]];
     return [q[0] + cos * d[0] - sin * d[1], q[1] + sin * d[0] + cos * d[1], q[2] + d[2]];
   };
-  return { turn, point };
+  return { angle, point };
 }
 
 /** Where the camera starts: behind the sensor, above, looking at the poles. */
@@ -82,7 +82,7 @@ function webglView(canvas, context, pad, clouds) {
   controls.minDistance = 0.3;
   controls.maxDistance = 400;
   const scene = new THREE.Scene();
-  let shift, points = [];
+  let change, points = [];
 
   function makePoints(cloud) {
     const geometry = new THREE.BufferGeometry();
@@ -90,7 +90,7 @@ function webglView(canvas, context, pad, clouds) {
     geometry.setAttribute("intensity", new THREE.BufferAttribute(cloud.intensity, 1, true));
     const uniforms = {};
     for (const name of ["size", "dpr", "scale", "shade"]) uniforms[name] = { value: 1 };
-    uniforms.poles = { value: cloud.counts[0] };
+    uniforms.poles = { value: cloud.on_poles };
     for (const name of ["colour", "ground"]) uniforms[name] = { value: new THREE.Vector3() };
     const material = new THREE.ShaderMaterial({ uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT });
     const object = new THREE.Points(geometry, material);
@@ -107,7 +107,7 @@ function webglView(canvas, context, pad, clouds) {
       object.material.dispose();
     }
     clouds = next;
-    shift = frameShift(clouds);
+    change = frameChange(clouds);
     points = clouds.map(makePoints);
   }
   load(clouds);
@@ -126,7 +126,7 @@ function webglView(canvas, context, pad, clouds) {
     let used = camera;
     if (pane.frame === 1) {
       used = other;
-      const eye = shift.point(camera.position.toArray()), at = shift.point(controls.target.toArray());
+      const eye = change.point(camera.position.toArray()), at = change.point(controls.target.toArray());
       used.position.set(...eye);
       used.lookAt(...at);
     }
@@ -152,11 +152,11 @@ function webglView(canvas, context, pad, clouds) {
     onSettle: (f) => controls.addEventListener("end", f),
     allowWheel: (on) => { controls.enableZoom = on; },
     resize: (w, h, dpr) => { renderer.setPixelRatio(dpr); renderer.setSize(w, h, false); },
-    orbit(turn, rise) {
+    orbit(azimuthStep, elevationStep) {
       const d = camera.position.clone().sub(controls.target), r = d.length();
-      const azimuth = Math.atan2(d.y, d.x) + turn;
-      const height = Math.max(-1.5, Math.min(1.5, Math.asin(d.z / r) + rise));
-      d.set(r * Math.cos(height) * Math.cos(azimuth), r * Math.cos(height) * Math.sin(azimuth), r * Math.sin(height));
+      const azimuth = Math.atan2(d.y, d.x) + azimuthStep;
+      const elevation = Math.max(-1.5, Math.min(1.5, Math.asin(d.z / r) + elevationStep));
+      d.set(r * Math.cos(elevation) * Math.cos(azimuth), r * Math.cos(elevation) * Math.sin(azimuth), r * Math.sin(elevation));
       camera.position.copy(controls.target).add(d);
       controls.update();
     },
@@ -175,8 +175,8 @@ function webglView(canvas, context, pad, clouds) {
         ],
       };
     },
-    paint(panes, look, height) {
-      const [r, g, b] = look.ground;
+    paint(panes, style, height) {
+      const [r, g, b] = style.ground;
       renderer.setScissorTest(true);
       for (const pane of panes) {
         const bottom = height - pane.y - pane.h;
@@ -184,15 +184,15 @@ function webglView(canvas, context, pad, clouds) {
         renderer.setScissor(pane.x, bottom, pane.w, pane.h);
         points.forEach((object, k) => {
           const T = pane.poses[k];
-          object.visible = Boolean(T) && look.visible[k];
+          object.visible = Boolean(T) && style.visible[k];
           if (!object.visible) return;
           place(object, clouds[k], T);
           const u = object.material.uniforms;
-          u.size.value = look.size;
+          u.size.value = style.size;
           u.scale.value = pane.h / 60;
-          u.dpr.value = look.dpr;
-          u.shade.value = look.shade;
-          u.colour.value.set(...look.colours[k].map((v) => v / 255));
+          u.dpr.value = style.dpr;
+          u.shade.value = style.shade;
+          u.colour.value.set(...style.colours[k].map((v) => v / 255));
           u.ground.value.set(r / 255, g / 255, b / 255);
         });
         renderer.setClearColor((r << 16) | (g << 8) | b);
@@ -209,11 +209,11 @@ function topView(canvas, pad, clouds) {
   const listeners = { move: [], settle: [] };
   const tell = (what) => listeners[what].forEach((f) => f());
   let centre, span, wheel = false, dpr = 1;
-  let shift, metres;
+  let change, metres;
 
   function load(next) {
     clouds = next;
-    shift = frameShift(clouds);
+    change = frameChange(clouds);
     metres = clouds.map((c) => Float32Array.from(c.xyz, (v, k) => c.low[k % 3] + (c.size[k % 3] * v) / 65535));
   }
   load(clouds);
@@ -244,8 +244,8 @@ function topView(canvas, pad, clouds) {
   /** Affine map of a pane: pixel = origin + A (x, y). */
   function affine(pane) {
     const scale = Math.min(pane.w, pane.h) / span;
-    const [c, turn] = pane.frame === 1 ? [shift.point(centre), -shift.turn] : [centre, 0];
-    const cos = Math.cos(turn) * scale, sin = Math.sin(turn) * scale;
+    const [c, angle] = pane.frame === 1 ? [change.point(centre), -change.angle] : [centre, 0];
+    const cos = Math.cos(angle) * scale, sin = Math.sin(angle) * scale;
     const A = [cos, -sin, -sin, -cos];
     const at = [pane.x + pane.w / 2 - A[0] * c[0] - A[1] * c[1], pane.y + pane.h / 2 - A[2] * c[0] - A[3] * c[1]];
     return { A, at };
@@ -259,7 +259,7 @@ function topView(canvas, pad, clouds) {
     onSettle: (f) => listeners.settle.push(f),
     allowWheel: (on) => { wheel = on; },
     resize(w, h, ratio) { dpr = ratio; canvas.width = w * dpr; canvas.height = h * dpr; },
-    orbit(turn, rise) { centre[0] += turn * span * 0.5; centre[1] += rise * span * 0.5; tell("move"); },
+    orbit(right, up) { centre[0] += right * span * 0.5; centre[1] += up * span * 0.5; tell("move"); },
     zoom(factor) { span *= factor; tell("move"); },
     lens(pane) {
       const { A, at } = affine(pane);
@@ -268,20 +268,20 @@ function topView(canvas, pad, clouds) {
         toPixel: (v) => [at[0] + A[0] * v[0] + A[1] * v[1], at[1] + A[2] * v[0] + A[3] * v[1]],
       };
     },
-    paint(panes, look) {
-      const dot = Math.max(1, Math.round(look.size * dpr));
+    paint(panes, style) {
+      const dot = Math.max(1, Math.round(style.size * dpr));
       for (const pane of panes) {
         const w = Math.round(pane.w * dpr), h = Math.round(pane.h * dpr);
         const image = context.createImageData(w, h), pixels = new Uint32Array(image.data.buffer);
         const pack = (c) => (255 << 24) | (c[2] << 16) | (c[1] << 8) | c[0];
-        pixels.fill(pack(look.ground));
+        pixels.fill(pack(style.ground));
         const { A, at } = affine(pane);
         clouds.forEach((cloud, k) => {
           const T = pane.poses[k];
-          if (!T || !look.visible[k]) return;
+          if (!T || !style.visible[k]) return;
           const shades = Array.from({ length: 256 }, (_, v) => {
-            const level = 1 - look.shade * 0.6 * (1 - v / 255);
-            return pack(look.colours[k].map((c, n) => Math.round(look.ground[n] + (c - look.ground[n]) * level)));
+            const level = 1 - style.shade * 0.6 * (1 - v / 255);
+            return pack(style.colours[k].map((c, n) => Math.round(style.ground[n] + (c - style.ground[n]) * level)));
           });
           const xyz = metres[k];
           for (let n = 0; n < cloud.count; n++) {
@@ -301,9 +301,9 @@ function topView(canvas, pad, clouds) {
   };
 }
 
-/** Draw what is not a point: rings of range, sensors, poles, rejected clusters, the ellipsoid. */
-function drawMarks(context, pane, lens, scene, look) {
-  const halo = `rgba(${look.ground.join(",")},0.85)`;
+/** Draw what is not a point: range circles, sensors, poles, rejected clusters, the ellipsoid. */
+function drawMarks(context, pane, lens, scene, style) {
+  const halo = `rgba(${style.ground.join(",")},0.85)`;
   const css = (c) => `rgb(${c.join(",")})`;
   context.save();
   context.beginPath();
@@ -345,12 +345,12 @@ function drawMarks(context, pane, lens, scene, look) {
     return v[2] <= -NEAR ? lens.toPixel(v) : null;
   }
   const taken = [];
-  /** Write a label; a shy one only where no other stands. */
-  function label(text, at, colour, align = "left", size = 12, shy = false) {
+  /** Write a label; an optional one only where it covers no other. */
+  function label(text, at, colour, align = "left", size = 12, optional = false) {
     const half = 0.33 * size * text.length;
     const centre = at[0] + (align === "left" ? half : align === "right" ? -half : 0);
-    const meets = ([x, y, w, h]) => Math.abs(x - centre) < w + half && Math.abs(y - at[1]) < h + size / 2;
-    if (shy && taken.some(meets)) return;
+    const overlaps = ([x, y, w, h]) => Math.abs(x - centre) < w + half && Math.abs(y - at[1]) < h + size / 2;
+    if (optional && taken.some(overlaps)) return;
     taken.push([centre, at[1], half, size / 2]);
     context.font = `600 ${size}px system-ui, sans-serif`;
     context.textAlign = align;
@@ -364,59 +364,59 @@ function drawMarks(context, pane, lens, scene, look) {
   }
 
   const base = scene.clouds[pane.frame];
-  context.strokeStyle = look.faint;
+  context.strokeStyle = style.faint;
   context.lineWidth = 1;
-  for (const range of look.plain ? [] : [5, 10, 20, 40]) {
+  for (const range of style.plain ? [] : [5, 10, 20, 40]) {
     trace(Array.from({ length: 97 }, (_, k) => {
       const angle = (2 * Math.PI * k) / 96;
       return [base.origin[0] + range * Math.cos(angle), base.origin[1] + range * Math.sin(angle), base.origin[2]];
     }));
     context.stroke();
     const at = spot([base.origin[0], base.origin[1] + range, base.origin[2]]);
-    if (at) { context.font = "11px system-ui, sans-serif"; context.fillStyle = look.soft; context.textAlign = "center"; context.fillText(`${range} m`, at[0], at[1] - 5); }
+    if (at) { context.font = "11px system-ui, sans-serif"; context.fillStyle = style.soft; context.textAlign = "center"; context.fillText(`${range} m`, at[0], at[1] - 5); }
   }
-  const ellipsoid = pane.ellipsoid && look.layers.ellipsoid ? scene.ellipsoid : null;
+  const ellipsoid = pane.ellipsoid && style.layers.ellipsoid ? scene.ellipsoid : null;
   const circles = !ellipsoid ? [] : [[0, 1], [1, 2], [2, 0]].map(([i, j]) => Array.from({ length: 49 }, (_, k) => {
     const a = (2 * Math.PI * k) / 48, { centre, axes } = ellipsoid;
     return centre.map((v, n) => v + Math.cos(a) * axes[i][n] + Math.sin(a) * axes[j][n]);
   }));
   scene.clouds.forEach((cloud, k) => {
     const T = pane.poses[k];
-    if (!T || !look.visible[k]) return;
-    const to = (p) => applyPose(T, p), o = cloud.origin, colour = css(look.colours[k]);
+    if (!T || !style.visible[k]) return;
+    const to = (p) => applyPose(T, p), o = cloud.origin, colour = css(style.colours[k]);
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]].forEach((axis, n) => {
       const end = to(o.map((v, m) => v + axis[m]));
-      line([to(o), end], colour, look.plain ? 1 : 2, n === 2 ? [] : n === 1 ? [5, 4] : [1, 4], k === 1 && ellipsoid ? 0 : 3);
-      const at = look.plain ? null : spot(end);
+      line([to(o), end], colour, style.plain ? 1 : 2, n === 2 ? [] : n === 1 ? [5, 4] : [1, 4], k === 1 && ellipsoid ? 0 : 3);
+      const at = style.plain ? null : spot(end);
       if (at) label("xyz"[n], at, colour, "center", 11);
     });
-    const at = look.plain ? null : spot(to(o));
+    const at = style.plain ? null : spot(to(o));
     if (at && k === 1 && ellipsoid) {
       for (const circle of circles) {
         trace(circle);
         context.globalAlpha = 0.16;
-        context.fillStyle = look.text;
+        context.fillStyle = style.text;
         context.fill();
         context.globalAlpha = 1;
-        context.strokeStyle = look.text;
+        context.strokeStyle = style.text;
         context.lineWidth = 1;
         context.stroke();
       }
       const low = Math.max(...circles.flat().map(spot).filter(Boolean).map((p) => p[1]), at[1]);
       label("source", [at[0], low + 12], colour, "center");
-      label(`1 σ × ${ellipsoid.factor.toLocaleString("en")}`, [at[0], low + 26], look.text, "center", 11);
+      label(`1 σ × ${ellipsoid.factor.toLocaleString("en")}`, [at[0], low + 26], style.text, "center", 11);
     } else if (at) label(["target", "source"][k], [at[0], at[1] + 14], colour, "center");
-    if (look.layers.poles) {
+    if (style.layers.poles) {
       for (const pole of scene.poles[k]) {
         const ends = [to(pole.a), to(pole.b)];
         // The target's line is the wider one, so that both are seen where they coincide.
-        const width = (k === 0 ? 7 : 3) * (look.plain ? 0.6 : 1);
+        const width = (k === 0 ? 7 : 3) * (style.plain ? 0.6 : 1);
         line(ends, colour, width, [], k === 0 ? 3 : 1);
         const seen = ends.map(spot).filter(Boolean).sort((p, q) => p[1] - q[1])[0];
-        if (seen && !look.plain) label(pole.label, [seen[0] + (k === 0 ? -8 : 8), seen[1] - 10], colour, k === 0 ? "right" : "left", 13);
+        if (seen && !style.plain) label(pole.label, [seen[0] + (k === 0 ? -8 : 8), seen[1] - 10], colour, k === 0 ? "right" : "left", 13);
       }
     }
-    if (look.layers.rejected && !look.plain) {
+    if (style.layers.rejected && !style.plain) {
       for (const cluster of scene.rejected[k]) {
         const c = spot(to(cluster.at));
         if (!c) continue;
@@ -430,6 +430,6 @@ function drawMarks(context, pane, lens, scene, look) {
       }
     }
   });
-  if (pane.title) label(pane.title, [pane.x + 12, pane.y + 18], look.text, "left", 13);
+  if (pane.title) label(pane.title, [pane.x + 12, pane.y + 18], style.text, "left", 13);
   context.restore();
 }

@@ -1,0 +1,107 @@
+"""A picture of a result: two clouds before and after, and the poles with both LiDARs' points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ... import se3
+from ...datatypes import Array, PointCloud, Pole
+from .canvas import BLUE, GREEN, ORANGE, new_figure, save_figure, subsample
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SCENE_HALF_WIDTH = 14.0
+"""Half the width of the picture of a result, metres."""
+
+
+def draw_result(
+    target: PointCloud,
+    source: PointCloud,
+    T_target_source: Array,
+    poles: tuple[Sequence[Pole], Sequence[Pole]],
+    path: Path,
+) -> None:
+    """Draw two clouds from above before and after, and the poles with both LiDARs' points.
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame.
+    T_target_source
+        (4, 4) the answer.
+    poles
+        Of the target and of the source, paired.
+    path
+        Of the picture; its suffix (``.png``, ``.svg``) is its format.
+
+    Raises
+    ------
+    MissingExtraError
+        Where matplotlib is not installed.
+    """
+    count = max(len(poles[0]), 1)
+    figure = new_figure(16, 9)
+    grid: Any = figure.add_gridspec(
+        2, 2 + count, width_ratios=[3, 3] + [1.1] * count, height_ratios=(3, 1)
+    )
+    views = (
+        (np.eye(4), "before: each in its own frame"),
+        (T_target_source, "after: source in the frame of the target"),
+    )
+    for column, (T, title) in enumerate(views):
+        above = figure.add_subplot(grid[0, column])
+        beside = figure.add_subplot(grid[1, column], sharex=above)
+        _draw_clouds(above, beside, target, source.transformed(T), poles[0], title)
+        if column == 0:
+            above.set_ylabel("y of the target, m")
+            beside.set_ylabel("z of the target, m")
+            legend: Any = above.legend(loc="upper right", fontsize=9)
+            for handle in legend.legend_handles[:2]:
+                handle.set_sizes([60.0])
+    for k, (ours, theirs) in enumerate(zip(*poles, strict=True)):
+        axes = figure.add_subplot(grid[:, 2 + k])
+        across = np.cross(ours.direction, ours.point - target.origin)
+        across /= np.linalg.norm(across) or 1.0
+        up = ours.direction * np.sign(ours.direction[np.argmax(np.abs(ours.direction))])
+        for xyz, color in ((ours.xyz, BLUE), (se3.apply(T_target_source, theirs.xyz), ORANGE)):
+            offset = xyz - ours.point
+            axes.scatter(100 * offset @ across, offset @ up, s=8, c=color, linewidths=0)
+        points = f"{len(ours.xyz)} + {len(theirs.xyz)} points"
+        axes.set_xlim(-12, 12)
+        axes.set_title(f"pole {k}, both LiDARs\n{points}", fontsize=10)
+        axes.set_xlabel("across, cm")
+        axes.set_ylabel("along, m")
+    save_figure(figure, path)
+
+
+def _draw_clouds(
+    above: Axes,
+    beside: Axes,
+    target: PointCloud,
+    source: PointCloud,
+    poles: Sequence[Pole],
+    title: str,
+) -> None:
+    """Draw two clouds of one frame and the target's poles, from above and from the side."""
+    middle = np.mean([pole.point for pole in poles], axis=0) if poles else target.origin
+    for cloud, color, name in ((target, BLUE, "target"), (source, ORANGE, "source")):
+        near = np.abs(cloud.xyz - middle).max(axis=1) < SCENE_HALF_WIDTH
+        xyz = subsample(cloud.xyz[near])
+        style: dict[str, Any] = {"s": 0.6, "c": color, "linewidths": 0, "rasterized": True}
+        above.scatter(xyz[:, 0], xyz[:, 1], label=name, **style)
+        beside.scatter(xyz[:, 0], xyz[:, 2], **style)
+    for k, pole in enumerate(poles):
+        label = "poles of the target" if k == 0 else None
+        above.plot(*pole.point[:2], "o", ms=12, mfc="none", mec=GREEN, mew=2, label=label)
+        beside.plot(*pole.point[[0, 2]], "o", ms=12, mfc="none", mec=GREEN, mew=2)
+    above.set_xlim(middle[0] - SCENE_HALF_WIDTH, middle[0] + SCENE_HALF_WIDTH)
+    above.set_ylim(middle[1] - SCENE_HALF_WIDTH, middle[1] + SCENE_HALF_WIDTH)
+    above.set_aspect("equal")
+    above.set_title(f"{title}\nfrom above")
+    beside.set_title("from the side, heights stretched", fontsize=10)
+    beside.set_xlabel("x of the target, m")

@@ -1,0 +1,88 @@
+"""Pieces of HTML that every part of the page is made of; whatever they are given is escaped."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Sequence
+from html import escape
+
+MISSING = "–"
+"""Stands where there is no number."""
+
+TWO_DIGITS_BELOW = 0.00995
+"""Lengths below this, metres, are written in cm with two digits after the point."""
+
+LINK_SENTENCE = re.compile(r"(?:^|(?<=[.!?]))\s*\[[^\]]*\]\([^)]*\)\.")
+LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
+CODE = re.compile(r"`([^`]+)`")
+EMPHASIS = re.compile(r"\*([^*\s][^*]*)\*")
+
+
+def number(value: float | None, digits: int, scale: float = 1.0, unit: str = "") -> str:
+    """Write a number with fixed digits, or a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return f"{value * scale:.{digits}f}{unit}"
+
+
+def centimetres(sigma_m: float | None) -> str:
+    """Write a 1 σ as ``± … cm`` with two significant digits or so, or a dash."""
+    digits = 2 if sigma_m is not None and abs(sigma_m) < TWO_DIGITS_BELOW else 1
+    text = number(sigma_m, digits, 100)
+    return text if text == MISSING else f"± {text} cm"
+
+
+def table(
+    caption: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    text: Collection[int] = (),
+) -> str:
+    """Lay out a table that scrolls sideways on narrow screens.
+
+    Parameters
+    ----------
+    caption, header, rows
+        Every cell is escaped; the first of each row is its heading.
+    text
+        Columns of words, aligned left; all others but the first are numbers.
+    """
+    kind = ["" if k not in text else ' class="text"' for k in range(len(header))]
+    head = "".join(
+        f'<th scope="col"{c}>{escape(name)}</th>' for c, name in zip(kind, header, strict=True)
+    )
+    body = "".join(
+        f'<tr><th scope="row">{escape(str(row[0]))}</th>'
+        + "".join(
+            f"<td{c}>{escape(str(cell))}</td>" for c, cell in zip(kind[1:], row[1:], strict=True)
+        )
+        + "</tr>"
+        for row in rows
+    )
+    name = escape(caption)
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{name}"><table>'
+        f"<caption>{name}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+        "</table></div>"
+    )
+
+
+def unlinked(markdown: str) -> str:
+    """Take the links out of Markdown: a page or terminal is read away from the documentation.
+
+    A link becomes its words; a sentence that is nothing but a link goes.
+    """
+    return LINK.sub(r"\1", LINK_SENTENCE.sub("", markdown)).strip()
+
+
+def inline(markdown: str) -> str:
+    """Turn a line of Markdown into HTML: code and emphasis, links by their words."""
+    # Escaped first: nothing in the text but these marks can become markup.
+    text = escape(unlinked(markdown))
+    # The odd parts are code, in which an asterisk is an asterisk.
+    parts = CODE.split(text)
+    return "".join(
+        f"<code>{part}</code>" if k % 2 else EMPHASIS.sub(r"<em>\1</em>", part)
+        for k, part in enumerate(parts)
+    )
