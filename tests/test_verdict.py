@@ -4,18 +4,29 @@ import numpy as np
 import pytest
 
 from retropole.alignment.adjustment import BeamAlignment
-from retropole.datatypes import Hypothesis, Match, Pole, PoseEstimate, WeakDirection
+from retropole.datatypes import (
+    Detection,
+    Hypothesis,
+    Match,
+    Placement,
+    PointCloud,
+    Pole,
+    PoseEstimate,
+    Scan,
+)
 from retropole.errors import Refusal
+from retropole.matching.placements import PairedPlacement
 from retropole.sensors import SENSORS
+from retropole.uncertainty import WeakDirection
 from retropole.verdict import MIN_OVERLAP, check_choice, margin_of, weaknesses
 from tests.conftest import PoleMaker
 
 
 def hypothesis(
-    score: float, overlap: float = 0.9, free_space: float = 0.0, exact: bool = True
+    score: float, overlap: float = 0.9, violation: float = 0.0, exact: bool = True
 ) -> Hypothesis:
-    match = Match(((0, 0), (1, 1)), np.eye(4), 0.01, exact, np.eye(6))
-    return Hypothesis(match, 0.1, 0.1, overlap, free_space, score)
+    match = Match(((0, 0), (1, 1)), np.eye(4), 0.01, exact, True, np.eye(6))
+    return Hypothesis(match, 0.1, 0.1, overlap, violation, score)
 
 
 def test_margin_is_over_the_best_of_the_others() -> None:
@@ -25,7 +36,7 @@ def test_margin_is_over_the_best_of_the_others() -> None:
 
 
 def test_a_scene_that_does_not_decide_is_refused() -> None:
-    poor, contradicted = hypothesis(0.3, 0.3), hypothesis(0.6, 0.8, free_space=0.2)
+    poor, contradicted = hypothesis(0.3, 0.3), hypothesis(0.6, 0.8, violation=0.2)
     check_choice([hypothesis(0.9), poor, contradicted])
     with pytest.raises(Refusal) as refusal:
         check_choice([hypothesis(0.9), hypothesis(0.75, 0.75), poor, contradicted])
@@ -43,11 +54,11 @@ def test_scenes_that_do_not_overlap_are_refused() -> None:
     assert refusal.value.code == "no_overlap"
 
 
-def an_alignment(noise: float = 0.01, sigma: float = 0.01, sure: float = 0.01) -> BeamAlignment:
+def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.01) -> BeamAlignment:
     points, axes = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.8]])
     return BeamAlignment(
         PoseEstimate(np.eye(4), sigma**2 * np.eye(6), noise),
-        sure**2 * np.eye(6),
+        if_known**2 * np.eye(6),
         points,
         axes,
         0.02,
@@ -55,6 +66,16 @@ def an_alignment(noise: float = 0.01, sigma: float = 0.01, sure: float = 0.01) -
         (noise, 0.01),
         (0.005, 0.005),
     )
+
+
+def paired_placement(target: list[Pole], source: list[Pole]) -> PairedPlacement:
+    """A VLP-16 and a sensor that is not known, whose poles are paired by their order."""
+    cloud = PointCloud(np.ones((1, 3)))
+    scans = [
+        Scan(cloud, sensor, Detection(tuple(poles), (), 200.0, "given", 0))
+        for poles, sensor in ((target, SENSORS["VLP-16"]), (source, None))
+    ]
+    return PairedPlacement(Placement(scans[0], scans[1]), hypothesis(0.9))
 
 
 def codes_of(
@@ -65,10 +86,8 @@ def codes_of(
     weak: float = 0.01,
 ) -> list[str]:
     weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
-    sensors = (SENSORS["VLP-16"], None)
-    found = weaknesses(
-        [(target, source)], hypotheses, aligned or an_alignment(), sensors, weakest, None
-    )
+    paired = paired_placement(target, source)
+    found = weaknesses([paired], hypotheses, aligned or an_alignment(), weakest, None)
     return [reason.code for reason in found]
 
 
@@ -90,5 +109,5 @@ def test_weak_poses_are_named(make_pole: PoleMaker) -> None:
     good = [make_pole([4.0, -1, 0], up), make_pole([4.0, 1, 0], lean)]
     assert codes_of(good, good, an_alignment(noise=0.04)) == ["noisy_poles"]
     assert codes_of(good, good, weak=0.08) == ["weak_direction"]
-    unsure = an_alignment(sigma=0.08, sure=0.01)
-    assert codes_of(good, good, unsure, weak=0.08) == ["weak_direction", "offset_not_separable"]
+    uncertain = an_alignment(sigma=0.08, if_known=0.01)
+    assert codes_of(good, good, uncertain, weak=0.08) == ["weak_direction", "offset_not_separable"]

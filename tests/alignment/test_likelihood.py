@@ -24,20 +24,20 @@ def some_beams(rng: np.random.Generator, count: int = 40) -> tuple[Array, Array,
     return rng.normal(size=3), directions, point, axis
 
 
-def test_the_nearest_approach_is_the_nearest() -> None:
+def test_the_closest_approach_is_the_closest() -> None:
     rng = np.random.default_rng(0)
     origin, directions, point, axis = some_beams(rng)
     by = closest_approach(origin, directions, point, axis)
     for k in range(len(directions)):
-        steps = by.nearest[k] + np.linspace(-0.5, 0.5, 1001)
+        steps = by.ranges[k] + np.linspace(-0.5, 0.5, 1001)
         at = origin + steps[:, None] * directions[k] - point
         gaps = np.linalg.norm(at - (at @ axis)[:, None] * axis, axis=1)
         assert np.argmin(gaps) == 500
-        assert gaps.min() == pytest.approx(abs(by.miss[k]), abs=1e-9)
+        assert gaps.min() == pytest.approx(abs(by.lateral_offset[k]), abs=1e-9)
         assert by.sine[k] == pytest.approx(np.linalg.norm(np.cross(directions[k], axis)))
 
 
-def test_passage_derivatives() -> None:
+def test_derivatives_of_the_closest_approach() -> None:
     rng = np.random.default_rng(1)
     origin, directions, point, axis = some_beams(rng)
     by, h = closest_approach(origin, directions, point, axis), 1e-6
@@ -46,26 +46,30 @@ def test_passage_derivatives() -> None:
         step[k] = h
         plus = closest_approach(origin, directions, point + step[:3], axis + step[3:])
         minus = closest_approach(origin, directions, point - step[:3], axis - step[3:])
-        for name in ("nearest", "miss", "sine"):
+        for name in ("ranges", "lateral_offset", "sine"):
             if name == "sine" and k >= 3:
                 continue  # free directions change it by cos, which callers project away
-            slope = (getattr(plus, name) - getattr(minus, name)) / (2 * h)
+            derivative = (getattr(plus, name) - getattr(minus, name)) / (2 * h)
             if k < 3:
-                given = getattr(by, f"{name}_axis")[:, k]
-                np.testing.assert_allclose(given, slope, atol=2e-5 * (1 + np.abs(slope).max()))
+                given = getattr(by, f"{name}_by_axis")[:, k]
+                np.testing.assert_allclose(
+                    given, derivative, atol=2e-5 * (1 + np.abs(derivative).max())
+                )
 
 
-def test_passage_derivatives_by_the_direction_across_it() -> None:
+def test_derivatives_of_the_closest_approach_by_the_direction_across_it() -> None:
     rng = np.random.default_rng(2)
     origin, directions, point, axis = some_beams(rng)
     by, h = closest_approach(origin, directions, point, axis), 1e-6
     for tangent in np.linalg.svd(axis[None])[2][1:]:
         plus = closest_approach(origin, directions, point, unit(axis + h * tangent))
         minus = closest_approach(origin, directions, point, unit(axis - h * tangent))
-        for name in ("nearest", "miss", "sine"):
-            slope = (getattr(plus, name) - getattr(minus, name)) / (2 * h)
-            given = getattr(by, f"{name}_axis")[:, 3:] @ tangent
-            np.testing.assert_allclose(given, slope, atol=2e-5 * (1 + np.abs(slope).max()))
+        for name in ("ranges", "lateral_offset", "sine"):
+            derivative = (getattr(plus, name) - getattr(minus, name)) / (2 * h)
+            given = getattr(by, f"{name}_by_axis")[:, 3:] @ tangent
+            np.testing.assert_allclose(
+                given, derivative, atol=2e-5 * (1 + np.abs(derivative).max())
+            )
 
 
 def returns(rng: np.random.Generator, width: float, count: int = 200) -> Array:
@@ -93,11 +97,11 @@ def test_arc_derivatives(width: float) -> None:
         step = np.zeros(3)
         step[k] = h
         plus, minus = at(values + step), at(values - step)
-        slope = (plus.log - minus.log) / (2 * h)
+        derivative = (plus.log - minus.log) / (2 * h)
         curve = -(plus.score - minus.score) / (2 * h)
         given, bend = here.score[:, k], here.information[:, k]
         # Where the cut comes to the end of the arc a step goes over a slight kink.
-        assert np.quantile(np.abs(given - slope), 0.98) < 1e-3 * np.abs(slope).max()
+        assert np.quantile(np.abs(given - derivative), 0.98) < 1e-3 * np.abs(derivative).max()
         assert np.quantile(np.abs(bend - curve), 0.98) < 1e-3 * np.abs(curve).max()
 
 

@@ -6,7 +6,7 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Match
 from retropole.errors import Refusal, UsageError
-from retropole.matching.prior import RotationPrior, agreeing, rotation_prior
+from retropole.matching.prior import RotationPrior, agreeing_with_prior, rotation_prior
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 
@@ -14,7 +14,7 @@ from retropole.simulation import simulate_pair
 def match(phi: list[float]) -> Match:
     T = np.eye(4)
     T[:3, :3] = se3.exp_so3(np.array(phi))
-    return Match(((0, 0), (1, 1)), T, 0.01, True, np.eye(6))
+    return Match(((0, 0), (1, 1)), T, 0.01, True, True, np.eye(6))
 
 
 def test_upright_looks_at_the_tilt_only() -> None:
@@ -32,13 +32,13 @@ def test_angles_are_about_fixed_axes_x_first() -> None:
     np.testing.assert_allclose(prior.rotation, z @ y @ x, atol=1e-12)
 
 
-def test_hypotheses_that_contradict_it_are_passed_over() -> None:
+def test_hypotheses_that_contradict_it_are_left_out() -> None:
     near, far = match([0, 0, 0.1]), match([0, 0, 3.0])
     prior = RotationPrior(np.eye(3), np.radians(10))
-    assert agreeing([near, far], prior) == [near]
-    assert agreeing([near, far], None) == [near, far]
+    assert agreeing_with_prior([near, far], prior) == [near]
+    assert agreeing_with_prior([near, far], None) == [near, far]
     with pytest.raises(Refusal) as refusal:
-        agreeing([far], prior)
+        agreeing_with_prior([far], prior)
     assert refusal.value.code == "prior_contradicted"
     with pytest.raises(UsageError, match="exclude"):
         rotation_prior(True, (0.0, 0.0, 0.0), 1.0)

@@ -1,3 +1,5 @@
+from typing import Literal
+
 import numpy as np
 import pytest
 
@@ -23,14 +25,14 @@ def room(rng: np.random.Generator, count: int = 6000) -> Array:
 
 
 @pytest.mark.parametrize("method", ["GICP", "PLANE_ICP"])
-def test_returns_to_the_truth_from_nearby(method: str) -> None:
+def test_returns_to_the_truth_from_nearby(method: Literal["GICP", "PLANE_ICP"]) -> None:
     rng = np.random.default_rng(0)
     T_true = se3.random(rng, 5.0)
     target = prepare(room(rng), 0.1)
     source = prepare(se3.apply(se3.inverse(T_true), room(rng)), 0.1)
     start = se3.retract(T_true, np.array([0.03, -0.02, 0.04, 0.1, -0.05, 0.08]))
-    # The start's turn acts about the target origin; both are metres apart, which ICP must bridge.
-    result = register(target, source, start, method=method, reach=1.0)  # type: ignore[arg-type]
+    # The start's rotation acts about the target's origin, metres away: ICP must bridge that.
+    result = register(target, source, start, method=method, max_correspondence_distance=1.0)
     step = se3.local(T_true, result.T_target_source)
     assert result.converged
     assert np.linalg.norm(step[:3]) < np.radians(0.2)

@@ -1,16 +1,16 @@
-"""Many frames of a standing scene: what moved goes, what stands stays."""
+"""Many frames of a static scene: what moved goes, what stands stays."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.datatypes import BoolArray, PointCloud
 from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.pipeline import calibrate
-from retropole.scene.static import check_static, drift, remove_dynamic_points
+from retropole.scene.static import check_static, pole_drift, remove_dynamic_points
 from retropole.simulation import SimulatedPair, simulate_pair
 
 FRAMES = 6
@@ -21,7 +21,7 @@ def street() -> SimulatedPair:
     return simulate_pair("street", np.random.default_rng(3), frames=FRAMES)
 
 
-def with_walker(cloud: PointCloud) -> tuple[PointCloud, np.ndarray]:
+def with_walker(cloud: PointCloud) -> tuple[PointCloud, BoolArray]:
     """Add a person who walks by, 1 m a frame; tell which points are theirs."""
     rng = np.random.default_rng(0)
     people, frames = [], []
@@ -70,7 +70,7 @@ def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
     assert cloud.frame is not None
     pole = poles[0]
     frame = cloud.frame[pole.index]
-    distance, sigma = drift(pole, frame)
+    distance, sigma = pole_drift(pole, frame)
     assert distance < 5 * sigma
     sideways = np.cross(pole.direction, [1.0, 0.0, 0.0])
     moved = replace(pole, xyz=pole.xyz + 0.1 * (frame >= 3)[:, None] * sideways)
@@ -81,7 +81,8 @@ def test_a_pole_that_moves_is_refused(street: SimulatedPair) -> None:
 
 @pytest.mark.slow
 def test_frames_average_the_noise_away() -> None:
-    one, ten = [], []
+    one: list[float] = []
+    ten: list[float] = []
     for seed in range(8):
         pair = simulate_pair("bare", np.random.default_rng(seed), frames=10)
         single = [

@@ -1,0 +1,129 @@
+"""The solver: it finds minima, in any units, and says when it did not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from retropole.alignment.solver import Solution, Step, gauss_newton, levenberg_marquardt
+from retropole.datatypes import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Squared residuals at a point, in units that ``scale`` gives each parameter."""
+
+    x: Array
+    cost: float
+    gradient: Array
+    curvature: Array
+
+
+def rosenbrock(x: Array, scale: Array) -> Point:
+    """(1 − a)² + 100 (b − a²)² with its Gauss–Newton matrix, a and b in units of ``scale``."""
+    a, b = x * scale
+    r = np.array([1 - a, 10 * (b - a * a)])
+    J = np.array([[-1.0, 0.0], [-20 * a, 10.0]]) * scale
+    return Point(x, float(r @ r) / 2, J.T @ r, J.T @ J)
+
+
+def small(step: Step) -> bool:
+    return bool(np.abs(step.scaled).max() < 1e-9)
+
+
+def solve(scale: Array, max_iterations: int = 100) -> Solution[Point]:
+    return levenberg_marquardt(
+        rosenbrock(np.array([-1.2, 1.0]) / scale, scale),
+        lambda now, step, damping: rosenbrock(now.x + step, scale),
+        small,
+        tolerance=1e-9,
+        damping=1e-3,
+        min_damping=1e-12,
+        max_iterations=max_iterations,
+    )
+
+
+@pytest.mark.parametrize("scale", [np.ones(2), np.array([1e-4, 1e3])])
+def test_finds_the_minimum_in_any_units(scale: Array) -> None:
+    found = solve(scale)
+    assert found.converged
+    np.testing.assert_allclose(found.point.x * scale, 1.0, atol=1e-8)
+
+
+def test_units_change_no_step() -> None:
+    assert solve(np.ones(2)).iterations == solve(np.array([1e-3, 1e2])).iterations
+
+
+def test_says_when_the_iterations_run_out() -> None:
+    found = solve(np.ones(2), 3)
+    assert not found.converged
+    assert found.iterations == 3
+
+
+def test_the_cost_never_rises() -> None:
+    costs = [solve(np.ones(2), n).point.cost for n in range(1, 30)]
+    assert costs == sorted(costs, reverse=True)
+
+
+def test_a_start_at_the_minimum_stays() -> None:
+    at = rosenbrock(np.ones(2), np.ones(2))
+    found = levenberg_marquardt(
+        at,
+        lambda now, step, damping: rosenbrock(now.x + step, np.ones(2)),
+        small,
+        tolerance=1e-9,
+        damping=1e-3,
+        min_damping=1e-12,
+        max_iterations=5,
+    )
+    assert found.converged
+    np.testing.assert_array_equal(found.point.x, at.x)
+
+
+def test_a_derivative_that_leads_uphill_is_no_convergence() -> None:
+    def wrong(x: Array) -> Point:
+        return Point(x, float(x @ x), -2 * x, 2 * np.eye(2))
+
+    found = levenberg_marquardt(
+        wrong(np.ones(2)),
+        lambda now, step, damping: wrong(now.x + step),
+        small,
+        tolerance=1e-9,
+        damping=1e-3,
+        min_damping=1e-12,
+        max_iterations=50,
+    )
+    assert not found.converged
+
+
+def test_gauss_newton_follows_a_problem_that_changes() -> None:
+    """Each step solves for the square root again: x ← x − (x² − 2)/2x."""
+
+    def linearise(x: Array) -> Point:
+        r, J = x**2 - 2.0, np.diag(2 * x)
+        return Point(x, 0.0, J.T @ r, J.T @ J)
+
+    def run(max_iterations: int) -> Solution[Array]:
+        found = gauss_newton(
+            np.array([1.0]),
+            linearise,
+            lambda x, model, step: x + step,
+            lambda step: bool(np.abs(step.step).max() < 1e-12),
+            max_iterations=max_iterations,
+        )
+        assert found is not None
+        return found
+
+    whole = run(20)
+    assert whole.converged
+    assert whole.point[0] == pytest.approx(np.sqrt(2.0), abs=1e-12)
+    assert not run(2).converged
+    assert run(2).iterations == 2
+
+
+def test_gauss_newton_ends_where_nothing_is_left() -> None:
+    def nothing(x: Array) -> Point | None:
+        return None
+
+    found = gauss_newton(np.zeros(1), nothing, lambda x, model, step: x, small, max_iterations=3)
+    assert found is None
