@@ -13,6 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 
 import retropole
 from retropole.cli import cli
+from retropole.reasons import GROUPS, PREFIXED, Explanation
 
 project = "retropole"
 author = "The retropole authors"
@@ -60,6 +61,24 @@ class Commands(SphinxDirective):
         return sections
 
 
+def reasons_page(app: Sphinx, page: str, source: list[str]) -> None:
+    """Write the table of reason codes into its page, before it is parsed."""
+
+    def entry(code: str, text: Explanation) -> str:
+        actions = "".join(f"- {action}\n" for action in text.advice)
+        return f"### {code}\n\n{text.title}. {text.help}\n\n{actions}\n"
+
+    if page != "reasons":
+        return
+    parts = []
+    for group in GROUPS:
+        entries = [entry(code, text) for code, text in group.reasons]
+        if group.title == "Check":
+            entries += [entry(f"{prefix}_", text) for prefix, text in PREFIXED.items()]
+        parts += [f"## {group.title}\n\n{group.introduction}\n\n", *entries]
+    source[0] = source[0].replace("<!-- reasons -->", "".join(parts))
+
+
 def equation(display: str) -> Any:
     """Make a visitor that writes an equation as MathML, which browsers set without any script."""
 
@@ -89,4 +108,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("commands", Commands)
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
     app.connect("autodoc-process-signature", plain_aliases)
+    app.connect("source-read", reasons_page)
     return {"parallel_read_safe": True}
