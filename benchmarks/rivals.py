@@ -1,19 +1,15 @@
 """Our method and every installed rival over scenes, seeds and sensors: how often right, how fast.
 
-A run succeeds where e_rt (eq. 12) is at most 0.1 m. It is wrong but confident where it answered,
-with a warning or without, and is off by more than 1° or 0.3 m. Errors are of the runs that
-answered; times of one call, libraries imported and clouds in memory; memory is the largest that the
-process held during the call, the interpreter and the clouds included. The GICP that ends a rival
-counts in its time, and where that has not come to rest after 30 steps the rival has refused: how
-often its match alone would have been wrong the table does not tell. Prints Markdown.
+A run succeeds where e_rt (Xue et al. 2019, eq. 12) is at most 0.1 m. It is wrong but confident
+where it answered, with a warning or without, and is off by more than 1° or 0.3 m. Errors are those
+of the runs that answered. Times are of one call with libraries imported and clouds in memory.
+Memory is the peak of the process during the call, interpreter and clouds included. The GICP that
+ends a rival counts in its time. Where it has not converged after 30 steps the rival refuses, so the
+table does not show how often its match alone would have been wrong. Prints Markdown.
 
     python benchmarks/rivals.py --seeds 25
     python benchmarks/rivals.py --seeds 3 --scenes corridor street harbor --methods poles+scene kiss
     python benchmarks/rivals.py --seeds 10 --scenes street --sensors VLP-16:VLP-16 Pandar64:OS1
-    python benchmarks/rivals.py --growth growth --methods poles+scene kiss --points 10000 100000
-
-``--growth`` instead measures time against the number of points, frames and poles, and writes
-``growth.csv`` and ``growth.png``.
 """
 
 from __future__ import annotations
@@ -25,10 +21,9 @@ import importlib
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from multiprocessing import TimeoutError as TookTooLong
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -36,26 +31,26 @@ import numpy as np
 
 from retropole.datatypes import Array, PointCloud
 from retropole.errors import Refusal
-from retropole.evaluation.comparison import ALL_METHODS
-from retropole.evaluation.metrics import errors_of
-from retropole.evaluation.rivals import ALL_METHODS as RIVALS
-from retropole.evaluation.rivals import EXTRAS, missing_extra
+from retropole.evaluation.methods import ALL_METHODS
+from retropole.evaluation.metrics import Errors, errors_of
+from retropole.evaluation.rivals import RIVALS, load_rival, missing_extra
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulationError, simulate_pair
+from retropole.simulation import simulate_pair
 
 SUCCESS_M = 0.1
-WRONG_DEG, WRONG_M = 1.0, 0.3
-OURS, RIVAL, TIME_RATIO = "poles+scene", "kiss", 0.6
-"""The target: ours succeeds more often than this rival, is never wrong, and takes so much of its
-time at most."""
+"""Largest e_rt of a success."""
 
-JITTER = 0.005
-"""Noise on points where more are asked for than there are, and some are drawn twice, metres."""
+WRONG_DEG, WRONG_M = 1.0, 0.3
+"""An answer further than either from the truth is wrong."""
+
+OURS, RIVAL, TIME_RATIO = "poles+scene", "kiss", 0.6
+"""The target: ours succeeds more often than this rival, is never wrong, and takes this part of its
+time at most."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What came of one method on one scene; errors are nan where there is no answer."""
+    """The outcome of one method on one scene; errors are nan where there is no answer."""
 
     method: str
     scene: str
@@ -87,7 +82,7 @@ class Run:
 def answer(method: str, target: PointCloud, source: PointCloud) -> Array:
     """Run one method; raises Refusal where it has no answer."""
     if method in RIVALS:
-        return RIVALS[method](target, source, np.random.default_rng(0)).T_target_source
+        return load_rival(method)(target, source, np.random.default_rng(0)).T_target_source
     found = calibrate(target, source, scene=method != "poles")
     if found.T_target_source is None:
         raise Refusal(found.reasons[0].code, found.reasons[0].message)
@@ -100,7 +95,7 @@ def quiet() -> None:
 
 
 def reset_peak() -> None:
-    """Start the process's peak memory anew (Linux)."""
+    """Reset the process's peak memory (Linux)."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
@@ -114,8 +109,11 @@ def peak_megabytes() -> float:
 
 
 def timed(method: str, target: PointCloud, source: PointCloud) -> tuple[Array | None, str, float]:
-    if method in EXTRAS:
-        importlib.import_module(EXTRAS[method][1])
+    if method in RIVALS:
+        load_rival(method)
+        extra = RIVALS[method].extra
+        if extra is not None:
+            importlib.import_module(extra.module)
     reset_peak()
     start = time.perf_counter()
     try:
@@ -133,17 +131,19 @@ def run(job: tuple[str, str, int, str]) -> Run:
     )
     T, code, seconds = timed(method, pair.target, pair.source)
     megabytes = peak_megabytes()
-    if T is None:
-        return Run(*job, code, *[float("nan")] * 3, seconds, megabytes)
-    errors = errors_of(T, pair.T_target_source)
+    nan = float("nan")
+    errors = Errors(nan, nan, nan) if T is None else errors_of(T, pair.T_target_source)
     return Run(
-        *job,
+        method,
+        scene,
+        seed,
+        sensors,
         code,
-        float(np.degrees(errors.rotation)),
-        errors.translation,
-        errors.e_rt,
-        seconds,
-        megabytes,
+        degrees=float(np.degrees(errors.rotation)),
+        metres=errors.translation,
+        e_rt=errors.e_rt,
+        seconds=seconds,
+        megabytes=megabytes,
     )
 
 
@@ -207,113 +207,15 @@ def report(runs: Sequence[Run], methods: Sequence[str]) -> None:
         )
 
 
-def resized(cloud: PointCloud, count: int, rng: np.random.Generator) -> PointCloud:
-    """Draw so many points of a cloud; more than it has are drawn again with a little noise."""
-    index = rng.choice(len(cloud), count, replace=count > len(cloud))
-    drawn = cloud.select(index)
-    if count > len(cloud):
-        drawn = replace(drawn, xyz=drawn.xyz + rng.normal(0, JITTER, drawn.xyz.shape))
-    return replace(drawn, frame=None)
-
-
-def grow(job: tuple[str, str, str, int]) -> tuple[float, str, float, int]:
-    """Time one method at one size: seconds, code of the refusal, megabytes, points."""
-    method, scene, what, size = job
-    rng = np.random.default_rng(0)
-    pair = simulate_pair(
-        scene,
-        rng,
-        poles=size if what == "poles" else 2,
-        frames=size if what == "frames" else 1,
-        # Many poles that all lean 15° against each other find no place.
-        min_pole_angle=float(np.radians(15 if what != "poles" or size <= 3 else 5)),
-    )
-    target, source = pair.target, pair.source
-    if what == "points":
-        target, source = resized(target, size, rng), resized(source, size, rng)
-    _, code, seconds = timed(method, target, source)
-    return seconds, code, peak_megabytes(), len(target) + len(source)
-
-
-def alone(job: tuple[str, str, str, int], timeout: float) -> tuple[float, str, float, int]:
-    """Grow in a process of its own, which ends with its time."""
-    with get_context("spawn").Pool(1, initializer=quiet) as pool:
-        try:
-            return pool.apply_async(grow, (job,)).get(timeout)
-        except TookTooLong:
-            return timeout, "timeout", float("nan"), 0
-        except SimulationError:
-            return float("nan"), "no_such_scene", float("nan"), 0
-
-
-def growth(arguments: argparse.Namespace, methods: Sequence[str]) -> None:
-    sizes = {"points": arguments.points, "frames": arguments.frames, "poles": arguments.poles}
-    scene = arguments.scenes[0]
-    rows: list[tuple[str, str, int, float, str, float, int]] = []
-    for what, each in sizes.items():
-        for method in methods:
-            for size in each:
-                done = alone((method, scene, what, size), arguments.timeout)
-                rows.append((what, method, size, *done))
-                print(f"{what} {size} {method}: {done[0]:.2f} s {done[1]}", file=sys.stderr)
-                if done[1] == "timeout":
-                    break
-    out = Path(arguments.growth)
-    with out.with_suffix(".csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["what", "method", "size", "seconds", "refused", "megabytes", "points"])
-        writer.writerows(rows)
-    draw_growth(rows, sizes, methods, out.with_suffix(".png"), scene)
-    print(f"written: {out.with_suffix('.csv')}, {out.with_suffix('.png')}")
-
-
-def draw_growth(
-    rows: Sequence[tuple[str, str, int, float, str, float, int]],
-    sizes: dict[str, list[int]],
-    methods: Sequence[str],
-    out: Path,
-    scene: str,
-) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(1, len(sizes), figsize=(13, 4), sharey=True)
-    for panel, what in zip(panels, sizes, strict=True):
-        for k, method in enumerate(methods):
-            mine = [r for r in rows if r[:2] == (what, method) and np.isfinite(r[3])]
-            colour = f"C{k}"
-            panel.plot([r[2] for r in mine], [r[3] for r in mine], color=colour, label=method)
-            for answered, filled in ((True, colour), (False, "white")):
-                some = [r for r in mine if (r[4] == "") == answered]
-                panel.plot(
-                    *([r[i] for r in some] for i in (2, 3)),
-                    linestyle="",
-                    marker="o",
-                    markeredgecolor=colour,
-                    markerfacecolor=filled,
-                )
-        panel.set_xscale("log" if what == "points" else "linear")
-        panel.set_yscale("log")
-        panel.set_xlabel(f"{what}{' of each cloud' if what == 'points' else ''}")
-        panel.grid(alpha=0.3)
-    panels[0].set_ylabel("time, s")
-    panels[0].legend()
-    figure.suptitle(f"Time on the scene {scene!r}; hollow: refused, or out of time")
-    figure.tight_layout()
-    figure.savefig(out, dpi=120)
-
-
 def installed(names: Sequence[str]) -> list[str]:
     unknown = [name for name in names if name not in ALL_METHODS]
     if unknown:
         raise SystemExit(f"no method is called {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
-    missing: Callable[[str], str | None] = missing_extra
-    for name in names:
-        if missing(name):
-            print(f"{name} is left out: pip install 'retropole[{missing(name)}]'", file=sys.stderr)
-    return [name for name in names if missing(name) is None]
+    missing = {name: missing_extra(name) for name in names if name in RIVALS}
+    for name, extra in missing.items():
+        if extra is not None:
+            print(f"{name} is left out: pip install 'retropole[{extra}]'", file=sys.stderr)
+    return [name for name in names if missing.get(name) is None]
 
 
 def main() -> None:
@@ -327,16 +229,8 @@ def main() -> None:
     )
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--csv", type=Path, help="write every run to this file")
-    parser.add_argument("--growth", help="write NAME.csv and NAME.png", metavar="NAME")
-    parser.add_argument("--points", type=int, nargs="*", default=[10**k for k in (4, 5, 6, 7)])
-    parser.add_argument("--frames", type=int, nargs="*", default=[1, 2, 5, 10, 20])
-    parser.add_argument("--poles", type=int, nargs="*", default=[2, 3, 4, 6, 8])
-    parser.add_argument("--timeout", type=float, default=600.0, help="of a run of --growth, s")
     arguments = parser.parse_args()
     methods = installed(arguments.methods)
-    if arguments.growth:
-        growth(arguments, methods)
-        return
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     runs: list[Run] = []
     for method in methods:
@@ -346,7 +240,7 @@ def main() -> None:
             for sensors in arguments.sensors
             for seed in seeds
         ]
-        # Processes of its own for each method: what one leaves in memory is not the next one's.
+        # Separate processes for each method: what one leaves in memory must not count for the next.
         with ProcessPoolExecutor(
             arguments.processes, mp_context=get_context("spawn"), initializer=quiet
         ) as pool:

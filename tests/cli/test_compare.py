@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from retropole.evaluation.rivals import missing_extra
+from retropole.evaluation.methods import ALL_METHODS, OURS
+from retropole.evaluation.rivals import RIVALS, missing_extra
 from retropole.io import read_cloud, write_pcd
 
 
@@ -34,11 +36,9 @@ def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     for word in ("poles+scene", "planes", "gicp", "overlap", "RQE", "e_rt m", "time s", "yaw °"):
         assert word in done.stdout
-    for method, extra in (("kiss", "kiss"), ("fpfh", "open3d")):
-        if missing_extra(method):
-            assert f"{method}: not installed: pip install 'retropole[{extra}]'" in done.stderr
-        else:
-            assert "not installed" not in done.stdout
+    for method in RIVALS:
+        words = f"{method}: not installed: pip install 'retropole[{missing_extra(method)}]'"
+        assert (words in done.stderr) == (missing_extra(method) is not None)
     assert list(tmp_path.iterdir()) == [], "nothing is written"
 
 
@@ -60,6 +60,9 @@ def test_json_is_all_of_stdout_and_right(scene: Path) -> None:
         assert off < 0.1
         assert 0.5 < each["overlap"] <= 1
         assert each["rqe_log"] == pytest.approx(-np.log(each["rqe_sum"]))
+        assert Rotation.from_euler("xyz", each["rpy_deg"], degrees=True).as_matrix() == (
+            pytest.approx(T[:3, :3])
+        )
     assert planes["e_rt_m"] < 0.1
 
 
@@ -116,7 +119,33 @@ def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path:
     assert "Traceback" not in done.stderr
 
 
-def test_help_has_worked_examples() -> None:
+def test_help_has_worked_examples_and_every_method() -> None:
     done = retropole("compare", "--help")
     assert done.returncode == 0
     assert "retropole compare " in done.stdout.split("Examples:")[1]
+    listed = done.stdout.split("Methods:")[1].split("Examples:")[0]
+    for name, title in (OURS | {name: rival.title for name, rival in RIVALS.items()}).items():
+        assert any(line.split() == [name, *title.split()] for line in _lines(listed)), name
+    assert ", ".join(ALL_METHODS) in " ".join(done.stdout.split())
+    for name, rival in RIVALS.items():
+        needs = next(line for line in listed.splitlines() if line.split()[:1] == [name])
+        assert ("extra" in needs) == (rival.extra is not None)
+
+
+def _lines(listed: str) -> list[str]:
+    """Lines of the list without the extras."""
+    return [line.split("; needs")[0] for line in listed.splitlines()]
+
+
+def test_the_list_of_methods_loads_none_of_them() -> None:
+    code = "import sys, retropole.cli.compare; print([m for m in %r if m in sys.modules])"
+    heavy = [
+        "small_gicp",
+        "scipy.optimize",
+        "retropole.pipeline",
+        "retropole.evaluation.comparison",
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", code % heavy], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from .. import se3
 from ..datatypes import Array, PointCloud
+from ..errors import Refusal
 from ..scene.registration import CORES, prepare, voxel_downsample
 from ..scene.visibility import OVERLAP_DISTANCE, overlap
 from .entropy import KERNEL_WIDTH, Entropy, rqe
@@ -117,8 +118,10 @@ def evaluate(
     Raises
     ------
     Refusal
-        ``too_few_points`` where a cloud is too small to estimate surfaces.
+        ``too_few_points`` where the target is too small to estimate surfaces, or the source empty.
     """
+    if len(source) == 0:
+        raise Refusal("too_few_points", "the source cloud has no points", {"points": 0})
     surface = prepare(target.xyz, EVALUATION_VOXEL, threads=CORES)
     aligned = se3.apply(T, voxel_downsample(source.xyz, EVALUATION_VOXEL))
     distances, nearest = cKDTree(surface.xyz).query(aligned, workers=CORES)

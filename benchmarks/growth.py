@@ -1,0 +1,152 @@
+"""How the time of each method grows with the number of points, frames and poles.
+
+Every run has a process of its own and ends at a timeout, after which larger sizes are left out.
+Writes ``growth.csv`` and ``growth.png``.
+
+    python benchmarks/growth.py --methods poles+scene kiss --points 10000 100000
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from multiprocessing import TimeoutError as TookTooLong
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from retropole.datatypes import PointCloud
+from retropole.evaluation.methods import ALL_METHODS
+from retropole.simulation import SimulationError, simulate_pair
+from rivals import installed, peak_megabytes, quiet, timed
+
+REPEAT_NOISE = 0.005
+"""1 σ of the noise on points that are drawn twice, because more are asked for than there are, m."""
+
+MANY_POLES, MIN_ANGLE_DEG = 3, (15.0, 5.0)
+"""Least angle between any two poles, up to so many and with more: for many poles there is no
+arrangement in which all are 15° apart."""
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Time of one method at one size; `refused` is empty where it answered."""
+
+    what: str
+    method: str
+    size: int
+    seconds: float
+    refused: str
+    megabytes: float
+    points: int
+
+
+def resized(cloud: PointCloud, count: int, rng: np.random.Generator) -> PointCloud:
+    """Draw so many points of a cloud; of more than it has, some are drawn twice, with noise."""
+    index = rng.choice(len(cloud), count, replace=count > len(cloud))
+    drawn = cloud.select(index)
+    if count > len(cloud):
+        drawn = replace(drawn, xyz=drawn.xyz + rng.normal(0, REPEAT_NOISE, drawn.xyz.shape))
+    return replace(drawn, frame=None)
+
+
+def grow(scene: str, what: str, method: str, size: int) -> Growth:
+    rng = np.random.default_rng(0)
+    many = what == "poles" and size > MANY_POLES
+    pair = simulate_pair(
+        scene,
+        rng,
+        poles=size if what == "poles" else 2,
+        frames=size if what == "frames" else 1,
+        min_pole_angle=float(np.radians(MIN_ANGLE_DEG[many])),
+    )
+    target, source = pair.target, pair.source
+    if what == "points":
+        target, source = resized(target, size, rng), resized(source, size, rng)
+    _, code, seconds = timed(method, target, source)
+    return Growth(what, method, size, seconds, code, peak_megabytes(), len(target) + len(source))
+
+
+def alone(scene: str, what: str, method: str, size: int, timeout: float) -> Growth:
+    """Run `grow` in a process of its own, which is ended after the timeout."""
+    nan = float("nan")
+    with get_context("spawn").Pool(1, initializer=quiet) as pool:
+        try:
+            return pool.apply_async(grow, (scene, what, method, size)).get(timeout)
+        except TookTooLong:
+            return Growth(what, method, size, timeout, "timeout", nan, 0)
+        except SimulationError:
+            return Growth(what, method, size, nan, "no_such_scene", nan, 0)
+
+
+def draw(runs: Sequence[Growth], methods: Sequence[str], out: Path, scene: str) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    whats = list(dict.fromkeys(run.what for run in runs))
+    figure, panels = pyplot.subplots(1, len(whats), figsize=(13, 4), sharey=True, squeeze=False)
+    for panel, what in zip(panels[0], whats, strict=True):
+        for k, method in enumerate(methods):
+            own = [
+                r for r in runs if (r.what, r.method) == (what, method) and np.isfinite(r.seconds)
+            ]
+            colour = f"C{k}"
+            panel.plot([r.size for r in own], [r.seconds for r in own], color=colour, label=method)
+            for answered, filled in ((True, colour), (False, "white")):
+                some = [r for r in own if (r.refused == "") == answered]
+                panel.plot(
+                    [r.size for r in some],
+                    [r.seconds for r in some],
+                    linestyle="",
+                    marker="o",
+                    markeredgecolor=colour,
+                    markerfacecolor=filled,
+                )
+        panel.set_xscale("log" if what == "points" else "linear")
+        panel.set_yscale("log")
+        panel.set_xlabel(f"{what}{' of each cloud' if what == 'points' else ''}")
+        panel.grid(alpha=0.3)
+    panels[0][0].set_ylabel("time, s")
+    panels[0][0].legend()
+    figure.suptitle(f"Time on the scene {scene!r}; hollow: refused, or out of time")
+    figure.tight_layout()
+    figure.savefig(out, dpi=120)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("growth"), help="stem of .csv and .png")
+    parser.add_argument("--scene", default="corridor")
+    parser.add_argument("--methods", nargs="+", default=list(ALL_METHODS))
+    parser.add_argument("--points", type=int, nargs="*", default=[10**k for k in (4, 5, 6, 7)])
+    parser.add_argument("--frames", type=int, nargs="*", default=[1, 2, 5, 10, 20])
+    parser.add_argument("--poles", type=int, nargs="*", default=[2, 3, 4, 6, 8])
+    parser.add_argument("--timeout", type=float, default=600.0, help="of one run, s")
+    arguments = parser.parse_args()
+    methods = installed(arguments.methods)
+    runs: list[Growth] = []
+    for what in ("points", "frames", "poles"):
+        for method in methods:
+            for size in getattr(arguments, what):
+                run = alone(arguments.scene, what, method, size, arguments.timeout)
+                runs.append(run)
+                print(f"{what} {size} {method}: {run.seconds:.2f} s {run.refused}", file=sys.stderr)
+                if run.refused == "timeout":
+                    break
+    table, picture = arguments.out.with_suffix(".csv"), arguments.out.with_suffix(".png")
+    with table.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(Growth)])
+        writer.writeheader()
+        writer.writerows(asdict(run) for run in runs)
+    draw(runs, methods, picture, arguments.scene)
+    print(f"written: {table}, {picture}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+"""Every experiment run once, on one seed, and what its cells hold."""
+
+from functools import cache
+
+import numpy as np
+
+from retropole.evaluation.paper import reproduce
+from retropole.evaluation.paper.exhibit import Cell, Exhibit
+from tests.paths import SHARED
+
+
+@cache
+def all_exhibits() -> dict[str, Exhibit]:
+    """Run every experiment; with the real recordings where they are."""
+    data = SHARED if SHARED.is_dir() else None
+    return {exhibit.name: exhibit for exhibit in reproduce(1, data)}
+
+
+def number(cell: Cell) -> float:
+    """Take a cell that must hold a number."""
+    assert isinstance(cell, int | float)
+    assert np.isfinite(cell)
+    return float(cell)
