@@ -50,12 +50,12 @@ def outcome(scene: str, seed: int, answer: Calibration, T: Array) -> Outcome:
         return Outcome(scene, seed, answer.status, codes, *[np.nan] * 6)
     step = se3.local(answer.T_target_source, T)
     errors, squares = [], []
-    for stage in (answer.poles, answer.refined or answer.poles):
-        assert stage is not None
-        assert stage.covariance is not None
-        off = se3.local(stage.T_target_source, T)
-        errors.append(e_rt(stage.T_target_source, T))
-        squares.append(float(off @ np.linalg.solve(stage.covariance, off)))
+    for pose in (answer.poles, answer.refined or answer.poles):
+        assert pose is not None
+        assert pose.covariance is not None
+        off = se3.local(pose.T_target_source, T)
+        errors.append(e_rt(pose.T_target_source, T))
+        squares.append(float(off @ np.linalg.solve(pose.covariance, off)))
     return Outcome(
         scene,
         seed,
@@ -131,11 +131,11 @@ def main() -> None:
         if not group:
             continue
         cells = []
-        for stage in ("poles", "refined"):
-            errors = np.array([getattr(o, stage) for o in group])
+        for name in ("poles", "refined"):
+            errors = np.array([getattr(o, name) for o in group])
             cells += [f"{np.median(errors):.4f}", f"{np.quantile(errors, 0.95):.4f}"]
-        for stage in ("poles_chi2", "refined_chi2"):
-            cells.append(coverage(np.array([getattr(o, stage) for o in group])))
+        for name in ("poles_chi2", "refined_chi2"):
+            cells.append(coverage(np.array([getattr(o, name) for o in group])))
         print(f"| {scene} | " + " | ".join(cells) + " |")
 
     print("\n| scene | runs | ok | warn | refused | ok or warn but off by > 1° or 0.3 m | codes |")

@@ -1,8 +1,8 @@
-"""The poles alone at the paper's simulated set-up, beside the Cramér–Rao bound (M7, eq. 12).
+"""The poles alone at the paper's simulated set-up, beside the Cramér–Rao bound (Sec. IV-A, eq. 12).
 
-Each set-up is drawn anew and each trial draws its noise: the paper's estimator, the beam model, and
-errors drawn from the bound of the same set-up. Where poles are so nearly parallel that the beam
-model refuses, its error counts as infinite. Prints a Markdown table of e_rt.
+Each set-up is drawn at random and each trial draws its noise: the paper's estimator, the beam
+model, and errors drawn from the bound of the same set-up. Where poles are so nearly parallel that
+the beam model refuses, its error counts as infinite. Prints a Markdown table of e_rt.
 
     python benchmarks/bound.py --setups 200 --trials 10
 """
@@ -17,10 +17,17 @@ import numpy as np
 
 from retropole import se3
 from retropole.alignment.likelihood import arc_likelihood
-from retropole.alignment.posterior import SHARED, State, look
+from retropole.alignment.posterior import SHARED, State, beam_geometry
 from retropole.datatypes import Array
 from retropole.evaluation.metrics import e_rt
-from retropole.evaluation.paper.estimator import NOISES, SIGMA, Noise, as_beams, poles_of, solve
+from retropole.evaluation.paper.estimator import (
+    NOISE_KINDS,
+    PAPER_SIGMA,
+    NoiseKind,
+    as_beams,
+    poles_of,
+    solve,
+)
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 
 DRAWS = 200
@@ -38,7 +45,7 @@ def truth_of(pair: SimulatedPair) -> State:
     )
 
 
-def bound(pair: SimulatedPair, noise: Noise, rng: np.random.Generator) -> Array:
+def bound(pair: SimulatedPair, noise: NoiseKind, rng: np.random.Generator) -> Array:
     """Cramér–Rao bound (6, 6) of the pose; radius known, axes estimated, no offsets.
 
     Noise along the beam: the beams are known, a return tells its range. Isotropic noise: which beam
@@ -47,28 +54,30 @@ def bound(pair: SimulatedPair, noise: Noise, rng: np.random.Generator) -> Array:
     truth = truth_of(pair)
     beams = as_beams(pair, poles_of(pair, "none", rng))
     information = np.zeros((SHARED + 4 * len(pair.poles),) * 2)
-    for i, one in enumerate(beams):
+    for lidar, one in enumerate(beams):
         if noise == "along the beam":
-            sight = look(truth, i, one.origin, one.directions, one.ranges, one.pole)
-            chord = np.sqrt(np.maximum(truth.radius**2 - sight.miss**2, 1e-12))
-            slope = sight.jacobian[:, 0] + (sight.miss / chord)[:, None] * sight.jacobian[:, 1]
-            slope /= (SIGMA * sight.sine)[:, None]
-            information += slope.T @ slope
+            seen = beam_geometry(truth, lidar, one.origin, one.directions, one.ranges, one.pole)
+            m = seen.lateral_offset[:, None]
+            chord = np.sqrt(np.maximum(truth.radius**2 - m**2, 1e-12))
+            gradient = seen.jacobian[:, 0] + m / chord * seen.jacobian[:, 1]
+            gradient /= (PAPER_SIGMA * seen.sine)[:, None]
+            information += gradient.T @ gradient
             continue
         for _ in range(DRAWS):
             xyz = one.ranges[:, None] * one.directions
-            xyz = xyz + SIGMA * rng.normal(size=xyz.shape)
+            xyz = xyz + PAPER_SIGMA * rng.normal(size=xyz.shape)
             ranges = np.linalg.norm(xyz, axis=1)
-            sight = look(truth, i, one.origin, xyz / ranges[:, None], ranges, one.pole)
-            sigma = np.full(len(ranges), SIGMA)
-            arc = arc_likelihood(sight.depth, sight.miss, sigma, sigma, truth.radius)
-            slope = np.einsum("na,nai->ni", arc.score[:, :2], sight.jacobian)
-            information += slope.T @ slope / DRAWS
+            directions = xyz / ranges[:, None]
+            seen = beam_geometry(truth, lidar, one.origin, directions, ranges, one.pole)
+            sigma = np.full(len(ranges), PAPER_SIGMA)
+            arc = arc_likelihood(seen.depth, seen.lateral_offset, sigma, sigma, truth.radius)
+            gradient = np.einsum("na,nai->ni", arc.score[:, :2], seen.jacobian)
+            information += gradient.T @ gradient / DRAWS
     free = np.r_[0:6, SHARED : len(information)]
     return np.asarray(np.linalg.inv(information[np.ix_(free, free)])[:6, :6])
 
 
-def run(job: tuple[int, Noise, int]) -> list[tuple[float, float, float]]:
+def run(job: tuple[int, NoiseKind, int]) -> list[tuple[float, float, float]]:
     """e_rt of the paper's estimator, of ours, and of a draw from the bound, for each trial."""
     seed, noise, trials = job
     rng = np.random.default_rng([seed, 1])
@@ -77,9 +86,11 @@ def run(job: tuple[int, Noise, int]) -> list[tuple[float, float, float]]:
     limit = np.zeros((6, 6)) if noise == "none" else bound(pair, noise, rng)
     errors = []
     for _ in range(trials):
-        paper, ours = solve(pair, poles_of(pair, noise, rng))
+        found = solve(pair, poles_of(pair, noise, rng))
         drawn = se3.retract(T, rng.multivariate_normal(np.zeros(6), limit))
-        errors.append((e_rt(paper, T), np.inf if ours is None else e_rt(ours, T), e_rt(drawn, T)))
+        model = found.beam_model
+        ours = np.inf if model is None else e_rt(model.T_target_source, T)
+        errors.append((e_rt(found.paper.T_target_source, T), ours, e_rt(drawn, T)))
     return errors
 
 
@@ -92,7 +103,7 @@ def main() -> None:
     print("| noise, 6 mm | e_rt m | paper's estimator | beam model | bound | beam model / bound |")
     print("| --- | --- | --- | --- | --- | --- |")
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
-        for noise in NOISES:
+        for noise in NOISE_KINDS:
             trials = 1 if noise == "none" else arguments.trials
             jobs = [(seed, noise, trials) for seed in range(arguments.setups)]
             errors = np.concatenate(list(pool.map(run, jobs, chunksize=4)))

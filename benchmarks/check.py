@@ -1,8 +1,8 @@
 """How often a moved LiDAR is found, an unmoved one suspected, and neither can be told.
 
-Each site is calibrated once, then recorded anew: as it was, turned by 0.3° about a random axis,
-shifted by 3 cm in a random direction, turned by 40°, or with the LiDARs exchanged; with the poles
-and without. Prints Markdown tables.
+Each site is calibrated once, then recorded again: as it was, rotated by 0.3° about a random axis,
+translated by 3 cm in a random direction, rotated by 40°, or with the LiDARs exchanged; with the
+poles and without. Prints Markdown tables.
 
     python benchmarks/check.py --sites 100
 """
@@ -22,8 +22,8 @@ from retropole.pipeline import calibrate
 from retropole.simulation import record_again, simulate_pair
 
 SCENES = ("corridor", "street", "harbor")
-SMALL = ("unmoved", "turned 0.3°", "shifted 3 cm")
-GROSS = ("turned 40°", "exchanged")
+SMALL = ("unmoved", "rotated 0.3°", "translated 3 cm")
+GROSS = ("rotated 40°", "exchanged")
 GROSS_EVERY = 4
 """Gross movements, which are never near the line, are tried on every so many sites."""
 
@@ -35,8 +35,8 @@ def step(kind: str, rng: np.random.Generator) -> Array:
     """Draw the movement of a kind."""
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
-    angle = {"turned 0.3°": np.radians(0.3), "turned 40°": np.radians(40.0)}.get(kind, 0.0)
-    return np.r_[angle * direction, (0.03 if kind == "shifted 3 cm" else 0.0) * direction]
+    angle = {"rotated 0.3°": np.radians(0.3), "rotated 40°": np.radians(40.0)}.get(kind, 0.0)
+    return np.r_[angle * direction, (0.03 if kind == "translated 3 cm" else 0.0) * direction]
 
 
 def run(job: tuple[str, int]) -> list[Row]:
@@ -79,7 +79,7 @@ def main() -> None:
 
     refused = sum(row[2] == "no calibration" for row in rows)
     print(f"{arguments.sites} sites, {refused} of them not calibrated in the first place\n")
-    print("| recorded anew | poles | scene | runs | same | moved | cannot tell |")
+    print("| recorded again | poles | scene | runs | same | moved | cannot tell |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for kind in (*SMALL, *GROSS):
         for poles in (True, False):

@@ -21,7 +21,8 @@ from retropole.io import read_cloud
 from retropole.scene.refinement import refine
 from retropole.scene.registration import prepare, register
 
-TURN, SHIFT = np.radians(3.0), 0.3
+START_ROTATION, START_TRANSLATION = np.radians(3.0), 0.3
+"""How far from the reference the refinement starts, rad and m."""
 
 
 def main() -> None:
@@ -36,21 +37,28 @@ def main() -> None:
     document = json.loads((arguments.folder / "pandaset002_reference.json").read_text())
     reference = np.array(document["T_pandargt_to_pandar64"])
     poses: dict[str, Array] = {"reference of the vehicle": reference}
-    wide = np.diag(np.r_[np.full(3, TURN), np.full(3, SHIFT)] ** 2 / 3)
+    wide = np.diag(np.r_[np.full(3, START_ROTATION), np.full(3, START_TRANSLATION)] ** 2 / 3)
     rng, ends = np.random.default_rng(0), []
     for _ in range(arguments.starts):
-        turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-        start = se3.retract(reference, np.r_[TURN * turn, SHIFT * shift])
+        axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        step = np.r_[START_ROTATION * axis, START_TRANSLATION * direction]
+        start = se3.retract(reference, step)
         refined = refine(target, source, PoseEstimate(start, wide, 0.01))
         assert refined is not None
-        ends.append(refined.stage.T_target_source)
-        stated = refined.stage.covariance
+        ends.append(refined.pose.T_target_source)
+        stated = refined.pose.covariance
     poses["refinement, from 3° and 0.3 m off"] = ends[0]
     for method in ("GICP", "PLANE_ICP"):
-        for voxel, reach in ((0.1, 0.3), (0.1, 1.0), (0.25, 1.0)):
+        for voxel, distance in ((0.1, 0.3), (0.1, 1.0), (0.25, 1.0)):
             surfaces = prepare(target.xyz, voxel), prepare(source.xyz, voxel)
-            end = register(*surfaces, reference, method=method, reach=reach, max_iterations=100)
-            name = f"{method} from the reference, thinned to {voxel} m, reach {reach} m"
+            end = register(
+                *surfaces,
+                reference,
+                method=method,
+                max_correspondence_distance=distance,
+                max_iterations=100,
+            )
+            name = f"{method} from the reference, voxel {voxel} m, correspondences {distance} m"
             poses[name] = end.T_target_source
     print("| pose | from the reference deg | cm | plane residual mm | overlap | entropy's sum |")
     print("| --- | --- | --- | --- | --- | --- |")
@@ -70,10 +78,10 @@ def main() -> None:
         f"{100 * most[1]:.2f} cm of each other."
     )
     assert stated is not None
-    turn = np.degrees(se3.local(reference, ends[0])[:3])
+    rotation = np.degrees(se3.local(reference, ends[0])[:3])
     sigma = np.degrees(np.sqrt(np.diag(stated)[:3]))
-    words = ", ".join(f"{a:+.2f} ± {b:.2f}" for a, b in zip(turn, sigma, strict=True))
-    print(f"Turned from the reference, and stated 1 σ, about x, y, z of the target: {words} deg.")
+    words = ", ".join(f"{a:+.2f} ± {b:.2f}" for a, b in zip(rotation, sigma, strict=True))
+    print(f"Rotation from the reference and stated 1 σ, about x, y, z of the target: {words} deg.")
 
 
 if __name__ == "__main__":

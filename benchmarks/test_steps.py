@@ -7,7 +7,6 @@ pytest-benchmark compare
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -25,8 +24,8 @@ from retropole.extraction.poles import extract_poles
 from retropole.matching.correspondence import match_poles
 from retropole.pipeline import calibrate
 from retropole.report import render_report
-from retropole.result import encode, result_document
-from retropole.scene.disambiguation import judge
+from retropole.result import InputDoc, RunConfig, result_document
+from retropole.scene.disambiguation import score_hypotheses
 from retropole.scene.refinement import refine
 from retropole.simulation import SimulatedPair, simulate_pair
 
@@ -53,25 +52,20 @@ def test_extract(benchmark: Any, pair: SimulatedPair) -> None:
 
 
 def test_match(benchmark: Any, answer: Calibration) -> None:
-    target, source = (list(found.poles) for found in answer.detections if found)
-    benchmark(match_poles, target, source)
+    placement = answer.placements[0]
+    benchmark(match_poles, placement.target.poles, placement.source.poles)
 
 
 def test_disambiguate(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
-    benchmark(judge, pair.target, pair.source, [h.match for h in answer.hypotheses])
+    matches = [h.match for h in answer.hypotheses]
+    benchmark(score_hypotheses, pair.target, pair.source, matches)
 
 
 def test_align(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
-    pairs = answer.hypotheses[0].match.pairs
-    beams = [
-        beams_of([found.poles[ij[k]] for ij in pairs], [cloud] * len(pairs), None)
-        for k, (cloud, found) in enumerate(
-            zip((pair.target, pair.source), answer.detections, strict=True)
-        )
-        if found
-    ]
-    start = answer.hypotheses[0].match.T_target_source
-    benchmark(lambda: align_beams(beams[0], beams[1], start, radius=0.02))
+    match, placement = answer.hypotheses[0].match, answer.placements[0]
+    target = beams_of([(placement.target.poles[i], pair.target) for i, _ in match.pairs])
+    source = beams_of([(placement.source.poles[j], pair.source) for _, j in match.pairs])
+    benchmark(align_beams, target, source, match.T_target_source, radius=0.02)
 
 
 def test_refine(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
@@ -89,10 +83,7 @@ def test_entropy(benchmark: Any, pair: SimulatedPair) -> None:
     benchmark(rqe, xyz)
 
 
-def test_report(benchmark: Any, pair: SimulatedPair, answer: Calibration) -> None:
-    document = result_document(answer, inputs=[], config={}, seconds={})
-    benchmark(
-        lambda: render_report(
-            json.loads(encode(document)), pair.target, pair.source, answer.detections
-        )
-    )
+def test_report(benchmark: Any, answer: Calibration) -> None:
+    inputs = [InputDoc(f"{name}.pcd", "0" * 64, 0, 0, "auto", None) for name in ("a", "b")]
+    document = result_document(answer, inputs=inputs, config=RunConfig(), seconds={})
+    benchmark(render_report, document, answer.placements)

@@ -240,7 +240,7 @@ def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
 
 
 def _with_thresholds(inputs: Sequence[InputDoc], placements: Sequence[Placement]) -> list[InputDoc]:
-    """Add the threshold that was used to each input; target and source take turns."""
+    """Add the threshold that was used to each input; target and source alternate."""
     scans = [scan for placement in placements for scan in (placement.target, placement.source)]
     return [
         item

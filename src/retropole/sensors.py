@@ -1,4 +1,4 @@
-"""Sensors by name: their beams, noise and intensity scale, and the threshold for retro tape."""
+"""Sensors by name: their rings, noise and intensity scale, and the threshold for retro tape."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Sensor:
     name, aliases
         What users call it; case, blanks and dashes do not count.
     elevations
-        (B,) rad, one beam each, from the lowest up; empty for a sensor without rings.
+        (B,) rad, one ring each, from the lowest up; empty for a sensor without rings.
     azimuth_step
-        Between two firings of a beam at 10 Hz, rad.
+        Between two firings of a ring at 10 Hz, rad.
     elevation_span
         Lowest and highest elevation, rad.
     pattern
@@ -70,7 +70,7 @@ def _spinning(
     step_deg: float,
     noise: float,
     divergence_mrad: float,
-    reach: tuple[float, float],
+    limits: tuple[float, float],
     threshold: tuple[float, str],
     source: str,
     full_scale: float = 255.0,
@@ -86,8 +86,8 @@ def _spinning(
         points=len(elevations) * round(360 / step_deg),
         range_noise=noise,
         divergence=divergence_mrad / 1000,
-        min_range=reach[0],
-        max_range=reach[1],
+        min_range=limits[0],
+        max_range=limits[1],
         intensity_max=full_scale,
         threshold=threshold[0],
         threshold_source=threshold[1],
@@ -114,54 +114,55 @@ _PANDAR64_DEG = np.concatenate(
 _ALL = (
     _spinning(
         "VLP-16", ("Puck",), np.linspace(-15, 15, 16), 0.2, 0.010, 3.0, (0.5, 100.0),
-        (230.0, PAPER_TABLE_I), "maker's manual 63-9243: 16 beams 2° apart, ±3 cm",
+        (230.0, PAPER_TABLE_I), "manufacturer's manual 63-9243: 16 rings 2° apart, ±3 cm",
     ),
     _spinning(
         "HDL-32E", (), np.linspace(-30.67, 10.67, 32), 0.2, 0.010, 2.8, (1.0, 100.0),
-        (230.0, PAPER_TABLE_I), "maker's manual 63-9113: 32 beams 1.33° apart, ±2 cm",
+        (230.0, PAPER_TABLE_I), "manufacturer's manual 63-9113: 32 rings 1.33° apart, ±2 cm",
     ),
     _spinning(
         "VLS-128", ("Alpha Prime",), np.linspace(-25, 15, 128), 0.2, 0.010, 3.0, (0.5, 245.0),
-        (120.0, "maker: diffuse targets end at 100, retro begins at 101; seen up to 110"),
-        "maker's manual 63-9483: 128 beams over 40°; taken as evenly spaced, they are not",
+        (120.0, "manufacturer: diffuse targets end at 100, retro begins at 101; seen up to 110"),
+        "manufacturer's manual 63-9483: 128 rings over 40°; taken as evenly spaced, they are not",
     ),
     _spinning(
         "Pandar64", (), _PANDAR64_DEG, 0.2, 0.010, 2.0, (0.3, 200.0),
-        (200.0, PAPER_TABLE_I), "maker's manual: 1/6° apart from −6° to +2°, 1° to 6° outside; rounded",
+        (200.0, PAPER_TABLE_I),
+        "manufacturer's manual: 1/6° apart from −6° to +2°, 1° to 6° outside; rounded",
     ),
     _spinning(
         "PandarQT", ("QT64",), np.linspace(-52.1, 52.1, 64), 0.6, 0.015, 8.0, (0.1, 60.0),
-        (200.0, PAPER_TABLE_I), "maker's manual: 64 beams over 104.2°; taken as evenly spaced",
+        (200.0, PAPER_TABLE_I), "manufacturer's manual: 64 rings over 104.2°; taken as evenly spaced",
     ),
     _spinning(
         "XT32", ("PandarXT-32",), np.linspace(-16, 15, 32), 0.18, 0.005, 1.5, (0.05, 120.0),
-        (200.0, PAPER_TABLE_I), "maker's manual: 32 beams 1° apart, ±1 cm, 0.5 cm (1 σ)",
+        (200.0, PAPER_TABLE_I), "manufacturer's manual: 32 rings 1° apart, ±1 cm, 0.5 cm (1 σ)",
     ),
     _spinning(
         "RS-LiDAR-16", ("RS16",), np.linspace(-15, 15, 16), 0.2, 0.010, 3.0, (0.4, 150.0),
-        (200.0, PAPER_TABLE_I), "maker's manual: 16 beams 2° apart, ±2 cm",
+        (200.0, PAPER_TABLE_I), "manufacturer's manual: 16 rings 2° apart, ±2 cm",
     ),
     _spinning(
         "RS-LiDAR-32", ("RS32",), _RS32_DEG, 0.2, 0.010, 3.0, (0.4, 200.0),
-        (200.0, PAPER_TABLE_I), "maker's manual: 32 beams, 1/3° apart in the middle",
+        (200.0, PAPER_TABLE_I), "manufacturer's manual: 32 rings, 1/3° apart in the middle",
     ),
     _spinning(
         "C16", ("Leishen C16", "LS C16"), np.linspace(-15, 15, 16), 0.18, 0.010, 3.0, (0.5, 150.0),
-        (200.0, PAPER_TABLE_I), "maker's manual: 16 beams 2° apart, ±3 cm",
+        (200.0, PAPER_TABLE_I), "manufacturer's manual: 16 rings 2° apart, ±3 cm",
     ),
     _spinning(
         "C32", ("Leishen C32", "LS C32"), np.linspace(-16, 15, 32), 0.18, 0.010, 3.0, (0.5, 150.0),
-        (200.0, PAPER_TABLE_I), "maker's manual: 32 beams 1° apart, ±3 cm",
+        (200.0, PAPER_TABLE_I), "manufacturer's manual: 32 rings 1° apart, ±3 cm",
     ),
     _spinning(
         "OS0", ("OS0-128", "OS-0-128"), np.linspace(-45, 45, 128), 360 / 1024, 0.015, 6.1,
         (0.3, 75.0), (1000.0, "16-bit signal; recordings reach 6,268 on retro-reflectors"),
-        "maker's data sheet: 128 beams over 90°, 1024 columns", 65535.0,
+        "manufacturer's data sheet: 128 rings over 90°, 1024 columns", 65535.0,
     ),
     _spinning(
         "OS1", ("OS1-128", "OS-1-128"), np.linspace(-22.5, 22.5, 128), 360 / 1024, 0.010, 3.1,
         (0.3, 120.0), (1000.0, "16-bit signal; recordings reach 6,268 on retro-reflectors"),
-        "maker's data sheet: 128 beams over 45°, 1024 columns", 65535.0,
+        "manufacturer's data sheet: 128 rings over 45°, 1024 columns", 65535.0,
     ),
     Sensor(
         name="Mid-360",
@@ -177,8 +178,8 @@ _ALL = (
         max_range=70.0,
         intensity_max=255.0,
         threshold=150.0,
-        threshold_source="maker's manual: 0–150 diffuse, 151–255 retro-reflective",
-        source="maker's manual: 200,000 returns a second, ≤ 2 cm (1 σ) at 10 m",
+        threshold_source="manufacturer's manual: 0–150 diffuse, 151–255 retro-reflective",
+        source="manufacturer's manual: 200,000 returns a second, ≤ 2 cm (1 σ) at 10 m",
     ),
 )  # fmt: skip
 

@@ -98,11 +98,14 @@ def test_arc_derivatives(width: float) -> None:
         step[k] = h
         plus, minus = at(values + step), at(values - step)
         derivative = (plus.log - minus.log) / (2 * h)
-        curve = -(plus.score - minus.score) / (2 * h)
-        given, bend = here.score[:, k], here.information[:, k]
+        derivative_of_score = -(plus.score - minus.score) / (2 * h)
+        given, curvature = here.score[:, k], here.information[:, k]
         # Where the cut comes to the end of the arc a step goes over a slight kink.
         assert np.quantile(np.abs(given - derivative), 0.98) < 1e-3 * np.abs(derivative).max()
-        assert np.quantile(np.abs(bend - curve), 0.98) < 1e-3 * np.abs(curve).max()
+        assert (
+            np.quantile(np.abs(curvature - derivative_of_score), 0.98)
+            < 1e-3 * np.abs(derivative_of_score).max()
+        )
 
 
 @pytest.mark.parametrize("width", [0.0, 0.008])
@@ -136,8 +139,8 @@ def test_pass_derivatives_and_limits() -> None:
         plus = passed_beam_likelihood(miss + dm, sigma, RADIUS + dr, 0.004)
         minus = passed_beam_likelihood(miss - dm, sigma, RADIUS - dr, 0.004)
         np.testing.assert_allclose(here.score[:, k], (plus.log - minus.log) / (2 * h), atol=1e-3)
-        curve = -(plus.score - minus.score) / (2 * h)
-        np.testing.assert_allclose(here.information[:, k], curve, atol=1.0)
+        derivative_of_score = -(plus.score - minus.score) / (2 * h)
+        np.testing.assert_allclose(here.information[:, k], derivative_of_score, atol=1.0)
     far, on = passed_beam_likelihood(np.array([0.06, 0.0]), sigma[:2], RADIUS).log
     assert far == pytest.approx(0.0, abs=1e-6)
     assert on == pytest.approx(np.log(0.05), abs=1e-3)

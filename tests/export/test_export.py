@@ -321,12 +321,12 @@ def test_the_covariance_of_the_inverse_is_that_of_samples() -> None:
     T = se3.random(rng)
     A = rng.normal(size=(6, 6)) * 1e-3
     C = A @ A.T
-    turned = inverted(Transform(T, "a", "b", C))
-    assert turned.covariance is not None
+    backward = inverted(Transform(T, "a", "b", C))
+    assert backward.covariance is not None
     expected = sampled_covariance(T, C, rng)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(turned.covariance / scale, expected / scale, atol=0.08)
-    twice = inverted(turned)
+    np.testing.assert_allclose(backward.covariance / scale, expected / scale, atol=0.08)
+    twice = inverted(backward)
     assert twice.covariance is not None
     np.testing.assert_allclose(twice.covariance, C, atol=1e-15)
     assert twice.roles == ("target", "source")

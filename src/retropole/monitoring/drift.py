@@ -107,7 +107,7 @@ def _by_poles(
     source: PointCloud,
     calibrate_again: Callable[..., Calibration],
 ) -> _NewPose:
-    """Calibrate again, from all hypotheses: what was turned round must not be found as it was.
+    """Calibrate again, from all hypotheses: a LiDAR that was turned round must not seem unmoved.
 
     Only where the surroundings do not decide between them, those near the stored pose are
     preferred: no LiDAR comes loose to end up half a turn away in a place of that symmetry.

@@ -6,7 +6,7 @@ common, such as a range offset of the tape or of single rings, cancels in ``d`` 
 in ``S``: the test errs towards *same*.
 
 A test that could not have seen a movement says nothing by not seeing one. So *same* is answered
-only where a movement of the size that matters would have been found almost surely, about whatever
+only where a movement of the size that matters would almost certainly have been found, about whatever
 axis, in whatever direction.
 """
 
@@ -26,10 +26,10 @@ FALSE_ALARM = 0.01
 """How often the test may find a movement where there was none."""
 
 MIN_POWER = 0.95
-"""How surely a movement of the tolerance must be found before *same* is said."""
+"""Probability with which a movement of the tolerance must be found before *same* is said."""
 
 BOUND_SIGMAS = 3.0
-"""A movement is surely below the tolerance where so many σ more would be."""
+"""A movement is certainly below the tolerance where so many σ more would be."""
 
 MAX_NONCENTRALITY = 1000.0
 """Beyond, the power is 1 to all digits and SciPy's noncentral χ² is not reliable."""
@@ -82,7 +82,7 @@ class CheckResult:
     chi2, p_value
         The test, and how often so much comes about where nothing moved.
     power
-        How surely a movement of the tolerance would have been found, in the worst direction.
+        Probability that a movement of the tolerance would have been found, in the worst direction.
     """
 
     status: Status
@@ -158,10 +158,10 @@ def compare_poses(
     if status == "same" and power < MIN_POWER:
         status = "cannot_tell"
         said.append(_too_weak(stored.covariance, covariance, tolerance, power))
-    elif status == "moved" and _surely_below(step, covariance, tolerance):
+    elif status == "moved" and _certainly_below(step, covariance, tolerance):
         # Real LiDARs drift by more than their noise: an alarm each night would be switched off.
         status = "same"
-        message = "it moved, but surely by less than the tolerance"
+        message = "it moved, but certainly by less than the tolerance"
         said.append(Reason("within_tolerance", message, {}))
     elif status == "moved" and power < MIN_POWER:
         message = "that it moved is certain, but not by how much: " + _in_words(covariance)
@@ -171,7 +171,7 @@ def compare_poses(
     )
 
 
-def _surely_below(step: Array, covariance: Array, tolerance: Tolerance) -> bool:
+def _certainly_below(step: Array, covariance: Array, tolerance: Tolerance) -> bool:
     return all(
         np.linalg.norm(step[part]) + BOUND_SIGMAS * least_certain(covariance, part).sigma < limit
         for part, limit in (
@@ -182,7 +182,7 @@ def _surely_below(step: Array, covariance: Array, tolerance: Tolerance) -> bool:
 
 
 def detection_power(covariance: Array, tolerance: Tolerance) -> float:
-    """How surely the test finds a movement of the tolerance, in the worst of all directions.
+    """Probability that the test finds a movement of the tolerance, in the worst of all directions.
 
     Under a movement m the statistic is noncentral χ² with 6 degrees of freedom and noncentrality
     ``mᵀ S⁻¹ m``. Of all m that rotate by the tolerance, with whatever translation, the least of

@@ -48,7 +48,7 @@ class Patches:
     centres
         (M, 3) mean of the points of each patch, metres.
     normals
-        (M, 3) unit normals, turned to the sensor.
+        (M, 3) unit normals, towards the sensor.
     rays
         (M, 3) unit vectors from the beam origin to the centres.
     tilt
