@@ -1,6 +1,80 @@
 """Calibrate LiDARs to each other with poles wrapped in retro-reflective tape.
 
-Read `retropole.pipeline` first: it is the method on one page.
+    import retropole as rp
+
+    result = rp.calibrate("target.pcd", "source.pcd")
+    result.save("retropole-out")
+
+Names are looked up when they are first used: importing the package takes no time. Read
+`retropole.pipeline` first to see the method on one page.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .api import (
+        CalibrationResult,
+        MissingExtraError,
+        PointCloud,
+        ReadError,
+        Refusal,
+        RetropoleError,
+        UsageError,
+        calibrate,
+        detect,
+        evaluate,
+        load_result,
+        read_cloud,
+        simulate,
+    )
+
 __version__ = "0.1.0"
+
+_MODULES = {
+    "CalibrationResult": "api.result",
+    "MissingExtraError": "errors",
+    "PointCloud": "datatypes",
+    "ReadError": "errors",
+    "Refusal": "errors",
+    "RetropoleError": "errors",
+    "UsageError": "errors",
+    "calibrate": "api.calibration",
+    "detect": "api.detection",
+    "evaluate": "api.evaluation",
+    "load_result": "api.result",
+    "read_cloud": "io",
+    "simulate": "api.simulation",
+}
+"""From a public name to the module that has it."""
+
+__all__ = [
+    "CalibrationResult",
+    "MissingExtraError",
+    "PointCloud",
+    "ReadError",
+    "Refusal",
+    "RetropoleError",
+    "UsageError",
+    "__version__",
+    "calibrate",
+    "detect",
+    "evaluate",
+    "load_result",
+    "read_cloud",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import what a public name stands for, once."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".{_MODULES[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names, used yet or not."""
+    return sorted(__all__)

@@ -241,7 +241,7 @@ def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) 
 @pytest.fixture(scope="module")
 def bag(clouds: tuple[PointCloud, PointCloud], tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
-    from bags import points_of, write_bag
+    from tests.bags import points_of, write_bag
 
     points = [points_of(cloud) for cloud in clouds]
     folder = tmp_path_factory.mktemp("bag")

@@ -106,7 +106,7 @@ def test_refused_and_several_placements(own: Path) -> None:
 
 def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
     pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
-    from bags import points_of, write_bag
+    from tests.bags import points_of, write_bag
 
     points = [points_of(read_cloud(own / f"lidar{k}.pcd")) for k in (0, 1)]
     topics = {"/front": [points[0], points[1]], "/rear": [points[1], points[0]]}

@@ -50,7 +50,7 @@ def test_a_file_of_one_frame(tmp_path: Path, cloud: PointCloud) -> None:
 
 def test_all_topics_of_a_bag(tmp_path: Path, cloud: PointCloud) -> None:
     pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
-    from bags import points_of, write_bag
+    from tests.bags import points_of, write_bag
 
     points = points_of(cloud)
     path = write_bag(tmp_path, "bag", {"/front": [points] * 5, "/rear": [points[:99]] * 2})

@@ -250,7 +250,7 @@ def test_of_a_long_recording_some_frames_are_read_evenly(
 ) -> None:
     clouds = [random_cloud(seed) for seed in range(30)]
     path = write_bag(tmp_path, "bag", {"/points": [points_of(cloud) for cloud in clouds]})
-    monkeypatch.setattr("retropole.io.frames.MAX_POINTS", 500)
+    monkeypatch.setattr("retropole.io.recordings.MAX_RECORDING_POINTS", 500)
     assert chosen_frames(open_recording(path)) == range(0, 30, 3)
     read = read_cloud(path)
     assert len(read) == 500

@@ -1,27 +1,74 @@
-"""The command line: files and printing at the edge of the method."""
+"""The command line: files and printing at the edge of the method.
+
+A command is a module of this folder with a function of the same name, and a line of `COMMANDS`.
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, MutableMapping, Sequence
+from importlib import import_module
 
 import click
 
-from ..errors import RetropoleError
-from .calibrate import calibrate
-from .check import check
-from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_USAGE
-from .compare import compare
-from .detect import detect
-from .evaluate import evaluate
-from .export import export
-from .info import info
-from .paper import paper
-from .report import report
-from .simulate import simulate
-from .view import view
+from ..errors import Refusal, RetropoleError
+from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, echo_refusal
+
+COMMANDS = (
+    "calibrate",
+    "check",
+    "compare",
+    "detect",
+    "evaluate",
+    "export",
+    "info",
+    "paper",
+    "report",
+    "simulate",
+    "view",
+)
+"""Every command, by the name of its module."""
 
 
-@click.group(context_settings=CONTEXT)
+class LazyCommands(MutableMapping[str, click.Command]):
+    """Commands by name, each imported when it is asked for: a command pays its own imports alone.
+
+    Parameters
+    ----------
+    names
+        Modules of this folder.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._commands: dict[str, click.Command | None] = dict.fromkeys(names)
+
+    def __getitem__(self, name: str) -> click.Command:
+        """Import a command."""
+        command = self._commands[name]
+        if command is None:
+            found = getattr(import_module(f".{name}", __name__), name)
+            assert isinstance(found, click.Command)
+            command = self._commands[name] = found
+        return command
+
+    def __setitem__(self, name: str, command: click.Command) -> None:
+        """Add a command."""
+        self._commands[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        """Take a command out."""
+        del self._commands[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Give the names."""
+        return iter(self._commands)
+
+    def __len__(self) -> int:
+        """Count the commands."""
+        return len(self._commands)
+
+
+@click.group(context_settings=CONTEXT, commands=LazyCommands(COMMANDS))
 @click.version_option(package_name="retropole")
 def cli() -> None:
     """Calibrate LiDARs to each other with poles wrapped in retro-reflective tape.
@@ -36,27 +83,32 @@ def cli() -> None:
     """
 
 
-for command in (
-    *(calibrate, check, compare, detect, evaluate, export),
-    *(info, paper, report, simulate, view),
-):
-    cli.add_command(command)
+def run(words: Sequence[str] | None = None) -> int:
+    """Run the command line and give its exit code; every error of retropole ends here.
+
+    Parameters
+    ----------
+    words
+        What follows ``retropole``; None takes it from `sys.argv`.
+    """
+    args = None if words is None else list(words)
+    try:
+        code = cli.main(args, prog_name="retropole", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        return EXIT_USAGE
+    except Refusal as refusal:
+        echo_refusal(refusal.code, refusal.message)
+        return EXIT_REFUSED
+    except (RetropoleError, OSError) as error:
+        click.echo(f"retropole: {error}", err=True)
+        return EXIT_USAGE
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("retropole: interrupted", err=True)
+        return EXIT_INTERRUPTED
+    return int(code or 0)
 
 
 def main() -> None:
-    """Run the command line; every error of retropole ends here."""
-    try:
-        code = cli.main(prog_name="retropole", standalone_mode=False)
-    except click.ClickException as error:
-        error.show()
-        code = EXIT_USAGE
-    except RetropoleError as error:
-        click.echo(f"retropole: {error}", err=True)
-        code = EXIT_USAGE
-    except (KeyboardInterrupt, click.Abort):
-        click.echo("retropole: interrupted", err=True)
-        code = EXIT_INTERRUPTED
-    except OSError as error:
-        click.echo(f"retropole: {error}", err=True)
-        code = EXIT_USAGE
-    sys.exit(code or 0)
+    """Run the command line, and end the process with its exit code."""
+    sys.exit(run())

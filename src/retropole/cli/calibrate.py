@@ -6,18 +6,17 @@ from pathlib import Path
 
 import click
 
-from ..result import InputDoc
 from .common import (
     CLOUD,
     CONTEXT,
+    DEFAULTS,
     EXIT_REFUSED,
     OUT,
-    Input,
+    echo_left_out,
+    echo_refusal,
     frames_option,
-    input_documents,
     progress_on_terminal,
     radius_option,
-    read_input,
     sensor_options,
     topic_options,
 )
@@ -45,7 +44,7 @@ from .common import (
 @click.option(
     "--radius-sigma",
     type=click.FloatRange(min=0),
-    default=0.0,
+    default=DEFAULTS.radius_sigma_m,
     show_default=True,
     help="1 sigma of the radius, m; above 0 the radius is estimated.",
 )
@@ -67,7 +66,7 @@ from .common import (
 @click.option(
     "--prior-sigma-deg",
     type=click.FloatRange(min=0, min_open=True),
-    default=10.0,
+    default=DEFAULTS.prior_sigma_deg,
     show_default=True,
     help="1 sigma of --up or --prior-rpy-deg.",
 )
@@ -75,7 +74,7 @@ from .common import (
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
-    default=0,
+    default=DEFAULTS.seed,
     show_default=True,
     help="Seed of whatever is drawn at random.",
 )
@@ -128,111 +127,51 @@ def calibrate(
       3    refused: the data carry no answer; the reason is printed and in result.json
       130  interrupted
     """
-    import json
-    import time
-    from functools import partial
-
-    from ..files import write_atomically
-    from ..matching.prior import rotation_prior
-    from ..pipeline import calibrate as run
-    from ..report import render_report
+    from ..api.calibration import calibrate_with
     from ..report.text import describe_result
-    from ..result import encode, result_document
+    from ..result import RunConfig, encode
 
-    pairs = _pairs(target, source, placements)
-    prior = rotation_prior(up, prior_rpy_deg, prior_sigma_deg)
-    read = partial(read_input, frames=frames, quiet=quiet)
+    targets, sources = _pairs(target, source, placements)
+    config = RunConfig(
+        radius_m=radius,
+        radius_sigma_m=radius_sigma,
+        up=up,
+        prior_rpy_deg=prior_rpy_deg,
+        prior_sigma_deg=prior_sigma_deg,
+        poles=poles,
+        refine=refine,
+        seed=seed,
+        threshold_target=threshold_target,
+        threshold_source=threshold_source,
+        sensor_target=sensor_target,
+        sensor_source=sensor_source,
+        target_topic=target_topic,
+        source_topic=source_topic,
+        frames=None if frames is None else (frames.start, frames.stop, frames.step),
+    )
+    tell = (lambda given: None) if quiet or frames is not None else echo_left_out
     with progress_on_terminal(quiet) as progress:
-        progress("read")
-        start = time.perf_counter()
-        inputs = [
-            given
-            for of_target, of_source in pairs
-            for given in (
-                read(of_target, sensor_target, threshold_target, topic=target_topic),
-                read(of_source, sensor_source, threshold_source, topic=source_topic),
-            )
-        ]
-        documents = input_documents(inputs)
-        _refuse_twins(inputs, documents)
-        seconds = {"read": time.perf_counter() - start}
-        calibration = run(
-            [given.cloud for given in inputs[::2]],
-            [given.cloud for given in inputs[1::2]],
-            radius=radius,
-            radius_sigma=radius_sigma,
-            sensors=(inputs[0].sensor, inputs[1].sensor),
-            thresholds=(threshold_target, threshold_source),
-            poles=poles,
-            scene=refine,
-            prior=prior,
-            progress=progress,
-        )
-    found = [detection for placement in calibration.placements for detection in placement.found]
-    for document, detection in zip(documents, found, strict=False):
-        if detection is not None:
-            document.threshold = detection.threshold
-    result = result_document(
-        calibration,
-        inputs=documents,
-        config={
-            "radius_m": radius,
-            "radius_sigma_m": radius_sigma,
-            "up": up,
-            "prior_rpy_deg": prior_rpy_deg,
-            "prior_sigma_deg": prior_sigma_deg,
-            "poles": poles,
-            "refine": refine,
-            "seed": seed,
-            "threshold_target": threshold_target,
-            "threshold_source": threshold_source,
-            "sensor_target": sensor_target,
-            "sensor_source": sensor_source,
-            "target_topic": target_topic,
-            "source_topic": source_topic,
-            "frames": None if frames is None else [frames.start, frames.stop, frames.step],
-        },
-        seconds={**seconds, **calibration.seconds},
-    )
-    written = [out / "result.json", out / "report.html"]
-    data = encode(result)
-    write_atomically(written[0], data)
-    first = calibration.placements[0]
-    page = render_report(
-        json.loads(data), first.target, first.source, first.found, more=calibration.placements[1:]
-    )
-    write_atomically(written[1], page.encode())
+        result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)
+        written = result.save(out)
     if as_json:
-        click.echo(data, nl=False)
+        click.echo(encode(result.document), nl=False)
     elif not quiet:
-        click.echo(describe_result(result, [str(path) for path in written]))
-    if calibration.status == "refused":
-        for reason in calibration.reasons:
-            click.echo(f"retropole: refused ({reason.code}): {reason.message}", err=True)
-        return EXIT_REFUSED
-    return 0
-
-
-def _refuse_twins(inputs: list[Input], documents: list[InputDoc]) -> None:
-    """Refuse one topic of one bag as both LiDARs: its transform would be the identity."""
-    for k in range(0, len(inputs), 2):
-        target, source = inputs[k : k + 2]
-        same = target.topic is not None and target.topic == source.topic
-        if same and documents[k].sha256 == documents[k + 1].sha256:
-            raise click.UsageError(
-                f"TARGET and SOURCE are both topic {target.topic} of {target.path}; "
-                "--target-topic and --source-topic tell two LiDARs of one bag apart"
-            )
+        click.echo(describe_result(result.document, [str(path) for path in written]))
+    if result.status != "refused":
+        return 0
+    for reason in result.reasons:
+        echo_refusal(reason.code, reason.message)
+    return EXIT_REFUSED
 
 
 def _pairs(
     target: Path | None, source: Path | None, placements: tuple[tuple[Path, Path], ...]
-) -> list[tuple[Path, Path]]:
-    """Take the two arguments, or the placements; never both, never none."""
+) -> tuple[list[Path], list[Path]]:
+    """Take the two arguments, or those of each --placement; never both."""
     if placements and target is not None:
         raise click.UsageError("give TARGET and SOURCE, or --placement for each, not both")
     if placements:
-        return list(placements)
+        return [pair[0] for pair in placements], [pair[1] for pair in placements]
     if target is None or source is None:
         raise click.UsageError("TARGET and SOURCE are needed, or --placement TARGET SOURCE")
-    return [(target, source)]
+    return [target], [source]

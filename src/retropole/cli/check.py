@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from .common import CLOUD, CONTEXT, EXIT_REFUSED, TOPIC_HELP, progress_on_terminal, read_input
+from ..monitoring.movement import DEFAULT_TOLERANCE
+from .common import (
+    CLOUD,
+    CONTEXT,
+    DEFAULTS,
+    EXIT_REFUSED,
+    SAME_FOR_SOURCE,
+    TOPIC_HELP,
+    progress_on_terminal,
+    read_input,
+)
 
 if TYPE_CHECKING:
     from ..datatypes import Array, PoseEstimate, Reason
-    from ..monitoring.drift import CheckResult
+    from ..monitoring.movement import CheckResult, Movement
+    from ..result import RunConfig
 
 EXIT_MOVED = 4
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 POSITIVE = click.FloatRange(min=0, min_open=True)
+
+NOISE_SIGMAS = 2.0
+"""A movement of fewer σ than this has no direction worth naming."""
+
+MOSTLY_ALONG = math.cos(math.radians(30.0))
+"""A direction within 30° of an axis goes by its name."""
 
 
 @click.command(context_settings=CONTEXT)
@@ -27,20 +45,20 @@ POSITIVE = click.FloatRange(min=0, min_open=True)
     metavar="NAME",
     help=f"{TOPIC_HELP}  [default: that of RESULT, where TARGET is a bag]",
 )
-@click.option("--source-topic", metavar="NAME", help="The same for SOURCE.")
+@click.option("--source-topic", metavar="NAME", help=SAME_FOR_SOURCE)
 @click.option(
     "--tolerance-deg",
     type=POSITIVE,
-    default=0.3,
+    default=math.degrees(DEFAULT_TOLERANCE.rotation),
     show_default=True,
-    help="A turn that must not be missed: where it could be, the answer is not 'same'.",
+    help="A rotation that must not be missed: where it could be, the answer is not 'same'.",
 )
 @click.option(
     "--tolerance-m",
     type=POSITIVE,
-    default=0.03,
+    default=DEFAULT_TOLERANCE.translation,
     show_default=True,
-    help="A shift that must not be missed.",
+    help="A translation that must not be missed.",
 )
 @click.option(
     "--sigma-deg",
@@ -91,8 +109,9 @@ def check(
 
     from ..datatypes import Reason
     from ..errors import Refusal
-    from ..monitoring.drift import CheckResult
     from ..monitoring.drift import check as run
+    from ..monitoring.movement import CheckResult, Tolerance
+    from ..reasons import prefixed
 
     if (sigma_deg is None) != (sigma_m is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
@@ -101,18 +120,40 @@ def check(
         try:
             stored = _stored(result, sigma_deg, sigma_m)
         except Refusal as refusal:
-            reason = Reason(f"stored_{refusal.code}", refusal.message, refusal.values)
-            answer = CheckResult("cannot_tell", (reason,))
+            code = prefixed("stored", refusal.code)
+            answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
         else:
-            inputs = [
-                read_input(path, "auto", None, topic=_topic(path, given, known), quiet=quiet).cloud
-                for path, given, known in zip(
-                    (target, source), (target_topic, source_topic), stored.topics, strict=True
+            config = stored.config
+            of_target, of_source = (
+                read_input(path, sensor, threshold, topic=_topic(path, given, known), quiet=quiet)
+                for path, sensor, threshold, given, known in (
+                    (
+                        target,
+                        config.sensor_target,
+                        config.threshold_target,
+                        target_topic,
+                        config.target_topic,
+                    ),
+                    (
+                        source,
+                        config.sensor_source,
+                        config.threshold_source,
+                        source_topic,
+                        config.source_topic,
+                    ),
                 )
-            ]
+            )
             progress("check")
-            tolerance = float(np.radians(tolerance_deg)), tolerance_m
-            answer = run(stored.stage, *inputs, tolerance=tolerance, **stored.options)
+            answer = run(
+                stored.pose,
+                of_target.cloud,
+                of_source.cloud,
+                tolerance=Tolerance(float(np.radians(tolerance_deg)), tolerance_m),
+                radius=config.radius_m,
+                radius_sigma=config.radius_sigma_m,
+                sensors=(of_target.sensor, of_source.sensor),
+                thresholds=(config.threshold_target, config.threshold_source),
+            )
             answer = replace(answer, reasons=(*answer.reasons, *stored.warnings))
     if as_json:
         click.echo(json_line(answer))
@@ -122,29 +163,30 @@ def check(
 
 
 class Stored(NamedTuple):
-    """What RESULT holds: the pose, its run's options and topics, and what it warned of."""
+    """What RESULT holds: the pose, the options of its run, and what it warned of."""
 
-    stage: PoseEstimate
-    options: dict[str, Any]
-    topics: tuple[str | None, str | None]
-    warnings: list[Reason]
+    pose: PoseEstimate
+    config: RunConfig
+    warnings: tuple[Reason, ...]
 
 
 def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Stored:
-    """Read RESULT.
+    """Read RESULT; of a file that is not a result document, the options are the default ones.
 
     Raises
     ------
     Refusal
-        Where it was refused, and ``no_covariance`` where nothing tells how sure it is.
+        Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
     """
+    from typing import cast
+
     import numpy as np
 
     from ..datatypes import PoseEstimate, Reason
     from ..errors import Refusal
     from ..export import inverted, read_transform
     from ..export.documents import is_result, read_result
-    from ..sensors import find_sensor
+    from ..reasons import Code, prefixed
 
     transform = read_transform(path)
     if transform.roles == ("source", "target"):
@@ -155,25 +197,19 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     if covariance is None:
         raise Refusal(
             "no_covariance",
-            f"{path} does not say how sure it is: give result.json, or --sigma-deg and --sigma-m",
+            f"{path} does not say how certain it is: give result.json, or --sigma-deg and "
+            "--sigma-m",
         )
-    stage = PoseEstimate(transform.T_parent_child, covariance, 0.0)
+    pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
     data = (path / "result.json" if path.is_dir() else path).read_bytes()
     if not is_result(data):
-        return Stored(stage, {}, (None, None), [])
+        return Stored(pose, DEFAULTS, ())
     document = read_result(data)
-    config = document.config
-    names = [config.get(f"sensor_{side}") or "auto" for side in ("target", "source")]
-    options = {
-        "radius": config.get("radius_m", 0.02),
-        "radius_sigma": config.get("radius_sigma_m", 0.0),
-        "sensors": tuple(None if name == "auto" else find_sensor(name) for name in names),
-        "thresholds": (config.get("threshold_target"), config.get("threshold_source")),
-    }
-    warnings = [Reason(f"stored_{r.code}", r.message, r.values) for r in document.reasons]
-    return Stored(
-        stage, options, (config.get("target_topic"), config.get("source_topic")), warnings
+    warnings = tuple(
+        Reason(prefixed("stored", cast("Code", reason.code)), reason.message, reason.values)
+        for reason in document.reasons
     )
+    return Stored(pose, document.config, warnings)
 
 
 def _topic(path: Path, given: str | None, known: str | None) -> str | None:
@@ -191,17 +227,17 @@ def json_line(answer: CheckResult) -> str:
 
     import numpy as np
 
-    from ..monitoring.drift import FALSE_ALARM
+    from ..monitoring.movement import FALSE_ALARM
 
-    turned, shifted = answer.turned or (None, None), answer.shifted or (None, None)
+    rotation, translation = answer.rotation, answer.translation
     return json.dumps(
         {
             "status": answer.status,
             "used": answer.used,
-            "moved_deg": None if turned[0] is None else float(np.degrees(turned[0])),
-            "sigma_deg": None if turned[1] is None else float(np.degrees(turned[1])),
-            "moved_m": shifted[0],
-            "sigma_m": shifted[1],
+            "moved_deg": rotation and float(np.degrees(rotation.length)),
+            "sigma_deg": rotation and float(np.degrees(rotation.sigma)),
+            "moved_m": translation and translation.length,
+            "sigma_m": translation and translation.sigma,
             "chi2": answer.chi2,
             "p_value": answer.p_value,
             "false_alarm": FALSE_ALARM,
@@ -221,20 +257,21 @@ def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
     import numpy as np
 
-    from ..monitoring.drift import FALSE_ALARM
+    from ..monitoring.movement import FALSE_ALARM
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
-    turned, shifted = answer.turned, answer.shifted
-    if answer.step is not None and turned is not None and shifted is not None:
-        degrees = np.degrees(turned)
+    rotation, translation = answer.rotation, answer.translation
+    if answer.step is not None and rotation is not None and translation is not None:
         how = "poles and scene" if answer.used == "poles" else "the scene alone"
         lines += [
-            f"  turned by  {degrees[0]:.4f}° ± {degrees[1]:.4f}° (1 σ), "
-            f"{_direction(answer.step[:3], turned, 'about', (' (roll)', ' (pitch)', ' (yaw)'))}",
-            f"  shifted by {100 * shifted[0]:.2f} cm ± {100 * shifted[1]:.2f} cm (1 σ), "
-            f"{_direction(answer.step[3:], shifted, 'along', ('', '', ''))}",
+            f"  rotated by    {np.degrees(rotation.length):.4f}° ± "
+            f"{np.degrees(rotation.sigma):.4f}° (1 σ), "
+            f"{_direction(answer.step[:3], rotation, 'about', (' (roll)', ' (pitch)', ' (yaw)'))}",
+            f"  translated by {100 * translation.length:.2f} cm ± "
+            f"{100 * translation.sigma:.2f} cm (1 σ), "
+            f"{_direction(answer.step[3:], translation, 'along', ('', '', ''))}",
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
-            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; so much where nothing moved: "
+            f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; as much where nothing moved: "
             f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
             "  a movement of the tolerance is found with a probability of "
             f"{answer.power:.0%} at least",
@@ -245,16 +282,16 @@ def in_words(answer: CheckResult) -> str:
 
 
 def _direction(
-    vector: Array, length: tuple[float, float], preposition: str, names: tuple[str, str, str]
+    vector: Array, movement: Movement, preposition: str, names: tuple[str, str, str]
 ) -> str:
     """Name the axis of the target that a vector mostly lies along, if it is more than its noise."""
     import numpy as np
 
-    if length[0] < 2 * length[1]:
+    if movement.length < NOISE_SIGMAS * movement.sigma:
         return "no more than its noise"
-    unit = vector / length[0]
+    unit = vector / movement.length
     k = int(np.argmax(np.abs(unit)))
-    if abs(unit[k]) > np.cos(np.radians(30.0)):
+    if abs(unit[k]) > MOSTLY_ALONG:
         sign = "+" if unit[k] > 0 else "-"
         return f"mostly {preposition} the target's {sign}{'xyz'[k]}{names[k]}"
     return f"{preposition} ({unit[0]:+.2f} {unit[1]:+.2f} {unit[2]:+.2f}) of the target"

@@ -1,55 +1,65 @@
-"""What the commands share: options, reading, progress."""
+"""What the commands share: options, reading, refusals, progress."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from ..datatypes import PointCloud
-from ..result import InputDoc
-from ..sensors import SENSORS, Sensor, find_sensor
+from ..reasons import explain, plain
+from ..result import RunConfig
+from ..sensors import SENSORS
+
+if TYPE_CHECKING:
+    from ..api.inputs import Input
 
 EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED = 2, 3, 130
+
+DEFAULTS = RunConfig()
+"""What a run does where no option says otherwise."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 CLOUD = click.Path(path_type=Path)
 OUT = click.Path(path_type=Path, file_okay=False)
 SENSOR_HELP = f"Sensor's name ({', '.join(SENSORS)}), or auto."
+TOPIC_HELP = "Topic of the bag; needed where it has several of point clouds."
+SAME_FOR_SOURCE = "The same for SOURCE."
 
 radius_option = click.option(
     "--radius",
     type=click.FloatRange(min=0, min_open=True),
-    default=0.02,
+    default=DEFAULTS.radius_m,
     show_default=True,
     help="Radius of the poles, m.",
 )
-
-
-TOPIC_HELP = "Topic of the bag; needed where it has several of point clouds."
-
 
 topic_option = click.option("--topic", metavar="NAME", help=TOPIC_HELP)
 
 
 def sensor_options(command: Callable[..., int]) -> Callable[..., int]:
     """Give a command --sensor-* and --threshold-*, each for the target and the source."""
-    same = "The same for SOURCE."
     for option in (
-        click.option("--threshold-source", type=float, help=same),
+        click.option("--threshold-source", type=float, help=SAME_FOR_SOURCE),
         click.option(
             "--threshold-target",
             type=float,
             help="Intensity from which a return is retro-reflective, on the file's own scale.  "
             "[default: from the sensor or the cloud]",
         ),
-        click.option("--sensor-source", default="auto", show_default=True, help=same),
-        click.option("--sensor-target", default="auto", show_default=True, help=SENSOR_HELP),
+        click.option(
+            "--sensor-source",
+            default=DEFAULTS.sensor_source,
+            show_default=True,
+            help=SAME_FOR_SOURCE,
+        ),
+        click.option(
+            "--sensor-target", default=DEFAULTS.sensor_target, show_default=True, help=SENSOR_HELP
+        ),
     ):
         command = option(command)
     return command
@@ -58,7 +68,7 @@ def sensor_options(command: Callable[..., int]) -> Callable[..., int]:
 def topic_options(command: Callable[..., int]) -> Callable[..., int]:
     """Give a command --target-topic and --source-topic."""
     of_target = click.option("--target-topic", metavar="NAME", help=TOPIC_HELP)
-    of_source = click.option("--source-topic", metavar="NAME", help="The same for SOURCE.")
+    of_source = click.option("--source-topic", metavar="NAME", help=SAME_FOR_SOURCE)
     return of_target(of_source(command))
 
 
@@ -74,7 +84,7 @@ def _slice(context: click.Context, option: click.Parameter, value: str | None) -
         return slice(parts[0], parts[0] + 1 or None)
     step = parts[2] if len(parts) == 3 else None
     if len(parts) not in (2, 3) or (step is not None and step < 1):
-        raise click.BadParameter(f"{value!r} is no A:B, no A:B:STEP and no frame's number")
+        raise click.BadParameter(f"{value!r}: expected A:B, A:B:STEP or the number of a frame")
     return slice(*parts)
 
 
@@ -87,17 +97,6 @@ frames_option = click.option(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Input:
-    """A cloud as read: where from, its topic, what recorded it, and the threshold asked for."""
-
-    path: Path
-    cloud: PointCloud
-    topic: str | None
-    sensor: Sensor | None
-    threshold: float | None
-
-
 def read_input(
     path: Path,
     sensor_name: str,
@@ -108,37 +107,33 @@ def read_input(
     quiet: bool = False,
 ) -> Input:
     """Read a cloud and look up its sensor; say on stderr which frames were left out unasked."""
-    from ..io import chosen_frames, joined, open_recording
+    from ..api.inputs import read_input as read
 
-    sensor = None if sensor_name == "auto" else find_sensor(sensor_name)
-    recording = open_recording(path, topic=topic)
-    numbers = chosen_frames(recording, frames)
-    if frames is None and len(numbers) < recording.count and not quiet:
+    given = read(path, sensor=sensor_name, threshold=threshold, topic=topic, frames=frames)
+    if frames is None and not quiet:
+        echo_left_out(given)
+    return given
+
+
+def echo_left_out(given: Input) -> None:
+    """Say on stderr which frames of a long recording were left out."""
+    read = given.read
+    if read is not None and not read.is_whole:
         click.echo(
-            f"retropole: {path}: read {len(numbers)} of {recording.count} frames, every "
-            f"{numbers.step}th; --frames A:B reads others",
+            f"retropole: {given.name}: read {len(read.numbers)} of {read.recording.count} frames, "
+            f"every {read.numbers.step}th; --frames A:B reads others",
             err=True,
         )
-    cloud = joined(recording, list(recording.read(numbers)))
-    return Input(path, cloud, recording.topic, sensor, threshold)
 
 
-def input_documents(inputs: Sequence[Input]) -> list[InputDoc]:
-    """Write the entries of clouds in the result document; each file is hashed once."""
-    from ..io import sha256_of
-
-    hashes = {path: sha256_of(path) for path in dict.fromkeys(given.path for given in inputs)}
-    return [
-        InputDoc(
-            path=str(given.path),
-            sha256=hashes[given.path],
-            points=len(given.cloud),
-            dropped=given.cloud.dropped,
-            sensor="auto" if given.sensor is None else given.sensor.name,
-            threshold=given.threshold,
-        )
-        for given in inputs
-    ]
+def echo_refusal(code: str, message: str) -> None:
+    """Say on stderr why there is no answer, and what to do about it."""
+    click.echo(f"retropole: refused ({code}): {message}", err=True)
+    explanation = explain(code)
+    lead = "what to do: "
+    for action in explanation.advice if explanation else ():
+        click.echo(lead + plain(action), err=True)
+        lead = " " * len(lead)
 
 
 @contextmanager

@@ -9,11 +9,9 @@ import click
 from .common import (
     CLOUD,
     CONTEXT,
-    EXIT_REFUSED,
     OUT,
     SENSOR_HELP,
     frames_option,
-    input_documents,
     progress_on_terminal,
     radius_option,
     read_input,
@@ -48,9 +46,9 @@ def detect(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Show the poles in FILE, and why every other retro-reflective thing is none.
+    """Show the poles in FILE, and why every other retro-reflective object is rejected.
 
-    Writes a picture, detect.png (needs the optional part 'figures').
+    Writes a picture, detect.png (needs the extra 'figures').
 
     \b
     Examples:
@@ -65,8 +63,12 @@ def detect(
       2    the file or an option is wrong
       3    refused: the file has no intensity
     """
-    from ..errors import MissingExtraError, Refusal
-    from ..extraction.poles import extract_poles
+    from dataclasses import replace
+
+    from ..api.detection import detect_in
+    from ..api.inputs import input_documents
+    from ..errors import MissingExtraError
+    from ..report.figures import draw_detection
     from ..report.text import describe_detection
     from ..result import detection_document, encode
 
@@ -74,25 +76,16 @@ def detect(
         progress("read")
         given = read_input(file, sensor, threshold, topic=topic, frames=frames, quiet=quiet)
         progress("extract")
-        try:
-            found = extract_poles(
-                given.cloud, sensor=given.sensor, threshold=threshold, radius=radius
-            )
-        except Refusal as refusal:
-            click.echo(f"retropole: refused ({refusal.code}): {refusal}", err=True)
-            return EXIT_REFUSED
+        found = detect_in(given, radius)
         written: list[str] = []
         progress("draw")
         try:
-            from ..report.figures import draw_detection
-
             draw_detection(given.cloud, found, out / "detect.png", title=file.name)
             written.append(str(out / "detect.png"))
         except MissingExtraError as error:
             click.echo(f"retropole: no picture: {error}", err=True)
-    document = input_documents([given])[0]
-    document.threshold = found.threshold
-    result = detection_document(found, document)
+    used = replace(given, threshold=found.threshold)
+    result = detection_document(found, input_documents([used])[0])
     if as_json:
         click.echo(encode(result), nl=False)
     elif not quiet:

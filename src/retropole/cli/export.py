@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMATS
-from .common import CONTEXT, EXIT_REFUSED
+from .common import CONTEXT
 
 if TYPE_CHECKING:
     from ..export import Transform
@@ -19,7 +19,7 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{each.title}" for name, each in FORMAT
 
 @click.command(
     context_settings=CONTEXT,
-    help=f"""Write the transform of RESULT in the form that another program takes.
+    help=f"""Write the transform of RESULT in the format of another program.
 
     RESULT is result.json, the folder that holds it, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
@@ -74,8 +74,7 @@ def export(
     invert: bool,
     into: Path | None,
 ) -> int:
-    """Read, turn round where asked, write."""
-    from ..errors import Refusal
+    """Read the transform, invert it where asked, write it."""
     from ..export import inverted, read_transform
     from ..files import write_atomically
 
@@ -83,11 +82,7 @@ def export(
         raise click.UsageError(f"--to is needed: one of {', '.join(FORMATS)}")
     if into is not None and fmt not in (None, "urdf"):
         raise click.UsageError(f"--into takes a joint, --to urdf, not --to {fmt}")
-    try:
-        transform = read_transform(result, fmt=source_format, parent=parent, child=child)
-    except Refusal as refusal:
-        click.echo(f"retropole: refused ({refusal.code}): {refusal}", err=True)
-        return EXIT_REFUSED
+    transform = read_transform(result, fmt=source_format, parent=parent, child=child)
     _warn(result)
     if invert:
         transform = inverted(transform)

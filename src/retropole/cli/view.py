@@ -9,7 +9,6 @@ import click
 from .common import (
     CLOUD,
     CONTEXT,
-    EXIT_REFUSED,
     SENSOR_HELP,
     frames_option,
     progress_on_terminal,
@@ -47,7 +46,7 @@ def view(
     """Look at FILES live in a browser: move the threshold, see which poles are found.
 
     Every rejected cluster is marked with its reason. The page is for this machine alone
-    (127.0.0.1). Needs the optional part 'view'.
+    (127.0.0.1). Needs the extra 'view'.
 
     \b
     Examples:
@@ -64,7 +63,6 @@ def view(
     """
     import time
 
-    from ..errors import Refusal
     from ..report.viewer import Shown, serve
 
     with progress_on_terminal(quiet) as progress:
@@ -78,11 +76,7 @@ def view(
             Shown(str(file), given.cloud, given.sensor, threshold)
             for file, given in zip(files, inputs, strict=True)
         ]
-        try:
-            viewer = serve(shown, radius=radius, port=port)
-        except Refusal as refusal:
-            click.echo(f"retropole: refused ({refusal.code}): {refusal}", err=True)
-            return EXIT_REFUSED
+        viewer = serve(shown, radius=radius, port=port)
     try:
         click.echo(viewer.url)
         if not quiet:

@@ -9,26 +9,48 @@ from pathlib import Path
 
 from ..datatypes import PointCloud
 from ..errors import ReadError, UsageError
-from .arrays import read_kitti, read_npy, read_npz, read_text
+from .arrays import (
+    ARRAY_SOURCE,
+    cloud_from_array,
+    read_kitti,
+    read_npy,
+    read_npz,
+    read_text,
+)
+from .fields import only_returns
 from .las import read_las
 from .packets import PACKETS, open_packets
 from .pcd import read_pcd, write_pcd
 from .ply import read_ply
-from .recordings import Frame, Recording, Topic, chosen_frames, joined
+from .recordings import (
+    Frame,
+    FrameHeader,
+    ReadRecording,
+    Recording,
+    Topic,
+    chosen_frames,
+    joined,
+)
 from .ros import BAGS, bag_topics, is_rosbag2, open_bag
 
 __all__ = [
+    "ARRAY_SOURCE",
     "BAGS",
     "PACKETS",
     "READERS",
     "Frame",
+    "FrameHeader",
+    "ReadRecording",
     "Recording",
     "Topic",
     "chosen_frames",
+    "cloud_from_array",
     "joined",
+    "only_returns",
     "open_recording",
     "read_cloud",
     "read_frames",
+    "read_recording",
     "sha256_of",
     "topics_of",
     "write_pcd",
@@ -150,8 +172,29 @@ def read_cloud(
     MissingExtraError
         Where the format needs an optional part that is not installed.
     """
+    return read_recording(path, topic=topic, frames=frames).cloud
+
+
+def read_recording(
+    path: str | Path, *, topic: str | None = None, frames: slice | None = None
+) -> ReadRecording:
+    """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
+
+    Parameters
+    ----------
+    path, topic, frames
+        As `read_cloud` takes them.
+
+    Raises
+    ------
+    ReadError, UsageError, MissingExtraError
+        As `read_cloud`.
+    """
     recording = open_recording(path, topic=topic)
-    return joined(recording, list(recording.read(chosen_frames(recording, frames))))
+    numbers = chosen_frames(recording, frames)
+    read = list(recording.read(numbers))
+    headers = tuple(frame.header for frame in read)
+    return ReadRecording(recording, numbers, headers, joined(recording, read))
 
 
 def _files(path: Path) -> list[Path]:

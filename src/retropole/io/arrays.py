@@ -7,6 +7,7 @@ import io
 import math
 import re
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datatypes import PointCloud
-from ..errors import ReadError
-from .fields import INTENSITY, RING, TIME, cloud_from_columns
+from ..errors import ReadError, UsageError
+from .fields import INTENSITY, REAL_KINDS, RING, TIME, cloud_from_columns
 from .table import is_number, read_table
 
 PLAIN_COLUMNS = ("x", "y", "z", "intensity")
@@ -23,6 +24,9 @@ PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 
 TABLE_KEYS = ("xyz", "points", "arr_0")
 """What a table of points is called in an NPZ."""
+
+ARRAY_SOURCE = "<array>"
+"""What a cloud made of an array has for its source."""
 
 MAX_DEFLATE_RATIO = 1100
 """Deflate packs 1032 bytes into one at best."""
@@ -45,7 +49,7 @@ def read_kitti(path: Path) -> PointCloud:
     return _from_table(path, np.frombuffer(data, "<f4").reshape(-1, 4))
 
 
-def _from_table(path: Path, table: NDArray[Any]) -> PointCloud:
+def _from_table(path: Path | str, table: NDArray[Any]) -> PointCloud:
     if table.dtype.names is not None:
         table = table.reshape(-1)
         return cloud_from_columns(path, {name: table[name] for name in table.dtype.names or ()})
@@ -55,6 +59,41 @@ def _from_table(path: Path, table: NDArray[Any]) -> PointCloud:
             f"or (N, 4): {' '.join(PLAIN_COLUMNS)}"
         )
     return cloud_from_columns(path, dict(zip(PLAIN_COLUMNS, table.T, strict=False)))
+
+
+def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointCloud:
+    """Make a cloud of an array in memory.
+
+    Points that are not finite or at zero range are dropped and counted, as when a file is read.
+
+    Parameters
+    ----------
+    array
+        (N, 3) x y z in metres, (N, 4) x y z intensity, or a structured array with named fields.
+    name
+        What to call it in messages.
+
+    Raises
+    ------
+    UsageError
+        Where it has another shape or no numbers, and where no point in it is a return.
+    """
+    plain = array.dtype.names is None
+    if plain and (
+        array.ndim != 2
+        or array.shape[1] not in (3, 4)
+        or array.dtype.kind not in REAL_KINDS
+        or len(array) == 0
+    ):
+        raise UsageError(
+            f"{name}: an array of {array.dtype} of shape {array.shape}, expected numbers of shape "
+            "(N, 3): x, y, z in metres, or (N, 4): x, y, z, intensity"
+        )
+    try:
+        cloud = _from_table(name, array)
+    except ReadError as error:
+        raise UsageError(str(error)) from None
+    return replace(cloud, source=ARRAY_SOURCE)
 
 
 def _load(path: Path, file: IO[bytes], left: int) -> NDArray[Any]:

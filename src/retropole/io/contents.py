@@ -10,7 +10,7 @@ import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import SENSORS, Sensor, auto_threshold
-from . import Frame, Recording, chosen_frames, joined, open_recording, topics_of
+from . import FrameHeader, ReadRecording, read_recording, topics_of
 
 BINS = 16
 """Of the histogram of intensities."""
@@ -113,24 +113,22 @@ def describe(path: str | Path, *, topic: str | None = None, frames: slice | None
     return InfoDoc(
         path=str(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
-        clouds=[_cloud(open_recording(path, topic=name), frames) for name in names],
+        clouds=[_cloud(read_recording(path, topic=name, frames=frames)) for name in names],
     )
 
 
-def _cloud(recording: Recording, wanted: slice | None) -> CloudDoc:
-    numbers = chosen_frames(recording, wanted)
-    frames = list(recording.read(numbers))
-    cloud = joined(recording, frames)
-    rate = _rate(frames)
+def _cloud(read: ReadRecording) -> CloudDoc:
+    cloud, count = read.cloud, read.recording.count
+    rate = _rate(read.headers[0], read.headers[-1])
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     return CloudDoc(
-        topic=recording.topic,
-        frame_id=frames[0].frame_id or None,
-        frames=recording.count,
-        frames_read=len(numbers),
-        step=numbers.step,
+        topic=read.recording.topic,
+        frame_id=read.headers[0].frame_id or None,
+        frames=count,
+        frames_read=len(read.numbers),
+        step=read.numbers.step,
         rate_hz=rate,
-        duration_s=None if rate is None else (recording.count - 1) / rate,
+        duration_s=None if rate is None else (count - 1) / rate,
         fields=dict(cloud.fields),
         points=len(cloud),
         dropped=cloud.dropped,
@@ -141,9 +139,8 @@ def _cloud(recording: Recording, wanted: slice | None) -> CloudDoc:
     )
 
 
-def _rate(frames: list[Frame]) -> float | None:
-    """Frames a second, between the first and the last that were read; None without times."""
-    first, last = frames[0], frames[-1]
+def _rate(first: FrameHeader, last: FrameHeader) -> float | None:
+    """Frames a second between two frames; None where their times do not give it."""
     if first.stamp is None or last.stamp is None or last.stamp <= first.stamp:
         return None
     return (last.number - first.number) / (last.stamp - first.stamp)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array, IntArray, PointCloud
-from ..errors import ReadError
+from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..errors import ReadError, UsageError
 
 INTENSITY = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission")
 RING = ("ring", "channel", "laser_id", "line", "beam")
@@ -18,6 +19,9 @@ TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpst
 
 LAST_SECOND = 1e11
 """Later than any clock counts in seconds (year 5138), earlier than any counts its milliseconds."""
+
+REAL_KINDS = "fiub"
+"""Kinds of NumPy types that hold real numbers."""
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -81,14 +85,9 @@ def cloud_from_columns(
         raise NoReturnsError(f"{path}: holds no points, expected at least one", 0)
     start = np.zeros(3) if origin is None else origin
     xyz = np.empty((len(parts[0]), 3))
-    # Axis by axis, which is several times faster than along the short side of (N, 3).
-    finite, at_zero, at_start = (np.ones(len(xyz), bool) for _ in range(3))
     for axis, part in enumerate(parts):
         xyz[:, axis] = _floats(part)
-        finite &= np.isfinite(xyz[:, axis])
-        at_zero &= xyz[:, axis] == 0
-        at_start &= xyz[:, axis] == start[axis]
-    kept = finite & ~at_zero & ~at_start
+    kept = _is_return(xyz, start)
     if not kept.any():
         raise NoReturnsError(
             f"{path}: none of its {len(xyz)} points is finite and away from the sensor; expected "
@@ -129,6 +128,53 @@ def frame_from_columns(
         return PointCloud(np.zeros((0, 3)), dropped=error.points, source=str(path))
 
 
+def _is_return(xyz: Array, origin: Array) -> BoolArray:
+    """Find the points that are returns (N,): finite, and neither at zero nor at the origin."""
+    # Axis by axis, which is several times faster than along the short side of (N, 3).
+    finite, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
+    for axis in range(3):
+        finite &= np.isfinite(xyz[:, axis])
+        at_zero &= xyz[:, axis] == 0
+        at_origin &= xyz[:, axis] == origin[axis]
+    return finite & ~at_zero & ~at_origin
+
+
+def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
+    """Give a cloud that was made in memory what readers promise of theirs.
+
+    Points that are not finite or at zero range are dropped and counted, and an intensity that is
+    not finite counts as 0.
+
+    Parameters
+    ----------
+    cloud
+        Any cloud; returned as it is where nothing has to change.
+    name
+        What to call it in messages.
+
+    Raises
+    ------
+    UsageError
+        Where no point is a return.
+    """
+    kept = _is_return(cloud.xyz, cloud.origin)
+    if not kept.any():
+        raise UsageError(
+            f"{name}: none of its {len(kept)} points is finite and away from the sensor; expected "
+            "coordinates in metres"
+        )
+    intensity = cloud.intensity
+    if intensity is not None and not (
+        intensity.dtype == np.float64 and np.isfinite(intensity).all()
+    ):
+        intensity = _strength(intensity)
+    if kept.all() and cloud.xyz.dtype == np.float64 and intensity is cloud.intensity:
+        return cloud
+    xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float64)
+    dropped = cloud.dropped + int(np.count_nonzero(~kept))
+    return replace(cloud, xyz=xyz, intensity=intensity, dropped=dropped).select(kept)
+
+
 def _kind(column: NDArray[Any]) -> str:
     """Name the type of a column, and how many values a point has of it where that is not one."""
     return column.dtype.name + "".join(f"[{n}]" for n in column.shape[1:])
@@ -136,7 +182,7 @@ def _kind(column: NDArray[Any]) -> str:
 
 def _numbers(path: Path | str, name: str, column: NDArray[Any]) -> NDArray[Any]:
     """One number a point, the first of several; refuse text, complex numbers and the like."""
-    if column.dtype.kind not in "fiub" or column.ndim not in (1, 2) or column.shape[1:] == (0,):
+    if column.dtype.kind not in REAL_KINDS or column.ndim not in (1, 2) or column.shape[1:] == (0,):
         raise ReadError(
             f"{path}: field {name} is {column.dtype} {list(column.shape[1:]) or ''}, expected "
             "numbers"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,26 +45,45 @@ CLOUDS = "sensor_msgs/msg/PointCloud2"
 """What messages of point clouds are called, in the way of ROS 2."""
 
 
+class FrameHeader(NamedTuple):
+    """What is known of a frame besides its points.
+
+    Attributes
+    ----------
+    number
+        Its place in the recording, from 0.
+    stamp
+        When it was recorded, seconds of the recorder's clock, or None where the file does not say.
+    frame_id
+        What the recording calls the coordinate frame; empty where it does not name it.
+    """
+
+    number: int
+    stamp: float | None
+    frame_id: str
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One frame of a recording.
 
     Attributes
     ----------
-    number
-        Its place in the recording, from 0.
+    number, stamp, frame_id
+        As in `FrameHeader`.
     cloud
-        Its points; none at all is a frame without returns.
-    stamp
-        When it was recorded, seconds of the recorder's clock, or None where nothing says.
-    frame_id
-        What the recording calls the coordinate frame; empty where it does not.
+        Its points; an empty cloud is a frame without returns.
     """
 
     number: int
     cloud: PointCloud
     stamp: float | None = None
     frame_id: str = ""
+
+    @property
+    def header(self) -> FrameHeader:
+        """All but the points."""
+        return FrameHeader(self.number, self.stamp, self.frame_id)
 
 
 @dataclass(frozen=True)
@@ -103,8 +122,38 @@ class Recording:
     topic: str | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class ReadRecording:
+    """A recording whose frames were read and put together.
+
+    Attributes
+    ----------
+    recording
+        What was read.
+    numbers
+        Which frames were asked for.
+    headers
+        Of each frame that was read. Its points are in `cloud` alone, so that no point is held
+        twice.
+    cloud
+        All frames together; in the recording's own frame.
+    """
+
+    recording: Recording
+    numbers: range
+    headers: tuple[FrameHeader, ...]
+    cloud: PointCloud
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every frame was read."""
+        return len(self.numbers) == self.recording.count
+
+
 def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
-    """Say which frames to read: those asked for, else as many as hold `MAX_RECORDING_POINTS`, evenly spread.
+    """Choose the frames to read: those asked for, else evenly spread ones.
+
+    Of a long recording, as many are taken as hold about `MAX_RECORDING_POINTS` points.
 
     Raises
     ------

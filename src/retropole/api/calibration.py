@@ -1,0 +1,189 @@
+"""`calibrate`: paths, arrays or clouds in, a result out that can be looked at and saved."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from ..errors import UsageError
+from ..matching.prior import rotation_prior
+from ..pipeline import calibrate as find_pose
+from ..result import RunConfig, result_document
+from .inputs import (
+    CloudSource,
+    Input,
+    check_topics,
+    input_documents,
+    intensity_hint,
+    read_placements,
+)
+from .result import CalibrationResult
+
+DEFAULTS = RunConfig()
+"""Options of a run where nothing else is asked for."""
+
+MIN_POLES = 2
+"""One pole leaves the rotation about it, and the place along it, free."""
+
+
+def calibrate(
+    target: CloudSource | Sequence[CloudSource],
+    source: CloudSource | Sequence[CloudSource],
+    *,
+    radius: float = DEFAULTS.radius_m,
+    radius_sigma: float = DEFAULTS.radius_sigma_m,
+    sensor_target: str = DEFAULTS.sensor_target,
+    sensor_source: str = DEFAULTS.sensor_source,
+    threshold_target: float | None = None,
+    threshold_source: float | None = None,
+    poles: int | None = None,
+    refine: bool = DEFAULTS.refine,
+    up: bool = DEFAULTS.up,
+    prior_rpy_deg: tuple[float, float, float] | None = None,
+    prior_sigma_deg: float = DEFAULTS.prior_sigma_deg,
+    target_topic: str | None = None,
+    source_topic: str | None = None,
+    frames: slice | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> CalibrationResult:
+    """Find the rigid transform between two LiDARs that see the same taped poles.
+
+    Parameters
+    ----------
+    target, source
+        A path that `io.read_cloud` reads; an array, (N, 4) of x, y, z in metres and intensity; or
+        a `PointCloud`. Each in its own sensor's frame. Or a list of these, one for each placement
+        of the poles, target and source in the same order: one pose is found for all.
+    radius, radius_sigma
+        Radius of the poles and its 1 σ, metres; above 0 the radius is estimated.
+    sensor_target, sensor_source
+        Names of sensors, or ``auto``.
+    threshold_target, threshold_source
+        Intensity from which a return counts as retro-reflective; None asks the sensor, or else the
+        cloud.
+    poles
+        Exact number of poles that both LiDARs see; None takes any number from two up.
+    refine
+        Whether the scene refines the pose that the poles give.
+    up
+        Both LiDARs stand roughly upright: hypotheses that contradict it are left out.
+    prior_rpy_deg, prior_sigma_deg
+        Expected roll, pitch and yaw of the source in the target's frame, degrees, instead of `up`;
+        and 1 σ of either.
+    target_topic, source_topic, frames
+        Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    progress
+        Called with the name of each step as it starts.
+
+    Returns
+    -------
+    CalibrationResult
+        With `status` ``refused``, the reasons and no transform where the data carry no answer.
+
+    Raises
+    ------
+    UsageError
+        For arrays of another shape and options that make no sense.
+    ReadError, MissingExtraError
+        Where a file cannot be read.
+    """
+    config = RunConfig(
+        radius_m=radius,
+        radius_sigma_m=radius_sigma,
+        up=up,
+        prior_rpy_deg=prior_rpy_deg,
+        prior_sigma_deg=prior_sigma_deg,
+        poles=poles,
+        refine=refine,
+        threshold_target=threshold_target,
+        threshold_source=threshold_source,
+        sensor_target=sensor_target,
+        sensor_source=sensor_source,
+        target_topic=target_topic,
+        source_topic=source_topic,
+        frames=None if frames is None else (frames.start, frames.stop, frames.step),
+    )
+    return calibrate_with(target, source, config, progress=progress)
+
+
+def calibrate_with(
+    target: CloudSource | Sequence[CloudSource],
+    source: CloudSource | Sequence[CloudSource],
+    config: RunConfig,
+    *,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> CalibrationResult:
+    """Calibrate as `calibrate` does, with the options of a run as the result document holds them.
+
+    Parameters
+    ----------
+    target, source
+        As `calibrate` takes them.
+    config
+        The options.
+    progress
+        Called with the name of each step as it starts.
+    on_read
+        Called with each cloud once it is read.
+
+    Raises
+    ------
+    UsageError, ReadError, MissingExtraError
+        As `calibrate`.
+    """
+    check_options(config)
+    progress("read")
+    start = time.perf_counter()
+    pairs = read_placements(target, source, config)
+    inputs = [each for pair in pairs for each in pair]
+    for each in inputs:
+        on_read(each)
+    documents = input_documents(inputs)
+    check_topics(pairs, documents)
+    seconds_read = time.perf_counter() - start
+    calibration = find_pose(
+        [pair.target.cloud for pair in pairs],
+        [pair.source.cloud for pair in pairs],
+        radius=config.radius_m,
+        radius_sigma=config.radius_sigma_m,
+        sensors=(pairs[0].target.sensor, pairs[0].source.sensor),
+        thresholds=(config.threshold_target, config.threshold_source),
+        poles=config.poles,
+        scene=config.refine,
+        prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
+        progress=progress,
+    )
+    reasons = tuple(
+        replace(reason, message=reason.message + intensity_hint(reason.code, inputs))
+        for reason in calibration.reasons
+    )
+    document = result_document(
+        replace(calibration, reasons=reasons),
+        inputs=documents,
+        config=config,
+        seconds={"read": seconds_read, **calibration.seconds},
+    )
+    return CalibrationResult(document, calibration.placements)
+
+
+def check_options(config: RunConfig) -> None:
+    """Refuse options that make no sense, before anything is read.
+
+    Raises
+    ------
+    UsageError
+        Naming the option and what is expected.
+    """
+    poles = MIN_POLES if config.poles is None else config.poles
+    for name, value, allowed, expected in (
+        ("radius", config.radius_m, config.radius_m > 0, "above 0"),
+        ("radius_sigma", config.radius_sigma_m, config.radius_sigma_m >= 0, "0 or above"),
+        ("prior_sigma_deg", config.prior_sigma_deg, config.prior_sigma_deg > 0, "above 0"),
+        ("poles", poles, poles >= MIN_POLES, f"{MIN_POLES} or more"),
+    ):
+        if not (allowed and math.isfinite(value)):
+            raise UsageError(f"{name} is {value}, expected a number, {expected}")
+    rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)

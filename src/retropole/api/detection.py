@@ -1,0 +1,70 @@
+"""`detect`: the poles in one recording, and why every other bright cluster is not one."""
+
+from __future__ import annotations
+
+from ..datatypes import Detection
+from ..errors import Refusal
+from ..extraction.poles import extract_poles
+from .calibration import DEFAULTS
+from .inputs import CloudSource, Input, intensity_hint, read_input
+
+
+def detect(
+    cloud: CloudSource,
+    *,
+    radius: float = DEFAULTS.radius_m,
+    sensor: str = "auto",
+    threshold: float | None = None,
+    topic: str | None = None,
+    frames: slice | None = None,
+) -> Detection:
+    """Find the poles in a recording.
+
+    Parameters
+    ----------
+    cloud
+        A path that `io.read_cloud` reads; an array, (N, 4) of x, y, z in metres and intensity; or
+        a `PointCloud`.
+    radius
+        Of the poles, metres.
+    sensor
+        Name of the sensor, or ``auto``.
+    threshold
+        Intensity from which a return counts as retro-reflective; None asks the sensor, or else the
+        cloud.
+    topic, frames
+        Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
+
+    Returns
+    -------
+    Detection
+        The poles, the best supported first, and each rejected cluster with its reason.
+
+    Raises
+    ------
+    Refusal
+        ``no_intensity`` where the cloud has none.
+    UsageError
+        For arrays of another shape and unknown sensors.
+    ReadError, MissingExtraError
+        Where the file cannot be read.
+    """
+    given = read_input(cloud, sensor=sensor, threshold=threshold, topic=topic, frames=frames)
+    return detect_in(given, radius)
+
+
+def detect_in(given: Input, radius: float) -> Detection:
+    """Find the poles of a radius, metres, in a cloud that has been read.
+
+    Raises
+    ------
+    Refusal
+        ``no_intensity`` where the cloud has none.
+    """
+    try:
+        return extract_poles(
+            given.cloud, sensor=given.sensor, threshold=given.threshold, radius=radius
+        )
+    except Refusal as refusal:
+        hint = intensity_hint(refusal.code, [given])
+        raise Refusal(refusal.code, refusal.message + hint, refusal.values) from None

@@ -1,0 +1,236 @@
+"""From what a user gives, a path, an array or a cloud, to a cloud and its entry in the result."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datatypes import PER_POINT, PointCloud
+from ..errors import UsageError
+from ..io import (
+    ARRAY_SOURCE,
+    ReadRecording,
+    cloud_from_array,
+    only_returns,
+    read_recording,
+    sha256_of,
+)
+from ..result import InputDoc, RunConfig
+from ..sensors import Sensor, find_sensor
+
+CloudSource = str | Path | PointCloud | NDArray[Any]
+"""What gives a cloud: a path that `io.read_cloud` reads, a cloud, or an array (N, 3) or (N, 4) of
+x, y, z and intensity."""
+
+
+@dataclass(frozen=True, eq=False)
+class Input:
+    """A cloud, and what it was made of.
+
+    Attributes
+    ----------
+    given
+        The path, the cloud or the array.
+    cloud
+        The points, in the sensor's own frame.
+    sensor
+        What recorded it; None where not known.
+    threshold
+        Intensity from which a return counts as retro-reflective; None where none was given.
+    read
+        Of a path, what was read there.
+    """
+
+    given: CloudSource
+    cloud: PointCloud
+    sensor: Sensor | None
+    threshold: float | None
+    read: ReadRecording | None = None
+
+    @property
+    def name(self) -> str:
+        """The path; of a cloud or an array, what its source is called."""
+        if isinstance(self.given, str | Path):
+            return str(self.given)
+        return self.cloud.source or ARRAY_SOURCE
+
+    @property
+    def topic(self) -> str | None:
+        """Of a bag, the topic that was read."""
+        return None if self.read is None else self.read.recording.topic
+
+
+class InputPair(NamedTuple):
+    """Target and source of one placement of the poles."""
+
+    target: Input
+    source: Input
+
+
+def read_input(
+    given: CloudSource,
+    *,
+    sensor: str = "auto",
+    threshold: float | None = None,
+    topic: str | None = None,
+    frames: slice | None = None,
+    role: str = "cloud",
+) -> Input:
+    """Take a cloud as the user gives it, and look up its sensor.
+
+    Parameters
+    ----------
+    given
+        A path, a cloud or an array. Points of any of them that are not finite or at zero range are
+        dropped and counted.
+    sensor
+        Name of the sensor, or ``auto``.
+    threshold
+        Intensity from which a return counts as retro-reflective; None to find it.
+    topic, frames
+        Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    role
+        What messages call it: ``target``.
+
+    Raises
+    ------
+    UsageError
+        For an unknown sensor, for an array of another shape, for anything else than these three,
+        and where a topic or frames are named of what is no file.
+    ReadError, MissingExtraError
+        As `io.read_cloud`.
+    """
+    known = None if sensor == "auto" else find_sensor(sensor)
+    if isinstance(given, str | Path):
+        read = read_recording(given, topic=topic, frames=frames)
+        return Input(given, read.cloud, known, threshold, read)
+    if not isinstance(given, PointCloud) and not hasattr(given, "__array__"):
+        raise UsageError(
+            f"{role}: of type {type(given).__name__}, expected a path, a PointCloud, or an array "
+            "of shape (N, 3) or (N, 4)"
+        )
+    if topic is not None or frames is not None:
+        raise UsageError(f"{role}: a topic or frames can be chosen in a file, not in an array")
+    if isinstance(given, PointCloud):
+        return Input(given, only_returns(given, role), known, threshold)
+    array = np.asarray(given)
+    return Input(array, cloud_from_array(array, role), known, threshold)
+
+
+def read_placements(
+    target: CloudSource | Sequence[CloudSource],
+    source: CloudSource | Sequence[CloudSource],
+    config: RunConfig,
+) -> tuple[InputPair, ...]:
+    """Take the target and the source of every placement, with the options of a run.
+
+    Raises
+    ------
+    UsageError
+        Where the numbers of targets and sources differ or are 0, where one topic of one bag is
+        both, and as `read_input`.
+    ReadError, MissingExtraError
+        As `read_input`.
+    """
+    targets, sources = _each(target), _each(source)
+    if len(targets) != len(sources) or not targets:
+        raise UsageError(
+            f"{len(targets)} targets and {len(sources)} sources are given, expected one of each "
+            "for every placement"
+        )
+    frames = None if config.frames is None else slice(*config.frames)
+    pairs = []
+    for k, (of_target, of_source) in enumerate(zip(targets, sources, strict=True)):
+        which = f" of placement {k}" if len(targets) > 1 else ""
+        pair = InputPair(
+            read_input(
+                of_target,
+                sensor=config.sensor_target,
+                threshold=config.threshold_target,
+                topic=config.target_topic,
+                frames=frames,
+                role=f"target{which}",
+            ),
+            read_input(
+                of_source,
+                sensor=config.sensor_source,
+                threshold=config.threshold_source,
+                topic=config.source_topic,
+                frames=frames,
+                role=f"source{which}",
+            ),
+        )
+        pairs.append(pair)
+    return tuple(pairs)
+
+
+def _each(given: CloudSource | Sequence[CloudSource]) -> Sequence[CloudSource]:
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        return [given]
+    return given
+
+
+def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
+    """Write the entries of clouds in the result document; each file is hashed once."""
+    hash_of = cache(sha256_of)
+    return [
+        InputDoc(
+            path=each.name,
+            sha256=hash_of(each.name) if each.read else _hash_of_arrays(each.given),
+            points=len(each.cloud),
+            dropped=each.cloud.dropped,
+            sensor="auto" if each.sensor is None else each.sensor.name,
+            threshold=each.threshold,
+        )
+        for each in inputs
+    ]
+
+
+def check_topics(pairs: Sequence[InputPair], documents: Sequence[InputDoc]) -> None:
+    """Refuse one topic of one bag as both LiDARs: its transform would be the identity.
+
+    Parameters
+    ----------
+    pairs, documents
+        The inputs, and their entries in the result document, target and source in turn.
+
+    Raises
+    ------
+    UsageError
+        Naming the topic and the bag.
+    """
+    for k, (target, source) in enumerate(pairs):
+        same_topic = target.topic is not None and target.topic == source.topic
+        if same_topic and documents[2 * k].sha256 == documents[2 * k + 1].sha256:
+            raise UsageError(
+                f"TARGET and SOURCE are both topic {target.topic} of {target.name}; "
+                "--target-topic and --source-topic (in Python target_topic and source_topic) tell "
+                "two LiDARs of one bag apart"
+            )
+
+
+def intensity_hint(code: str, inputs: Iterable[Input]) -> str:
+    """Say what to give instead where an array has no intensity; empty for any other refusal."""
+    arrays = (each for each in inputs if not isinstance(each.given, str | Path | PointCloud))
+    if code != "no_intensity" or all(each.cloud.intensity is not None for each in arrays):
+        return ""
+    return "; give an array of shape (N, 4): x, y, z, intensity"
+
+
+def _hash_of_arrays(given: CloudSource) -> str:
+    """SHA-256 of the bytes of an array, or of the arrays of a cloud one after the other."""
+    arrays = [given]
+    if isinstance(given, PointCloud):
+        columns = [getattr(given, name) for name in PER_POINT]
+        arrays = [given.xyz, *(column for column in columns if column is not None)]
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,227 @@
+"""The result of a run as a user meets it: look at it, save it, load it again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, Placement
+from ..errors import ReadError, Refusal
+from ..export.documents import read_result
+from ..files import write_atomically
+from ..report import render_report, write_report
+from ..report.inputs import StoredInputs, placements_of
+from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..reasons import Code
+
+RESULT_FILE, REPORT_FILE = "result.json", "report.html"
+"""What the two files of a result are called in their folder."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationResult:
+    """A calibration, or why there is none.
+
+    Attributes
+    ----------
+    document
+        Everything that was found, as ``result.json`` holds it: hypotheses, poles, the uncertainty,
+        the inputs with their hashes, the options, the time of each step.
+    placements
+        What was recorded and found, one for each placement of the poles; None of a result that was
+        loaded.
+    path
+        The file that it was loaded from; None of a run.
+    """
+
+    document: ResultDoc
+    placements: tuple[Placement, ...] | None = None
+    path: Path | None = None
+
+    @property
+    def status(self) -> str:
+        """``ok``, ``warn`` or ``refused``."""
+        return self.document.status
+
+    @property
+    def reasons(self) -> tuple[ReasonDoc, ...]:
+        """What is wrong or weak: code, message and values of each; empty when ok."""
+        return tuple(self.document.reasons)
+
+    @property
+    def T_target_source(self) -> Array | None:
+        """(4, 4) maps points of the source into the target's frame; None when refused."""
+        T = self.document.T_target_source
+        return None if T is None else np.array(T)
+
+    @property
+    def covariance(self) -> Array | None:
+        """(6, 6) over ``[φ, δ]``, rad and m, target axes; None when refused."""
+        covariance = self.document.covariance
+        return None if covariance is None else np.array(covariance)
+
+    @property
+    def predicted_error(self) -> tuple[ErrorAtRange, ...]:
+        """Predicted 1 σ error of a point (`sigma_m`) at ranges (`range_m`); empty when refused."""
+        return tuple(self.document.predicted_error or ())
+
+    def required_transform(self) -> Array:
+        """Give (4, 4) ``T_target_source``, or say why there is none.
+
+        Raises
+        ------
+        Refusal
+            With the code of the result's first reason, where the calibration was refused.
+        """
+        T = self.T_target_source
+        if T is None:
+            why = (
+                self.reasons[0] if self.reasons else ReasonDoc("refused", "no reason is given", {})
+            )
+            raise Refusal(cast("Code", why.code), why.message, why.values)
+        return T
+
+    def __repr__(self) -> str:
+        """Say the verdict, the pose, the error to expect and the reasons, a line each."""
+        return "\n".join(
+            [f"CalibrationResult: {self.status}"]
+            + [f"  {name:<16} {value}" for name, value in self._rows()]
+        )
+
+    def _repr_html_(self) -> str:
+        """Show the same in a notebook, as a table."""
+        rows = "".join(
+            f'<tr><th style="text-align:left">{escape(name)}</th>'
+            f'<td style="text-align:left">{escape(value)}</td></tr>'
+            for name, value in [("verdict", self.status), *self._rows()]
+        )
+        return f"<table>{rows}</table>"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = []
+        T = self.T_target_source
+        if T is not None:
+            x, y, z = T[:3, 3]
+            roll, pitch, yaw = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
+            rows += [
+                ("translation", f"x {x:.4f}  y {y:.4f}  z {z:.4f} m"),
+                ("rotation", f"roll {roll:.4f}  pitch {pitch:.4f}  yaw {yaw:.4f} deg"),
+            ]
+        if self.predicted_error:
+            at = ", ".join(
+                f"{100 * each.sigma_m:.2f} cm at {each.range_m:g} m"
+                for each in self.predicted_error
+            )
+            rows.append(("predicted error", f"{at} (1 σ)"))
+        return rows + [(reason.code, reason.message) for reason in self.reasons]
+
+    def save(self, folder: str | Path) -> tuple[Path, Path]:
+        """Write ``result.json`` and ``report.html`` to a folder, each whole or not at all.
+
+        Returns
+        -------
+        tuple of Path
+            The two files.
+
+        Raises
+        ------
+        ReadError
+            Of a loaded result, where its inputs are not found again for the report.
+        OSError
+            Where the folder cannot be written to.
+        """
+        result, page = Path(folder) / RESULT_FILE, Path(folder) / REPORT_FILE
+        stored = self._inputs()
+        html = render_report(self.document, stored.placements, notes=stored.notes)
+        write_atomically(result, encode(self.document))
+        write_atomically(page, html.encode())
+        return result, page
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report, one HTML page, to a file.
+
+        A result that was loaded reads its inputs again; the page says which of them differ from
+        those of the run.
+
+        Raises
+        ------
+        ReadError, MissingExtraError
+            Of a loaded result, where an input is not found or cannot be read.
+        OSError
+            Where the file cannot be written.
+        """
+        stored = self._inputs()
+        write_report(Path(path), self.document, stored.placements, notes=stored.notes)
+        return Path(path)
+
+    def plot(self) -> Figure:
+        """Draw both clouds of the first placement, before and after.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``figure.savefig("result.png")`` writes it.
+
+        Raises
+        ------
+        MissingExtraError
+            Where matplotlib is not installed.
+        Refusal
+            Where the calibration was refused: there is nothing to draw.
+        ReadError
+            Of a loaded result, where its inputs are not found again.
+        """
+        from ..report.figures import result_figure
+
+        T = self.required_transform()
+        placement = self._inputs().placements[0]
+        chosen = self.document.chosen
+        pairs = [] if chosen is None else chosen.pairs
+        target, source = placement.target.poles, placement.source.poles
+        if not target or not source:
+            pairs = []
+        return result_figure(
+            placement.target.cloud,
+            placement.source.cloud,
+            T,
+            ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
+        )
+
+    def _inputs(self) -> StoredInputs:
+        """Take the placements of the run, or read them again."""
+        if self.placements is not None:
+            return StoredInputs(self.placements, ())
+        return placements_of(self.document, Path() if self.path is None else self.path.parent)
+
+
+def load_result(path: str | Path) -> CalibrationResult:
+    """Load a result that was saved.
+
+    Parameters
+    ----------
+    path
+        ``result.json``, or the folder that holds it.
+
+    Raises
+    ------
+    ReadError
+        Where there is no such file, or it is no result document; names the file.
+    """
+    path = Path(path)
+    file = path / RESULT_FILE if path.is_dir() else path
+    try:
+        document = read_result(file.read_bytes())
+    except OSError as error:
+        raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
+    except ReadError as error:
+        raise ReadError(f"{file}: {error}") from None
+    return CalibrationResult(document, None, file)
