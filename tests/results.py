@@ -2,7 +2,15 @@
 
 from pathlib import Path
 
-from retropole.result import Matrix, PolesDoc, ReasonDoc, ResultDoc, StagesDoc, encode
+from retropole.result import (
+    Matrix,
+    PolesDoc,
+    ReasonDoc,
+    ResultDoc,
+    RunConfig,
+    StagesDoc,
+    encode,
+)
 
 
 def write_result(
@@ -24,7 +32,7 @@ def write_result(
         margin=None,
         poles=PolesDoc([], []),
         inputs=[],
-        config={},
+        config=RunConfig(),
         version="0",
         created="",
         seconds={},

@@ -10,12 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from retropole.datatypes import Placement
+from retropole.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report
-from tests.report.test_report import HOSTILE, made_up
+from retropole.result import ReasonDoc
+from tests.report.made_up import HOSTILE, made_up
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 WebDriverWait = pytest.importorskip("selenium.webdriver.support.ui").WebDriverWait
@@ -37,6 +40,9 @@ QUIET = [
     "--window-size=1300,1000",
 ]
 WEBGL = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+Picture = NDArray[np.int16]
 
 
 class Browser:
@@ -61,8 +67,9 @@ class Browser:
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(script, *arguments)
 
-    def root(self, name: str) -> str:
-        return self.run("return document.documentElement.dataset[arguments[0]]", name)
+    def root(self, name: str) -> str | None:
+        value = self.run("return document.documentElement.dataset[arguments[0]]", name)
+        return None if value is None else str(value)
 
     def find(self, selector: str) -> Any:
         return self.driver.find_element("css selector", selector)
@@ -70,8 +77,8 @@ class Browser:
     def press(self, keys: str, selector: str = "body") -> None:
         self.find(selector).send_keys(keys)
 
-    def picture(self) -> np.ndarray:
-        """Wait until the source has stopped sliding, and see what the view shows."""
+    def picture(self) -> Picture:
+        """Wait until the source has stopped moving, and see what the view shows."""
         self.run("document.querySelector('.stage').scrollIntoView()")
         self.driver.execute_async_script(
             "const done = arguments[0]; setTimeout(() => requestAnimationFrame(done), 550)"
@@ -102,7 +109,7 @@ def silence(request: pytest.FixtureRequest) -> Iterator[None]:
         assert request.getfixturevalue("browser").logs() == ([], [])
 
 
-def differing(a: np.ndarray, b: np.ndarray) -> float:
+def differing(a: Picture, b: Picture) -> float:
     """Share of pixels that differ clearly."""
     return float(np.mean(np.abs(a - b).max(axis=2) > 40))
 
@@ -153,8 +160,8 @@ def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
         button.click()
     assert differing(browser.picture(), seen) < 0.001
     browser.press("\ue012\ue012\ue012+", "#marks")
-    turned = browser.picture()
-    assert differing(turned, seen) > 0.005
+    rotated = browser.picture()
+    assert differing(rotated, seen) > 0.005
     browser.press("\ue011", "#marks")
     browser.run("document.activeElement.blur()")
     assert differing(browser.picture(), seen) < 0.001
@@ -180,10 +187,14 @@ def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) ->
 
 
 def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
-    result, *clouds = made_up(count=500)
-    result["inputs"][0]["path"] = f"/data/{HOSTILE.replace('/', '')}"
-    result["reasons"] = [{"code": HOSTILE, "message": HOSTILE, "values": {}}]
-    browser.open(tmp_path, render_report(result, *clouds))
+    result, placements = made_up(count=500)
+    path = f"/data/{HOSTILE.replace('/', '')}"
+    hostile = msgspec.structs.replace(
+        result,
+        inputs=[msgspec.structs.replace(item, path=path) for item in result.inputs],
+        reasons=[ReasonDoc(HOSTILE, HOSTILE, {})],
+    )
+    browser.open(tmp_path, render_report(hostile, placements))
     assert "<script>window.injected=1" in browser.find("h1").text
     assert browser.run("return window.injected") is None
     assert browser.run("return document.scripts.length") == 4
@@ -191,10 +202,10 @@ def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("empty", [False, True])
 def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty: bool) -> None:
-    result, target, source, detections = made_up("refused", 6000)
+    result, placements = made_up("refused", 6000)
     if empty:
-        result["hypotheses"] = []
-    browser.open(tmp_path, render_report(result, target, source, detections))
+        result = msgspec.structs.replace(result, hypotheses=[])
+    browser.open(tmp_path, render_report(result, placements))
     picture = browser.picture()
     half = picture.shape[1] // 2
     orange = picture[..., 0] - picture[..., 2] > 60
@@ -231,10 +242,11 @@ def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
 
 
 def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
-    result, target, source, detections = made_up(count=6000)
-    away = np.array([0.0, 0.0, -0.4])
-    moved = Placement(replace(target, xyz=target.xyz + away), source)
-    browser.open(tmp_path, render_report(result, target, source, detections, more=[moved]))
+    result, (placement,) = made_up(count=6000)
+    cloud: PointCloud = placement.target.cloud
+    lowered = Scan(replace(cloud, xyz=cloud.xyz + np.array([0.0, 0.0, -0.4])))
+    second = Placement(lowered, Scan(placement.source.cloud))
+    browser.open(tmp_path, render_report(result, [placement, second]))
     first = browser.picture()
     choose = browser.find("#placement")
     choose.send_keys("\ue015")

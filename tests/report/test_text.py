@@ -4,12 +4,29 @@ import re
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from retropole import se3
-from retropole.pipeline import calibrate
-from retropole.report.text import describe_detection, describe_result, table, transform_lines
-from retropole.result import InputDoc, detection_document, result_document
+from retropole.datatypes import Array
+from retropole.pipeline import calibrate, find_poles
+from retropole.reasons import REASONS, plain
+from retropole.report.text import (
+    describe_detection,
+    describe_result,
+    reason_lines,
+    table,
+    transform_lines,
+)
+from retropole.result import (
+    InputDoc,
+    PlacementDoc,
+    ReasonDoc,
+    RunConfig,
+    detection_document,
+    result_document,
+)
 from retropole.simulation import simulate_pair
+from tests.report.made_up import made_up
 
 INPUTS = [InputDoc(f"{name}.pcd", "0" * 64, 100, 3, "auto", 120.0) for name in ("a", "b")]
 
@@ -20,17 +37,17 @@ def test_tables_line_up() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_every_form_of_a_transform_is_the_same(seed: int) -> None:
+def test_every_notation_of_a_transform_is_the_same(seed: int) -> None:
     T = se3.random(np.random.default_rng(seed))
     *rows, translation, quaternion, angles = transform_lines(T.tolist())
 
-    def numbers(line: str) -> np.ndarray:
+    def numbers(line: str) -> Array:
         return np.array([float(n) for n in re.findall(r"-?\d+\.\d+", line)])
 
     np.testing.assert_allclose([numbers(row) for row in rows], T, atol=1e-8)
     np.testing.assert_allclose(numbers(translation), T[:3, 3], atol=1e-4)
-    turn = se3.from_quaternion_xyzw(numbers(quaternion), np.zeros(3))
-    np.testing.assert_allclose(turn[:3, :3], T[:3, :3], atol=1e-6)
+    T_rotation = se3.from_quaternion_xyzw(numbers(quaternion), np.zeros(3))
+    np.testing.assert_allclose(T_rotation[:3, :3], T[:3, :3], atol=1e-6)
     roll, pitch, yaw = np.radians(numbers(angles))
     x, y, z = (
         se3.exp_so3(angle * axis) for angle, axis in zip((roll, pitch, yaw), np.eye(3), strict=True)
@@ -41,7 +58,7 @@ def test_every_form_of_a_transform_is_the_same(seed: int) -> None:
 def test_it_names_what_a_person_looks_for() -> None:
     pair = simulate_pair("street", np.random.default_rng(3))
     answer = calibrate(pair.target, pair.source)
-    document = result_document(answer, inputs=INPUTS, config={}, seconds={})
+    document = result_document(answer, inputs=INPUTS, config=RunConfig(), seconds={})
     text = describe_result(document, ["r/result.json"])
     for word in ("T_target_source", "margin", "predicted error", "verdict: ", "r/result.json"):
         assert word in text
@@ -50,10 +67,42 @@ def test_it_names_what_a_person_looks_for() -> None:
     )
 
 
-def test_detections_say_why_a_cluster_is_none() -> None:
+@pytest.mark.parametrize("code", REASONS)
+def test_what_to_do_stands_below_the_reason(code: str) -> None:
+    first, *rest = reason_lines(ReasonDoc(code, "because of 7", {}))
+    assert first == f"  {code}: because of 7"
+    advice = REASONS[code].advice
+    assert len(rest) == (1 if advice else 0)
+    for line in rest:
+        assert line.startswith("    what to do: ")
+        assert plain(advice[0]).split(".")[0] in line
+        assert not set("`*[") & set(line)
+
+
+def test_an_unknown_code_is_written_with_its_message_alone() -> None:
+    assert reason_lines(ReasonDoc("unheard_of", "why", {})) == ["  unheard_of: why"]
+
+
+@pytest.mark.parametrize("status", ["ok", "warn", "refused"])
+def test_a_result_ends_with_its_verdict(status: str) -> None:
+    text = describe_result(made_up(status, 500).result, ["r/result.json"])
+    assert f"verdict: {status}\n" in text
+    assert ("what to do: " in text) is (status != "ok")
+    assert ("T_target_source" in text) is (status != "refused")
+
+
+def test_placements_are_written_with_the_change_of_the_pose() -> None:
+    listed = [PlacementDoc(2, 3, 0.001, 0.004), PlacementDoc(2, 2, None, None)]
+    text = describe_result(replace(made_up(count=500).result, placements=listed), [])
+    assert re.search(r"^ +1 +2 \+ 3 +0\.057 +0\.0040$", text, re.M)
+    assert re.search(r"^ +2 +2 \+ 2 +unknown +unknown$", text, re.M)
+
+
+def test_detections_say_why_a_cluster_is_rejected() -> None:
     pair = simulate_pair("street", np.random.default_rng(1))
-    found = calibrate(pair.target, pair.source).detections[0]
+    found = find_poles(pair.target, sensor=None, threshold=None, radius=0.02).detection
     assert found is not None
+    assert found.rejected
     text = describe_detection(detection_document(found, INPUTS[0]), [])
     assert f"{len(found.poles)} poles" in text
     for cluster in found.rejected:

@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.datatypes import Array, PointCloud
 from retropole.errors import MissingExtraError, Refusal
 from retropole.extraction.poles import extract_poles
 from retropole.report.viewer import (
-    RETRO,
+    RETRO_COLOUR,
     SLIDER_STEPS,
     Shown,
     Viewer,
@@ -62,7 +62,7 @@ def wait_for(said: Callable[[], str], words: str) -> None:
         (np.full(5, 3.0), 3.0),
     ],
 )
-def test_slider_spans_threshold_and_brightest(intensity: np.ndarray, threshold: float) -> None:
+def test_slider_spans_threshold_and_brightest(intensity: Array, threshold: float) -> None:
     span = slider_range(intensity, threshold)
     assert span.low <= threshold <= span.high
     assert span.high >= intensity.max()
@@ -74,7 +74,7 @@ def test_bright_points_are_coloured() -> None:
     cloud = two_poles()
     assert cloud.intensity is not None
     for threshold in (100.0, 200.0):
-        is_retro = (colours(cloud.intensity, threshold) == RETRO).all(axis=1)
+        is_retro = (colours(cloud.intensity, threshold) == RETRO_COLOUR).all(axis=1)
         assert np.array_equal(is_retro, cloud.intensity >= threshold)
 
 
@@ -145,7 +145,7 @@ def test_serves_this_machine_alone(viewer: Viewer) -> None:
 
 
 @needs_viser
-def test_moving_the_slider_looks_again(viewer: Viewer) -> None:
+def test_moving_the_slider_searches_again(viewer: Viewer) -> None:
     slider, text = viewer.sliders[0], viewer.texts[0]
     assert "**1 pole**" in text.content
     slider.value = 100.0

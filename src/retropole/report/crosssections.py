@@ -16,7 +16,8 @@ from .names import LIDARS, pair_name
 HALF_PICTURE = 110.0
 """Half the side of a picture, in its own units."""
 
-MAX_CIRCLE_ITERATIONS = 50
+MAX_CIRCLE_ITERATIONS = 500
+"""Returns on a pole need about ten; a hundred where they scatter so that no surface is seen."""
 
 CIRCLE_STEP_TOLERANCE = 1e-6
 """A step of the circle's centre shorter than this, metres, is the last: no picture shows less than
@@ -159,15 +160,15 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
         for lidar, (x, y) in zip(LIDARS, towards, strict=True)
     )
     bar = 10.0 ** np.floor(np.log10(half_width))
-    words = f"{1000 * rms:.1f} mm rms from the surface"
+    words, kind = f"{1000 * rms:.1f} mm rms from the surface", "pole"
     if not circle.converged:
-        words += " (the fit of the circle did not converge)"
+        words, kind = f"{words} (the fit of the circle did not converge)", "pole unconverged"
     side = f"{2 * HALF_PICTURE:g}"
     left, bottom = 8 - HALF_PICTURE, HALF_PICTURE - 8
     return (
         f'<figure><svg viewBox="{-HALF_PICTURE:g} {-HALF_PICTURE:g} {side} {side}" role="img" '
         f'aria-label="{escape(f"{name}: {words}")}">{dots}'
-        f'<circle class="pole{"" if circle.converged else " unconverged"}" r="{radius * scale:.1f}"/>'
+        f'<circle class="{kind}" r="{radius * scale:.1f}"/>'
         f'{rim}<path class="bar" d="M{left:g} {bottom:g}h{bar * scale:.1f}"/>'
         f'<text x="{left:g}" y="{bottom - 5:g}">{100 * bar:g} cm</text></svg>'
         f"<figcaption><b>{escape(name)}</b> {words}, "

@@ -2,7 +2,7 @@
 
 from .canvas import BLUE, GREEN, GREY, ORANGE, RED, new_figure, save_figure
 from .detection import draw_detection
-from .result import draw_result
+from .result import draw_result, result_figure
 
 __all__ = [
     "BLUE",
@@ -13,5 +13,6 @@ __all__ = [
     "draw_detection",
     "draw_result",
     "new_figure",
+    "result_figure",
     "save_figure",
 ]

@@ -14,6 +14,7 @@ from .canvas import BLUE, GREEN, ORANGE, new_figure, save_figure, subsample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SCENE_HALF_WIDTH = 14.0
 """Half the width of the picture of a result, metres."""
@@ -26,6 +27,16 @@ def draw_result(
     poles: tuple[Sequence[Pole], Sequence[Pole]],
     path: Path,
 ) -> None:
+    """Write `result_figure`'s picture to a file; its suffix (``.png``, ``.svg``) is its format."""
+    save_figure(result_figure(target, source, T_target_source, poles), path)
+
+
+def result_figure(
+    target: PointCloud,
+    source: PointCloud,
+    T_target_source: Array,
+    poles: tuple[Sequence[Pole], Sequence[Pole]],
+) -> Figure:
     """Draw two clouds from above before and after, and the poles with both LiDARs' points.
 
     Parameters
@@ -36,8 +47,6 @@ def draw_result(
         (4, 4) the answer.
     poles
         Of the target and of the source, paired.
-    path
-        Of the picture; its suffix (``.png``, ``.svg``) is its format.
 
     Raises
     ------
@@ -76,7 +85,7 @@ def draw_result(
         axes.set_title(f"pole {k}, both LiDARs\n{points}", fontsize=10)
         axes.set_xlabel("across, cm")
         axes.set_ylabel("along, m")
-    save_figure(figure, path)
+    return figure
 
 
 def _draw_clouds(

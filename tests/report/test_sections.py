@@ -1,0 +1,75 @@
+"""The verdict says what happened and what to do; the lines to copy are those of export."""
+
+from __future__ import annotations
+
+import json
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from retropole.export import export_lines
+from retropole.reasons import REASONS, plain
+from retropole.report import render_report
+from retropole.report.markup import unlinked
+from retropole.report.sections import FRAMES, UNFOLDED, hypotheses, transform, verdict
+from retropole.result import ReasonDoc
+from tests.report.made_up import T_TRUE, Page, made_up
+
+
+@pytest.mark.parametrize("code", REASONS)
+def test_a_reason_is_told_with_its_meaning_and_all_that_helps(code: str) -> None:
+    result = replace(made_up("warn", 500).result, reasons=[ReasonDoc(code, "because of 7", {})])
+    page, known = Page(verdict(result)), REASONS[code]
+    assert page.open == []
+    said = [plain(unlinked(text)) for text in (known.help, *known.advice)]
+    for words in (code, "because of 7", known.title, *said):
+        assert words in page.text
+    assert "](" not in page.text
+    assert "`" not in page.text
+
+
+def test_an_unknown_code_is_shown_with_its_message_alone() -> None:
+    reason = ReasonDoc("struck_by_lightning", "12 kA through the target", {})
+    page = Page(verdict(replace(made_up("refused", 500).result, reasons=[reason])))
+    assert "struck_by_lightning" in page.text
+    assert "12 kA through the target" in page.text
+    assert "What to do" not in page.text
+
+
+def test_says_how_certain_and_in_which_direction() -> None:
+    text = Page(verdict(made_up(count=500).result)).text
+    assert "Least certain, at the poles, 1 σ: height along the poles: 0.6 cm." in text
+    assert "A point 60 m away" in text
+    assert "± 4.3 cm" in text
+
+
+def test_refused_page_gives_no_transform_to_copy() -> None:
+    html = render_report(*made_up("refused", 500))
+    assert "data-export" not in html.split("<script")[0]
+    assert "Refused: no transform" in html
+    assert "too_wide" in html
+    assert all(pose["id"] != "result" for pose in json.loads(Page(html).data)["poses"])
+
+
+def test_hypotheses_without_icp_figures() -> None:
+    result = made_up(count=500).result
+    without = [
+        replace(each, icp_rotation_rad=None, icp_translation_m=None) for each in result.hypotheses
+    ]
+    assert "–" not in re.sub("T.–S.", "", Page(hypotheses(result)).text)
+    assert Page(hypotheses(replace(result, hypotheses=without))).text.count("––") == 4
+
+
+def test_lines_to_copy_are_those_of_export() -> None:
+    html = transform(made_up(count=500).result)
+    written = dict(re.findall(r'data-export="(\w+)">(.*?)</pre>', html, re.S))
+    expected = export_lines(T_TRUE, *FRAMES)
+    assert set(written) == set(expected)
+    assert set(UNFOLDED) <= set(expected)
+    for key, text in expected.items():
+        assert unescape(written[key]) == text.strip()
+    matrix = [line.split() for line in unescape(written["cloudcompare"]).splitlines()[:4]]
+    assert np.allclose(np.array(matrix, dtype=float), T_TRUE, atol=1e-12)
