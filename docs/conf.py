@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import click
+import numpy as np
 from docutils import nodes
 from latex2mathml.converter import convert
 from sphinx.application import Sphinx
@@ -14,6 +15,7 @@ from sphinx.util.docutils import SphinxDirective
 import retropole
 from retropole.cli import cli
 from retropole.reasons import GROUPS, PREFIXED, Explanation
+from retropole.sensors import SENSORS
 
 project = "retropole"
 author = "The retropole authors"
@@ -61,22 +63,51 @@ class Commands(SphinxDirective):
         return sections
 
 
-def reasons_page(app: Sphinx, page: str, source: list[str]) -> None:
-    """Write the table of reason codes into its page, before it is parsed."""
+def reason_entries() -> str:
+    """Write every reason code with its explanation, from the program's own table."""
 
     def entry(code: str, text: Explanation) -> str:
         actions = "".join(f"- {action}\n" for action in text.advice)
         return f"### {code}\n\n{text.title}. {text.help}\n\n{actions}\n"
 
-    if page != "reasons":
-        return
     parts = []
     for group in GROUPS:
         entries = [entry(code, text) for code, text in group.reasons]
         if group.title == "Check":
             entries += [entry(f"{prefix}_", text) for prefix, text in PREFIXED.items()]
         parts += [f"## {group.title}\n\n{group.introduction}\n\n", *entries]
-    source[0] = source[0].replace("<!-- reasons -->", "".join(parts))
+    return "".join(parts)
+
+
+def sensor_rows() -> str:
+    """Write the table of sensors, from the program's own."""
+    names = "sensor", "rings", "elevation", "step", "noise mm", "threshold", "its source", "source"
+    lines = [" | ".join(names), " | ".join(["---"] * len(names))]
+    for sensor in SENSORS.values():
+        low, high = np.degrees(sensor.elevation_span)
+        cells = (
+            sensor.name,
+            str(len(sensor.elevations)) if sensor.pattern == "spinning" else "rosette",
+            f"{low:+.1f}° to {high:+.1f}°",
+            f"{np.degrees(sensor.azimuth_step):.2f}°" if sensor.azimuth_step else "none",
+            f"{1000 * sensor.range_noise:g}",
+            f"{sensor.threshold:g}",
+            sensor.threshold_source,
+            sensor.source,
+        )
+        lines.append(" | ".join(cells))
+    return "".join(f"| {line} |\n" for line in lines)
+
+
+TABLES = {"<!-- reasons -->": reason_entries, "<!-- sensors -->": sensor_rows}
+"""What stands in a page for a table of the program, and what writes it."""
+
+
+def with_tables(app: Sphinx, page: str, source: list[str]) -> None:
+    """Put the program's tables into a page before it is parsed."""
+    for mark, write in TABLES.items():
+        if mark in source[0]:
+            source[0] = source[0].replace(mark, write())
 
 
 def equation(display: str) -> Any:
@@ -108,5 +139,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("commands", Commands)
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
     app.connect("autodoc-process-signature", plain_aliases)
-    app.connect("source-read", reasons_page)
+    app.connect("source-read", with_tables)
     return {"parallel_read_safe": True}

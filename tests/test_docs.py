@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -17,6 +18,7 @@ import pytest
 
 from retropole.cli import cli
 from retropole.reasons import REASONS
+from retropole.sensors import SENSORS
 from tests.paths import PACKAGE, ROOT
 
 DOCS = ROOT / "docs"
@@ -136,6 +138,13 @@ def test_every_code_has_its_entry_on_the_page(site: Path) -> None:
     anchors = Links(site / "reasons.html").anchors
     missing = {code for code in REASONS if code.replace("_", "-") not in anchors}
     assert not missing
+
+
+def test_every_sensor_has_its_row_on_the_page(site: Path) -> None:
+    page = unescape((site / "sensors.html").read_text(encoding="utf-8"))
+    for sensor in SENSORS.values():
+        assert sensor.name in page
+        assert sensor.source.replace("'", "’") in page.replace("'", "’")
 
 
 def test_api_has_every_public_module() -> None:

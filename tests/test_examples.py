@@ -12,7 +12,7 @@ from tests.paths import ROOT
 
 EXAMPLES = ROOT / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
-OTHERS = {"draw_result": ["result.png"], "sensor_table": []}
+OTHERS = {"draw_result": ["result.png"]}
 """What those take that have no ``--out``."""
 
 

@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from retropole.errors import UsageError
 from retropole.sensors import SENSORS, auto_threshold, find_sensor, threshold_for
 from retropole.simulation import simulate_pair
-from tests.paths import ROOT
 
-DOCUMENT = ROOT / "docs" / "sensors.md"
 NAMES = (
     *("VLP-16", "HDL-32E", "VLS-128", "Pandar64", "PandarQT", "XT32", "RS-LiDAR-16"),
     *("RS-LiDAR-32", "C16", "C32", "OS0", "OS1", "Mid-360"),
@@ -79,14 +77,3 @@ def test_given_beats_sensor_beats_cloud() -> None:
     assert threshold_for(intensity, sensor, None).value == 230.0
     assert threshold_for(intensity / 255, sensor, None).value == pytest.approx(230 / 255)
     assert threshold_for(intensity, None, None) == auto_threshold(intensity)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_document_agrees_with_the_table(name: str) -> None:
-    sensor = SENSORS[name]
-    row = next(line for line in DOCUMENT.read_text().splitlines() if line.startswith(f"| {name} "))
-    cells = [cell.strip() for cell in row.strip("|").split("|")]
-    assert float(cells[4].replace(",", "")) == pytest.approx(1000 * sensor.range_noise)
-    assert float(cells[5].replace(",", "")) == sensor.threshold
-    assert cells[6] == sensor.threshold_source
-    assert cells[7] == sensor.source

@@ -22,32 +22,24 @@ STALLED = 1e-3
 left of it: the minimum is reached."""
 
 
-class Quadratic(Protocol):
-    """A cost near a point: its value, gradient (P,) and positive definite curvature (P, P)."""
+class Model(Protocol):
+    """A cost near a point: its gradient (P,) and positive definite curvature (P, P)."""
+
+    @property
+    def gradient(self) -> Array:
+        """(P,) derivative by the step."""
+
+    @property
+    def curvature(self) -> Array:
+        """(P, P) second derivative by the step, or a positive definite stand-in for it."""
+
+
+class Quadratic(Model, Protocol):
+    """A model with the value of the cost, which can be compared from step to step."""
 
     @property
     def cost(self) -> float:
         """Value at the point."""
-
-    @property
-    def gradient(self) -> Array:
-        """(P,) derivative by the step."""
-
-    @property
-    def curvature(self) -> Array:
-        """(P, P) second derivative by the step, or a positive definite stand-in for it."""
-
-
-class Model(Protocol):
-    """A cost whose values cannot be compared from step to step, since its terms change."""
-
-    @property
-    def gradient(self) -> Array:
-        """(P,) derivative by the step."""
-
-    @property
-    def curvature(self) -> Array:
-        """(P, P) second derivative by the step, or a positive definite stand-in for it."""
 
 
 Q = TypeVar("Q", bound=Quadratic)
