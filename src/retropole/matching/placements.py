@@ -17,7 +17,7 @@ from ..errors import Refusal
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4
 """Poses of two placements are one if they differ by less, rad, and metres where the poles stand.
-The right ones differ by what the poles of one placement leave open, the wrong ones by half turns."""
+Right ones differ by what the poles of one placement leave open, wrong ones by half turns."""
 
 
 @dataclass(frozen=True, eq=False)

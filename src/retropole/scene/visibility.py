@@ -20,8 +20,8 @@ from ..datatypes import Array, BoolArray, PointCloud
 from .registration import CORES, voxel_downsample
 
 RANGE_CELL = np.radians(1.0)
-"""Side of a cell of the range image, rad: about the spacing of 32 rings. Between sparser rings cells
-stay empty, and say nothing."""
+"""Side of a cell of the range image, rad: about the spacing of 32 rings. Between sparser rings
+cells stay empty, and say nothing."""
 
 RANGE_MARGIN, RELATIVE_RANGE_MARGIN = 0.5, 0.1
 """A point must be this far, metres, and this part of its range in front of what the other LiDAR
