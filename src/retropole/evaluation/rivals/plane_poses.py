@@ -38,7 +38,7 @@ class Linearised(NamedTuple):
     jacobian: Array
 
 
-class NormalEquations(NamedTuple):
+class _NormalEquations(NamedTuple):
     """Gradient (6,) and Gauss–Newton matrix (6, 6) of the weighted squares."""
 
     gradient: Array
@@ -185,11 +185,11 @@ def _solve(pairs: Sequence[tuple[Plane, Plane]], T: Array) -> Solution[Array]:
     return solved
 
 
-def _normal_equations(at: Linearised) -> NormalEquations:
+def _normal_equations(at: Linearised) -> _NormalEquations:
     """Weight the residuals (Huber) and form the normal equations."""
     weight = np.minimum(1.0, HUBER_DISTANCE / np.maximum(np.abs(at.residuals), 1e-12))
     weighted = at.jacobian * weight[:, None]
-    return NormalEquations(weighted.T @ at.residuals, weighted.T @ at.jacobian)
+    return _NormalEquations(weighted.T @ at.residuals, weighted.T @ at.jacobian)
 
 
 def linearised(pairs: Sequence[tuple[Plane, Plane]], T: Array) -> Linearised:
