@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from retropole.datatypes import Placement, PointCloud
 from retropole.errors import ReadError, UsageError
-from retropole.io import read_cloud, sha256_of, write_pcd
+from retropole.io import ARRAY_SOURCE, read_cloud, sha256_of, write_pcd
 from retropole.pipeline import calibrate
 from retropole.report import render_report
 from retropole.report.inputs import find_inputs, placements_of
@@ -124,11 +124,21 @@ def test_a_wrong_number_of_recordings_is_an_error(stored: Stored) -> None:
         placements_of(stored.result, stored.folder, [stored.folder / FILES[0]])
 
 
-@pytest.mark.parametrize("path", ["gone.pcd", ""])
-def test_a_recording_that_is_gone_is_named(stored: Stored, path: str, tmp_path: Path) -> None:
-    inputs = [replace(item, path=path) for item in stored.result.inputs]
-    with pytest.raises(ReadError, match=f"^{path}: not found .*TARGET and SOURCE"):
+def test_a_recording_that_is_gone_is_named(stored: Stored, tmp_path: Path) -> None:
+    inputs = [replace(item, path="gone.pcd") for item in stored.result.inputs]
+    with pytest.raises(ReadError, match=r"^gone.pcd: not found .*TARGET and SOURCE"):
         placements_of(replace(stored.result, inputs=inputs), tmp_path)
+
+
+@pytest.mark.parametrize("path", [ARRAY_SOURCE, ""])
+def test_an_array_is_not_looked_for_among_the_files(stored: Stored, path: str) -> None:
+    result = replace(
+        stored.result, inputs=[replace(item, path=path) for item in stored.result.inputs]
+    )
+    with pytest.raises(ReadError, match=r"was an array.*TARGET and SOURCE"):
+        placements_of(result, stored.folder)
+    given = [stored.folder / file for file in FILES]
+    assert find_inputs(result, stored.folder, given) == given
 
 
 def test_topics_are_asked_of_bags_alone(stored: Stored) -> None:

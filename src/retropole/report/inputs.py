@@ -10,7 +10,7 @@ import numpy as np
 
 from ..datatypes import Placement, PointCloud, Scan
 from ..errors import ReadError, UsageError
-from ..io import chosen_frames, joined, open_recording, sha256_of
+from ..io import ARRAY_SOURCE, read_cloud, sha256_of
 from ..pipeline import find_poles
 from ..result import InputDoc, PoleDoc, ResultDoc, RunConfig
 from ..sensors import find_sensor
@@ -103,11 +103,14 @@ def find_inputs(result: ResultDoc, beside: Path, given: Sequence[Path] = ()) -> 
 
 
 def _find(item: InputDoc, beside: Path) -> Path:
+    if item.path in ("", ARRAY_SOURCE):
+        raise ReadError(
+            "a cloud of the run was an array, which is in no file; give TARGET and SOURCE"
+        )
     path = Path(item.path)
     places = list(dict.fromkeys([path, beside / path, beside / path.name]))
     for place in places:
-        # The empty path of what never was a file is the folder one stands in.
-        if item.path and place.exists():
+        if place.exists():
             return place
     looked = ", ".join(str(place) for place in places)
     raise ReadError(f"{item.path}: not found (looked for {looked}); give TARGET and SOURCE")
@@ -128,8 +131,7 @@ def _differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
 def _read(path: Path, topic: str | None, config: RunConfig) -> PointCloud:
     """Read a recording, of a bag the topic and frames of the run."""
     frames = None if config.frames is None else slice(*config.frames)
-    recording = open_recording(path, topic=topic)
-    return joined(recording, list(recording.read(chosen_frames(recording, frames))))
+    return read_cloud(path, topic=topic, frames=frames)
 
 
 def _search(cloud: PointCloud, item: InputDoc, config: RunConfig) -> Scan:
