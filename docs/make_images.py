@@ -1,4 +1,4 @@
-"""Make the pictures of the documentation anew, all from simulated scans.
+"""Make the pictures of the documentation again, all from simulated scans.
 
 python docs/make_images.py docs/images
 
@@ -70,18 +70,18 @@ def draw_bias(path: Path) -> None:
     circle = np.linspace(0, 2 * np.pi, 200)
     axes.plot(20 * np.cos(circle), 20 * np.sin(circle), color=GREY)
     axes.plot(0, 0, "+", color="black", ms=10)
-    for turn, colour, name in ((np.pi, BLUE, "target"), (np.radians(-40), ORANGE, "source")):
+    for angle, colour, name in ((np.pi, BLUE, "target"), (np.radians(-40), ORANGE, "source")):
         across = np.linspace(-19, 19, 9)
         facing = np.stack([np.sqrt(20**2 - across**2), across])
-        c, s = np.cos(turn), np.sin(turn)
+        c, s = np.cos(angle), np.sin(angle)
         x, y = np.array([[c, -s], [s, c]]) @ facing
-        mean = 20 * np.pi / 4 * np.array([c, s])
+        u, v = 20 * np.pi / 4 * c, 20 * np.pi / 4 * s
         axes.plot(x, y, "o", color=colour, ms=4)
-        axes.plot(*mean, "x", color=colour, ms=10, mew=2.5)
-        axes.annotate(
-            f"line seen by\nthe {name}", mean * 2.1, color=colour, ha="center", va="center"
-        )
-        axes.annotate("", mean * 0.97, (0, 0), arrowprops={"arrowstyle": "->", "color": colour})
+        axes.plot(u, v, "x", color=colour, ms=10, mew=2.5)
+        words, place = f"line seen by\nthe {name}", (2.1 * u, 2.1 * v)
+        axes.annotate(words, place, color=colour, ha="center", va="center")
+        arrow = {"arrowstyle": "->", "color": colour}
+        axes.annotate("", (0.97 * u, 0.97 * v), (0, 0), arrowprops=arrow)
     axes.set(xlabel="mm", ylabel="mm")
     save_figure(figure, path)
 

@@ -19,13 +19,12 @@ def main() -> None:
     path = Path(sys.argv[1] if len(sys.argv) > 1 else "result.png")
     pair = simulate_pair("street", np.random.default_rng(1))
     answer = calibrate(pair.target, pair.source)
-    target_found, source_found = answer.detections
-    if answer.T_target_source is None or target_found is None or source_found is None:
+    if answer.T_target_source is None:
         raise SystemExit(f"refused: {answer.reasons[0].message}")
-    pairs = answer.hypotheses[0].match.pairs
+    (placement,), chosen = answer.placements, answer.hypotheses[0]
     poles = (
-        [target_found.poles[i] for i, _ in pairs],
-        [source_found.poles[j] for _, j in pairs],
+        [placement.target.poles[i] for i, _ in chosen.match.pairs],
+        [placement.source.poles[j] for _, j in chosen.match.pairs],
     )
     draw_result(pair.target, pair.source, answer.T_target_source, poles, path)
     print(f"written: {path}")
