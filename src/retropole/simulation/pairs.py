@@ -99,7 +99,7 @@ class SimulatedPair:
 
 
 def _sees(cloud: PointCloud, on_pole: BoolArray) -> bool:
-    """Tell whether a pole's points in a cloud are enough to find it."""
+    """Whether a pole's points in a cloud are enough to find it."""
     count = int(np.count_nonzero(on_pole))
     rings = count if cloud.ring is None else len(np.unique(cloud.ring[on_pole]))
     return count >= MIN_RETURNS and rings >= MIN_RINGS

@@ -209,13 +209,13 @@ def cast(origin: Array, rays: Array, surfaces: Sequence[Surface], divergence: fl
         # Only rays inside the cone around the bounding sphere can hit.
         if distance > body.bounding_radius:
             cone = np.sqrt(1 - (body.bounding_radius / distance) ** 2)
-            rows = np.flatnonzero(rays @ (toward / distance) >= cone)
+            index = np.flatnonzero(rays @ (toward / distance) >= cone)
         else:
-            rows = np.arange(len(rays))
-        if len(rows) == 0:
+            index = np.arange(len(rays))
+        if len(index) == 0:
             continue
-        found, incidence = body.intersect(origin, rays[rows], divergence)
-        nearer = found < ranges[rows]
-        rows = rows[nearer]
-        ranges[rows], surface[rows], cosine[rows] = found[nearer], k, incidence[nearer]
+        found, incidence = body.intersect(origin, rays[index], divergence)
+        nearer = found < ranges[index]
+        index = index[nearer]
+        ranges[index], surface[index], cosine[index] = found[nearer], k, incidence[nearer]
     return Hits(ranges, surface, cosine)

@@ -73,7 +73,7 @@ def _pole(cloud: PointCloud, index: IntArray, noise: NoiseKind, rng: np.random.G
 
 
 def as_beams(pair: SimulatedPair, poles: Poles) -> tuple[Beams, Beams]:
-    """Turn poles into beams of the target and the source, which have no width in this set-up."""
+    """Convert poles to beams of the target and the source; they have no width in this set-up."""
     sensor = replace(pair.sensors[0], divergence=0.0)
     target, source = (
         beams_of([(pole, cloud) for pole in seen], sensor)

@@ -213,7 +213,7 @@ def _polished(points: Array, plane: PlaneEquation) -> PlaneEquation:
 
 
 def independence(normals: Array) -> Array:
-    """Tell how far unit normals (..., N, 3) are from linear dependence.
+    """How far unit normals (..., N, 3) are from linear dependence.
 
     Their least singular value: 1 for three perpendicular ones, 0 where they all lie in a plane.
     """

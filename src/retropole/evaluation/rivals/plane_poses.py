@@ -69,16 +69,16 @@ class RefinedPose:
 
 
 def candidate_poses(target: Sequence[Plane], source: Sequence[Plane]) -> Array:
-    """Lay every three independent planes of the source on every three of the target, in any order.
+    """Match every three independent planes of the source with every three of the target.
 
-    Rotation: the orthogonal Procrustes problem of the normals; translation: the three equations
-    ``n_target · t = d_source − d_target`` of the offsets.
+    All orders are tried. The rotation solves the orthogonal Procrustes problem of the normals; the
+    translation the three equations ``n_target · t = d_source − d_target`` of the offsets.
 
     Returns
     -------
     (K, 4, 4) float64
         Poses, target from source. Triples whose planes have other angles between them, or that
-        only a reflection lays on each other, are left out.
+        only a reflection maps onto each other, are left out.
     """
     normals = [np.array([p.normal for p in each]).reshape(-1, 3) for each in (target, source)]
     offsets = [np.array([p.offset for p in each]) for each in (target, source)]
@@ -142,7 +142,7 @@ def _shared_support(target: Sequence[Plane], source: Sequence[Plane]) -> Array:
 
 
 def refine(target: Sequence[Plane], source: Sequence[Plane], T: Array) -> RefinedPose | None:
-    """Lay the points of matched planes on each other's planes: Gauss–Newton with Huber weights.
+    """Bring the points of matched planes onto each other's planes: Gauss–Newton, Huber weights.
 
     Minimises ``Σ (n_t · (R p_s + t) + d_t)² + Σ (n_s · Rᵀ (p_t − t) + d_s)²`` over the points of
     both, so that swapping the clouds inverts the answer.
@@ -156,7 +156,7 @@ def refine(target: Sequence[Plane], source: Sequence[Plane], T: Array) -> Refine
     sizes = _shared_support(target, source)
     for same_offset, nearest in zip(SAME_OFFSETS, (False, True), strict=True):
         same, apart = _matched(target, source, T, same_offset)
-        # A rough pose may lay a wall on the niche beside it: first by size, then by distance.
+        # A rough pose may put a wall on the niche beside it: first by size, then by distance.
         cost = np.where(same, apart if nearest else -sizes, np.inf)
         pairs = [
             (target[i], source[j])

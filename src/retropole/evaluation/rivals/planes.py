@@ -1,9 +1,10 @@
 """Planar surfaces: three linearly independent planes in both clouds give the pose.
 
 J. Jiao et al., *A novel dual-LiDAR calibration algorithm using planar surfaces*, IV 2019; a rival
-of Xue et al. 2019, Table IV. Planes are found by RANSAC in each cloud, three of the one laid on
-three of the other in every order, the rotation taken from the normals and the translation from the
-offsets in closed form, and refined by least squares of points on planes. No start is needed.
+of Xue et al. 2019, Table IV. Planes are found by RANSAC in each cloud. Three of the one are
+matched with three of the other in every order; their normals give the rotation and their offsets
+the translation in closed form, and least squares of points on planes refines them. No start is
+needed.
 
 How to choose where many triples fit is left open there, and a corridor fits itself after a rotation
 by 180°, to the millimetre in its planes. Here the surroundings decide: the share of points with a
@@ -88,7 +89,7 @@ class ScoredPose:
 def planar_surfaces(
     target: PointCloud, source: PointCloud, rng: np.random.Generator
 ) -> PoseEstimate:
-    """Find the pose that lays the planes of the source on those of the target.
+    """Find the pose that aligns the planes of the source with those of the target.
 
     Parameters
     ----------
@@ -161,14 +162,14 @@ def _require_three(lidar: str, search: PlaneSearch) -> None:
 
 
 def _alike(poses: Array, T: Array) -> BoolArray:
-    """Tell which of the poses (K, 4, 4) are one candidate with another (4, 4)."""
+    """Which of the poses (K, 4, 4) are the same candidate as another (4, 4)."""
     trace = np.einsum("kij,ij->k", poses[:, :3, :3], T[:3, :3])
     near = np.linalg.norm(poses[:, :3, 3] - T[:3, 3], axis=1) < ALIKE[1]
     return np.asarray(near & ((trace - 1) / 2 > np.cos(ALIKE[0])))
 
 
 def _is_known(refined: RefinedPose, others: Sequence[RefinedPose]) -> bool:
-    """Tell whether a pose is one candidate with any of others."""
+    """Whether a pose is the same candidate as any of others."""
     if not others:
         return False
     poses = np.array([other.pose.T_target_source for other in others])
@@ -223,6 +224,6 @@ def _best(scored: Sequence[ScoredPose]) -> RefinedPose:
 
 
 def _is_different(T: Array, other: Array) -> bool:
-    """Tell whether two poses (4, 4) are different answers."""
+    """Whether two poses (4, 4) are different answers."""
     apart = se3.difference(T, other)
     return not (apart.rotation < DIFFERENT_POSE[0] and apart.translation < DIFFERENT_POSE[1])
