@@ -1,21 +1,15 @@
 """``retropole check`` as a user runs it."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from retropole.simulation import record_again, simulate_pair, write_pair
+from tests.cli.commands import retropole
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
-
-
-def retropole(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "retropole", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +73,7 @@ def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:
     assert run(site, "r.urdf", "same", "--sigma-deg", "1", "--sigma-m", "0.1", "-q")[0] == 3
 
 
-def test_an_inverted_export_is_turned_back(site: Path) -> None:
+def test_an_inverted_export_is_inverted_again(site: Path) -> None:
     words = ("--to", "json", "--invert", "--out", "inverted.json")
     assert retropole("export", "r", *words, cwd=site).returncode == 0
     assert run(site, "inverted.json", "same", "-q")[0] == 0

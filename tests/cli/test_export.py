@@ -5,26 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 from retropole import se3
-from retropole.cli import cli
 from retropole.datatypes import Array
 from retropole.export import FORMATS, read_transform
 from retropole.result import Matrix, ReasonDoc
 from tests import results
+from tests.cli.commands import Done, retropole_here
 
 T = se3.random(np.random.default_rng(1))
 
 
-def export(*words: object) -> Result:
-    return CliRunner().invoke(cli, ["export", *map(str, words)], standalone_mode=False)
-
-
-def exit_code(done: Result) -> int:
-    """Code the command returned; a raised error is one of usage, as `main` has it."""
-    assert done.exception is None, done.exception
-    return done.return_value or 0
+def export(*words: object) -> Done:
+    return retropole_here("export", *words)
 
 
 def write_result(folder: Path, status: str = "ok", pose: Matrix | None = None) -> Path:
@@ -44,14 +37,14 @@ def read_back(text: str, folder: Path, fmt: str) -> tuple[Array, str, str]:
 def test_export_and_its_inverse(fmt: str, tmp_path: Path) -> None:
     result = write_result(tmp_path, pose=T.tolist())
     done = export(tmp_path, "--to", fmt, "--parent", "front", "--child", "rear")
-    assert exit_code(done) == 0
+    assert done.returncode == 0
     assert done.stderr == ""
     T_back, *names = read_back(done.stdout, tmp_path, fmt)
     np.testing.assert_allclose(T_back, T, rtol=0, atol=1e-9)
     assert names == ["front", "rear"]
-    turned = export(result, "--to", fmt, "--parent", "front", "--child", "rear", "--invert")
-    T_turned, *names = read_back(turned.stdout, tmp_path, fmt)
-    np.testing.assert_allclose(T_turned @ T, np.eye(4), rtol=0, atol=1e-9)
+    inverted = export(result, "--to", fmt, "--parent", "front", "--child", "rear", "--invert")
+    T_inverted, *names = read_back(inverted.stdout, tmp_path, fmt)
+    np.testing.assert_allclose(T_inverted @ T, np.eye(4), rtol=0, atol=1e-9)
     assert names == ["rear", "front"]
 
 
@@ -59,7 +52,7 @@ def test_one_format_into_another_through_files(tmp_path: Path) -> None:
     source: Path = write_result(tmp_path, pose=T.tolist())
     for fmt in FORMATS:
         out = tmp_path / "new" / f"x_{fmt}"
-        assert exit_code(export(source, "--to", fmt, "--out", out)) == 0
+        assert export(source, "--to", fmt, "--out", out).returncode == 0
         source = out
     np.testing.assert_allclose(read_transform(source).T_parent_child, T, rtol=0, atol=1e-9)
 
@@ -67,7 +60,7 @@ def test_one_format_into_another_through_files(tmp_path: Path) -> None:
 def test_a_refused_result_exits_with_3_and_writes_nothing(tmp_path: Path) -> None:
     path = write_result(tmp_path, "refused")
     done = export(path, "--to", "json", "--out", tmp_path / "out.json")
-    assert exit_code(done) == 3
+    assert done.returncode == 3
     assert "refused (weak_geometry)" in done.stderr
     assert "sigma is 0.2 m" in done.stderr
     assert not (tmp_path / "out.json").exists()
@@ -76,7 +69,7 @@ def test_a_refused_result_exits_with_3_and_writes_nothing(tmp_path: Path) -> Non
 def test_a_warning_is_said_on_stderr_alone(tmp_path: Path) -> None:
     path = write_result(tmp_path, "warn", T.tolist())
     done = export(path, "--to", "json")
-    assert exit_code(done) == 0
+    assert done.returncode == 0
     assert "warning (weak_geometry): sigma is 0.2 m" in done.stderr
     document = json.loads(done.stdout)
     assert np.diag(document["covariance"]).tolist() == [4, 5, 6, 1, 2, 3]
@@ -101,9 +94,9 @@ def test_into_a_robot_in_place_or_elsewhere(tmp_path: Path) -> None:
     link.symlink_to(robot)
     words = (path, "--into", link, "--parent", "front", "--child", "rear")
     other = tmp_path / "other.urdf"
-    assert exit_code(export(*words, "--out", other)) == 0
+    assert export(*words, "--out", other).returncode == 0
     assert robot.read_bytes() == text.encode()
-    assert exit_code(export(*words)) == 0
+    assert export(*words).returncode == 0
     assert robot.read_bytes() == other.read_bytes()
     assert link.is_symlink()
     assert robot.stat().st_mode & 0o777 == 0o640
@@ -123,7 +116,8 @@ def test_into_a_robot_in_place_or_elsewhere(tmp_path: Path) -> None:
 )
 def test_bad_usage_says_why(words: tuple[str, ...], reason: str, tmp_path: Path) -> None:
     done = export(write_result(tmp_path, pose=T.tolist()), *words)
-    assert reason in str(done.exception)
+    assert done.returncode == 2
+    assert reason in done.stderr
 
 
 def test_a_robot_without_the_parent_stays_as_it_is(tmp_path: Path) -> None:
@@ -132,13 +126,14 @@ def test_a_robot_without_the_parent_stays_as_it_is(tmp_path: Path) -> None:
     robot.write_text('<robot name="r"><link name="base"/></robot>')
     before = robot.read_bytes()
     done = export(path, "--into", robot)
-    assert "no link 'target'" in str(done.exception)
-    assert str(robot) in str(done.exception)
+    assert done.returncode == 2
+    assert "no link 'target'" in done.stderr
+    assert str(robot) in done.stderr
     assert robot.read_bytes() == before
 
 
 def test_help_lists_every_format_with_examples() -> None:
-    text = CliRunner().invoke(cli, ["export", "--help"]).output
+    text = export("--help").stdout
     for name, each in FORMATS.items():
         assert f"\n    {name} " in text
         assert each.title in text

@@ -1,21 +1,15 @@
-"""`retropole report` as a user runs it: the page anew, from a result and its clouds."""
+"""`retropole report` as a user runs it: the page again, from a result and its clouds."""
 
 from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from retropole.io import read_cloud
-
-
-def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "retropole", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+from tests.cli.commands import retropole
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +72,7 @@ def test_wrong_numbers_of_clouds_and_wrong_files(own: Path) -> None:
     assert retropole("report", "r/result.json", "lidar0.pcd", cwd=own).returncode == 2
     done = retropole("report", "lidar0.pcd", cwd=own)
     assert done.returncode == 2
-    assert "no result" in done.stderr
+    assert "no result document" in done.stderr
     done = retropole("report", "none.json", cwd=own)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr

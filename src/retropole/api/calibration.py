@@ -180,10 +180,10 @@ def check_options(config: RunConfig) -> None:
     poles = MIN_POLES if config.poles is None else config.poles
     for name, value, allowed, expected in (
         ("radius", config.radius_m, config.radius_m > 0, "above 0"),
-        ("radius_sigma", config.radius_sigma_m, config.radius_sigma_m >= 0, "0 or above"),
+        ("radius_sigma", config.radius_sigma_m, config.radius_sigma_m >= 0, "from 0 up"),
         ("prior_sigma_deg", config.prior_sigma_deg, config.prior_sigma_deg > 0, "above 0"),
-        ("poles", poles, poles >= MIN_POLES, f"{MIN_POLES} or more"),
+        ("poles", poles, poles >= MIN_POLES, f"from {MIN_POLES} up"),
     ):
         if not (allowed and math.isfinite(value)):
-            raise UsageError(f"{name} is {value}, expected a number, {expected}")
+            raise UsageError(f"{name} is {value}, expected a number {expected}")
     rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -146,20 +147,30 @@ class CalibrationResult:
         write_atomically(page, html.encode())
         return result, page
 
-    def report(self, path: str | Path) -> Path:
+    def report(self, path: str | Path, *, clouds: Sequence[str | Path] = ()) -> Path:
         """Write the report, one HTML page, to a file.
 
         A result that was loaded reads its inputs again; the page says which of them differ from
         those of the run.
 
+        Parameters
+        ----------
+        path
+            The file to write.
+        clouds
+            Of a loaded result, where its inputs are now: target and source of each placement.
+            Without, they are looked for where they were, and beside the result.
+
         Raises
         ------
         ReadError, MissingExtraError
             Of a loaded result, where an input is not found or cannot be read.
+        UsageError
+            Where not as many clouds are given as the result has.
         OSError
             Where the file cannot be written.
         """
-        stored = self._inputs()
+        stored = self._inputs([Path(cloud) for cloud in clouds])
         write_report(Path(path), self.document, stored.placements, notes=stored.notes)
         return Path(path)
 
@@ -196,11 +207,12 @@ class CalibrationResult:
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
         )
 
-    def _inputs(self) -> StoredInputs:
+    def _inputs(self, clouds: Sequence[Path] = ()) -> StoredInputs:
         """Take the placements of the run, or read them again."""
-        if self.placements is not None:
+        if self.placements is not None and not clouds:
             return StoredInputs(self.placements, ())
-        return placements_of(self.document, Path() if self.path is None else self.path.parent)
+        beside = Path() if self.path is None else self.path.parent
+        return placements_of(self.document, beside, clouds)
 
 
 def load_result(path: str | Path) -> CalibrationResult:

@@ -1,0 +1,162 @@
+"""`calibrate` answers the same, whatever its clouds come as."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import retropole as rp
+from retropole import se3
+from retropole.result import ResultDoc
+from retropole.simulation import place_again
+from tests.api.clouds import calibrated, cloud_of, pair, table_of, tables
+
+
+def assert_same_answer(a: rp.CalibrationResult, b: rp.CalibrationResult) -> None:
+    """The same but for where the clouds come from, and when."""
+    assert answer_of(a.document) == answer_of(b.document)
+
+
+def answer_of(document: ResultDoc) -> list[object]:
+    names = ("status", "reasons", "T_target_source", "covariance", "hypotheses", "poles", "stages")
+    return [getattr(document, name) for name in names]
+
+
+def test_finds_the_truth() -> None:
+    result = rp.calibrate(tables().target, tables().source)
+    assert result.status in ("ok", "warn")
+    assert result.T_target_source is not None
+    apart = se3.difference(result.T_target_source, pair().T_target_source)
+    assert np.degrees(apart.rotation) < 0.5
+    assert apart.translation < 0.05
+
+
+def test_paths_arrays_and_clouds_give_the_same_answer(tmp_path: Path) -> None:
+    target, source = tables().target, tables().source
+    np.save(tmp_path / "target.npy", target)
+    np.save(tmp_path / "source.npy", source)
+    expected = calibrated()
+    paths = tmp_path / "target.npy", tmp_path / "source.npy"
+    for of_target, of_source in (
+        paths,
+        (str(paths[0]), str(paths[1])),
+        (cloud_of(target), cloud_of(source)),
+        (rp.read_cloud(paths[0]), source),
+        ([target], [source]),
+    ):
+        assert_same_answer(rp.calibrate(of_target, of_source, refine=False), expected)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_points_that_are_not_returns_change_nothing(kind: type[np.floating]) -> None:
+    rng = np.random.default_rng(0)
+
+    def with_nonsense(table: NDArray[np.float64]) -> NDArray[np.floating]:
+        wrong = np.array([[np.nan, 1, 1, 9], [1, np.inf, 1, 255], [0, 0, 0, 255]])
+        rows = rng.integers(0, len(table), 60)
+        return np.insert(table, rows, np.resize(wrong, (60, 4)), axis=0).astype(kind)
+
+    clean = [table.astype(kind) for table in (tables().target, tables().source)]
+    expected = rp.calibrate(*clean, refine=False)
+    dirty = [with_nonsense(table) for table in (tables().target, tables().source)]
+    arrays = rp.calibrate(*dirty, refine=False)
+    clouds = rp.calibrate(*(cloud_of(table) for table in dirty), refine=False)
+    for result in (arrays, clouds):
+        assert_same_answer(result, expected)
+        assert [each.dropped for each in result.document.inputs] == [60, 60]
+        assert [each.points for each in result.document.inputs] == [len(table) for table in clean]
+
+
+def test_arrays_are_neither_changed_nor_kept() -> None:
+    target, source = tables().target.copy(), tables().source.copy()
+    result = rp.calibrate(target, source, refine=False)
+    np.testing.assert_array_equal(target, tables().target)
+    assert result.placements is not None
+    for scan in (result.placements[0].target, result.placements[0].source):
+        assert not np.shares_memory(scan.cloud.xyz, target)
+        assert not np.shares_memory(scan.cloud.intensity, target)
+
+
+def test_options_reach_the_run_and_its_document() -> None:
+    result = rp.calibrate(
+        tables().target,
+        tables().source,
+        radius=0.03,
+        radius_sigma=0.001,
+        sensor_target="VLP-16",
+        threshold_source=180.0,
+        poles=2,
+        refine=False,
+        up=True,
+        prior_sigma_deg=20.0,
+    )
+    config = result.document.config
+    assert (config.radius_m, config.radius_sigma_m, config.poles) == (0.03, 0.001, 2)
+    assert (config.up, config.prior_sigma_deg, config.refine) == (True, 20.0, False)
+    assert (config.sensor_target, config.sensor_source) == ("VLP-16", "auto")
+    target, source = result.document.inputs
+    assert (target.sensor, source.sensor, source.threshold) == ("VLP-16", "auto", 180.0)
+    assert result.document.stages.refined is None
+
+
+def test_steps_are_named_as_they_start() -> None:
+    steps: list[str] = []
+    result = rp.calibrate(tables().target, tables().source, refine=False, progress=steps.append)
+    assert steps[:2] == ["read", "extract"]
+    assert set(steps) == set(result.document.seconds)
+
+
+def test_several_placements_give_one_answer() -> None:
+    other = place_again(pair(), np.random.default_rng(3))
+    targets = [tables().target, table_of(other.target)]
+    sources = (tables().source, table_of(other.source))
+    result = rp.calibrate(targets, sources, refine=False)
+    assert len(result.document.inputs) == 4
+    assert len(result.document.placements) == 2
+    with pytest.raises(rp.UsageError, match="2 targets and 1 sources"):
+        rp.calibrate(targets, [tables().source])
+    with pytest.raises(rp.UsageError, match="0 targets"):
+        rp.calibrate([], [])
+    with pytest.raises(rp.UsageError, match=r"source of placement 1: .*\(5, 2\)"):
+        rp.calibrate(targets, [tables().source, np.ones((5, 2))])
+
+
+def test_without_intensity_it_is_refused_and_says_what_to_give() -> None:
+    result = rp.calibrate(tables().target, tables().source[:, :3])
+    assert result.status == "refused"
+    assert result.T_target_source is None
+    (reason,) = result.reasons
+    assert reason.code == "no_intensity"
+    assert "(N, 4)" in reason.message
+
+
+def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", tables().target[:, :3])
+    (reason,) = rp.calibrate(tmp_path / "a.npy", tables().source).reasons
+    assert reason.code == "no_intensity"
+    assert "(N, 4)" not in reason.message
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"radius": 0.0}, "radius is 0.0, expected a number above 0"),
+        ({"radius": float("nan")}, "radius is nan"),
+        ({"radius_sigma": -1.0}, "radius_sigma is -1.0, expected a number from 0 up"),
+        ({"poles": 1}, "poles is 1, expected a number from 2 up"),
+        ({"prior_sigma_deg": 0.0}, "prior_sigma_deg is 0.0"),
+        ({"up": True, "prior_rpy_deg": (0.0, 0.0, 0.0)}, "exclude each other"),
+        ({"sensor_target": "nonsense"}, "no sensor is called 'nonsense'"),
+        ({"target_topic": "/front"}, "target: a topic or frames"),
+        ({"frames": slice(0, 2)}, "target: a topic or frames"),
+    ],
+)
+def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
+    with pytest.raises(rp.UsageError, match=message):
+        rp.calibrate(tables().target, tables().source, **options)  # type: ignore[arg-type]
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(rp.ReadError, match=r"absent\.pcd"):
+        rp.calibrate(tmp_path / "absent.pcd", tmp_path / "absent.pcd")

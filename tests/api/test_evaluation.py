@@ -1,0 +1,55 @@
+"""`evaluate` scores the same transform the same, whatever it comes as."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import retropole as rp
+from retropole import se3
+from retropole.export import export_lines
+from tests.api.clouds import calibrated, pair, refused, tables
+
+
+def test_the_truth_scores_better_than_an_error() -> None:
+    T = pair().T_target_source
+    wrong = se3.retract(T, np.array([0.0, 0, 0, 0.2, 0, 0]))
+    right, off = (rp.evaluate(pair().target, pair().source, each) for each in (T, wrong))
+    assert right.entropy.sum > off.entropy.sum
+    assert right.plane_residual is not None
+    assert off.plane_residual is not None
+    assert right.plane_residual < off.plane_residual
+
+
+def test_matrix_result_and_file_give_the_same_scores(tmp_path: Path) -> None:
+    result = calibrated()
+    T = result.T_target_source
+    assert T is not None
+    result.save(tmp_path / "r")
+    (tmp_path / "T.txt").write_text(export_lines(T)["matrix"])
+    expected = rp.evaluate(tables().target, tables().source, T)
+    for given in (result, tmp_path / "r", str(tmp_path / "r" / "result.json")):
+        assert rp.evaluate(pair().target, pair().source, given) == expected
+    read = rp.evaluate(pair().target, pair().source, tmp_path / "T.txt")
+    assert read.entropy.sum == pytest.approx(expected.entropy.sum)
+
+
+@pytest.mark.parametrize(
+    "T", [np.eye(3), np.diag([2.0, 2, 2, 1]), np.full((4, 4), np.nan), None, ["no", "matrix"]]
+)
+def test_what_is_no_transform_is_refused(T: object) -> None:
+    with pytest.raises(rp.UsageError, match="T_target_source"):
+        rp.evaluate(pair().target, pair().source, T)  # type: ignore[arg-type]
+
+
+def test_a_refused_result_has_nothing_to_score(tmp_path: Path) -> None:
+    refused().save(tmp_path)
+    for given in (refused(), tmp_path):
+        with pytest.raises(rp.Refusal) as caught:
+            rp.evaluate(pair().target, pair().source, given)
+        assert caught.value.code == "too_few_poles"
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(rp.ReadError, match=r"absent\.txt"):
+        rp.evaluate(pair().target, pair().source, tmp_path / "absent.txt")

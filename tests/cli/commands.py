@@ -1,0 +1,44 @@
+"""Running commands, as a process and here."""
+
+import io
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from retropole.cli import run
+from retropole.datatypes import Array
+from retropole.result import decode
+
+
+def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command as a process of its own."""
+    command = [sys.executable, "-m", "retropole", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command printed, and its exit code."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def retropole_here(*words: object) -> Done:
+    """Run a command in this process, which takes no time to start."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = run([str(word) for word in words])
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+def transform_of(folder: Path) -> Array:
+    """Read the transform of a result."""
+    result = decode((folder / "result.json").read_bytes())
+    assert result.T_target_source is not None
+    return np.array(result.T_target_source)

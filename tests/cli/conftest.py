@@ -1,0 +1,39 @@
+"""A simulated street as files and as a bag, for all commands."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import Array, PointCloud
+from retropole.io import read_cloud
+from tests.cli.commands import retropole
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene")
+    done = retropole("simulate", "street", "--seed", 1, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def truth(scene: Path) -> Array:
+    return np.array(json.loads((scene / "truth.json").read_text())["T_target_source"])
+
+
+@pytest.fixture(scope="session")
+def clouds(scene: Path) -> tuple[PointCloud, PointCloud]:
+    return read_cloud(scene / "lidar0.pcd"), read_cloud(scene / "lidar1.pcd")
+
+
+@pytest.fixture(scope="session")
+def bag(clouds: tuple[PointCloud, PointCloud], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
+    from tests.bags import points_of, write_bag
+
+    points = [points_of(cloud) for cloud in clouds]
+    folder = tmp_path_factory.mktemp("bag")
+    return write_bag(folder, "mcap", {"/front": points[:1], "/rear": points[1:]})

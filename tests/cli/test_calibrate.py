@@ -1,0 +1,182 @@
+"""``retropole calibrate`` as a user runs it: what it prints, writes and exits with."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import retropole as rp
+from retropole import se3
+from retropole.datatypes import Array, PointCloud
+from retropole.io import write_pcd
+from tests.cli.commands import retropole, transform_of
+
+
+def assert_close(T: Array, T_true: Array, degrees: float = 1.0, metres: float = 0.15) -> None:
+    assert np.degrees(se3.rotation_angle(T[:3, :3] @ T_true[:3, :3].T)) < degrees
+    assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < metres
+
+
+def test_two_files_in_one_extrinsic_out(scene: Path, truth: Array, tmp_path: Path) -> None:
+    done = retropole(
+        "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path / "r"
+    )
+    assert done.returncode == 0, done.stderr
+    for word in ("T_target_source", "hypothesis", "margin", "pole", "verdict: "):
+        assert word in done.stdout
+    assert_close(transform_of(tmp_path / "r"), truth)
+    assert (tmp_path / "r" / "report.html").stat().st_size > 1000
+    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["report.html", "result.json"]
+
+
+def test_result_document_is_whole(scene: Path, tmp_path: Path) -> None:
+    done = retropole(
+        "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path, "--json"
+    )
+    assert done.returncode == 0
+    result = json.loads(done.stdout)
+    assert result == json.loads((tmp_path / "result.json").read_text())
+    assert result["schema"] == "retropole/result/1"
+    assert [len(document["sha256"]) for document in result["inputs"]] == [64, 64]
+    chosen = [h for h in result["hypotheses"] if h["chosen"]]
+    assert len(chosen) == 1
+    assert chosen[0]["score"] == max(h["score"] for h in result["hypotheses"] if h["exact"])
+    assert set(result["seconds"]) >= {"read", "extract", "match", "disambiguate"}
+
+
+@pytest.mark.parametrize("moved", ["target", "source"])
+@pytest.mark.parametrize("origin", ["kept", "lost"])
+def test_moving_a_cloud_moves_the_answer(
+    clouds: tuple[PointCloud, PointCloud], truth: Array, tmp_path: Path, moved: str, origin: str
+) -> None:
+    T = se3.random(np.random.default_rng(5), 20.0)
+    target, source = clouds
+    expected = truth
+    if moved == "target":
+        target, expected = target.transformed(T), T @ truth
+    else:
+        source, expected = source.transformed(T), truth @ se3.inverse(T)
+    if origin == "lost":
+        target = PointCloud(target.xyz, target.intensity)
+        source = PointCloud(source.xyz, source.intensity)
+    write_pcd(tmp_path / "target.pcd", target)
+    write_pcd(tmp_path / "source.pcd", source)
+    done = retropole("calibrate", "target.pcd", "source.pcd", "--out", "r", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    # Compare where both LiDARs are, not at an origin metres away that any rotation would move far.
+    A, B = transform_of(tmp_path / "r"), expected
+    assert np.degrees(se3.rotation_angle(A[:3, :3] @ B[:3, :3].T)) < 1.0
+    here = np.median(source.xyz, axis=0)[None]
+    assert np.linalg.norm(se3.apply(A, here) - se3.apply(B, here)) < 0.15
+
+
+def test_swapping_the_clouds_inverts_the_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
+    done = retropole(
+        "calibrate", scene / "lidar1.pcd", scene / "lidar0.pcd", "--out", tmp_path, "-q"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    assert_close(transform_of(tmp_path), se3.inverse(truth))
+
+
+def test_a_refusal_exits_with_3_and_leaves_its_reason(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("calibrate", *files, "--threshold-source", 1e9, "--out", "r", cwd=tmp_path)
+    assert done.returncode == 3
+    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    assert result["status"] == "refused"
+    assert result["T_target_source"] is None
+    assert result["reasons"][0]["code"] == "too_few_poles"
+    assert "too_few_poles" in done.stderr
+    assert (tmp_path / "r" / "report.html").exists()
+
+
+def test_placements_give_one_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole(
+        "calibrate", "--placement", *files, "--placement", *files, "--out", tmp_path / "r"
+    )
+    assert done.returncode == 0, done.stderr
+    assert_close(transform_of(tmp_path / "r"), truth)
+    assert "pose without each placement" in done.stdout
+    result = json.loads((tmp_path / "r" / "result.json").read_text())
+    assert len(result["inputs"]) == 4
+    assert len(result["placements"]) == 2
+
+
+def test_a_prior_is_taken_and_a_wrong_one_refused(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("calibrate", *files, "--up", "--out", "up", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = retropole(
+        *("calibrate", *files, "--prior-rpy-deg", 0, 0, 170, "--prior-sigma-deg", 5),
+        *("--out", "wrong", "-q"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 3
+    assert "prior_contradicted" in done.stderr or "no_overlap" in done.stderr
+
+
+def test_arguments_that_contradict_each_other(scene: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    for words in (
+        ("calibrate", files[0]),
+        ("calibrate",),
+        ("calibrate", *files, "--placement", *files),
+        ("calibrate", *files, "--up", "--prior-rpy-deg", 0, 0, 0),
+    ):
+        done = retropole(*words)
+        assert done.returncode == 2
+        assert "Error" in done.stderr or "retropole:" in done.stderr
+
+
+def test_two_topics_of_a_bag_give_what_their_files_give(
+    scene: Path, bag: Path, tmp_path: Path
+) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    topics = "--target-topic", "/front", "--source-topic", "/rear"
+    assert retropole("calibrate", *files, "--out", tmp_path / "files", "-q").returncode == 0
+    done = retropole("calibrate", bag, bag, *topics, "--out", tmp_path / "bag", "-q")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(transform_of(tmp_path / "bag"), transform_of(tmp_path / "files"))
+    result = json.loads((tmp_path / "bag" / "result.json").read_text())
+    assert result["config"]["target_topic"] == "/front"
+    assert len({document["sha256"] for document in result["inputs"]}) == 1
+    clouds = bag, bag, *topics
+    done = retropole("evaluate", *clouds, "--transform", tmp_path / "bag", "--json")
+    assert json.loads(done.stdout)["overlap"] > 0.5
+    done = retropole("compare", *clouds, "--methods", "poles", "--json")
+    assert json.loads(done.stdout)["methods"][0]["status"] == "ok"
+    # Topics are those of each placement.
+    two = [word for _ in range(2) for word in ("--placement", bag, bag)]
+    done = retropole("calibrate", *two, *topics, "--no-refine", "--out", tmp_path / "two", "-q")
+    assert done.returncode == 0, done.stderr
+
+
+def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
+    done = retropole("calibrate", bag, bag, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "/front (1 messages), /rear (1 messages)" in done.stderr
+    same = "--target-topic", "/front", "--source-topic", "/front"
+    done = retropole("calibrate", bag, bag, *same, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "are both topic /front" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    words = "--radius", 0.021, "--poles", 2, "--no-refine", "--sensor-target", "Pandar64"
+    done = retropole("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
+    assert done.returncode == 0, done.stderr
+    result = rp.calibrate(*files, radius=0.021, poles=2, refine=False, sensor_target="Pandar64")
+    result.save(tmp_path / "python")
+    theirs, ours = (
+        json.loads((tmp_path / name / "result.json").read_text()) for name in ("r", "python")
+    )
+    for document in (theirs, ours):
+        # Only the clock differs.
+        del document["created"], document["seconds"]
+    assert theirs == ours
+    assert json.loads(done.stdout)["inputs"] == ours["inputs"]

@@ -1,0 +1,36 @@
+"""``retropole evaluate`` as a user runs it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.commands import retropole
+
+
+def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
+    truth = scene / "truth.json"
+    wrong = np.array(json.loads(truth.read_text())["T_target_source"])
+    wrong[0, 3] += 0.2
+    np.savetxt(tmp_path / "wrong.txt", wrong)
+    scores = []
+    for file in (truth, tmp_path / "wrong.txt"):
+        clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
+        done = retropole("evaluate", *clouds, "--transform", file, "--truth", truth, "--json")
+        assert done.returncode == 0, done.stderr
+        scores.append(json.loads(done.stdout))
+    right, off = scores
+    assert right["e_rt_m"] == pytest.approx(0.0, abs=1e-9)
+    assert off["e_rt_m"] == pytest.approx(0.2)
+    assert off["translation_error_m"] == pytest.approx(0.2)
+    assert right["rqe_sum"] > off["rqe_sum"]
+    assert right["plane_residual_m"] < off["plane_residual_m"]
+
+
+def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "scaled.txt", np.diag([2.0, 2.0, 2.0, 1.0]))
+    clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    done = retropole("evaluate", *clouds, "--transform", tmp_path / "scaled.txt")
+    assert done.returncode == 2
+    assert "scaled.txt" in done.stderr
