@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from retropole import se3
+from retropole.cli.evaluate import evaluate as command
 from retropole.datatypes import Array
 from retropole.errors import Refusal
-from retropole.evaluation.entropy import rqe
+from retropole.evaluation.entropy import KERNEL_WIDTH, rqe
 from tests.evaluation.surfaces import floor_and_wall
 
 
@@ -57,3 +58,8 @@ def test_the_entropy_of_nothing_is_refused() -> None:
     with pytest.raises(Refusal, match="no points") as refusal:
         rqe(np.zeros((0, 3)))
     assert refusal.value.code == "too_few_points"
+
+
+def test_the_command_offers_the_same_kernel() -> None:
+    sigma = next(option for option in command.params if option.name == "sigma")
+    assert sigma.default == KERNEL_WIDTH

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, EXIT_REFUSED, frames_option, progress_on_terminal, topic_options
+from .common import CLOUD, CONTEXT, frames_option, progress_on_terminal, topic_options
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -69,26 +69,21 @@ def evaluate(
 
     import numpy as np
 
-    from ..errors import Refusal
     from ..evaluation.metrics import errors_of
     from ..evaluation.metrics import evaluate as score
     from ..export import read_transform
     from ..io import read_cloud
 
-    try:
-        T = read_transform(transform).T_parent_child
-        T_true = None if truth is None else read_transform(truth).T_parent_child
-        with progress_on_terminal(as_json) as progress:
-            progress("read")
-            clouds = (
-                read_cloud(target, topic=target_topic, frames=frames),
-                read_cloud(source, topic=source_topic, frames=frames),
-            )
-            progress("evaluate")
-            aligned = score(*clouds, T, rng=np.random.default_rng(0), sigma=sigma)
-    except Refusal as refusal:
-        click.echo(f"retropole: refused ({refusal.code}): {refusal}", err=True)
-        return EXIT_REFUSED
+    T = read_transform(transform).T_parent_child
+    T_true = None if truth is None else read_transform(truth).T_parent_child
+    with progress_on_terminal(as_json) as progress:
+        progress("read")
+        clouds = (
+            read_cloud(target, topic=target_topic, frames=frames),
+            read_cloud(source, topic=source_topic, frames=frames),
+        )
+        progress("evaluate")
+        aligned = score(*clouds, T, rng=np.random.default_rng(0), sigma=sigma)
     figures: dict[str, float | None] = {
         "overlap": aligned.overlap,
         "plane_residual_m": aligned.plane_residual,
