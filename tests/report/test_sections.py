@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from retropole.export import export_lines
 from retropole.reasons import REASONS, plain
 from retropole.report import render_report
-from retropole.report.markup import unlinked
+from retropole.report.markup import NO_BREAK, unlinked
 from retropole.report.sections import FRAMES, UNFOLDED, hypotheses, transform, verdict
 from retropole.result import ReasonDoc
 from tests.report.made_up import T_TRUE, Page, made_up
@@ -40,7 +40,7 @@ def test_an_unknown_code_is_shown_with_its_message_alone() -> None:
 
 
 def test_says_how_certain_and_in_which_direction() -> None:
-    text = Page(verdict(made_up(count=500).result)).text
+    text = Page(verdict(made_up(count=500).result)).text.replace(NO_BREAK, " ")
     assert "Least certain, at the poles, 1 σ: height along the poles: 0.6 cm." in text
     assert "A point 60 m away" in text
     assert "± 4.3 cm" in text

@@ -10,6 +10,8 @@ from html import escape
 MISSING = "–"
 """Stands where there is no number."""
 
+NO_BREAK = "\u00a0"
+
 TWO_DIGITS_BELOW = 0.00995
 """Lengths below this, metres, are written in cm with two digits after the point."""
 
@@ -27,10 +29,10 @@ def number(value: float | None, digits: int, scale: float = 1.0, unit: str = "")
 
 
 def centimetres(sigma_m: float | None) -> str:
-    """Write a 1 σ as ``± … cm`` with two significant digits or so, or a dash."""
+    """Write a 1 σ as ``± … cm``, which no line break parts; a dash where there is none."""
     digits = 2 if sigma_m is not None and abs(sigma_m) < TWO_DIGITS_BELOW else 1
     text = number(sigma_m, digits, 100)
-    return text if text == MISSING else f"± {text} cm"
+    return text if text == MISSING else f"±{NO_BREAK}{text}{NO_BREAK}cm"
 
 
 def table(
