@@ -1,4 +1,4 @@
-"""Draw how sure the poles alone make the pose, by how they are placed.
+"""Draw how certain the poles alone make the pose, by how they are placed.
 
 python examples/plot_placement.py --out placement
 """
@@ -12,6 +12,7 @@ from retropole import se3
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.observations import beams_of
 from retropole.extraction.poles import extract_poles
+from retropole.pipeline import DEFAULT_RADIUS
 from retropole.report.figures import new_figure, save_figure
 from retropole.sensors import find_sensor
 from retropole.simulation import TYPICAL, Cylinder, Material, scan
@@ -25,16 +26,16 @@ def sigma_at_10_m(angle_deg: float, distance: float, spacing: float, seed: int =
     """Predict the error at 10 m, metres, of two poles of 2 m that lean away from each other."""
     lean, rng = np.radians(angle_deg) / 2, np.random.default_rng(seed)
     poles = [
-        Cylinder(np.array([distance, k * spacing / 2, 1.0]), axis, 0.02, 2.0, TAPE)
+        Cylinder(np.array([distance, k * spacing / 2, 1.0]), axis, DEFAULT_RADIUS, 2.0, TAPE)
         for k, axis in ((k, np.array([0, k * np.sin(lean), np.cos(lean)])) for k in (-1, 1))
     ]
     beams = []
     for pose in LIDARS:
         cloud = scan(poles, SENSOR, pose, rng, TYPICAL).cloud
         found = sorted(extract_poles(cloud, sensor=SENSOR).poles, key=lambda pole: pole.point[1])
-        beams.append(beams_of(found, [cloud] * len(found), SENSOR))
-    stage = align_beams(*beams, se3.inverse(LIDARS[0]) @ LIDARS[1], radius=0.02).stage
-    return predicted_error(stage.covariance, (10.0,))[0][1]
+        beams.append(beams_of([(pole, cloud) for pole in found], SENSOR))
+    pose = align_beams(*beams, se3.inverse(LIDARS[0]) @ LIDARS[1], radius=DEFAULT_RADIUS).pose
+    return predicted_error(pose.covariance, (10.0,))[0][1]
 
 
 SWEEPS = {
@@ -53,8 +54,7 @@ if __name__ == "__main__":
         draws = [[sigma_at_10_m(*p, n) for n in range(options.draws)] for p in placements]
         x, cm = [p[k] for p in placements], 100 * np.median(draws, axis=1)
         print(f"{name:<30}", *(f"{a:g}: {b:.1f} cm" for a, b in zip(x, cm, strict=True)), sep="  ")
-        axes = figure.add_subplot(1, 3, k + 1, xlabel=name, ylim=(0, 8))
+        axes = figure.add_subplot(1, 3, k + 1, xlabel=name, ylabel="1 σ at 10 m, cm", ylim=(0, 8))
         axes.plot(x, cm, "o-", color="#0072b2")
-        axes.set_ylabel("1 σ at 10 m, cm")
         axes.grid(alpha=0.3)
     save_figure(figure, options.out / "placement.png")

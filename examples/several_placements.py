@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+import retropole as rp
 from retropole.evaluation.metrics import e_rt
 from retropole.files import write_atomically
-from retropole.pipeline import calibrate
 from retropole.simulation import place_again, simulate_pair
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -24,19 +24,17 @@ pairs = [first, place_again(first, rng), place_again(first, rng)]
 # Without the scene, to see what the placements do.
 lines = []
 for used in (pairs[:1], pairs):
-    answer = calibrate([p.target for p in used], [p.source for p in used], scene=False)
-    if answer.T_target_source is None:
-        raise SystemExit(f"refused: {answer.reasons[0].message}")
-    off, said = e_rt(answer.T_target_source, first.T_target_source), answer.predicted_error[2]
+    result = rp.calibrate([p.target for p in used], [p.source for p in used], refine=False)
+    if result.T_target_source is None:
+        raise SystemExit(f"refused: {result.reasons[0].message}")
+    off, stated = e_rt(result.T_target_source, first.T_target_source), result.predicted_error[2]
     lines.append(
         f"{len(used)} placements: off by {100 * off:.1f} cm (e_rt), "
-        f"predicted at {said[0]:g} m {100 * said[1]:.1f} cm"
+        f"predicted at {stated.range_m:g} m {100 * stated.sigma_m:.1f} cm"
     )
-for k, placement in enumerate(answer.placements):
+for k, placement in enumerate(result.placements or ()):
     if placement.left_out is not None:
-        turned, moved = placement.left_out
-        lines.append(
-            f"without placement {k}: {np.degrees(turned):.2f}° and {100 * moved:.1f} cm away"
-        )
+        degrees, cm = np.degrees(placement.left_out.rotation), 100 * placement.left_out.translation
+        lines.append(f"the pose without placement {k}: {degrees:.2f}° and {cm:.1f} cm away")
 print("\n".join(lines))
 write_atomically(out / "placements.txt", "\n".join([*lines, ""]).encode())

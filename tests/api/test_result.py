@@ -153,6 +153,12 @@ def test_plot_draws_both_clouds_and_every_pole(recordings: Path) -> None:
         assert len(figure.axes) == 4 + len(chosen.pairs)
 
 
+def test_a_notebook_shows_the_plot() -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'figures')")
+    picture = getattr(calibrated().plot(), "_repr_png_")()  # noqa: B009
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from html import escape
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -200,12 +202,15 @@ class CalibrationResult:
         target, source = placement.target.poles, placement.source.poles
         if not target or not source:
             pairs = []
-        return result_figure(
+        figure = result_figure(
             placement.target.cloud,
             placement.source.cloud,
             T,
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
         )
+        # Notebooks draw figures by themselves only where pyplot was imported.
+        setattr(figure, "_repr_png_", partial(_png, figure))  # noqa: B010
+        return figure
 
     def _inputs(self, clouds: Sequence[Path] = ()) -> StoredInputs:
         """Take the placements of the run, or read them again."""
@@ -213,6 +218,13 @@ class CalibrationResult:
             return StoredInputs(self.placements, ())
         beside = Path() if self.path is None else self.path.parent
         return placements_of(self.document, beside, clouds)
+
+
+def _png(figure: Figure) -> bytes:
+    """Draw a figure as a notebook shows it."""
+    picture = BytesIO()
+    figure.savefig(picture, format="png")
+    return picture.getvalue()
 
 
 def load_result(path: str | Path) -> CalibrationResult:
