@@ -61,3 +61,7 @@ def test_prefixed_codes_are_explained_by_their_prefix() -> None:
     assert explain(prefixed("poles", "no_match")) == PREFIXED["poles"]
     assert explain("poles_not_trusted") == REASONS["poles_not_trusted"]
     assert explain("nonsense") is None
+
+
+def test_links_become_their_words() -> None:
+    assert unlinked("See [the report](report.md) and [why](a.md#b).") == "See the report and why."

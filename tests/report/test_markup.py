@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from retropole.report.markup import NO_BREAK, centimetres, inline, number, table, unlinked
+from retropole.report.markup import NO_BREAK, centimetres, inline, number, table
 from tests.report.made_up import HOSTILE, Page
 
 
@@ -44,7 +44,3 @@ def test_markdown_is_escaped(frame: str) -> None:
     page = Page(inline(frame % HOSTILE))
     assert page.open == []
     assert {tag for tag, _ in page.tags} <= {"code", "em"}
-
-
-def test_links_become_their_words() -> None:
-    assert unlinked("See [the report](report.md) and [why](a.md#b).") == "See the report and why."

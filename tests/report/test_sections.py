@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from retropole.export import export_lines
 from retropole.reasons import REASONS, plain
 from retropole.report import render_report
-from retropole.report.markup import NO_BREAK, unlinked
+from retropole.report.markup import NO_BREAK
 from retropole.report.sections import FRAMES, UNFOLDED, hypotheses, transform, verdict
 from retropole.result import ReasonDoc
 from tests.report.made_up import T_TRUE, Page, made_up
@@ -24,7 +24,7 @@ def test_a_reason_is_told_with_its_meaning_and_all_that_helps(code: str) -> None
     result = replace(made_up("warn", 500).result, reasons=[ReasonDoc(code, "because of 7", {})])
     page, known = Page(verdict(result)), REASONS[code]
     assert page.open == []
-    said = [plain(unlinked(text)) for text in (known.help, *known.advice)]
+    said = [plain(text) for text in (known.help, *known.advice)]
     for words in (code, "because of 7", known.title, *said):
         assert words in page.text
     assert "](" not in page.text

@@ -12,7 +12,7 @@ from typing import NamedTuple, cast
 
 from .check import CHECK, PREFIXED, CheckCode, Prefix
 from .cluster import CLUSTER, ClusterCode
-from .explanation import Explanation, plain
+from .explanation import Explanation, plain, unlinked
 from .other_methods import OTHER_METHODS, OtherMethodCode
 from .refused import REFUSED, RefusedCode
 from .warning import WARNINGS, WarningCode
@@ -29,6 +29,7 @@ __all__ = [
     "explain",
     "plain",
     "prefixed",
+    "unlinked",
 ]
 
 Code = RefusedCode | WarningCode | CheckCode | OtherMethodCode | ClusterCode

@@ -24,7 +24,18 @@ class Explanation(NamedTuple):
     advice: tuple[str, ...] = ()
 
 
+LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
+LINK_SENTENCE = re.compile(rf"(?:^|(?<=[.!?]))\s*{LINK.pattern}\.")
+
+
+def unlinked(markdown: str) -> str:
+    """Take the links out of help or advice: a page or terminal is read away from the documentation.
+
+    A link becomes its words; a sentence that is nothing but a link goes.
+    """
+    return LINK.sub(r"\1", LINK_SENTENCE.sub("", markdown)).strip()
+
+
 def plain(markdown: str) -> str:
     """Take links, emphasis and code marks out of help or advice, for a terminal."""
-    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", markdown)
-    return re.sub(r"[`*]", "", text)
+    return re.sub(r"[`*]", "", unlinked(markdown))

@@ -89,8 +89,8 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "If walls coincide and poles do not: a pole moved, or `--radius` is wrong.",
             "If poles coincide and walls do not: something large moved; `--no-refine` keeps to the "
             "poles.",
-            "Clouds that another program has moved have lost their beam origin: "
-            "[accuracy](accuracy.md#what-the-figures-rest-on).",
+            "Clouds that another program has moved have lost their beam origin "
+            "([accuracy](accuracy.md#what-the-figures-rest-on)).",
         ),
     ),
 }

@@ -7,6 +7,8 @@ import re
 from collections.abc import Collection, Sequence
 from html import escape
 
+from ..reasons import unlinked
+
 MISSING = "–"
 """Stands where there is no number."""
 
@@ -15,8 +17,6 @@ NO_BREAK = "\u00a0"
 TWO_DIGITS_BELOW = 0.00995
 """Lengths below this, metres, are written in cm with two digits after the point."""
 
-LINK_SENTENCE = re.compile(r"(?:^|(?<=[.!?]))\s*\[[^\]]*\]\([^)]*\)\.")
-LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 CODE = re.compile(r"`([^`]+)`")
 EMPHASIS = re.compile(r"\*([^*\s][^*]*)\*")
 
@@ -68,14 +68,6 @@ def table(
         f"<caption>{name}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
         "</table></div>"
     )
-
-
-def unlinked(markdown: str) -> str:
-    """Take the links out of Markdown: a page or terminal is read away from the documentation.
-
-    A link becomes its words; a sentence that is nothing but a link goes.
-    """
-    return LINK.sub(r"\1", LINK_SENTENCE.sub("", markdown)).strip()
 
 
 def inline(markdown: str) -> str:

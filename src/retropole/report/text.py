@@ -18,7 +18,6 @@ from ..result import (
     ReasonDoc,
     ResultDoc,
 )
-from .markup import unlinked
 from .names import LIDARS, hypothesis_name
 
 ACTIONS = 2
@@ -177,7 +176,7 @@ def reason_lines(reason: ReasonDoc) -> list[str]:
     lines = [f"  {reason.code}: {reason.message}"]
     known = explain(reason.code)
     if known is not None and known.advice:
-        actions = " ".join(plain(unlinked(action)) for action in known.advice[:ACTIONS])
+        actions = " ".join(plain(action) for action in known.advice[:ACTIONS])
         lines.append(f"    what to do: {actions}")
     return lines
 
