@@ -15,6 +15,7 @@ from retropole.reasons import (
     plain,
     prefixed,
     refused,
+    unlinked,
     warning,
 )
 from tests.paths import PACKAGE
