@@ -286,7 +286,7 @@ class TestFolder:
     def test_mixed_folder(self, tmp_path: Path) -> None:
         make_pcd(tmp_path / "a.pcd")
         make_ply(tmp_path / "a.ply")
-        with pytest.raises(ReadError, match=r"different kinds.*\.pcd, \.ply"):
+        with pytest.raises(ReadError, match=r"different formats.*\.pcd, \.ply"):
             read_cloud(tmp_path)
 
     def test_frames_must_agree(self, tmp_path: Path) -> None:

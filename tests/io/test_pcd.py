@@ -192,7 +192,7 @@ def test_text_that_its_type_cannot_hold_does_not_wrap(tmp_path: Path) -> None:
         ("ascii", b"VIEWPOINT 0", b"VIEWPOINT", r"line 9.*seven numbers"),
         ("ascii", b"1.5 2.0 3.25\n-4", b"1.5 2.0 3.25\nfour", r"line 13.*four.0 5.5 6.0"),
         ("ascii", b"1.5 2.0 3.25\n-4.0", b"1.5 2.0 3.25\n", r"line 13.*5.5 6.0"),
-        ("binary", b"DATA binary\n", b"DATA binary_compressed\n", "unpack to"),
+        ("binary", b"DATA binary\n", b"DATA binary_compressed\n", "decompress to"),
     ],
 )
 def test_errors_name_the_place(
@@ -228,8 +228,8 @@ def test_a_file_cut_short_is_an_error(tmp_path: Path, encoding: str) -> None:
     ("place", "value", "message"),
     [
         (0, 2**31, "promises 2147483648 bytes of compressed data"),
-        (0, 1, "1 bytes cannot unpack"),
-        (4, 719, "unpack to 719 bytes, the header promises 720"),
+        (0, 1, "1 bytes cannot decompress"),
+        (4, 719, "decompress to 719 bytes, the header promises 720"),
         (8, 2**32 - 1, "damaged"),
     ],
 )

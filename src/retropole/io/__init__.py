@@ -1,4 +1,4 @@
-"""Paths in, point clouds out."""
+"""Paths in, point clouds out: files, folders of frames, bags and packets."""
 
 from __future__ import annotations
 
@@ -68,10 +68,10 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".xyz": read_text,
     ".txt": read_text,
 }
-"""From the suffix of a file of one frame, in lower case, to what reads it."""
+"""From the suffix of a file of one frame, in lower case, to its reader."""
 
-HASHED = 2**20
-"""Bytes that are hashed at a time."""
+HASHED_BLOCK = 2**20
+"""Bytes that are hashed at a time: no file has to fit into memory."""
 
 
 def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
@@ -80,34 +80,34 @@ def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
     Parameters
     ----------
     path
-        A file whose suffix is one of `READERS`, `BAGS` or `PACKETS`; a folder of files that
-        `READERS` knows, or of a ROS 2 bag. The files of a folder are frames in natural
-        order (``frame2`` before ``frame10``); hidden files are passed over.
+        A file whose suffix is one of `READERS`, `BAGS` or `PACKETS`; a folder of files with a
+        suffix of `READERS`, or of a ROS 2 bag. The files of a folder are frames in natural
+        order (``frame2`` before ``frame10``); hidden files are skipped.
     topic
-        Of a bag, the topic to read; needed where several hold point clouds.
+        Of a bag, the topic to read; needed where several have point clouds.
 
     Raises
     ------
     ReadError
         Naming the file and what was expected.
     UsageError
-        Where a topic is given for what is no bag.
+        Where a topic is given, and the path is not a bag.
     MissingExtraError
-        Where the format needs an optional part that is not installed.
+        Where the format needs an extra that is not installed.
     """
     path = Path(path)
     files = _files(path)
     if _is_bag(path):
         return open_bag(path, topic)
     if topic is not None:
-        raise UsageError(f"{path}: has no topics, those are of bags ({', '.join(BAGS)})")
+        raise UsageError(f"{path}: has no topics, only bags have ({', '.join(BAGS)})")
     if path.suffix.lower() in PACKETS and path.is_file():
         return open_packets(path)
     return Recording(path, len(files), lambda numbers: (Frame(k, _read(files[k])) for k in numbers))
 
 
 def topics_of(path: str | Path) -> tuple[Topic, ...]:
-    """List the topics of a bag by name; of what is no bag, none.
+    """List the topics of a bag by name; empty for any other path.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _is_bag(path: Path) -> bool:
 def read_frames(
     path: str | Path, *, topic: str | None = None, frames: slice | None = None
 ) -> Iterator[Frame]:
-    """Read the frames of a recording one after the other; no two are in memory at a time.
+    """Read the frames of a recording one after the other; only one is in memory at a time.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def read_frames(
     Raises
     ------
     ReadError, UsageError, MissingExtraError
-        As `open_recording`, when the first frame is asked for or where a frame cannot be read.
+        As `open_recording`, when the first frame is requested or where a frame cannot be read.
     """
     recording = open_recording(path, topic=topic)
     yield from recording.read(chosen_frames(recording, frames or slice(None)))
@@ -154,8 +154,9 @@ def read_cloud(
     path, topic
         As `open_recording` takes them.
     frames
-        Which frames to put together, by their numbers from 0, as Python slices a list. None takes
-        them all, or of a long recording as many as hold `MAX_POINTS`, evenly spread.
+        Which frames to combine, by their numbers from 0, as Python slices a list. None takes them
+        all, or of a long recording evenly spread ones with about
+        `recordings.MAX_RECORDING_POINTS` points.
 
     Returns
     -------
@@ -168,9 +169,9 @@ def read_cloud(
     ReadError
         Naming the file, the line or the field, and what was expected.
     UsageError
-        Where a topic is given for what is no bag, or frames backwards.
+        Where a topic is given and the path is not a bag, or frames are asked for backwards.
     MissingExtraError
-        Where the format needs an optional part that is not installed.
+        Where the format needs an extra that is not installed.
     """
     return read_recording(path, topic=topic, frames=frames).cloud
 
@@ -198,12 +199,12 @@ def read_recording(
 
 
 def _files(path: Path) -> list[Path]:
-    """The file itself, the frames of a folder, or what a ROS 2 bag is made of."""
+    """List the file itself, the frames of a folder, or the files of a ROS 2 bag."""
     try:
         if not path.exists():
             raise ReadError(f"{path}: there is no such file or folder")
         if is_rosbag2(path):
-            return sorted((p for p in path.iterdir() if p.is_file()), key=_natural)
+            return sorted((p for p in path.iterdir() if p.is_file()), key=_natural_key)
         return frames_of(path) if path.is_dir() else [path]
     except OSError as error:
         raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
@@ -226,28 +227,28 @@ def frames_of(folder: Path) -> list[Path]:
     Raises
     ------
     ReadError
-        Where there are none, or files of different kinds.
+        Where there are none, or files of different formats.
     """
     files = [p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")]
     clouds = [p for p in files if p.suffix.lower() in READERS]
     if not clouds:
-        bags = [p.name for p in files if p.suffix.lower() in (*BAGS, *PACKETS)]
+        recordings = [p.name for p in files if p.suffix.lower() in (*BAGS, *PACKETS)]
         raise ReadError(
-            f"{folder}: holds recordings, give one of them: {', '.join(sorted(bags))}"
-            if bags
-            else f"{folder}: holds no point clouds, expected files of {', '.join(READERS)}"
+            f"{folder}: has several recordings, give one of them: {', '.join(sorted(recordings))}"
+            if recordings
+            else f"{folder}: has no point clouds, expected files of {', '.join(READERS)}"
         )
     suffixes = sorted({p.suffix.lower() for p in clouds})
     if len(suffixes) > 1:
         raise ReadError(
-            f"{folder}: holds files of different kinds ({', '.join(suffixes)}), expected the "
+            f"{folder}: has files of different formats ({', '.join(suffixes)}), expected the "
             "frames of one recording"
         )
-    return sorted(clouds, key=_natural)
+    return sorted(clouds, key=_natural_key)
 
 
-def _natural(path: Path) -> tuple[list[str | int], str]:
-    """Sort key: the digits of a name as numbers; the name itself where these are the same."""
+def _natural_key(path: Path) -> tuple[list[str | int], str]:
+    """Make a sort key: digits in a name count as numbers; equal ones are sorted by the name."""
     words = re.split(r"([0-9]+)", path.name)
     return [int(word) if k % 2 else word for k, word in enumerate(words)], path.name
 
@@ -264,7 +265,7 @@ def sha256_of(path: str | Path) -> str:
     for file in _files(Path(path)):
         try:
             with file.open("rb") as opened:
-                while block := opened.read(HASHED):
+                while block := opened.read(HASHED_BLOCK):
                     digest.update(block)
         except OSError as error:
             raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None

@@ -20,16 +20,22 @@ from .fields import INTENSITY, REAL_KINDS, RING, TIME, cloud_from_columns
 from .table import is_number, read_table
 
 PLAIN_COLUMNS = ("x", "y", "z", "intensity")
-"""What the columns of a table without names are; more may as well be colours or normals."""
+"""What the columns of a table without names are; a fifth could be a colour or a normal."""
+
+KITTI_POINT = 16
+"""Bytes of a point of KITTI: four float32."""
 
 TABLE_KEYS = ("xyz", "points", "arr_0")
-"""What a table of points is called in an NPZ."""
+"""Names of a table of points in an NPZ."""
+
+SEPARATORS = ";\t,"
+"""What separates the values of a text: the first of these that occurs, else blanks."""
 
 ARRAY_SOURCE = "<array>"
-"""What a cloud made of an array has for its source."""
+"""Source of a cloud that was made of an array."""
 
 MAX_DEFLATE_RATIO = 1100
-"""Deflate packs 1032 bytes into one at best."""
+"""Deflate compresses at most 1032 bytes into one; an entry that promises more is damaged."""
 
 
 def _nonempty(path: Path) -> bytes:
@@ -42,9 +48,10 @@ def _nonempty(path: Path) -> bytes:
 def read_kitti(path: Path) -> PointCloud:
     """Read a KITTI ``.bin``: float32 x y z intensity, and nothing else."""
     data = _nonempty(path)
-    if len(data) % 16:
+    if len(data) % KITTI_POINT:
         raise ReadError(
-            f"{path}: {len(data)} bytes, expected a multiple of 16 (float32 x y z intensity)"
+            f"{path}: {len(data)} bytes, expected a multiple of {KITTI_POINT} (float32 x y z "
+            "intensity)"
         )
     return _from_table(path, np.frombuffer(data, "<f4").reshape(-1, 4))
 
@@ -97,7 +104,7 @@ def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointClou
 
 
 def _load(path: Path, file: IO[bytes], left: int) -> NDArray[Any]:
-    """Read one ``.npy`` from an open file of `left` bytes, its promise checked against these."""
+    """Read one ``.npy`` from an open file of `left` bytes; its header may not promise more."""
     version = np.lib.format.read_magic(file)
     reader = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -128,14 +135,14 @@ def read_npy(path: Path) -> PointCloud:
         raise
     except Exception as error:
         # The header is Python text: NumPy raises whatever reading a damaged one raises.
-        raise ReadError(f"{path}: is no readable NPY file ({error})") from None
+        raise ReadError(f"{path}: is not a readable NPY file ({error})") from None
     return _from_table(path, array)
 
 
 def read_npz(path: Path) -> PointCloud:
     """Read an NPZ: x, y and z, or one table xyz or points (N, 3 or 4); intensity, ring, time.
 
-    An NPZ of one array may call it what it likes. Arrays of other names are passed over.
+    Where there is only one array, its name does not matter. Arrays with other names are skipped.
     """
     data = _nonempty(path)
     arrays: dict[str, NDArray[Any]] = {}
@@ -156,7 +163,7 @@ def read_npz(path: Path) -> PointCloud:
         raise
     except Exception as error:
         # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
-        raise ReadError(f"{path}: is no readable NPZ file ({error})") from None
+        raise ReadError(f"{path}: is not a readable NPZ file ({error})") from None
     if len(arrays) == 1:
         return _from_table(path, *arrays.values())
     tables = [name for name in TABLE_KEYS if name in arrays]
@@ -170,7 +177,7 @@ def read_npz(path: Path) -> PointCloud:
             columns |= dict(zip(PLAIN_COLUMNS, array.T, strict=False))
         else:
             raise ReadError(f"{path}: {name} has shape {array.shape}, expected (N, 3) or (N, 4)")
-    # An intensity of its own goes before a fourth column.
+    # An array of intensities takes precedence over a fourth column.
     columns |= {name: array for name, array in arrays.items() if name not in tables}
     return cloud_from_columns(path, columns)
 
@@ -183,18 +190,18 @@ def _has_meaning(name: str) -> bool:
 def read_text(path: Path) -> PointCloud:
     """Read a table of text: columns by name where a first line names them, else x y z intensity.
 
-    Values are parted by semicolons, tabs, commas or blanks, whichever of these the first line of
-    numbers holds, in this order. Lines that start with ``#`` or ``//`` are comments; the last one
-    before the numbers that names x, y and z names the columns.
+    Values are separated by semicolons, tabs, commas or blanks: the first of these that is in the
+    first line of numbers. Lines that start with ``#`` or ``//`` are comments; the last one before
+    the numbers that names x, y and z names the columns.
     """
     body = _nonempty(path).removeprefix(codecs.BOM_UTF8)
     body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     names, first, position = _names(path, body)
     end = body.find(b"\n", position)
     line = body[position : end if end >= 0 else len(body)].decode("ascii", errors="replace")
-    mark = _mark(line)
-    columns = len(names) or len(line.split("#")[0].split(mark))
-    table = read_table(path, body[position:], columns, line=first, mark=mark)
+    separator = _separator(line)
+    columns = len(names) or len(line.split("#")[0].split(separator))
+    table = read_table(path, body[position:], columns, line=first, separator=separator)
     if not names:
         return _from_table(path, table)
     if len({name.lower() for name in names}) < len(names):
@@ -203,13 +210,13 @@ def read_text(path: Path) -> PointCloud:
 
 
 def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
-    """Names of the columns, none where not given; line number and position of the first numbers."""
+    """Find the names of the columns, if any, and line and position of the first numbers."""
     names, commented, position = list[str](), True, 0
     for number, raw in enumerate(body.splitlines(keepends=True), 1):
         line = raw.decode("utf-8", errors="replace").strip()
         plain = line.lstrip("#/").strip()
-        words = [word.strip(" \"'") for word in plain.split(_mark(plain))]
-        # Also what only starts like a number is no name: 1,5 is an error to be told, not a title.
+        words = [word.strip(" \"'") for word in plain.split(_separator(plain))]
+        # Words that only start like a number are not names: 1,5 is an error and not a title.
         if plain == line and any(
             is_number(word) or re.match(r"[-+.]?[0-9]", word) for word in words
         ):
@@ -225,5 +232,5 @@ def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
     raise ReadError(f"{path}: holds no lines of numbers, expected x y z and more in columns")
 
 
-def _mark(line: str) -> str | None:
-    return next((mark for mark in ";\t," if mark in line), None)
+def _separator(line: str) -> str | None:
+    return next((separator for separator in SEPARATORS if separator in line), None)

@@ -1,4 +1,4 @@
-"""What is in a recording: its frames, fields and intensities, and which sensor it may be of."""
+"""What a recording contains: frames, fields, intensities, and which sensors it may be from."""
 
 from __future__ import annotations
 
@@ -12,31 +12,33 @@ from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import SENSORS, Sensor, auto_threshold
 from . import FrameHeader, ReadRecording, read_recording, topics_of
 
-BINS = 16
-"""Of the histogram of intensities."""
+INTENSITY_BINS = 16
+"""Bins of the histogram of intensities: what fits a terminal."""
 
 SENSOR_GUESS_SAMPLE = 200_000
-"""So many points, evenly taken, tell which sensor it is."""
+"""Points, evenly taken, by which the sensor is recognized: more take time and change nothing."""
 
 MIN_RING_POINTS = 20
-"""A ring of fewer points has no elevation worth the name."""
+"""Rings with fewer points are left out: their median elevation is not reliable."""
 
-WITHIN, PART_OF_STEP = np.radians(0.35), 0.3
-"""How far a ring may be from its beam: so much, or this part of the step between beams. Sensors
-differ one by one, and near returns show that beams do not start in one point."""
+RING_TOLERANCE, RING_TOLERANCE_OF_STEP = np.radians(0.35), 0.3
+"""How far a ring's elevation may be from that of the table, rad, or as a part of the step between
+rings, whichever is larger. Units of one model differ, and near returns show that beams do not
+start in one point."""
 
-SPREAD = np.radians(0.5)
-"""Half of the points of a ring are within this of its elevation, or the cloud was turned."""
+MAX_RING_SPREAD = np.radians(0.5)
+"""Half of the points of a ring lie within this of its elevation, rad; otherwise the cloud was
+rotated out of its sensor's frame."""
 
-ON_BEAM, BEAM_SEPARATION = np.radians(0.1), 4
-"""Without rings: how near its beam a point is, for sensors whose beams are so many times that
-apart, …"""
+POINT_TOLERANCE, MIN_SEPARATION = np.radians(0.1), 4
+"""Without rings: how far a point's elevation may be from that of a ring of the table, rad; for
+sensors whose rings are at least this many times as far apart."""
 
-MOST = 0.95
-"""… and for so many of the points."""
+MIN_FITTING_SHARE = 0.95
+"""Without rings: share of the points that must be so near a ring."""
 
-SEEN = 0.5
-"""Part of the sensor's beams that must have returns: out of doors the sky gives none."""
+MIN_SEEN_SHARE = 0.5
+"""Share of the sensor's rings that must have returns: outdoors the sky gives none."""
 
 
 class TopicDoc(msgspec.Struct):
@@ -80,7 +82,7 @@ class CloudDoc(msgspec.Struct):
 
 
 class InfoDoc(msgspec.Struct, kw_only=True):
-    """What is in a recording, as ``retropole info`` says it."""
+    """What a recording contains, as ``retropole info`` prints it."""
 
     schema: Literal["retropole/info/1"] = "retropole/info/1"
     path: str
@@ -89,16 +91,16 @@ class InfoDoc(msgspec.Struct, kw_only=True):
 
 
 def describe(path: str | Path, *, topic: str | None = None, frames: slice | None = None) -> InfoDoc:
-    """Look into a recording.
+    """Describe a recording without calibrating anything.
 
     Parameters
     ----------
     path
         Whatever `io.read_cloud` reads.
     topic
-        Of a bag, the topic to look at; None looks at all of point clouds.
+        Of a bag, the topic to describe; None takes every topic of point clouds.
     frames
-        Which frames to look at; None takes those that `io.read_cloud` would.
+        The frames to read; None takes those that `io.read_cloud` would.
 
     Raises
     ------
@@ -148,8 +150,8 @@ def _rate(first: FrameHeader, last: FrameHeader) -> float | None:
 
 def _intensity(intensity: Array) -> IntensityDoc:
     low, high = min(0.0, float(intensity.min())), float(intensity.max())
-    counts, edges = np.histogram(intensity, BINS, (low, high if high > low else low + 1))
-    # Where all are the same there is no threshold, and extraction refuses.
+    counts, edges = np.histogram(intensity, INTENSITY_BINS, (low, high if high > low else low + 1))
+    # Where all intensities are the same there is no threshold, and extraction refuses the cloud.
     threshold = auto_threshold(intensity) if np.ptp(intensity) > 0 else None
     median, p95 = np.quantile(intensity, [0.5, 0.95])
     return IntensityDoc(
@@ -165,11 +167,11 @@ def _intensity(intensity: Array) -> IntensityDoc:
 
 
 def guess_sensors(cloud: PointCloud) -> list[str]:
-    """Name the sensors of the table whose beams a cloud's points lie on; none where none fits.
+    """Name the sensors of the table whose elevations a cloud has; empty where no sensor fits.
 
-    With rings, each ring's elevation is held against the beams; without, all points are, for
-    sensors whose beams are far enough apart for that to say something. Sensors with the same beams
-    are all named. A cloud that was turned out of its sensor's frame fits none.
+    With rings, the elevation of each ring is compared with the table; without, the elevations of
+    all points are, for sensors whose rings are far enough apart. Sensors with the same elevations
+    are all named. A cloud that was rotated out of its sensor's frame fits none.
 
     Parameters
     ----------
@@ -190,7 +192,10 @@ def guess_sensors(cloud: PointCloud) -> list[str]:
 
 
 def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[int, float]:
-    """Median elevation of each ring's farther half; none at all where rings have several."""
+    """Find the median elevation of each ring's farther half, rad.
+
+    Empty where the points of a ring do not share one elevation.
+    """
     elevations: dict[int, float] = {}
     spreads: list[float] = []
     for number in np.unique(ring):
@@ -199,33 +204,35 @@ def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[in
         if len(own) >= MIN_RING_POINTS:
             elevations[int(number)] = median = float(np.median(own))
             spreads.append(float(np.median(np.abs(own - median))))
-    return elevations if spreads and np.median(spreads) <= SPREAD else {}
+    return elevations if spreads and np.median(spreads) <= MAX_RING_SPREAD else {}
 
 
 def _rings_fit(sensor: Sensor, rings: dict[int, float]) -> bool:
-    """Whether ring after ring is at its beam, counted from the lowest or the highest, 0 or 1."""
-    beams = sensor.elevations
+    """Whether each ring has its elevation, counted from the lowest or highest and from 0 or 1."""
+    table = sensor.elevations
     numbers = np.array(list(rings))
     elevations = np.array(list(rings.values()))
-    if len(rings) < SEEN * len(beams):
+    if len(rings) < MIN_SEEN_SHARE * len(table):
         return False
-    within = max(WITHIN, PART_OF_STEP * float(np.median(np.diff(beams))))
+    step = float(np.median(np.diff(table)))
+    within = max(RING_TOLERANCE, RING_TOLERANCE_OF_STEP * step)
     for first in (0, 1):
         index = numbers - first
-        if index.min() < 0 or index.max() >= len(beams):
+        if index.min() < 0 or index.max() >= len(table):
             continue
-        for ordered in (beams, beams[::-1]):
+        for ordered in (table, table[::-1]):
             if np.max(np.abs(elevations - ordered[index])) <= within:
                 return True
     return False
 
 
 def _points_fit(sensor: Sensor, elevation: Array) -> bool:
-    beams = sensor.elevations
-    if np.diff(beams).min() < BEAM_SEPARATION * ON_BEAM:
+    """Whether most points are at the elevation of a ring, and most rings have points."""
+    table = sensor.elevations
+    if np.diff(table).min() < MIN_SEPARATION * POINT_TOLERANCE:
         return False
-    after = np.clip(np.searchsorted(beams, elevation), 1, len(beams) - 1)
-    index = after - (elevation - beams[after - 1] < beams[after] - elevation)
-    apart = np.abs(elevation - beams[index])
-    on_beam = apart <= ON_BEAM
-    return bool(np.mean(on_beam) >= MOST and len(np.unique(index[on_beam])) >= SEEN * len(beams))
+    after = np.clip(np.searchsorted(table, elevation), 1, len(table) - 1)
+    index = after - (elevation - table[after - 1] < table[after] - elevation)
+    fitting = np.abs(elevation - table[index]) <= POINT_TOLERANCE
+    seen = len(np.unique(index[fitting])) / len(table)
+    return bool(np.mean(fitting) >= MIN_FITTING_SHARE and seen >= MIN_SEEN_SHARE)

@@ -1,4 +1,4 @@
-"""From named columns to a point cloud: which names mean what, and which points are dropped."""
+"""From named columns to a point cloud: what the names mean, and which points are dropped."""
 
 from __future__ import annotations
 
@@ -16,9 +16,13 @@ from ..errors import ReadError, UsageError
 INTENSITY = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission")
 RING = ("ring", "channel", "laser_id", "line", "beam")
 TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpstime")
+"""Names of the fields in lower case; where a file has several, the first is taken."""
 
 LAST_SECOND = 1e11
-"""Later than any clock counts in seconds (year 5138), earlier than any counts its milliseconds."""
+"""Greater than any time in seconds (year 5138), smaller than any Unix time in milliseconds."""
+
+MAX_RING = 2**31 - 1
+"""Larger numbers, from fields of 8 bytes, are not rings."""
 
 REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""
@@ -27,9 +31,9 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
-    """Name the first column that means one of the names, in any case; exact spelling goes first.
+    """Find the first column with one of the names, in any case; the exact spelling goes first.
 
-    CloudCompare puts ``scalar_`` in front of what it does not know.
+    CloudCompare puts ``scalar_`` in front of names that it does not know.
     """
     plain = {name: name for name in columns}
     for name in columns:
@@ -40,7 +44,7 @@ def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
 
 
 class NoReturnsError(ReadError):
-    """None of `points` points is a return: an empty frame where there are others."""
+    """None of `points` points is a return; among other frames, this one is empty."""
 
     def __init__(self, message: str, points: int) -> None:
         super().__init__(message)
@@ -54,14 +58,14 @@ def cloud_from_columns(
 
     Of several values of a field (a dual return's intensities), the first is taken. An intensity
     that is not finite counts as 0: a return without a measured strength cannot be tape. Where none
-    is finite, the file has no intensity. Colours (rgb) are no intensity.
+    is finite, the file has no intensity. Colours (rgb) are not an intensity.
 
     Parameters
     ----------
     path
         The file, or its part, for messages.
     columns
-        What the file holds, by name.
+        The fields of the file, by name.
     origin
         (3,) where the beams start; None is the origin of the frame.
 
@@ -79,7 +83,7 @@ def cloud_from_columns(
     if len({len(part) for part in parts}) > 1:
         raise ReadError(
             f"{path}: x, y and z have {', '.join(str(len(part)) for part in parts)} values, "
-            "expected one each a point"
+            "expected one per point"
         )
     if len(parts[0]) == 0:
         raise NoReturnsError(f"{path}: holds no points, expected at least one", 0)
@@ -102,15 +106,16 @@ def cloud_from_columns(
         values = _numbers(path, own, columns[own])
         if len(values) != len(xyz):
             raise ReadError(
-                f"{path}: {own} has {len(values)} values for {len(xyz)} points, expected one each"
+                f"{path}: {own} has {len(values)} values for {len(xyz)} points, expected one per "
+                "point"
             )
         return values if kept.all() else values[kept]
 
     return PointCloud(
         xyz=xyz if kept.all() else xyz[kept],
-        intensity=_strength(optional(INTENSITY)),
-        ring=_whole(optional(RING)),
-        time=_seconds(optional(TIME)),
+        intensity=_intensity(optional(INTENSITY)),
+        ring=_ring(optional(RING)),
+        time=_time(optional(TIME)),
         origin=start,
         dropped=int(np.count_nonzero(~kept)),
         source=str(path),
@@ -121,7 +126,7 @@ def cloud_from_columns(
 def frame_from_columns(
     path: Path | str, columns: Columns, origin: Array | None = None
 ) -> PointCloud:
-    """Make a cloud as `cloud_from_columns` does, an empty one where no point is a return."""
+    """Make a cloud as `cloud_from_columns` does, and an empty one where no point is a return."""
     try:
         return cloud_from_columns(path, columns, origin)
     except NoReturnsError as error:
@@ -167,7 +172,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     if intensity is not None and not (
         intensity.dtype == np.float64 and np.isfinite(intensity).all()
     ):
-        intensity = _strength(intensity)
+        intensity = _intensity(intensity)
     if kept.all() and cloud.xyz.dtype == np.float64 and intensity is cloud.intensity:
         return cloud
     xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float64)
@@ -176,12 +181,12 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
 
 
 def _kind(column: NDArray[Any]) -> str:
-    """Name the type of a column, and how many values a point has of it where that is not one."""
+    """Name the type of a column, and the number of values per point where it is not one."""
     return column.dtype.name + "".join(f"[{n}]" for n in column.shape[1:])
 
 
 def _numbers(path: Path | str, name: str, column: NDArray[Any]) -> NDArray[Any]:
-    """One number a point, the first of several; refuse text, complex numbers and the like."""
+    """Take one number per point, the first of several; refuse text and complex numbers."""
     if column.dtype.kind not in REAL_KINDS or column.ndim not in (1, 2) or column.shape[1:] == (0,):
         raise ReadError(
             f"{path}: field {name} is {column.dtype} {list(column.shape[1:]) or ''}, expected "
@@ -191,12 +196,12 @@ def _numbers(path: Path | str, name: str, column: NDArray[Any]) -> NDArray[Any]:
 
 
 def _floats(values: NDArray[Any]) -> Array:
-    # Casting a signalling NaN or a long double beyond the range warns; what comes of it is dropped.
+    # Casting a signalling NaN or a long double out of range warns; such points are dropped.
     with np.errstate(invalid="ignore", over="ignore"):
         return values.astype(np.float64)
 
 
-def _strength(values: NDArray[Any] | None) -> Array | None:
+def _intensity(values: NDArray[Any] | None) -> Array | None:
     if values is None:
         return None
     intensity = _floats(values)
@@ -204,20 +209,20 @@ def _strength(values: NDArray[Any] | None) -> Array | None:
     return np.where(finite, intensity, 0.0) if finite.any() else None
 
 
-def _whole(values: NDArray[Any] | None) -> IntArray | None:
-    """Beam indices; a table stores them as floats. What is no index at all is no ring."""
+def _ring(values: NDArray[Any] | None) -> IntArray | None:
+    """Take ring numbers, which a table stores as floats; None where they are not whole numbers."""
     if values is None:
         return None
-    if values.dtype.kind in "iu" and values.dtype.itemsize <= 4:
+    if values.dtype.kind in "iu" and values.dtype.itemsize <= np.dtype(np.int32).itemsize:
         return values.astype(np.int64)
     numbers = _floats(values)
     with np.errstate(invalid="ignore"):
-        indices = np.all(np.abs(numbers) < 2**31) and np.all(numbers == np.round(numbers))
+        indices = np.all(np.abs(numbers) <= MAX_RING) and np.all(numbers == np.round(numbers))
     return numbers.astype(np.int64) if indices else None
 
 
-def _seconds(values: NDArray[Any] | None) -> Array | None:
-    """Floats that can be seconds; of counts of ticks no file says how long one is."""
+def _time(values: NDArray[Any] | None) -> Array | None:
+    """Take floats that can be seconds; of ticks, no file says how long one is."""
     if values is None or values.dtype.kind != "f":
         return None
     seconds = _floats(values)

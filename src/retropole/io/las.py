@@ -1,7 +1,7 @@
-"""LAS and LAZ, by laspy (the optional part ``las``).
+"""LAS and LAZ, with laspy (the extra ``las``).
 
-laspy believes the header: one wrong byte in it makes laspy take gigabytes before it notices. The
-sizes that the header promises are therefore held against the size of the file first.
+laspy trusts the header: one wrong byte in it makes laspy allocate gigabytes before it notices. The
+sizes that the header promises are therefore compared with the size of the file first.
 """
 
 from __future__ import annotations
@@ -17,30 +17,39 @@ from ..datatypes import PointCloud
 from ..errors import MissingExtraError, ReadError
 from .fields import INTENSITY, RING, TIME, cloud_from_columns
 
-PART = 16 * 2**20
-"""Bytes of unpacked points read at a time."""
+READ_BLOCK = 16 * 2**20
+"""Bytes of decompressed points that are read at a time."""
 
 MAX_LAZ_RATIO = 1000
-"""Scans pack 5 to 20 fold: a file that promises more than this holds something else."""
+"""Scans compress 5 to 20 fold: a file that promises more than this is damaged."""
 
 SMALLEST_HEADER = 227
 SMALLEST_RECORD = 54
-"""Bytes of a variable length record that holds nothing."""
+"""Bytes of a variable length record without content."""
 
 SMALLEST_POINT = 20
 """Bytes of a point of the shortest format."""
 
-FORMAT, PACKED = 104, 0x80
-"""Byte of the header that holds the format of the points, and its bit for LAZ."""
+SIZES_AT, FORMAT_AT, COMPRESSED = 94, 104, 0x80
+"""Bytes of the header with its sizes, and with the format of points; its highest bit means LAZ."""
 
 LAYERED = 3
-"""How LAZ calls the packing of formats 6 to 10, which puts each kind of value in its own layer."""
+"""Number of the LAZ compression of formats 6 to 10, which keeps each kind of value in a layer."""
 
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""How many layers the items of a point have: the point itself, RGB, RGB and NIR, wave packet."""
+"""Number of layers of the items of a point: the point itself, RGB, RGB and NIR, wave packet."""
 
 EXTRA_BYTES = 14
-"""The item whose every byte is a layer."""
+"""The item of which each byte is a layer."""
+
+ITEMS_AT, ITEM_SIZE = 34, 6
+"""Byte of LAZ's own record at which the items of a point begin, and bytes of an item."""
+
+FIRST_CHUNK = 8
+"""Bytes from the start of the points to the first chunk: the place of the table of chunks."""
+
+COUNT_SIZE = 4
+"""Bytes of a count of points or of layers."""
 
 
 def read_las(path: Path) -> PointCloud:
@@ -67,14 +76,16 @@ def read_las(path: Path) -> PointCloud:
                 header.point_count,
                 header.point_format.size,
                 path.stat().st_size - header.offset_to_point_data,
-                packed=header.are_points_compressed,
+                compressed=header.are_points_compressed,
             )
             for record in header.vlrs.get("LasZipVlr"):
                 _check_layers(path, header.offset_to_point_data, record.record_data)
             names = _wanted(header.point_format.dimension_names)
-            # In parts, so that memory follows what the file holds, not what its header promises.
-            size = max(1, PART // header.point_format.size)
-            parts = [[np.array(part[name]) for name in names] for part in file.chunk_iterator(size)]
+            # In blocks, so that memory follows what is in the file, not what its header promises.
+            size = max(1, READ_BLOCK // header.point_format.size)
+            blocks = [
+                [np.array(block[name]) for name in names] for block in file.chunk_iterator(size)
+            ]
     except ReadError:
         raise
     except (KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -82,11 +93,11 @@ def read_las(path: Path) -> PointCloud:
     except BaseException as error:
         # For damaged files laspy and its decoders raise a dozen unrelated types; a panic of the
         # LAZ decoder is not even an Exception.
-        raise ReadError(f"{path}: is no readable LAS file ({error})") from None
-    if not parts:
+        raise ReadError(f"{path}: is not a readable LAS file ({error})") from None
+    if not blocks:
         raise ReadError(f"{path}: holds no points, expected at least one")
-    columns = {name: np.concatenate(column) for name, *column in zip(names, *parts, strict=True)}
-    count = sum(len(part[0]) for part in parts)
+    columns = {name: np.concatenate(column) for name, *column in zip(names, *blocks, strict=True)}
+    count = sum(len(block[0]) for block in blocks)
     if count != header.point_count:
         raise ReadError(
             f"{path}: the header promises {header.point_count} points, the file holds {count}"
@@ -95,7 +106,7 @@ def read_las(path: Path) -> PointCloud:
 
 
 def _check_header(path: Path) -> None:
-    """Check that the records and chunks the header promises have room in the file."""
+    """Check that the file is long enough for the records and chunks that the header promises."""
     size = path.stat().st_size
     if size == 0:
         raise ReadError(f"{path}: is empty, expected a LAS header")
@@ -106,7 +117,7 @@ def _check_header(path: Path) -> None:
             f"{path}: starts with {head[:4]!r} and has {size} bytes, expected a LAS header, which "
             f"starts with b'LASF' and has {SMALLEST_HEADER} or more"
         )
-    length, points, records = struct.unpack_from("<HII", head, 94)
+    length, points, records = struct.unpack_from("<HII", head, SIZES_AT)
     if points > size:
         raise ReadError(
             f"{path}: the header says that points start at byte {points}, the file ends at {size}"
@@ -116,29 +127,29 @@ def _check_header(path: Path) -> None:
             f"{path}: the header promises {records} variable length records, which the bytes "
             f"{length} to {points} before the points cannot hold"
         )
-    if head[FORMAT] & PACKED:
+    if head[FORMAT_AT] & COMPRESSED:
         _check_chunks(path, points)
 
 
-def _check_points(path: Path, count: int, size: int, left: int, *, packed: bool) -> None:
+def _check_points(path: Path, count: int, size: int, left: int, *, compressed: bool) -> None:
     """Check that `count` points of `size` bytes can come from the `left` bytes of the file."""
-    if count * size > left * (MAX_LAZ_RATIO if packed else 1):
+    if count * size > left * (MAX_LAZ_RATIO if compressed else 1):
         raise ReadError(
             f"{path}: the header promises {count} points, {count * size} bytes"
-            f"{' unpacked' if packed else ''}; the file holds {left} after it"
+            f"{' decompressed' if compressed else ''}; the file holds {left} after it"
         )
 
 
 def _check_chunks(path: Path, start: int) -> None:
     """Refuse a count of LAZ chunks that the file cannot hold.
 
-    The decoder makes room for as many as the file says, and where there is none, it ends the
-    process: no exception could be caught. A chunk starts with one point as it is.
+    The decoder allocates memory for as many as the file says, and where there is not enough, it
+    ends the process: no exception could be caught. A chunk starts with one uncompressed point.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        file.seek(_chunk_table(path, file, start) + 4)
-        chunks = struct.unpack("<I", file.read(4))[0]
+        file.seek(_chunk_table(path, file, start) + COUNT_SIZE)
+        chunks = struct.unpack("<I", file.read(COUNT_SIZE))[0]
     if chunks * SMALLEST_POINT > size:
         raise ReadError(f"{path}: promises {chunks} chunks, its {size} bytes cannot hold them")
 
@@ -147,43 +158,45 @@ def _chunk_table(path: Path, file: BinaryIO, start: int) -> int:
     """Find the byte where the LAZ chunks end and their table begins."""
     size = path.stat().st_size
     file.seek(start)
-    head = file.read(8)
-    table: int = struct.unpack("<q", head)[0] if len(head) == 8 else 0
+    head = file.read(FIRST_CHUNK)
+    table: int = struct.unpack("<q", head)[0] if len(head) == FIRST_CHUNK else 0
     if table == -1:  # a writer that could not go back put the place at the very end
-        file.seek(size - 8)
-        table = struct.unpack("<q", file.read(8))[0]
-    if not start < table <= size - 8:
+        file.seek(size - FIRST_CHUNK)
+        table = struct.unpack("<q", file.read(FIRST_CHUNK))[0]
+    if not start < table <= size - FIRST_CHUNK:
         raise ReadError(
             f"{path}: its table of chunks is said to be at byte {table}, expected between "
-            f"{start} and {size - 8}"
+            f"{start} and {size - FIRST_CHUNK}"
         )
     return table
 
 
-def _check_layers(path: Path, start: int, packing: bytes) -> None:
+def _check_layers(path: Path, start: int, record: bytes) -> None:
     """Refuse LAZ layers that the file cannot hold, for the same reason as chunks.
 
-    A chunk of layers is its first point, how many points it has, how long each layer is, and the
-    layers; the next one follows at once.
+    A chunk of layers is its first point, the number of its points, the length of each layer, and
+    the layers; the next one follows at once.
     """
-    if len(packing) < 34 or struct.unpack_from("<H", packing)[0] != LAYERED:
+    if len(record) < ITEMS_AT or struct.unpack_from("<H", record)[0] != LAYERED:
         return
-    items = list(struct.iter_unpack("<HHH", packing[34 : 34 + (len(packing) - 34) // 6 * 6]))
+    count = (len(record) - ITEMS_AT) // ITEM_SIZE
+    items = list(struct.iter_unpack("<HHH", record[ITEMS_AT : ITEMS_AT + count * ITEM_SIZE]))
     first = sum(length for _, length, _ in items)
     layers = sum(
         length if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, length, _ in items
     )
     with path.open("rb") as file:
         end = _chunk_table(path, file, start)
-        position = start + 8
+        position = start + FIRST_CHUNK
         while position < end:
-            file.seek(position + first + 4)
-            sizes = file.read(4 * layers)
-            # An item of no known kind makes no layers; the place still moves on, by 4 at least.
-            position += first + 4 + 4 * layers
-            if len(sizes) == 4 * layers:
+            file.seek(position + first + COUNT_SIZE)
+            sizes = file.read(COUNT_SIZE * layers)
+            # Unknown items have no layers; the position still grows, by the count at least.
+            position += first + COUNT_SIZE + COUNT_SIZE * layers
+            complete = len(sizes) == COUNT_SIZE * layers
+            if complete:
                 position += sum(struct.unpack(f"<{layers}I", sizes))
-            if len(sizes) < 4 * layers or position > end:
+            if not complete or position > end:
                 raise ReadError(
                     f"{path}: a chunk promises layers up to byte {position}, the chunks end at "
                     f"{end}"
@@ -191,7 +204,7 @@ def _check_layers(path: Path, start: int, packing: bytes) -> None:
 
 
 def _wanted(dimensions: Iterable[str]) -> list[str]:
-    """Names of the scaled coordinates and of the other fields that mean something here."""
+    """List the scaled coordinates, and the other fields that are used here."""
     known = {*INTENSITY, *RING, *TIME}
     return ["x", "y", "z"] + [
         name for name in dimensions if name.lower().removeprefix("scalar_") in known

@@ -1,7 +1,7 @@
-"""Packets as a sensor sends them, in a .pcap: Velodyne and Ouster, by their own mathematics.
+"""Packets as a sensor sends them, in a .pcap: Velodyne and Ouster.
 
-Velodyne by velodyne-decoder (optional part ``velodyne``), Ouster by the maker's kit (``ouster``).
-Frames are sweeps; the first and the last are as long as the recording has them.
+Velodyne are decoded by velodyne-decoder (the extra ``velodyne``), Ouster by the manufacturer's SDK
+(the extra ``ouster``). Frames are sweeps; the first and the last may be incomplete.
 """
 
 from __future__ import annotations
@@ -23,28 +23,34 @@ PACKETS = (".pcap",)
 """Suffixes of packet captures."""
 
 PROBED_PACKETS = 1000
-"""So many first packets tell what sent them."""
+"""Number of first packets by which the sensor is recognized."""
 
-VELODYNE, UPPER_BLOCK = 1206, b"\xff\xee"
-"""Bytes of a Velodyne packet of returns, and how it starts."""
+VELODYNE_SIZE, VELODYNE_START = 1206, b"\xff\xee"
+"""Bytes of a Velodyne packet of returns, and its first bytes."""
 
-MAGIC = {b"\xd4\xc3\xb2\xa1": "<", b"\xa1\xb2\xc3\xd4": ">"}
-MAGIC |= {b"\x4d\x3c\xb2\xa1": "<", b"\xa1\xb2\x3c\x4d": ">"}
-"""How a capture starts, and the byte order that tells; microseconds, then nanoseconds."""
+PCAP_ORDERS = {b"\xd4\xc3\xb2\xa1": "<", b"\xa1\xb2\xc3\xd4": ">"}
+PCAP_ORDERS |= {b"\x4d\x3c\xb2\xa1": "<", b"\xa1\xb2\x3c\x4d": ">"}
+"""First bytes of a capture, and the byte order that they show; microseconds, then nanoseconds."""
 
-NEXT_GENERATION = b"\x0a\x0d\x0d\x0a"
-"""How a pcapng starts."""
+PCAPNG_START = b"\x0a\x0d\x0d\x0a"
+"""First bytes of a pcapng."""
+
+CAPTURE_HEADER, PACKET_HEADER = 24, 16
+"""Bytes before the first packet, and before each."""
+
+MAX_PACKET = 2**17
+"""Bytes that no packet reaches: UDP carries 65,507 at most."""
 
 
 def open_packets(path: Path) -> Recording:
-    """Look at a capture: tell the maker, and count the sweeps, which takes a pass through it.
+    """Recognize the sensor of a capture, and count the sweeps, which takes a pass through it.
 
     Raises
     ------
     MissingExtraError
-        Where the maker's part is not installed.
+        Where the extra for the sensor is not installed.
     ReadError
-        Where the file is no capture of such packets, or an Ouster's metadata are missing.
+        Where the file is not a capture of such packets, or an Ouster's metadata are missing.
     """
     with reported(path, "capture"):
         sizes, velodyne = _first_packets(path)
@@ -65,37 +71,34 @@ def open_packets(path: Path) -> Recording:
 
 
 def _first_packets(path: Path) -> tuple[str, bool]:
-    """Say which sizes the first packets have, and whether they are Velodyne's."""
+    """Give the sizes of the first packets in words, and whether they are Velodyne's."""
     with path.open("rb") as file:
-        head = file.read(24)
+        head = file.read(CAPTURE_HEADER)
         if not head:
             raise ReadError(f"{path}: is empty, expected a capture of packets")
-        if head[:4] == NEXT_GENERATION:
-            raise ReadError(
-                f"{path}: is a pcapng, expected a pcap; 'editcap -F pcap' makes one of it"
-            )
-        order = MAGIC.get(head[:4])
+        if head[:4] == PCAPNG_START:
+            raise ReadError(f"{path}: is a pcapng, expected a pcap; 'editcap -F pcap' converts it")
+        order = PCAP_ORDERS.get(head[:4])
         if order is None:
             raise ReadError(f"{path}: starts with {head[:4]!r}, expected a capture of packets")
         sizes: Counter[int] = Counter()
         velodyne = False
         for _ in range(PROBED_PACKETS):
-            record = file.read(16)
-            if len(record) < 16:
+            record = file.read(PACKET_HEADER)
+            if len(record) < PACKET_HEADER:
                 break
             (size,) = struct.unpack_from(f"{order}I", record, 8)
-            # No packet of a sensor is larger than what UDP carries.
-            if size > 2**17:
+            if size > MAX_PACKET:
                 raise ReadError(f"{path}: a packet of {size} bytes, expected 65,536 at most")
             packet = file.read(size)
             sizes[size] += 1
-            velodyne |= packet[-VELODYNE : 2 - VELODYNE] == UPPER_BLOCK
+            velodyne |= packet[-VELODYNE_SIZE : 2 - VELODYNE_SIZE] == VELODYNE_START
     words = ", ".join(f"{size} ({count} times)" for size, count in sizes.most_common(3))
     return f"{words or 'no'} bytes with their headers", velodyne
 
 
 Sweep = tuple[float, Any, Array]
-"""When it was recorded, s; what gives its columns; where its beams start."""
+"""Time of recording, s; function that gives its columns; origin (3,) of its beams."""
 
 
 def _velodyne(path: Path) -> Any:
@@ -118,7 +121,7 @@ def _velodyne(path: Path) -> Any:
 
 
 def _metadata(path: Path, sizes: str) -> Path:
-    """Find the metadata of an Ouster beside its packets: of the same name, or the only ones."""
+    """Find the metadata of an Ouster beside its packets: with the same name, or the only ones."""
     same = path.with_suffix(".json")
     if same.is_file():
         return same
@@ -127,8 +130,8 @@ def _metadata(path: Path, sizes: str) -> Path:
         return beside[0]
     have = f"{len(beside)} files .json, none of them {same.name}" if beside else "no .json"
     raise ReadError(
-        f"{path}: its packets are no Velodyne's ({sizes}); an Ouster's need the sensor's metadata "
-        f"beside them as {same.name}, found {have}"
+        f"{path}: its packets are not from a Velodyne ({sizes}); those of an Ouster need the "
+        f"sensor's metadata beside them as {same.name}, found {have}"
     )
 
 
@@ -144,7 +147,7 @@ def _ouster(path: Path, metadata: Path) -> Any:
             source = open_source(str(path), meta=[str(metadata)])
             try:
                 info = source.sensor_info[0]
-                # In the sensor's frame, whose z = 0 is its base: the beams start above that.
+                # In the sensor's frame z = 0 is its base; the beams start above it.
                 rays = XYZLut(info, use_extrinsics=False)
                 origin = info.lidar_to_sensor_transform[:3, 3] / 1000
                 for scans in source:
@@ -163,17 +166,17 @@ def _ouster(path: Path, metadata: Path) -> Any:
 
 
 def _ouster_columns(scan: Any, rays: Any, names: Any) -> Columns:
-    """Name the values of a sweep, row by row; where no light came back there is no coordinate."""
+    """Name the values of a sweep, ring by ring; without a return there is no coordinate."""
     returned = scan.field(names.RANGE) > 0
     xyz = np.where(returned[..., None], rays(scan), np.nan).reshape(-1, 3)
     own = {names.SIGNAL: "intensity", names.REFLECTIVITY: "reflectivity"}
     columns = {
         name: scan.field(field).reshape(-1) for field, name in own.items() if field in scan.fields
     }
-    rows, sweep = returned.shape
+    rings, columns_of_sweep = returned.shape
     return {
         **dict(zip("xyz", xyz.T, strict=True)),
         **columns,
-        "ring": np.repeat(np.arange(rows), sweep),
-        "time": np.tile(scan.timestamp / 1e9, rows),
+        "ring": np.repeat(np.arange(rings), columns_of_sweep),
+        "time": np.tile(scan.timestamp / 1e9, rings),
     }

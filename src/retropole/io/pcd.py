@@ -1,7 +1,7 @@
 """PCD, the Point Cloud Library's format: ascii, binary and binary_compressed.
 
-The header is read here, so that its promises are checked against the size of the file before any
-memory is taken; the data are one NumPy record array. Only the compression is a library's.
+The header is read here, so that its sizes are checked against that of the file before any memory is
+allocated; the data are one NumPy record array. Only the decompression is a library's.
 """
 
 from __future__ import annotations
@@ -21,8 +21,19 @@ from .fields import Columns, cloud_from_columns
 from .table import read_table
 
 MAX_HEADER = 64 * 1024
+"""Bytes; a file without a DATA line in so many is not a PCD."""
+
+MAX_VALUES = 10_000
+"""Values of a point; more are an error in the header, and would take the memory."""
+
+MAX_NUMBER = 2**62
+"""Larger numbers in a header do not fit NumPy's sizes."""
+
 MAX_LZF_RATIO = 300
-"""LZF writes at least three bytes for 264: a file that promises more holds something else."""
+"""LZF writes at least three bytes for 264: a file that promises more is damaged."""
+
+LZF_SIZES = 8
+"""Bytes of the two sizes in front of compressed data."""
 
 KEYS = (
     *("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT"),
@@ -35,7 +46,7 @@ for _size in (1, 2, 4, 8):
 
 @dataclass(frozen=True, eq=False)
 class Header:
-    """What the header of a PCD file promises."""
+    """The header of a PCD file."""
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
@@ -54,7 +65,7 @@ class Header:
         for k, (name, kind, count) in enumerate(
             zip(self.names, self.kinds, self.counts, strict=True)
         ):
-            # A blank cannot be in a name of the file, so these meet none.
+            # A name in the file has no blank, so these are not in use.
             own = f"_ {k}" if name == "_" or name in seen else name
             seen.add(name)
             fields.append((own, kind, (count,)) if count > 1 else (own, kind))
@@ -114,7 +125,7 @@ def _parse_header(path: Path, data: bytes) -> Header:
             values = [int(word) for word in words]
         except ValueError:
             values = []
-        if not values or min(values) < low or max(values) > 2**62:
+        if not values or min(values) < low or max(values) > MAX_NUMBER:
             raise ReadError(
                 f"{path}, line {line}: {key} {' '.join(words)}, expected whole numbers from {low}"
             )
@@ -147,8 +158,8 @@ def _parse_header(path: Path, data: bytes) -> Header:
             f"{path}: WIDTH {width} times HEIGHT {height} is not POINTS {points}: the header "
             "contradicts itself"
         )
-    if sum(counts) > 10_000:
-        raise ReadError(f"{path}: a point has {sum(counts)} values, expected 10,000 at most")
+    if sum(counts) > MAX_VALUES:
+        raise ReadError(f"{path}: a point has {sum(counts)} values, expected {MAX_VALUES} at most")
     line, words = entries["DATA"]
     if words not in (["ascii"], ["binary"], ["binary_compressed"]):
         raise ReadError(
@@ -206,9 +217,9 @@ def _read_ascii(path: Path, body: bytes, header: Header) -> Columns:
 
 
 def _as_declared(values: Array, kind: str) -> NDArray[Any]:
-    """Give text the type the header declares, so that all encodings of a cloud read the same.
+    """Give text the type that the header declares, so that all encodings of a cloud read the same.
 
-    Whole numbers that the type cannot hold stay as they are, rather than wrap around.
+    Whole numbers that do not fit the type stay as they are, rather than wrap around.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         typed = values.astype(kind)
@@ -228,7 +239,7 @@ def _read_binary(path: Path, data: bytes, header: Header) -> Columns:
 
 
 def _read_compressed(path: Path, data: bytes, header: Header) -> Columns:
-    """Take apart compressed data, which come field by field, not point by point."""
+    """Read compressed data, which are stored field by field, not point by point."""
     names = header.record.names or ()
     fields = list(zip(names, header.kinds, header.counts, strict=True))
     # PCL leaves padding out of compressed data, other writers keep it: the size tells which.
@@ -250,26 +261,28 @@ def _read_compressed(path: Path, data: bytes, header: Header) -> Columns:
 def _decompress(path: Path, data: bytes, start: int, sizes: list[int]) -> bytes:
     import lzf
 
-    left = len(data) - start - 8
+    left = len(data) - start - LZF_SIZES
     if left < 0:
         raise ReadError(f"{path}: ends before the two sizes of its compressed data")
-    packed, unpacked = struct.unpack_from("<II", data, start)
-    if unpacked not in sizes:
+    compressed, plain_size = struct.unpack_from("<II", data, start)
+    if plain_size not in sizes:
         raise ReadError(
-            f"{path}: its data unpack to {unpacked} bytes, the header promises {sizes[-1]}"
+            f"{path}: its data decompress to {plain_size} bytes, the header promises {sizes[-1]}"
         )
-    if packed > left:
-        raise ReadError(f"{path}: promises {packed} bytes of compressed data, holds {left}")
-    if unpacked > MAX_LZF_RATIO * packed:
-        raise ReadError(f"{path}: {packed} bytes cannot unpack to {unpacked}")
+    if compressed > left:
+        raise ReadError(f"{path}: promises {compressed} bytes of compressed data, holds {left}")
+    if plain_size > MAX_LZF_RATIO * compressed:
+        raise ReadError(f"{path}: {compressed} bytes cannot decompress to {plain_size}")
+    first = start + LZF_SIZES
     try:
-        plain: bytes | None = lzf.decompress(data[start + 8 : start + 8 + packed], unpacked)
+        plain: bytes | None = lzf.decompress(data[first : first + compressed], plain_size)
     except ValueError as error:
         raise ReadError(f"{path}: its compressed data are damaged ({error})") from None
-    if plain is None or len(plain) != unpacked:
+    if plain is None or len(plain) != plain_size:
         have = "more" if plain is None else f"only {len(plain)}"
         raise ReadError(
-            f"{path}: its compressed data are damaged: they unpack to {have}, not {unpacked} bytes"
+            f"{path}: its compressed data are damaged: they decompress to {have}, not "
+            f"{plain_size} bytes"
         )
     return plain
 
@@ -277,13 +290,14 @@ def _decompress(path: Path, data: bytes, start: int, sizes: list[int]) -> bytes:
 def write_pcd(path: str | Path, cloud: PointCloud) -> None:
     """Write a cloud as binary PCD, whole or not at all.
 
-    Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT holds the beam
-    origin, unturned. The frame index has no field of its own and is not written.
+    Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT holds the
+    origin of the beams, without rotation. The frame index has no field of its own, so it is left
+    out.
 
     Raises
     ------
     UsageError
-        Where float32 or uint16 cannot hold a value.
+        Where a value does not fit float32 or uint16.
     """
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     values: list[NDArray[Any]] = [cloud.xyz[:, 0], cloud.xyz[:, 1], cloud.xyz[:, 2]]

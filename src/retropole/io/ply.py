@@ -21,6 +21,9 @@ PLY_TYPES = {
     **{"int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4"},
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
+MAX_COUNT = 2**62
+"""Larger counts in a header do not fit NumPy's sizes."""
+
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -40,7 +43,7 @@ class _Element:
 
 
 def read_ply(path: Path) -> PointCloud:
-    """Read the vertices of a PLY file; other elements, and lists, are passed over.
+    """Read the vertices of a PLY file; other elements, and lists, are skipped.
 
     Raises
     ------
@@ -58,7 +61,7 @@ def read_ply(path: Path) -> PointCloud:
         raise ReadError(f"{path}: element vertex 0, expected at least one")
     if not any(not prop.length for prop in vertex.properties):
         raise ReadError(f"{path}: element vertex has no values, expected x, y and z at least")
-    # Each value or list takes a byte; in a text, a blank or line end besides, but for the last.
+    # Each value or list takes a byte, and in a text a blank or line end as well, but the last.
     least = sum(e.count * len(e.properties) for e in (*before, vertex))
     left = len(data) - start if encoding != "ascii" else (len(data) - start + 1) // 2
     if left < least:
@@ -78,10 +81,10 @@ def read_ply(path: Path) -> PointCloud:
 def _read_element(
     path: Path, data: bytes, start: int, element: _Element, order: str
 ) -> tuple[dict[str, NDArray[Any]], int]:
-    """Read the values, not the lists, of all rows of a binary element; also say where it ends."""
+    """Read the values, not the lists, of all rows of a binary element; and give its end."""
     if not element.count or not element.properties:
         return {}, start
-    # Lists are mostly equally long (triangles): then all rows are records like the first.
+    # Lists mostly have the same length (triangles): then all rows are records like the first.
     record, end = _record(path, data, start, element, order)
     names = [prop.name for prop in element.properties if not prop.length]
     size = element.count * record.itemsize
@@ -108,7 +111,7 @@ def _read_element(
 def _record(
     path: Path, data: bytes, start: int, element: _Element, order: str
 ) -> tuple[np.dtype[np.void], int]:
-    """Data type of the row at `start`, its lists as long as they are there, and where it ends."""
+    """Give the data type of the row at `start`, with the length of its lists, and its end."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     end = start
     for k, prop in enumerate(element.properties):
@@ -117,7 +120,7 @@ def _record(
             kind = np.dtype(order + prop.length)
             if end + kind.itemsize > len(data):
                 raise ReadError(f"{path}: ends within element {element.name}")
-            # A blank cannot be in a name of the file, so these meet none.
+            # A name in the file has no blank, so these are not in use.
             fields.append((f"length {k}", order + prop.length))
             count = int(np.frombuffer(data, kind, 1, end)[0])
             end += kind.itemsize
@@ -150,7 +153,7 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
             match words:
                 case ["format", name, _] if name in ORDERS and not encoding:
                     encoding = name
-                case ["element", name, count] if 0 <= int(count) < 2**62:
+                case ["element", name, count] if 0 <= int(count) <= MAX_COUNT:
                     elements.append(_Element(name, int(count), []))
                 case ["property", "list", length, kind, name] if PLY_TYPES[length][0] != "f":
                     elements[-1].properties.append(
@@ -177,7 +180,7 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
 def _read_ascii(
     path: Path, body: bytes, before: list[_Element], vertex: _Element, line: int
 ) -> dict[str, NDArray[Any]]:
-    # One row a line, as all writers have it; blank lines are none.
+    # One row per line, as all writers have it; blank lines do not count.
     rows = [(k, row) for k, row in enumerate(body.splitlines()) if row.strip()]
     skipped = sum(element.count for element in before)
     rows = rows[skipped : skipped + vertex.count]
@@ -188,7 +191,7 @@ def _read_ascii(
     names = [prop.name for prop in vertex.properties if not prop.length]
     if any(prop.length for prop in vertex.properties):
         rows = [(k, _without_lists(path, row, vertex, line + k)) for k, row in rows]
-    # Blank lines stay in, so that a message names the line of the file.
+    # Blank lines are kept, so that messages name the right line of the file.
     first, texts = rows[0][0], dict(rows)
     body = b"\n".join(texts.get(k, b"") for k in range(first, rows[-1][0] + 1))
     table = read_table(path, body, len(names), line=line + first)
@@ -212,7 +215,7 @@ def _without_lists(path: Path, row: bytes, vertex: _Element, line: int) -> bytes
         elif word.isdigit():
             position += int(word)
         else:
-            raise ReadError(f"{path}, line {line}: the length of list {prop.name} is no number")
+            raise ReadError(f"{path}, line {line}: the length of list {prop.name} is not a number")
     if position != len(words):
         raise ReadError(f"{path}, line {line}: holds {len(words)} values, expected {position}")
     return b" ".join(kept)

@@ -1,4 +1,4 @@
-"""Recordings of many frames: which are read, and how they become one cloud."""
+"""Recordings of many frames: which of them are read, and how they become one cloud."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from ..datatypes import PointCloud
 from ..errors import MissingExtraError, ReadError, UsageError
 
 MAX_RECORDING_POINTS = 1_000_000
-"""Where nothing else is asked for, frames are left out, evenly, so that about so many points are
-read: 10 sweeps of a sensor of 128 beams, 40 of one of 16."""
+"""By default, frames are left out evenly so that about this many points are read: 10 sweeps of a
+sensor with 128 rings, 40 of one with 16."""
 
 SIZED_FRAMES = 3
-"""So many first frames tell how large a frame is: the very first of packets is cut short."""
+"""Number of first frames that show how large a frame is: of packets, the very first is short."""
 
 
 @contextmanager
 def reported(path: Path, what: str, remedy: str = "") -> Iterator[None]:
-    """Say of any failure of a library which file it was, and what to do.
+    """Turn any failure of a library into a `ReadError` with the file and what to do.
 
-    For damaged files the libraries raise a dozen unrelated types; an OSError with a number is the
-    system's, one without comes from unpacking.
+    For damaged files the libraries raise a dozen unrelated types. An OSError with a number comes
+    from the system, one without from decompressing.
     """
     try:
         yield
@@ -38,24 +38,24 @@ def reported(path: Path, what: str, remedy: str = "") -> Iterator[None]:
         if isinstance(error, OSError) and error.errno:
             raise ReadError(f"{path}: cannot be read ({error.strerror})") from None
         words = str(error) or type(error).__name__
-        raise ReadError(f"{path}: is no readable {what} ({words}){remedy}") from None
+        raise ReadError(f"{path}: is not a readable {what} ({words}){remedy}") from None
 
 
 CLOUDS = "sensor_msgs/msg/PointCloud2"
-"""What messages of point clouds are called, in the way of ROS 2."""
+"""Type of the messages with point clouds, as ROS 2 writes it."""
 
 
 class FrameHeader(NamedTuple):
-    """What is known of a frame besides its points.
+    """What is known of a frame apart from its points.
 
     Attributes
     ----------
     number
         Its place in the recording, from 0.
     stamp
-        When it was recorded, seconds of the recorder's clock, or None where the file does not say.
+        Time of recording, seconds of the recorder's clock, or None where the file does not say.
     frame_id
-        What the recording calls the coordinate frame; empty where it does not name it.
+        Name of the coordinate frame; empty where the recording has none.
     """
 
     number: int
@@ -88,7 +88,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag: its name, the type of its messages, and how many there are."""
+    """A topic of a bag: its name, the type of its messages, and their number."""
 
     name: str
     kind: str
@@ -111,7 +111,7 @@ class Recording:
     count
         How many frames it has.
     read
-        From ascending frame numbers to these frames, each read when it is asked for.
+        From ascending frame numbers to these frames, each read when it is requested.
     topic
         Of a bag, the topic that the frames are on.
     """
@@ -124,7 +124,7 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class ReadRecording:
-    """A recording whose frames were read and put together.
+    """A recording whose frames were read and combined.
 
     Attributes
     ----------
@@ -133,10 +133,10 @@ class ReadRecording:
     numbers
         Which frames were asked for.
     headers
-        Of each frame that was read. Its points are in `cloud` alone, so that no point is held
+        Of each frame that was read. The points are in `cloud` alone, so that none is in memory
         twice.
     cloud
-        All frames together; in the recording's own frame.
+        All frames combined, in the sensor's own frame.
     """
 
     recording: Recording
@@ -151,14 +151,14 @@ class ReadRecording:
 
 
 def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
-    """Choose the frames to read: those asked for, else evenly spread ones.
+    """Choose the frames to read: the given ones, else evenly spread ones.
 
     Of a long recording, as many are taken as hold about `MAX_RECORDING_POINTS` points.
 
     Raises
     ------
     ReadError
-        Where the recording has none of the frames asked for.
+        Where the recording has none of the given frames.
     UsageError
         Where the step of the slice is not positive.
     """
@@ -183,12 +183,12 @@ def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
 
 
 def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
-    """Put frames together as one cloud; its `frame` is their number, None where there is one.
+    """Combine frames into one cloud; its `frame` is their number, None where there is only one.
 
     Raises
     ------
     ReadError
-        Without returns in any; where the origins differ; where some have no intensity.
+        Where no frame has a return, where origins differ, and where only some have an intensity.
     """
     dropped = sum(frame.cloud.dropped for frame in frames)
     full = [frame for frame in frames if len(frame.cloud)]
@@ -203,7 +203,7 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
         if not np.allclose(cloud.origin, first.origin):
             raise ReadError(
                 f"{cloud.source}: its viewpoint {cloud.origin} differs from {first.origin} of "
-                f"{first.source}, expected frames of one resting sensor"
+                f"{first.source}, expected frames of one sensor at rest"
             )
 
     def column(name: str) -> NDArray[Any] | None:

@@ -1,7 +1,7 @@
 """ROS bags: .bag, .db3, .mcap and folders of ROS 2 bags, by rosbags and mcap (the extra ``ros``).
 
-``sensor_msgs/PointCloud2`` has had one layout in ROS 1 and another in every ROS 2 so far, so what
-definitions a bag carries, if any, does not matter. No ROS is needed.
+``sensor_msgs/PointCloud2`` has had one layout in ROS 1 and another in every ROS 2 so far, so the
+definitions in a bag, if any, are not used. No ROS is needed.
 """
 
 from __future__ import annotations
@@ -24,20 +24,23 @@ BAGS = (".bag", ".db3", ".mcap")
 """Suffixes of bags."""
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""From the number that a PointField has for its type to NumPy's name."""
+"""From the number of a type in a PointField to its name in NumPy."""
 
-MENDED = (
-    "; one that was cut short is mended by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a folder) "
-    "or 'mcap recover' (.mcap)"
+REPAIR = (
+    "; one that was cut short can be repaired by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a "
+    "folder) or 'mcap recover' (.mcap)"
 )
 
-LISTED = 10
-"""So many topics are named in a message."""
+MAX_LISTED = 10
+"""Topics that a message names."""
+
+NANOSECONDS = 1e9
+"""In a second; bags count them."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Bag:
-    """An open bag: its topics, and what gives time (ns), bytes and encoding of a topic's messages.
+    """An open bag: its topics, and time (ns), bytes and encoding of the messages of a topic.
 
     The encoding is ``ros1`` or ``cdr``.
     """
@@ -58,14 +61,14 @@ def bag_topics(path: Path) -> tuple[Topic, ...]:
 
 
 def open_bag(path: Path, topic: str | None = None) -> Recording:
-    """Look at a bag, and choose the topic of point clouds: the one given, or the only one.
+    """Open a bag, and choose the topic of point clouds: the given one, or the only one.
 
     Raises
     ------
     MissingExtraError
         Where rosbags or mcap is not installed.
     ReadError
-        Where the bag cannot be read, or there is not one topic to choose; lists those there are.
+        Where the bag cannot be read, or not exactly one topic fits; lists those there are.
     """
     topics = bag_topics(path)
     chosen = _choose(path, topics, topic)
@@ -108,14 +111,14 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
 def _listed(topics: tuple[Topic, ...] | list[Topic], *, kinds: bool = False) -> str:
     words = [
         f"{topic.name} ({topic.kind + ', ' if kinds else ''}{topic.count} messages)"
-        for topic in topics[:LISTED]
+        for topic in topics[:MAX_LISTED]
     ]
-    more = len(topics) - LISTED
+    more = len(topics) - MAX_LISTED
     return ", ".join(words) + (f" and {more} more" if more > 0 else "") if words else "none"
 
 
 def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
-    """Decode the wanted messages of a topic, each when it is asked for."""
+    """Decode the chosen messages of a topic, each when it is requested."""
     with _opened(path) as bag:
         number = -1
         for number, (stamp, data, encoding) in enumerate(bag.messages(topic.name)):
@@ -136,10 +139,10 @@ def _frame(path: Path, topic: Topic, number: int, stamp: int, data: bytes, encod
     except ReadError as error:
         raise ReadError(f"{where}: {error}") from None
     except Exception as error:
-        # The decoders raise whatever unpacking bytes that do not fit raises.
-        raise ReadError(f"{where}: is no readable {CLOUDS} ({error})") from None
+        # The decoders let pass whatever is raised when bytes do not fit.
+        raise ReadError(f"{where}: is not a readable {CLOUDS} ({error})") from None
     cloud = frame_from_columns(where, columns)
-    return Frame(number, cloud, stamp / 1e9, message.header.frame_id)
+    return Frame(number, cloud, stamp / NANOSECONDS, message.header.frame_id)
 
 
 @functools.cache
@@ -154,9 +157,9 @@ def _decoder(encoding: str) -> Callable[[bytes], Any]:
 
 
 def columns_of(message: Any) -> Columns:
-    """Take the fields out of a PointCloud2, by name, as arrays (N,) or (N, C) over its own bytes.
+    """Give the fields of a PointCloud2 by name, as arrays (N,) or (N, C) that share its bytes.
 
-    Fields may lie anywhere in a point, in either byte order, and rows and points may be padded.
+    Fields may be anywhere in a point, in either byte order, and rows and points may be padded.
 
     Parameters
     ----------
@@ -173,12 +176,12 @@ def columns_of(message: Any) -> Columns:
     record = _record(message.fields, step, ">" if message.is_bigendian else "<")
     if height * width == 0:
         return {name: np.zeros(0, kind) for name, (kind, *_) in (record.fields or {}).items()}
-    # Drivers err in row_step, which matters only where there are several rows with padding.
+    # Drivers set row_step wrong; it matters only where there are several rows with padding.
     if height == 1 or len(data) == height * width * step:
         row = width * step
     if row < width * step or (height - 1) * row + width * step > len(data):
         raise ReadError(
-            f"{height} rows of {width} points of {step} bytes, {row} a row, do not fit its "
+            f"{height} rows of {width} points of {step} bytes, {row} per row, do not fit its "
             f"{len(data)} bytes of data"
         )
     points: NDArray[Any] = np.ndarray((height, width), record, data, strides=(row, step))
@@ -187,7 +190,7 @@ def columns_of(message: Any) -> Columns:
 
 
 def _record(fields: Any, step: int, order: str) -> np.dtype[np.void]:
-    """Data type of one point."""
+    """Give the data type of one point."""
     names, kinds, offsets = [], list[Any](), []
     for k, entry in enumerate(fields):
         if entry.datatype not in DATATYPES:
@@ -195,7 +198,7 @@ def _record(fields: Any, step: int, order: str) -> np.dtype[np.void]:
                 f"field {entry.name} has datatype {entry.datatype}, expected "
                 f"{min(DATATYPES)} to {max(DATATYPES)}"
             )
-        # PCL, and so many a driver, writes no count for one value.
+        # PCL, and with it many drivers, writes a count of 0 for one value.
         count = max(entry.count, 1)
         kind = np.dtype(order + DATATYPES[entry.datatype])
         if entry.offset + count * kind.itemsize > step:
@@ -203,7 +206,7 @@ def _record(fields: Any, step: int, order: str) -> np.dtype[np.void]:
                 f"field {entry.name} ends at byte {entry.offset + count * kind.itemsize}, a point "
                 f"has {step}"
             )
-        # A blank cannot be in a name of a field, so these meet none.
+        # The name of a field has no blank, so these are not in use.
         names.append(f"_ {k}" if not entry.name or entry.name in names else entry.name)
         kinds.append((kind, (count,)) if count > 1 else kind)
         offsets.append(entry.offset)
@@ -212,7 +215,7 @@ def _record(fields: Any, step: int, order: str) -> np.dtype[np.void]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[_Bag]:
-    """Open a bag of any kind, and say of any failure which file and what to do."""
+    """Open a bag of any format; a failure names the file and what to do."""
     if path.is_file() and path.stat().st_size == 0:
         raise ReadError(f"{path}: is empty, expected a bag")
     try:
@@ -221,7 +224,7 @@ def _opened(path: Path) -> Iterator[_Bag]:
         import rosbags.rosbag2
     except ImportError:
         raise MissingExtraError("ros", "reading ROS bags") from None
-    with reported(path, "bag", MENDED):
+    with reported(path, "bag", REPAIR):
         if path.suffix.lower() == ".mcap" and path.is_file():
             with _mcap(path) as bag:
                 yield bag
@@ -280,6 +283,6 @@ def _mcap(path: Path) -> Iterator[_Bag]:
 
 
 def _kind(name: str) -> str:
-    """Name a type in the way of ROS 2; ROS 1 has no ``msg`` in it."""
+    """Name a type as ROS 2 does; ROS 1 has no ``msg`` in it."""
     package, slash, kind = name.partition("/")
     return f"{package}/msg/{kind}" if slash and "/" not in kind else name

@@ -17,22 +17,22 @@ def read_table(
     columns: int,
     *,
     line: int,
-    mark: str | None = None,
+    separator: str | None = None,
 ) -> Array:
-    """Read the lines of a text as a table of numbers; blank lines and # comments are none.
+    """Read the lines of a text as a table of numbers, without blank lines and # comments.
 
     Parameters
     ----------
     path
         The file, for messages.
     body
-        The text. What is not ASCII becomes a question mark, which is no number.
+        The text. Bytes that are not ASCII become question marks, which are not numbers.
     columns
         How many values each line must have.
     line
         Number that the first line of `body` has in the file.
-    mark
-        What parts the values; None is any blank.
+    separator
+        What separates the values; None is any number of blanks.
 
     Returns
     -------
@@ -41,17 +41,17 @@ def read_table(
     Raises
     ------
     ReadError
-        Naming the first line that does not hold so many numbers.
+        Naming the first line that does not have `columns` numbers.
     """
     text = body.decode("ascii", errors="replace").replace("�", "?")
-    # Only these end a line for NumPy and for editors; str.splitlines knows many more.
+    # Only these end a line for NumPy and for editors; str.splitlines knows many others.
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if not any(part.split("#", 1)[0].strip() for part in text.split("\n")):
         return np.empty((0, columns))
     try:
-        table = np.loadtxt(io.StringIO(text), delimiter=mark, ndmin=2, dtype=np.float64)
+        table = np.loadtxt(io.StringIO(text), delimiter=separator, ndmin=2, dtype=np.float64)
     except ValueError:
-        bad = _first_bad(text, columns, mark)
+        bad = _first_bad(text, columns, separator)
         if bad is None:
             raise ReadError(f"{path}: its lines are not {columns} numbers each") from None
         number, content = bad
@@ -59,7 +59,7 @@ def read_table(
             f"{path}, line {line + number}: {content[:60]!r}, expected {columns} numbers"
         ) from None
     if table.shape[1] != columns:
-        number, content = _first_bad(text, columns, mark) or (0, "")
+        number, content = _first_bad(text, columns, separator) or (0, "")
         raise ReadError(
             f"{path}, line {line + number}: holds {table.shape[1]} values, expected {columns}"
         )
@@ -72,15 +72,15 @@ def is_number(word: str) -> bool:
         float(word)
     except ValueError:
         return False
-    # Python takes 1_000 for a number, NumPy and everyone else do not.
+    # Python reads 1_000 as a number, NumPy and all others do not.
     return "_" not in word
 
 
-def _first_bad(text: str, columns: int, mark: str | None) -> tuple[int, str] | None:
-    """Find the first line that is not so many numbers: its index and what it holds."""
+def _first_bad(text: str, columns: int, separator: str | None) -> tuple[int, str] | None:
+    """Find the first line without `columns` numbers: its index, and what it contains."""
     for k, content in enumerate(text.split("\n")):
-        plain = content.split("#", 1)[0].strip(None if mark is None else " ")
-        words = plain.split(mark)
+        plain = content.split("#", 1)[0].strip(None if separator is None else " ")
+        words = plain.split(separator)
         if plain and (len(words) != columns or not all(is_number(w.strip()) for w in words)):
             return k, content
     return None
