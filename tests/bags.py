@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -18,9 +19,13 @@ DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8"
 START, STEP = 1_700_000_000_000_000_000, 100_000_000
 
 
-def points_of(cloud: PointCloud, kind: str = "<f4") -> np.ndarray:
+def points_of(cloud: PointCloud, kind: str = "<f4") -> NDArray[Any]:
     """Make a record array of a cloud's columns."""
-    columns = {"x": cloud.xyz[:, 0], "y": cloud.xyz[:, 1], "z": cloud.xyz[:, 2]}
+    columns: dict[str, NDArray[Any]] = {
+        "x": cloud.xyz[:, 0],
+        "y": cloud.xyz[:, 1],
+        "z": cloud.xyz[:, 2],
+    }
     if cloud.intensity is not None:
         columns["intensity"] = cloud.intensity
     if cloud.ring is not None:
@@ -32,7 +37,7 @@ def points_of(cloud: PointCloud, kind: str = "<f4") -> np.ndarray:
 
 
 def message(
-    points: np.ndarray, store: Any, *, row_padding: int = 0, frame_id: str = "lidar"
+    points: NDArray[Any], store: Any, *, row_padding: int = 0, frame_id: str = "lidar"
 ) -> Any:
     """Make a PointCloud2 of a record array (N,) or (height, width), laid out as that is."""
     rows = np.atleast_2d(points)
@@ -66,7 +71,7 @@ def message(
 def write_bag(
     folder: Path,
     kind: str,
-    topics: Mapping[str, Sequence[np.ndarray]],
+    topics: Mapping[str, Sequence[NDArray[Any]]],
     *,
     store: Stores | None = None,
     compression: Any = None,
@@ -76,6 +81,7 @@ def write_bag(
     ros1 = kind == "bag"
     types = get_typestore(store or (Stores.ROS1_NOETIC if ros1 else Stores.LATEST))
     path = folder / ("recording.bag" if ros1 else "recording")
+    writer: Any
     if ros1:
         writer = Writer1(path)
         if compression is not None:

@@ -1,4 +1,4 @@
-"""What is said of a recording is true of what was put into it."""
+"""What is printed of a recording is true of what was written to it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from retropole.io.contents import describe, guess_sensors
 from retropole.report.text import describe_info
 from retropole.sensors import SENSORS, auto_threshold
 from retropole.simulation import simulate_pair
+from tests.io.files import required
 from tests.paths import SHARED
 
 
@@ -42,8 +43,9 @@ def test_a_file_of_one_frame(tmp_path: Path, cloud: PointCloud) -> None:
     np.testing.assert_allclose(said.range_m, [ranges.min(), np.median(ranges), ranges.max()])
     intensity = said.intensity
     assert intensity is not None
-    assert intensity.threshold == auto_threshold(read.intensity).value
-    assert intensity.retro_points == np.count_nonzero(read.intensity >= intensity.threshold)
+    values, threshold = required(read.intensity), required(intensity.threshold)
+    assert threshold == auto_threshold(values).value
+    assert intensity.retro_points == np.count_nonzero(values >= threshold)
     assert sum(intensity.counts) == len(read)
     assert len(intensity.bin_edges) == len(intensity.counts) + 1
 
@@ -87,7 +89,7 @@ def test_no_intensity_and_one_for_all(tmp_path: Path, cloud: PointCloud) -> None
 def test_a_sensor_is_among_those_its_rings_fit(name: str, direction: int) -> None:
     scan = scan_of(name)
     assert scan.ring is not None
-    # Makers count rings from below or from above.
+    # Manufacturers count rings from below or from above.
     ring = scan.ring if direction == 1 else len(SENSORS[name].elevations) - 1 - scan.ring
     fitting = guess_sensors(replace(scan, ring=ring))
     assert name in fitting
@@ -103,9 +105,9 @@ def test_without_rings_only_beams_far_apart_tell(cloud: PointCloud) -> None:
 
 
 def test_unknown_rather_than_a_wild_guess(cloud: PointCloud) -> None:
-    turned = cloud.transformed(se3.from_rt(se3.exp_so3(np.array([0.2, 0.1, 0.0])), np.zeros(3)))
-    assert guess_sensors(turned) == []
-    assert guess_sensors(replace(turned, ring=None)) == []
+    rotated = cloud.transformed(se3.from_rt(se3.exp_so3(np.array([0.2, 0.1, 0.0])), np.zeros(3)))
+    assert guess_sensors(rotated) == []
+    assert guess_sensors(replace(rotated, ring=None)) == []
     assert guess_sensors(scan_of("Mid-360")) == []
     rng = np.random.default_rng(0)
     assert guess_sensors(PointCloud(rng.uniform(-9, 9, (5000, 3)))) == []

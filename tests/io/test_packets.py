@@ -1,4 +1,4 @@
-"""Packets of Velodynes and Ousters give what their own libraries make of them."""
+"""Packets of Velodynes and Ousters give what the manufacturers' libraries read."""
 
 import shutil
 import struct
@@ -10,6 +10,7 @@ import pytest
 
 from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import open_recording, read_cloud, read_frames
+from tests.io.files import required
 from tests.paths import SHARED
 
 FORMATS = SHARED / "formats"
@@ -44,7 +45,7 @@ def capture(path: Path, payloads: list[bytes]) -> None:
 
 
 @pytest.mark.parametrize("name", VELODYNE)
-def test_a_velodyne_is_read_as_velodyne_decoder_has_it(name: str) -> None:
+def test_a_velodyne_is_read_as_velodyne_decoder_reads_it(name: str) -> None:
     decoder = pytest.importorskip("velodyne_decoder")
     path = shared(f"velodyne/{name}.pcap")
     sweeps = list(decoder.read_pcap(path))
@@ -70,13 +71,13 @@ def test_sweeps_are_sliced() -> None:
     middle = read_cloud(path, frames=slice(1, 3))
     parts = [frame.cloud.xyz for frame in frames[1:3]]
     np.testing.assert_array_equal(middle.xyz, np.concatenate(parts))
-    stamps = [frame.stamp for frame in frames]
+    stamps = [required(frame.stamp) for frame in frames]
     np.testing.assert_allclose(np.diff(stamps)[:2], 0.1, atol=0.01)
     with pytest.raises(UsageError, match="has no topics"):
         read_cloud(path, topic="/points")
 
 
-def test_an_ouster_is_read_as_its_kit_has_it() -> None:
+def test_an_ouster_is_read_as_its_sdk_reads_it() -> None:
     needs_ouster()
     from ouster.sdk import open_source
     from ouster.sdk.core import ChanField, XYZLut
@@ -98,13 +99,14 @@ def test_an_ouster_is_read_as_its_kit_has_it() -> None:
 
 
 def test_beams_of_an_ouster_start_at_its_origin() -> None:
-    """From there, the beams of a row make a cone about the axis: one elevation all around."""
+    """From there, the beams of a ring make a cone about the axis: one elevation all around."""
     needs_ouster()
     read = read_cloud(shared(f"ouster/{OUSTER}.pcap"))
     ray = read.xyz - read.origin
     far = np.linalg.norm(ray, axis=1) > 5
     elevation = np.arcsin(ray[far, 2] / np.linalg.norm(ray[far], axis=1))
-    spread = [np.ptp(elevation[read.ring[far] == k]) for k in np.unique(read.ring[far])]
+    ring = required(read.ring)[far]
+    spread = [np.ptp(elevation[ring == k]) for k in np.unique(ring)]
     assert np.degrees(np.median(spread)) < 0.3
     np.testing.assert_allclose(read.origin, [0, 0, 0.03618])
 
@@ -140,13 +142,13 @@ def test_metadata_of_an_ouster_are_found_beside_it(tmp_path: Path, name: str) ->
         (b"\xd4\xc3\xb2\xa1\x02\x00\x04\x00" + bytes(12) + b"\1\0\0\0", "metadata"),
     ],
 )
-def test_what_is_no_capture_is_named(tmp_path: Path, content: bytes, reason: str) -> None:
+def test_other_files_are_named(tmp_path: Path, content: bytes, reason: str) -> None:
     (tmp_path / "a.pcap").write_bytes(content)
     with pytest.raises(ReadError, match=rf"a\.pcap: .*{reason}"):
         read_cloud(tmp_path / "a.pcap")
 
 
-def test_damaged_packets_give_an_error_or_less_points(tmp_path: Path) -> None:
+def test_damaged_packets_give_an_error_or_fewer_points(tmp_path: Path) -> None:
     pytest.importorskip("velodyne_decoder")
     whole = shared("velodyne/sample_velodyne_vlp16_gps.pcap")
     content = whole.read_bytes()
@@ -173,7 +175,7 @@ def test_packets_without_a_return_are_no_sweep(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extra", ["velodyne", "ouster"])
-def test_missing_parts_say_what_to_install(
+def test_missing_extras_say_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extra: str
 ) -> None:
     module = {"velodyne": "velodyne_decoder", "ouster": "ouster.sdk"}[extra]

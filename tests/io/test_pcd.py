@@ -2,9 +2,11 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from retropole.datatypes import PointCloud
 from retropole.errors import ReadError, UsageError
@@ -89,7 +91,7 @@ KINDS = {
 
 def pcd(
     fields: list[tuple[str, str, int, int]],
-    columns: list[np.ndarray],
+    columns: list[NDArray[Any]],
     encoding: str,
     *,
     viewpoint: str = "0 0 0 1 0 0 0",

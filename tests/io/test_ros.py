@@ -4,9 +4,11 @@ import sqlite3
 import sys
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip("apsw", reason="needs rosbags 0.11 to write bags")
 
@@ -20,6 +22,7 @@ from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
 from retropole.io.ros import columns_of
 from tests.bags import CLOUDS, KINDS, START, message, points_of, write_bag
+from tests.io.files import required
 from tests.paths import SHARED
 
 FORMATS = SHARED / "formats"
@@ -108,7 +111,7 @@ def test_an_mcap_of_any_profile_is_read_with_or_without_an_index(
     clouds = [random_cloud(seed) for seed in range(4)]
     store = get_typestore(ROS1 if encoding == "ros1" else Stores.LATEST)
     write = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
-    writer = Writer(
+    writer: Any = Writer(
         str(tmp_path / "a.mcap"),
         index_types=IndexType.ALL if indexed else IndexType.NONE,
         use_statistics=indexed,
@@ -150,7 +153,7 @@ LAYOUTS = {
 }
 
 
-def laid_out(cloud: PointCloud, kind: np.dtype) -> np.ndarray:
+def laid_out(cloud: PointCloud, kind: np.dtype[Any]) -> NDArray[Any]:
     points = np.zeros(len(cloud), kind)
     for name in kind.names or ():
         column = {
@@ -193,7 +196,7 @@ def test_no_returns_are_dropped_and_counted_in_every_frame(tmp_path: Path) -> No
     path = write_bag(tmp_path, "mcap", {"/points": points})
     read = read_cloud(path)
     assert (len(read), read.dropped) == (50 - 9 + 50, 9 + 50)
-    np.testing.assert_array_equal(np.unique(read.frame), [0, 2])
+    np.testing.assert_array_equal(np.unique(required(read.frame)), [0, 2])
     with pytest.raises(ReadError, match="none of the 50 points in 2 frames"):
         read_cloud(path, frames=slice(1, None, 2))
 
@@ -223,7 +226,7 @@ def test_a_bag_without_clouds_says_what_it_has(tmp_path: Path, kind: str) -> Non
         read_cloud(path)
 
 
-def test_a_topic_of_what_is_no_bag(tmp_path: Path) -> None:
+def test_a_topic_of_another_file(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x,y,z\n1,2,3\n")
     with pytest.raises(UsageError, match="has no topics"):
         read_cloud(tmp_path / "a.csv", topic="/points")
@@ -254,7 +257,7 @@ def test_of_a_long_recording_some_frames_are_read_evenly(
     assert chosen_frames(open_recording(path)) == range(0, 30, 3)
     read = read_cloud(path)
     assert len(read) == 500
-    np.testing.assert_array_equal(np.unique(read.frame), range(0, 30, 3))
+    np.testing.assert_array_equal(np.unique(required(read.frame)), range(0, 30, 3))
     assert len(read_cloud(path, frames=slice(None))) == 1500
 
 
@@ -277,7 +280,7 @@ def test_memory_does_not_grow_with_the_length_of_a_bag(tmp_path: Path, kind: str
 
 @pytest.mark.parametrize("suffix", BAGS)
 @pytest.mark.parametrize("content", [b"", b"no bag at all", bytes(5000)])
-def test_what_is_no_bag_is_named(tmp_path: Path, suffix: str, content: bytes) -> None:
+def test_other_files_are_named(tmp_path: Path, suffix: str, content: bytes) -> None:
     path = tmp_path / f"recording{suffix}"
     path.write_bytes(content)
     with pytest.raises(ReadError, match=rf"recording\{suffix}: is (empty|not a readable bag)"):
@@ -346,7 +349,7 @@ def test_a_wrong_row_step_of_packed_rows_does_no_harm() -> None:
         np.testing.assert_array_equal(columns_of(made)["x"], points["x"].reshape(-1))
 
 
-def test_a_bag_of_sick_is_read_as_rosbags_has_it() -> None:
+def test_a_bag_of_sick_is_read_as_rosbags_reads_it() -> None:
     path = shared("bag/rms_1xxx_lms_1xx_movement_off.bag")
     with pytest.raises(ReadError, match=r"3 topics of point clouds.*/cloud \(89 messages\)"):
         read_cloud(path)
@@ -355,17 +358,17 @@ def test_a_bag_of_sick_is_read_as_rosbags_has_it() -> None:
     with Reader1(path) as reader:
         wanted = [own for own in reader.connections if own.topic == "/cloud"]
         for _, _, data in reader.messages(connections=wanted):
-            made = store.deserialize_ros1(data, CLOUDS)
+            made: Any = store.deserialize_ros1(data, CLOUDS)
             rows.append(made.data.view("<f4").reshape(-1, made.point_step // 4)[:, :4])
     table = np.concatenate(rows).astype(float)
     kept = np.isfinite(table[:, :3]).all(axis=1) & table[:, :3].any(axis=1)
     assert (len(read), read.dropped) == (int(kept.sum()), int((~kept).sum())) == (45_804, 2_345)
     np.testing.assert_array_equal(read.xyz, table[kept, :3])
     np.testing.assert_array_equal(read.intensity, table[kept, 3])
-    assert len(np.unique(read.frame)) == 89
+    assert len(np.unique(required(read.frame))) == 89
 
 
-def test_messages_of_ros_1_in_an_mcap_are_read_as_pypcd4_has_them() -> None:
+def test_messages_of_ros_1_in_an_mcap_are_read_as_pypcd4_reads_them() -> None:
     pypcd4 = pytest.importorskip("pypcd4")
     from mcap.reader import make_reader
 

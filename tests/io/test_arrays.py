@@ -1,0 +1,172 @@
+"""Plain arrays of numbers, in files and in memory."""
+
+import struct
+import zipfile
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from retropole.errors import ReadError, UsageError
+from retropole.io import cloud_from_array, read_cloud
+from tests.io.files import INTENSITY, TABLE, XYZ, numbers
+
+
+class TestText:
+    @pytest.mark.parametrize("separator", [",", ", ", ";", "\t", " ", "   "])
+    @pytest.mark.parametrize("head", ["", "# written today\n", "\ufeff", "\n\n"])
+    @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+    def test_separators(self, tmp_path: Path, separator: str, head: str, end: str) -> None:
+        text = head + numbers(TABLE, separator)
+        (tmp_path / "a.txt").write_bytes(text.replace("\n", end).encode())
+        cloud = read_cloud(tmp_path / "a.txt")
+        np.testing.assert_array_equal(cloud.xyz, XYZ)
+        np.testing.assert_array_equal(cloud.intensity, INTENSITY)
+
+    @pytest.mark.parametrize(
+        "head", ["Z,I,Y,X", '"z","i","y","x"', "//Z I Y X", "# z i y x", "# hi\nz;i;y;x"]
+    )
+    def test_names_rule_the_order(self, tmp_path: Path, head: str) -> None:
+        (tmp_path / "a.csv").write_text(head + "\n3,4,2,1\n")
+        cloud = read_cloud(tmp_path / "a.csv")
+        np.testing.assert_array_equal(cloud.xyz, [[1, 2, 3]])
+        np.testing.assert_array_equal(cloud.intensity, [4])
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("1,2,3\n1,2,x\n", r"line 2.*1,2,x.*3 numbers"),
+            ("x,y,z\n\n1,2,3\n1,2\n", "line 4"),
+            ("x y z\n# no\n1 2 3\n1 2 3 4\n", "line 4"),
+            ("1,2,,3\n4,5,,6\n", "line 1"),  # an empty cell must not move the others
+            ("1,5;2,5;3,5\n", "line 1"),  # decimal commas are not more columns
+            ("1,5 2,5 3,5\n", "line 1"),
+            ("1 2 3 255 0 0\n", r"\(N, 3\)"),  # colours are no intensity
+            ("1 2\n", r"\(1, 2\)"),
+            ("x,y,z\n", "no lines of numbers"),
+            ("# only words\n", "no lines of numbers"),
+            ("a title\nanother\n1 2 3\n", "line 2"),
+            ("x,X,y,z\n1,2,3,4\n", "one name"),
+            ("a,b,c\n1,2,3\n", "x, y, z is missing"),
+            ("1_0 2 3\n", "numbers"),
+        ],
+    )
+    def test_errors_name_the_place(self, tmp_path: Path, text: str, message: str) -> None:
+        (tmp_path / "a.xyz").write_text(text)
+        with pytest.raises(ReadError, match=message):
+            read_cloud(tmp_path / "a.xyz")
+
+
+class TestArrays:
+    def test_structured(self, tmp_path: Path) -> None:
+        points = np.zeros(3, [("intensity", "u1"), ("z", ">f8"), ("y", "f4"), ("x", "i2")])
+        points["x"], points["y"], points["z"] = [1, 2, 3], [4, 5, 6], [7, 8, 9]
+        points["intensity"] = INTENSITY
+        np.save(tmp_path / "a.npy", points)
+        cloud = read_cloud(tmp_path / "a.npy")
+        np.testing.assert_array_equal(cloud.xyz, [[1, 4, 7], [2, 5, 8], [3, 6, 9]])
+        np.testing.assert_array_equal(cloud.intensity, INTENSITY)
+
+    @pytest.mark.parametrize("order", ["C", "F"])
+    def test_memory_order_does_not_matter(self, tmp_path: Path, order: Literal["C", "F"]) -> None:
+        np.save(tmp_path / "a.npy", np.asarray(XYZ, order=order))
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").xyz, XYZ)
+
+    @pytest.mark.parametrize(
+        "array",
+        [
+            np.ones((3, 6)),
+            np.ones(3),
+            np.ones((2, 2, 3)),
+            np.ones((3, 3), complex),
+            np.array([["a"] * 3]),
+            np.array(1.0),
+            np.array([[None] * 3]),
+            np.ones((3, 0)),
+            np.ones(2, [("x", "f4"), ("y", "S3"), ("z", "f4")]),
+            np.ones(2, [("x", "f4"), ("y", "f4", (2, 2)), ("z", "f4")]),
+        ],
+        ids=str,
+    )
+    def test_no_table_of_points(self, tmp_path: Path, array: NDArray[Any]) -> None:
+        np.save(tmp_path / "a.npy", array)
+        np.savez(tmp_path / "a.npz", array)
+        for path in (tmp_path / "a.npy", tmp_path / "a.npz"):
+            with pytest.raises(ReadError, match="expected"):
+                read_cloud(path)
+
+    def test_promise_of_a_header_takes_no_memory(self, tmp_path: Path) -> None:
+        text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 3), }\n"
+        body = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
+        (tmp_path / "a.npy").write_bytes(body)
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+            archive.writestr("xyz.npy", body)
+        for path in (tmp_path / "a.npy", tmp_path / "a.npz"):
+            with pytest.raises(ReadError, match="promises 24000000000000 bytes"):
+                read_cloud(path)
+
+    @pytest.mark.parametrize(
+        "arrays",
+        [
+            {"x": XYZ[:, 0], "y": XYZ[:, 1], "z": XYZ[:, 2], "i": INTENSITY},
+            {"points": TABLE},
+            {"cloud": TABLE},
+            {
+                "points": TABLE * [1, 1, 1, 0],
+                "intensity": INTENSITY,
+                "pose": np.eye(4),
+            },
+        ],
+    )
+    def test_npz_keys(self, tmp_path: Path, arrays: dict[str, NDArray[np.float64]]) -> None:
+        np.savez(tmp_path / "a.npz", allow_pickle=False, **arrays)
+        cloud = read_cloud(tmp_path / "a.npz")
+        np.testing.assert_array_equal(cloud.xyz, XYZ)
+        np.testing.assert_array_equal(cloud.intensity, INTENSITY)
+
+    def test_npz_lengths_must_agree(self, tmp_path: Path) -> None:
+        np.savez(tmp_path / "a.npz", xyz=XYZ, intensity=INTENSITY[:2])
+        with pytest.raises(ReadError, match="2 values for 3 points"):
+            read_cloud(tmp_path / "a.npz")
+        np.savez(tmp_path / "a.npz", x=XYZ[:, 0], y=XYZ[:2, 1], z=XYZ[:, 2])
+        with pytest.raises(ReadError, match="3, 2, 3 values"):
+            read_cloud(tmp_path / "a.npz")
+
+    def test_npz_with_two_tables_is_no_guess(self, tmp_path: Path) -> None:
+        np.savez(tmp_path / "a.npz", xyz=XYZ, points=2 * XYZ)
+        with pytest.raises(ReadError, match="xyz and points"):
+            read_cloud(tmp_path / "a.npz")
+
+    def test_kitti_of_odd_length(self, tmp_path: Path) -> None:
+        (tmp_path / "a.bin").write_bytes(b"\0" * 30)
+        with pytest.raises(ReadError, match=r"30 bytes.*multiple of 16"):
+            read_cloud(tmp_path / "a.bin")
+
+
+class TestMemory:
+    def test_an_array_is_what_its_file_is(self, tmp_path: Path) -> None:
+        table = np.vstack([TABLE, [np.nan, 1, 1, 1], [0, 0, 0, 9]])
+        np.save(tmp_path / "a.npy", table)
+        of_file, of_array = read_cloud(tmp_path / "a.npy"), cloud_from_array(table)
+        np.testing.assert_array_equal(of_array.xyz, of_file.xyz)
+        np.testing.assert_array_equal(of_array.intensity, of_file.intensity)
+        assert of_array.dropped == of_file.dropped == 2
+        assert of_array.source == "<array>"
+
+    @pytest.mark.parametrize("kind", ["f4", "f8", "i2", "u1"])
+    def test_the_cloud_does_not_share_its_memory(self, kind: str) -> None:
+        table = np.abs(TABLE).astype(kind)
+        cloud = cloud_from_array(table)
+        expected = cloud.xyz.copy(), table[:, 3].astype(float)
+        table[:] = 0
+        np.testing.assert_array_equal(cloud.xyz, expected[0])
+        np.testing.assert_array_equal(cloud.intensity, expected[1])
+
+    def test_errors_name_what_was_given(self) -> None:
+        with pytest.raises(UsageError, match=r"front: an array of float64 of shape \(5, 2\)"):
+            cloud_from_array(np.ones((5, 2)), "front")
+        points = np.ones(2, [("x", "f4"), ("y", "f4"), ("intensity", "f4")])
+        with pytest.raises(UsageError, match="front: field z is missing"):
+            cloud_from_array(points, "front")

@@ -1,0 +1,86 @@
+"""Which points are returns, and what the names of fields mean, in any format."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from retropole.errors import ReadError
+from retropole.io import read_cloud
+from tests.io.files import XYZ
+
+
+class TestPoints:
+    @pytest.mark.filterwarnings("error")
+    def test_signalling_nan_is_dropped_without_a_warning(self, tmp_path: Path) -> None:
+        bits = np.array([0x7F800001, 0x3F800000, 0x3F800000, 0x3F800000] * 2, "<u4")
+        bits[4] = 0x3F800000
+        bits[7] = 0x7F800001
+        (tmp_path / "a.bin").write_bytes(bits.tobytes())
+        cloud = read_cloud(tmp_path / "a.bin")
+        np.testing.assert_array_equal(cloud.xyz, [[1, 1, 1]])
+        assert (cloud.intensity, cloud.dropped) == (None, 1)
+
+    def test_no_returns_are_dropped_and_counted(self, tmp_path: Path) -> None:
+        rows = np.array([[1, 2, 3, 7], [0, 0, 0, 8], [np.nan, 1, 1, 9], [1, np.inf, 1, 9]])
+        np.save(tmp_path / "a.npy", np.vstack([rows, [4, 5, 6, 10]]))
+        cloud = read_cloud(tmp_path / "a.npy")
+        np.testing.assert_array_equal(cloud.xyz, [[1, 2, 3], [4, 5, 6]])
+        np.testing.assert_array_equal(cloud.intensity, [7, 10])
+        assert cloud.dropped == 3
+
+    @pytest.mark.parametrize("rows", [np.full((4, 3), np.nan), np.zeros((4, 3)), np.zeros((0, 3))])
+    def test_nothing_left_is_an_error(self, tmp_path: Path, rows: NDArray[np.float64]) -> None:
+        np.save(tmp_path / "a.npy", rows)
+        with pytest.raises(ReadError, match=r"points"):
+            read_cloud(tmp_path / "a.npy")
+
+    def test_missing_coordinate_names_the_fields(self, tmp_path: Path) -> None:
+        np.savez(tmp_path / "a.npz", x=np.ones(3), y=np.ones(3), intensity=np.ones(3))
+        with pytest.raises(ReadError, match=r"field z is missing.*x, y, intensity"):
+            read_cloud(tmp_path / "a.npz")
+
+
+class TestNames:
+    @pytest.mark.parametrize(
+        "name",
+        ["intensity", "I", "Reflectivity", "reflectance", "REMISSION", "scalar_Intensity"],
+    )
+    def test_intensity(self, tmp_path: Path, name: str) -> None:
+        (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,4\n")
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv").intensity, [4.0])
+
+    @pytest.mark.parametrize("name", ["ring", "Channel", "laser_id"])
+    def test_ring(self, tmp_path: Path, name: str) -> None:
+        (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,4\n")
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv").ring, [4])
+
+    @pytest.mark.parametrize("name", ["time", "t", "Timestamp", "offset_time"])
+    def test_time(self, tmp_path: Path, name: str) -> None:
+        (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,4.5\n")
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv").time, [4.5])
+
+    @pytest.mark.parametrize("name", ["rgb", "red", "intensity_image", "nx"])
+    def test_others_are_no_intensity(self, tmp_path: Path, name: str) -> None:
+        (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,4\n")
+        assert read_cloud(tmp_path / "a.csv").intensity is None
+
+    def test_ticks_of_unknown_length_are_no_seconds(self, tmp_path: Path) -> None:
+        for dtype, first in (("u4", 50), ("u8", 10**18), ("f8", 1.7e18), ("f8", np.nan)):
+            points = np.ones(2, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("t", dtype)])
+            points["t"] = first
+            np.save(tmp_path / "a.npy", points)
+            assert read_cloud(tmp_path / "a.npy").time is None
+
+    def test_intensity_without_a_value_is_weak(self, tmp_path: Path) -> None:
+        rows = np.column_stack([XYZ, [np.nan, np.inf, 9.0]])
+        np.save(tmp_path / "a.npy", rows)
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").intensity, [0, 0, 9])
+        rows[:, 3] = np.nan
+        np.save(tmp_path / "a.npy", rows)
+        assert read_cloud(tmp_path / "a.npy").intensity is None
+
+    def test_fractions_are_no_rings(self, tmp_path: Path) -> None:
+        np.savez(tmp_path / "a.npz", xyz=XYZ, ring=[0.5, 1, 2])
+        assert read_cloud(tmp_path / "a.npz").ring is None
