@@ -150,11 +150,36 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
         ({"sensor_target": "nonsense"}, "no sensor is called 'nonsense'"),
         ({"target_topic": "/front"}, "target: a topic or frames"),
         ({"frames": slice(0, 2)}, "target: a topic or frames"),
+        ({"radius": "thick"}, "wrong type"),
+        ({"poles": 2.5}, "wrong type"),
+        ({"frames": 3}, "wrong type"),
+        ({"prior_rpy_deg": (0.0, 1.0)}, "wrong type"),
     ],
 )
 def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
     with pytest.raises(rp.UsageError, match=message):
         rp.calibrate(tables().target, tables().source, **options)  # type: ignore[arg-type]
+
+
+def test_numbers_of_numpy_are_as_good(tmp_path: Path) -> None:
+    options = {"radius": 0.02, "poles": 2, "threshold_target": 150.0}
+    expected = rp.calibrate(tables().target, tables().source, refine=False, **options)  # type: ignore[arg-type]
+    result = rp.calibrate(
+        tables().target,
+        tables().source,
+        refine=np.bool_(False),  # type: ignore[arg-type]
+        radius=np.float64(0.02),
+        poles=np.int64(2),  # type: ignore[arg-type]
+        threshold_target=np.float32(150),  # type: ignore[arg-type]
+    )
+    assert_same_answer(result, expected)
+    result.save(tmp_path)
+    assert rp.load_result(tmp_path).document == result.document
+    prior = rp.calibrate(
+        tables().target, tables().source, refine=False, prior_rpy_deg=np.zeros(3).tolist()
+    )
+    prior.save(tmp_path)
+    assert rp.load_result(tmp_path).document == prior.document
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

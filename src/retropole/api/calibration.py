@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from operator import index
 
 from ..errors import UsageError
 from ..matching.prior import rotation_prior
@@ -41,7 +42,7 @@ def calibrate(
     poles: int | None = None,
     refine: bool = DEFAULTS.refine,
     up: bool = DEFAULTS.up,
-    prior_rpy_deg: tuple[float, float, float] | None = None,
+    prior_rpy_deg: Sequence[float] | None = None,
     prior_sigma_deg: float = DEFAULTS.prior_sigma_deg,
     target_topic: str | None = None,
     source_topic: str | None = None,
@@ -89,22 +90,26 @@ def calibrate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    config = RunConfig(
-        radius_m=radius,
-        radius_sigma_m=radius_sigma,
-        up=up,
-        prior_rpy_deg=prior_rpy_deg,
-        prior_sigma_deg=prior_sigma_deg,
-        poles=poles,
-        refine=refine,
-        threshold_target=threshold_target,
-        threshold_source=threshold_source,
-        sensor_target=sensor_target,
-        sensor_source=sensor_source,
-        target_topic=target_topic,
-        source_topic=source_topic,
-        frames=None if frames is None else (frames.start, frames.stop, frames.step),
-    )
+    try:
+        # The result document holds Python's own numbers, also where NumPy's are given.
+        config = RunConfig(
+            radius_m=float(radius),
+            radius_sigma_m=float(radius_sigma),
+            up=bool(up),
+            prior_rpy_deg=None if prior_rpy_deg is None else _three(prior_rpy_deg),
+            prior_sigma_deg=float(prior_sigma_deg),
+            poles=None if poles is None else index(poles),
+            refine=bool(refine),
+            threshold_target=None if threshold_target is None else float(threshold_target),
+            threshold_source=None if threshold_source is None else float(threshold_source),
+            sensor_target=sensor_target,
+            sensor_source=sensor_source,
+            target_topic=target_topic,
+            source_topic=source_topic,
+            frames=None if frames is None else _parts(frames),
+        )
+    except (TypeError, ValueError, AttributeError) as error:
+        raise UsageError(f"an option has a value of the wrong type: {error}") from None
     return calibrate_with(target, source, config, progress=progress)
 
 
@@ -167,6 +172,19 @@ def calibrate_with(
         seconds={"read": seconds_read, **calibration.seconds},
     )
     return CalibrationResult(document, calibration.placements)
+
+
+def _three(values: Sequence[float]) -> tuple[float, float, float]:
+    roll, pitch, yaw = values
+    return float(roll), float(pitch), float(yaw)
+
+
+def _parts(frames: slice) -> tuple[int | None, int | None, int | None]:
+    start, stop, step = (
+        None if value is None else index(value)
+        for value in (frames.start, frames.stop, frames.step)
+    )
+    return start, stop, step
 
 
 def check_options(config: RunConfig) -> None:

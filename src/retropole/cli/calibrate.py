@@ -160,7 +160,7 @@ def calibrate(
     if result.status != "refused":
         return 0
     for reason in result.reasons:
-        echo_refusal(reason.code, reason.message)
+        echo_refusal(reason.code, reason.message, advise=quiet or as_json)
     return EXIT_REFUSED
 
 

@@ -126,10 +126,10 @@ def echo_left_out(given: Input) -> None:
         )
 
 
-def echo_refusal(code: str, message: str) -> None:
-    """Say on stderr why there is no answer, and what to do about it."""
+def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:
+    """Say on stderr why there is no answer and, unless stdout does, what to do about it."""
     click.echo(f"retropole: refused ({code}): {message}", err=True)
-    explanation = explain(code)
+    explanation = explain(code) if advise else None
     lead = "what to do: "
     for action in explanation.advice if explanation else ():
         click.echo(lead + plain(action), err=True)
