@@ -87,9 +87,8 @@ class CalibrationResult:
         """
         T = self.T_target_source
         if T is None:
-            why = (
-                self.reasons[0] if self.reasons else ReasonDoc("refused", "no reason is given", {})
-            )
+            unknown = ReasonDoc("refused", "the result gives no reason", {})
+            why = next(iter(self.reasons), unknown)
             raise Refusal(cast("Code", why.code), why.message, why.values)
         return T
 
