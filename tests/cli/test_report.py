@@ -39,6 +39,14 @@ def test_makes_the_page_that_calibrate_made(own: Path) -> None:
     assert (own / "r" / "report.html").read_text() == before
 
 
+def test_takes_the_folder_of_a_result(own: Path) -> None:
+    before = (own / "r" / "report.html").read_text()
+    (own / "r" / "report.html").unlink()
+    done = retropole("report", "r", cwd=own)
+    assert (done.returncode, done.stdout.strip()) == (0, "written: r/report.html")
+    assert (own / "r" / "report.html").read_text() == before
+
+
 def test_finds_the_clouds_beside_the_result(own: Path, tmp_path: Path) -> None:
     shutil.copy(own / "r" / "result.json", own / "result.json")
     done = retropole("report", own / "result.json", "--out", tmp_path / "a.html", cwd=tmp_path)

@@ -19,7 +19,7 @@ from .common import CLOUD, CONTEXT, progress_on_terminal
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool) -> int:
-    """Make the report of RESULT, a result.json, again.
+    """Make the report of RESULT, result.json or the folder that holds it, again.
 
     The page shows the clouds that the result names. They are looked for by their path, from here
     and from the folder of RESULT; give TARGET and SOURCE where they lie elsewhere now (and again
@@ -38,13 +38,14 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
       2    RESULT or a cloud cannot be read
       130  interrupted
     """
-    from ..api.result import load_result
+    from ..api.result import REPORT_FILE, RESULT_FILE, load_result
     from ..report import write_report
     from ..report.inputs import placements_of
 
-    document, page = load_result(result).document, out or result.with_name("report.html")
+    file = result / RESULT_FILE if result.is_dir() else result
+    document, page = load_result(file).document, out or file.with_name(REPORT_FILE)
     with progress_on_terminal(quiet) as progress:
-        stored = placements_of(document, result.parent, clouds, progress=progress)
+        stored = placements_of(document, file.parent, clouds, progress=progress)
         progress("write")
         write_report(page, document, stored.placements, notes=stored.notes)
     for note in stored.notes:
