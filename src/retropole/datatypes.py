@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+DEFAULT_RADIUS = 0.02
+"""Radius of the taped poles where nothing else is said, metres (Xue et al. 2019)."""
+
 PER_POINT = ("intensity", "ring", "time", "frame")
 """Fields of a cloud that have one value per point, or are None."""
 

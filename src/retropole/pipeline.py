@@ -13,7 +13,16 @@ from threadpoolctl import threadpool_limits
 from . import se3
 from .alignment.adjustment import BeamAlignment, align_beams
 from .alignment.observations import beams_of
-from .datatypes import Array, Calibration, Hypothesis, Placement, PointCloud, Reason, Scan
+from .datatypes import (
+    DEFAULT_RADIUS,
+    Array,
+    Calibration,
+    Hypothesis,
+    Placement,
+    PointCloud,
+    Reason,
+    Scan,
+)
 from .errors import Refusal
 from .extraction.poles import extract_poles
 from .matching import correspondence
@@ -32,9 +41,6 @@ from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .uncertainty import predicted_error, weakest_direction
 from .verdict import check_choice, margin_of, weaknesses
-
-DEFAULT_RADIUS = 0.02
-"""Radius of the taped poles, metres (Xue et al. 2019)."""
 
 
 def calibrate(

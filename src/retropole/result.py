@@ -14,7 +14,16 @@ from typing import Literal
 import msgspec
 
 from . import __version__
-from .datatypes import Array, Calibration, Detection, Hypothesis, Placement, Pole, PoseEstimate
+from .datatypes import (
+    DEFAULT_RADIUS,
+    Array,
+    Calibration,
+    Detection,
+    Hypothesis,
+    Placement,
+    Pole,
+    PoseEstimate,
+)
 from .uncertainty import WeakDirection
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
@@ -32,7 +41,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     stop and step. Sensors are names, or ``auto``.
     """
 
-    radius_m: float = 0.02
+    radius_m: float = DEFAULT_RADIUS
     radius_sigma_m: float = 0.0
     up: bool = False
     prior_rpy_deg: tuple[float, float, float] | None = None

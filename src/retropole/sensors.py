@@ -132,7 +132,8 @@ _ALL = (
     ),
     _spinning(
         "PandarQT", ("QT64",), np.linspace(-52.1, 52.1, 64), 0.6, 0.015, 8.0, (0.1, 60.0),
-        (200.0, PAPER_TABLE_I), "manufacturer's manual: 64 rings over 104.2°; taken as evenly spaced",
+        (200.0, PAPER_TABLE_I),
+        "manufacturer's manual: 64 rings over 104.2°; taken as evenly spaced",
     ),
     _spinning(
         "XT32", ("PandarXT-32",), np.linspace(-16, 15, 32), 0.18, 0.005, 1.5, (0.05, 120.0),

@@ -83,7 +83,8 @@ def covariance_at(covariance: Array, T: Array, point: Array) -> Array:
     T
         (4, 4) the pose, target from source.
     point
-        (3,) in the target frame: δ becomes the translation of what is there, ``δ + φ × (point − t)``.
+        (3,) in the target frame: δ becomes the translation of what is there,
+        ``δ + φ × (point − t)``.
     """
     J = np.eye(6)
     J[3:, :3] = -se3.hat(point - T[:3, 3])

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..datatypes import Array, Calibration, PointCloud
+from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud
 from ..errors import Refusal, UsageError
-from ..pipeline import DEFAULT_RADIUS, calibrate
+from ..pipeline import calibrate
 from ..sensors import Sensor
 from .methods import ALL_METHODS, OURS
 from .metrics import Alignment, Errors, errors_of, evaluate

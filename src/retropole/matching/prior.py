@@ -51,7 +51,7 @@ def rotation_prior(
         Where both are given.
     """
     if up and rpy_deg is not None:
-        raise UsageError("--up and --prior-rpy-deg exclude each other")
+        raise UsageError("up and prior_rpy_deg (--up, --prior-rpy-deg) exclude each other")
     sigma = float(np.radians(sigma_deg))
     if rpy_deg is not None:
         return RotationPrior(se3.rotation_from_rpy(np.radians(rpy_deg)), sigma)

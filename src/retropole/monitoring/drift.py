@@ -14,10 +14,10 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..datatypes import Array, Calibration, PointCloud, PoseEstimate, Reason
+from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud, PoseEstimate, Reason
 from ..errors import UsageError
 from ..matching.prior import RotationPrior
-from ..pipeline import DEFAULT_RADIUS, calibrate
+from ..pipeline import calibrate
 from ..reasons import prefixed
 from ..scene.disambiguation import SCORING_VOXEL
 from ..scene.refinement import refine

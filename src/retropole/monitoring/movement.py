@@ -6,8 +6,8 @@ common, such as a range offset of the tape or of single rings, cancels in ``d`` 
 in ``S``: the test errs towards *same*.
 
 A test that could not have seen a movement says nothing by not seeing one. So *same* is answered
-only where a movement of the size that matters would almost certainly have been found, about whatever
-axis, in whatever direction.
+only where a movement of the size that matters would almost certainly have been found, about
+whatever axis, in whatever direction.
 """
 
 from __future__ import annotations

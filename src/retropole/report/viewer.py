@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array, Detection, PointCloud, Pole
+from ..datatypes import DEFAULT_RADIUS, Array, Detection, PointCloud, Pole
 from ..errors import MissingExtraError
 from ..extraction.poles import extract_poles
-from ..pipeline import DEFAULT_RADIUS
 from ..sensors import Sensor
 
 if TYPE_CHECKING:
