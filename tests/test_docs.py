@@ -22,7 +22,8 @@ from retropole.sensors import SENSORS
 from tests.paths import PACKAGE, ROOT
 
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
+PAGES += sorted(DOCS.glob("*.md"))
 NEEDED = ("sphinx", "myst_parser", "furo", "latex2mathml")
 
 

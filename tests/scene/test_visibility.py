@@ -14,17 +14,7 @@ from retropole.scene.visibility import (
     range_image,
     view_of,
 )
-from tests.scene.test_disambiguation import flipped, room
-
-
-@pytest.fixture(scope="module")
-def views() -> tuple[PointCloud, PointCloud, Array]:
-    rng = np.random.default_rng(0)
-    T_world_target = se3.from_rt(np.eye(3), np.array([-2.0, 1.0, 1.5]))
-    T_world_source = se3.from_rt(np.eye(3), np.array([1.0, 0.5, 1.2]))
-    target = room(T_world_target[:3, 3], rng)
-    source = room(T_world_source[:3, 3], rng)
-    return target, source, se3.inverse(T_world_target) @ T_world_source
+from tests.scene.conftest import flipped
 
 
 @pytest.mark.parametrize("shift", [[8.0, 0, 0], [0, 20.0, 5.0], [3.0, -2.0, 10.0]])
