@@ -1,5 +1,7 @@
 """Poles are found, other bright things are not, and neither motion nor order matters."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -8,59 +10,37 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Array, Detection, IntArray, PointCloud
 from retropole.errors import Refusal
-from retropole.extraction.clustering import clusters
+from retropole.extraction import acceptance_shape, lines, neighbours, poles
 from retropole.extraction.poles import extract_poles
 from retropole.io import read_cloud
 from retropole.sensors import find_sensor
-from retropole.simulation import Box, Cylinder, Material, Rectangle, Surface, scan, simulate_pair
+from retropole.simulation import Box, Rectangle, simulate_pair
+from tests.extraction.scenes import (
+    NO_POLES,
+    PAINT,
+    TAPE,
+    X,
+    Y,
+    Z,
+    labels_of,
+    pole,
+    seen,
+    without_rings,
+)
+from tests.extraction.synthetic import line_with, offset, on_pole, scene
 from tests.paths import SHARED
-
-TAPE, PAINT = Material(0.9, retro=True), Material(0.5)
-X, Y, Z = np.eye(3)
-GROUND = Rectangle(np.array([0, 0, -1.2]), X, Y, (30, 30), Material(0.2))
-
-
-def pole(
-    foot: tuple[float, float], lean: Array | None = None, radius: float = 0.02, length: float = 2.0
-) -> Cylinder:
-    axis = Z + (np.zeros(3) if lean is None else lean)
-    axis = axis / np.linalg.norm(axis)
-    return Cylinder(np.array([*foot, -1.15]) + axis * length / 2, axis, radius, length, TAPE)
-
-
-def seen(
-    surfaces: list[Surface],
-    sensor: str = "XT32",
-    seed: int = 0,
-    frames: int = 1,
-    **changes: object,
-) -> tuple[PointCloud, IntArray]:
-    """Scan a few surfaces from the origin; give the cloud, and the surface of each point."""
-    model = replace(find_sensor(sensor), **changes)  # type: ignore[arg-type]
-    rng = np.random.default_rng(seed)
-    scanned = scan([GROUND, *surfaces], model, np.eye(4), rng, frames=frames)
-    return scanned.cloud, scanned.labels - 1
-
-
-def labels_of(detection: Detection, labels: IntArray) -> list[int]:
-    """Surface that most points of each detected pole lie on."""
-    return [int(np.bincount(labels[pole.index] + 1).argmax()) - 1 for pole in detection.poles]
-
-
-def codes(detection: Detection) -> set[str]:
-    return {cluster.code for cluster in detection.rejected}
 
 
 @pytest.mark.parametrize("sensor", ["VLP-16", "HDL-32E", "XT32", "OS1", "Pandar64", "Mid-360"])
 @pytest.mark.parametrize("radius", [0.02, 0.05])
 def test_standing_and_leaning_poles_are_found(sensor: str, radius: float) -> None:
-    poles = [pole((4, 0.7), radius=radius), pole((4.5, -1), 0.5 * Y + 0.2 * X, radius)]
+    standing = [pole((4, 0.7), radius=radius), pole((4.5, -1), 0.5 * Y + 0.2 * X, radius)]
     # A sensor that does not repeat its scan needs a second to put as many returns on a pole.
-    cloud, labels = seen(list(poles), sensor, frames=10 if sensor == "Mid-360" else 1)
+    cloud, labels = seen(list(standing), sensor, frames=10 if sensor == "Mid-360" else 1)
     found = extract_poles(cloud, radius=radius)
     assert sorted(labels_of(found, labels)) == [0, 1]
     for detected, label in zip(found.poles, labels_of(found, labels), strict=True):
-        truth = poles[label]
+        truth = standing[label]
         assert np.mean(labels[detected.index] == label) > 0.95
         assert np.linalg.norm(np.cross(detected.direction, truth.axis)) < np.sin(np.radians(2))
         offset = detected.point - truth.centre
@@ -89,7 +69,7 @@ def test_two_points_on_three_rings_at_5_m_make_a_pole(columns: int, with_rings: 
     assert [len(k) for k in kept] == [columns] * 3
     few = cloud.select(np.sort(np.r_[np.flatnonzero(~on_it), np.concatenate(kept)]))
     if not with_rings:
-        few = replace(few, ring=None)
+        few = without_rings(few)
     found = extract_poles(few, sensor=find_sensor("VLP-16"))
     assert [len(p.index) for p in found.poles] == [3 * columns]
     assert found.poles[0].rings >= 3
@@ -135,55 +115,22 @@ def test_half_hidden_pole_is_one() -> None:
     assert found.poles[0].length > 1.0
 
 
+@pytest.mark.parametrize("sensor", ["XT32", "OS1", "Pandar64"])
+def test_half_hidden_pole_beside_a_sign_is_one(sensor: str) -> None:
+    """The sign is most of the cluster, and without it the pole is two groups."""
+    bar = Box(np.array([3.5, 0, -0.1]), np.eye(3), np.array([0.02, 0.5, 0.25]), PAINT)
+    sign = Rectangle(np.array([4.6, 1.0, 0]), Y, Z, (0.4, 0.6), TAPE)
+    cloud, labels = seen([pole((4, 0), 0.1 * Y), bar, sign], sensor)
+    found = extract_poles(cloud)
+    assert labels_of(found, labels) == [0]
+    assert found.poles[0].length > 1.5
+
+
 @pytest.mark.parametrize("distance", [0.15, 0.4])
 def test_wall_behind_a_pole_does_not_hide_it(distance: float) -> None:
     wall = Rectangle(np.array([4 + distance, 0, 0]), Y, Z, (4, 2), PAINT)
     cloud, labels = seen([pole((4, 0), 0.2 * Y), wall])
     assert labels_of(extract_poles(cloud), labels) == [0]
-
-
-def turned(yaw: float) -> Array:
-    return np.array([np.cos(yaw), np.sin(yaw), 0.0])
-
-
-NO_POLES: dict[str, list[Surface]] = {
-    "sign": [
-        Cylinder(np.array([6, 0, 0]), Z, 0.03, 2.4, PAINT),
-        Rectangle(np.array([5.9, 0, 0.8]), Y, Z, (0.3, 0.3), TAPE),
-    ],
-    "sign seen obliquely": [Rectangle(np.array([5, 0, 0]), turned(0.4), Z, (0.35, 0.35), TAPE)],
-    "stripe on a wall": [
-        Rectangle(np.array([5, 0, 0]), Y, Z, (4, 2), PAINT),
-        Rectangle(np.array([4.99, 0, 0]), Y, Z, (0.025, 0.9), TAPE),
-    ],
-    "marked corner of a box": [
-        Box(np.array([5, 0, 0]), np.stack([turned(0.8), turned(0.8 + np.pi / 2), Z], 1),
-            np.array([0.7, 0.7, 1.2]), PAINT),
-        Box(np.array([5 - 0.99, 0, 0]), np.eye(3), np.array([0.03, 0.03, 0.9]), TAPE),
-    ],
-    "lane mark": [Rectangle(np.array([5, 0.5, -1.19]), X, Y, (1.5, 0.07), TAPE)],
-    "number plate": [
-        Box(np.array([6, 0, -0.6]), np.eye(3), np.array([2.0, 0.9, 0.5]), PAINT),
-        Rectangle(np.array([3.98, 0, -0.6]), Y, Z, (0.26, 0.055), TAPE),
-    ],
-    "lamps": [
-        Box(np.array([6, 0, -0.6]), np.eye(3), np.array([2.0, 0.9, 0.5]), PAINT),
-        *(Rectangle(np.array([3.98, y, -0.5]), Y, Z, (0.1, 0.2), TAPE) for y in (-0.8, 0.8)),
-    ],
-    "cone": [
-        Cylinder(np.array([4, 0, -0.85]), Z, 0.1, 0.7, PAINT),
-        Cylinder(np.array([4, 0, -0.8]), Z, 0.11, 0.15, TAPE),
-    ],
-    "vest": [
-        Box(np.array([4, 0, -0.35]), np.eye(3), np.array([0.12, 0.22, 0.85]), PAINT),
-        *(
-            Box(np.array([4, 0, z]), np.eye(3), np.array([0.14, 0.24, 0.025]), TAPE)
-            for z in (-0.15, 0.1)
-        ),
-    ],
-    "bright ground": [Rectangle(np.array([4, 0, -1.19]), X, Y, (2.5, 2.5), TAPE)],
-    "thick bare post": [Cylinder(np.array([5, 0, 0]), Z, 0.3, 2.4, TAPE)],
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NO_POLES)
@@ -192,7 +139,7 @@ NO_POLES: dict[str, list[Surface]] = {
 def test_other_bright_things_are_no_poles(name: str, sensor: str, with_rings: bool) -> None:
     cloud, _ = seen(NO_POLES[name], sensor)
     if not with_rings:
-        cloud = replace(cloud, ring=None)
+        cloud = without_rings(cloud)
     found = extract_poles(cloud, sensor=find_sensor(sensor))
     assert found.poles == (), [p.length for p in found.poles]
     retro = sum(len(cluster.index) for cluster in found.rejected)
@@ -243,7 +190,7 @@ def same_poles(a: Detection, b: Detection, T: Array, order: IntArray | None = No
 def test_rigid_motion_changes_nothing(scene: str, with_rings: bool, origin: str) -> None:
     pair = simulate_pair(scene, np.random.default_rng(2))
     for k, cloud in enumerate((pair.target, pair.source)):
-        still = cloud if with_rings else replace(cloud, ring=None)
+        still = cloud if with_rings else without_rings(cloud)
         T = se3.random(np.random.default_rng(k), 50.0)
         moved = still.transformed(T)
         if origin == "false":
@@ -257,7 +204,7 @@ def test_map_coordinates_with_a_false_origin_lose_no_pole(
     with_rings: bool, shift: tuple[float, float, float]
 ) -> None:
     cloud = simulate_pair("harbor", np.random.default_rng(1)).target
-    still = cloud if with_rings else replace(cloud, ring=None)
+    still = cloud if with_rings else without_rings(cloud)
     moved = replace(still, xyz=still.xyz + np.array(shift))
     for p, q in zip(extract_poles(still).poles, extract_poles(moved).poles, strict=True):
         np.testing.assert_array_equal(p.index, q.index)
@@ -274,11 +221,75 @@ def test_order_of_the_points_changes_nothing(scene: str) -> None:
 def test_detection_accounts_for_every_point_once() -> None:
     cloud = simulate_pair("street", np.random.default_rng(5)).target
     found = extract_poles(cloud)
-    rows = np.concatenate([p.index for p in found.poles] + [r.index for r in found.rejected])
-    assert len(np.unique(rows)) == len(rows)
+    index = np.concatenate([p.index for p in found.poles] + [r.index for r in found.rejected])
+    assert len(np.unique(index)) == len(index)
     assert cloud.intensity is not None
-    assert np.all(cloud.intensity[rows] >= found.threshold)
+    assert np.all(cloud.intensity[index] >= found.threshold)
     assert found.retro_points == np.count_nonzero(cloud.intensity >= found.threshold)
+
+
+@pytest.mark.parametrize("scene", ["corridor", "street", "harbor", "bare"])
+def test_more_rounds_of_fitting_give_the_same_poles(
+    scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clouds = [simulate_pair(scene, np.random.default_rng(seed)).target for seed in range(3)]
+    before = [extract_poles(cloud) for cloud in clouds]
+    monkeypatch.setattr(lines, "FIT_ROUNDS", 5 * lines.FIT_ROUNDS)
+    monkeypatch.setattr(neighbours, "PLANE_ROUNDS", 5 * neighbours.PLANE_ROUNDS)
+    monkeypatch.setattr(neighbours, "CROSSING_FITS", 5 * neighbours.CROSSING_FITS)
+    for cloud, found in zip(clouds, before, strict=True):
+        same_poles(extract_poles(cloud), found, np.eye(4))
+
+
+def test_poles_beyond_the_most_of_one_group_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloud, _ = seen([pole((4, 0)), pole((4, 0.5), 0.35 * Y)])
+    monkeypatch.setattr(poles, "MAX_POLES_PER_PART", 1)
+    found = extract_poles(cloud)
+    (rest,) = found.rejected
+    assert len(found.poles) == 1
+    assert rest.reason == f"{len(rest.index)} points left after 1 poles, more are not looked for"
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_few_points_left_by_several_poles_are_too_few(apart: bool) -> None:
+    left = np.zeros(9, dtype=bool)
+    left[[0, 1, 2, 5, 6, 7]] = True
+    parts = [np.arange(4), np.arange(4, 9)] if apart else [np.arange(9)]
+    failure = poles._left_over(left, parts)
+    assert failure.code == "too_few_points"
+    assert failure.reason.startswith("no 6 points together" if apart else "6 points left")
+
+
+@pytest.mark.parametrize(("width", "is_saturated"), [(0.5, False), (1.5, True)])
+def test_bright_surfaces_are_left_out_of_the_search(width: float, is_saturated: bool) -> None:
+    across, up = np.meshgrid(np.arange(0, width, 0.04), np.arange(0, 1.5, 0.04))
+    plate = offset(0.0, 0.5 + across.ravel(), up.ravel())
+    cloud = PointCloud(np.concatenate([on_pole(1.6, 160, 3), plate]))
+    parts, failure = poles._off_surfaces(cloud, np.arange(len(cloud)))
+    searched = np.concatenate(parts)
+    assert set(range(480)) <= set(searched), "the pole is searched"
+    assert len(searched) < len(cloud)
+    assert (failure is not None) is is_saturated
+
+
+@pytest.mark.parametrize("is_saturated", [True, False])
+def test_few_points_are_a_pole_only_off_bright_surfaces(is_saturated: bool) -> None:
+    cloud, line = scene(on_pole(rings=acceptance_shape.FEW_POLE_POINTS - 1, each=1))
+    index = np.arange(len(cloud))
+    free = np.ones(len(cloud), dtype=bool)
+    best = poles._best_line(cloud, index, index, free, 0.02, is_saturated)
+    assert isinstance(best, lines.Line) is not is_saturated
+    if isinstance(best, lines.Line):
+        np.testing.assert_array_equal(np.sort(best.index), line.index)
+
+
+def test_few_or_thick_points_amid_a_bright_surface_are_no_pole() -> None:
+    many = acceptance_shape.FEW_POLE_POINTS
+    assert poles._unsure_amid_brightness(line_with(many, rms=acceptance_shape.THICK_RMS)) is None
+    for line in (line_with(many - 1), line_with(many, rms=1.01 * acceptance_shape.THICK_RMS)):
+        failure = poles._unsure_amid_brightness(line)
+        assert failure is not None
+        assert failure.code == "part_of_a_surface"
 
 
 @pytest.mark.parametrize("intensity", [None, np.full(50, 7.0)])
@@ -294,15 +305,6 @@ def test_no_return_above_the_threshold_is_an_answer() -> None:
     found = extract_poles(cloud, threshold=1e9)
     assert (found.poles, found.rejected, found.retro_points) == ((), (), 0)
     assert found.threshold_source == "given"
-
-
-def test_clusters_are_what_short_steps_connect() -> None:
-    rng = np.random.default_rng(1)
-    for count in (200, 3000):  # beyond a number, cells stand for points
-        xyz = rng.uniform(0, 1, (count, 3)) + rng.integers(0, 3, count)[:, None] * [5.0, 0, 0]
-        groups = clusters(xyz)
-        assert sorted(len(g) for g in groups) == sorted(np.bincount((xyz[:, 0] // 5).astype(int)))
-    assert clusters(np.zeros((0, 3))) == []
 
 
 needs_data = pytest.mark.skipif(not SHARED.exists(), reason="no folder ../shared/data")
@@ -332,7 +334,7 @@ def test_posts_along_the_road_are_found_and_no_car(threshold: float | None, leas
     cloud = read_cloud(SHARED / "pandar_scene1" / "p64.pcd")
     found = extract_poles(cloud, threshold=threshold)
     assert len(found.poles) >= least
-    for pole in found.poles:  # two rows of short posts line the road, nothing else is a pole
-        assert 4.5 < abs(pole.point[0]) < 6.5
-        assert abs(pole.direction[2]) > np.cos(np.radians(20))
-        assert pole.length < 0.6
+    for post in found.poles:  # two rows of short posts line the road, nothing else is a pole
+        assert 4.5 < abs(post.point[0]) < 6.5
+        assert abs(post.direction[2]) > np.cos(np.radians(20))
+        assert post.length < 0.6

@@ -1,1 +1,1 @@
-"""From a cloud to its taped poles: clusters, lines, and the tests that a line must pass."""
+"""From a cloud to its taped poles: clusters, lines, and the rules that a line must pass."""

@@ -1,56 +1,79 @@
-"""From a cloud to its taped poles: threshold, cluster, look for lines, test each (M2).
+"""From a cloud to its taped poles: threshold, cluster, look for lines, test each.
 
-Nothing here asks which way is up or where the sensor stood: a cloud gives the same poles after any
-rigid motion, and in whatever order its points come.
+The first step of Xue et al. 2019, with rules for what else shines (docs/detection.md). Nothing here
+asks which way is up or where the sensor stood: a cloud gives the same poles after any rigid motion,
+and in whatever order its points come.
 
 A vest beside a pole, or two crossing poles, are one cluster. So lines are looked for inside the
 clusters, and what a line leaves is looked at again, until nothing long and thin is left.
+
+What *Sensitivity* means beside a constant: docs/detection.md.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole, RejectedCluster
+from ..datatypes import (
+    DEFAULT_RADIUS,
+    Array,
+    BoolArray,
+    Detection,
+    IntArray,
+    PointCloud,
+    Pole,
+    RejectedCluster,
+)
 from ..errors import Refusal
 from ..sensors import Sensor, threshold_for
-from .acceptance import (
-    BESIDE,
+from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
     MIN_LENGTH,
     MIN_POLE_POINTS,
-    THICK,
+    THICK_RMS,
     Failure,
     shape_failure,
-    surroundings_failure,
 )
-from .clustering import (
+from .acceptance_surroundings import surroundings_failure
+from .clustering import LINK, clusters, on_surface
+from .lines import (
     MAX_PROPOSING_POINTS,
+    MIN_LINE_POINTS,
     TUBE,
     Line,
-    clusters,
     fit_line,
     in_canonical_order,
-    on_surface,
     propose_lines,
 )
+from .surroundings import MAX_BESIDE
 
-SLACK = 0.04
-"""Room about the pole's radius in which returns of noisy sensors are looked for, metres."""
+SEARCH_ROOM = 0.04
+"""Room about the pole's radius in which a proposed line has its points, metres: 4 σ of 10 mm, the
+range noise of most sensors of the table. Sensitivity at 0.028: 6 poles lost, 13 fewer false; at
+0.056: 3 more found, 6 more false."""
 
-MARGIN = 0.8
-"""How far about a cluster its surroundings reach, metres."""
+NEAR_MARGIN = 0.8
+"""How far about a cluster its surroundings reach, metres: as `SHORT_LENGTH`, the length in which an
+untaped end is looked for, and more than `MAX_FAR_BESIDE`. Sensitivity at 0.56: no effect; at 1.12:
+1 more false."""
 
-REGROUP = 0.4
-"""Points of a large cluster that are on no surface are grouped again with this step, metres."""
+SURFACE_LINK = 0.4
+"""Points of a large cluster that are on no surface are grouped again with this step, metres: a
+third of `LINK`, so that strays on a bright ground do not connect. Sensitivity at 0.28: 7 fewer
+false; at 0.56: 3 fewer false."""
 
-SATURATED = 0.5
-"""Where more of a large cluster is inside a bright surface, its brightness says nothing, and only
-a line that is slim and has many points is a pole."""
+SATURATED_SHARE = 0.5
+"""Where more of a large cluster is inside a bright surface, its brightness says nothing, and only a
+slim line of many points is a pole. Sensitivity from 0.35 to 0.7: no effect."""
 
-MAX_LINES = 12
-"""Poles taken out of one cluster at most."""
+MAX_POLES_PER_PART = 12
+"""Poles taken out of one group at most; what is left then is rejected with a reason that says so.
+Sensitivity from 8 to 17: no effect."""
+
+ENOUGH_SHARE = 0.9
+"""A pole with so much of a group's points is taken without trying the other proposals. Sensitivity
+from 0.86 to 0.93: no effect."""
 
 
 def extract_poles(
@@ -58,9 +81,9 @@ def extract_poles(
     *,
     sensor: Sensor | None = None,
     threshold: float | None = None,
-    radius: float = 0.02,
+    radius: float = DEFAULT_RADIUS,
 ) -> Detection:
-    """Find the taped poles in a cloud, and say of every other bright thing why it is none.
+    """Find the taped poles in a cloud, and say of every other bright thing why it is not one.
 
     Parameters
     ----------
@@ -71,7 +94,8 @@ def extract_poles(
     threshold
         Intensity from which a return counts as retro-reflective.
     radius
-        Of the poles, metres. Thicker posts, up to about 0.1 m, are found too.
+        Of the poles, metres. Thicker posts are found too: to about 0.07 m, and to 0.1 m where they
+        are short.
 
     Returns
     -------
@@ -91,21 +115,18 @@ def extract_poles(
             {"points": len(cloud)},
         )
     chosen = threshold_for(cloud.intensity, sensor, threshold)
-    is_retro = cloud.intensity >= chosen.value
-    retro = np.flatnonzero(is_retro)
-    free = is_retro.copy()
+    free = cloud.intensity >= chosen.value
+    retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
     lines: list[Line] = []
-    failures: list[tuple[IntArray, str, str]] = []
-    for group in clusters(cloud.xyz[retro]):
+    failures: list[tuple[IntArray, Failure]] = []
+    for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
-        if len(cluster) < MIN_POLE_POINTS:
-            reason = f"{len(cluster)} points, a pole needs {MIN_POLE_POINTS}"
-            failures.append((cluster, "too_few_points", reason))
-            continue
-        found, failure = _search(cloud, columns, cluster, is_retro, free, radius)
+        found, failure = _search(cloud, columns, cluster, free, radius)
+        for line in found:
+            free[line.index] = False
         lines += found
-        failures.append((cluster, *failure))
+        failures.append((cluster, failure))
     poles = [_pole(cloud, line) for line in lines]
     poles.sort(key=lambda pole: (-len(pole.index), pole.rms))
     return Detection(
@@ -118,51 +139,65 @@ def extract_poles(
 
 
 def _search(
-    cloud: PointCloud,
-    columns: Array,
-    cluster: IntArray,
-    is_retro: BoolArray,
-    free: BoolArray,
-    radius: float,
-) -> tuple[list[Line], tuple[str, str]]:
-    """Take the poles out of one cluster, line by line, and say why the rest is none.
+    cloud: PointCloud, columns: Array, cluster: IntArray, free: BoolArray, radius: float
+) -> tuple[list[Line], Failure]:
+    """Find the poles of one cluster, line by line, and say why the rest is not one.
 
-    ``free`` marks the retro-reflective points that no pole has claimed yet, and is updated.
+    ``free`` (N,) marks the retro-reflective points that no pole has claimed yet.
     """
-    near = _surroundings(columns, cluster)
-    searched, saturated = [cluster], False
-    failure = ("", "")
+    if len(cluster) < MIN_POLE_POINTS:
+        reason = f"{len(cluster)} points, a pole needs {MIN_POLE_POINTS}"
+        return [], Failure("too_few_points", reason)
+    near = _near(columns, cluster)
+    parts: list[IntArray] = [cluster]
+    failure: Failure | None = None
     if len(cluster) > MAX_PROPOSING_POINTS:
-        flat = on_surface(cloud.xyz[cluster])
-        rest = cluster[~flat]
-        searched = [rest[group] for group in clusters(cloud.xyz[rest], REGROUP)]
-        share = np.count_nonzero(flat) / len(cluster)
-        saturated = bool(share > SATURATED)
-        if saturated:
-            reason = f"{share:.0%} of {len(cluster)} points are inside a bright surface"
-            failure = ("part_of_a_surface", reason)
+        parts, failure = _off_surfaces(cloud, cluster)
+    is_saturated = failure is not None
+    free = free.copy()
     found: list[Line] = []
-    for part in searched:
-        for _ in range(MAX_LINES):
+    for part in parts:
+        for _ in range(MAX_POLES_PER_PART):
             left = part[free[part]]
             if len(left) < MIN_POLE_POINTS:
                 break
-            line, why = _best_line(
-                cloud, near, in_canonical_order(cloud.xyz, left), free, radius, saturated
-            )
-            if line is None:
-                failure = failure if failure[0] else why
+            left = in_canonical_order(cloud.xyz, left)
+            best = _best_line(cloud, near, left, free, radius, is_saturated)
+            if isinstance(best, Failure):
+                failure = failure or best
                 break
-            found.append(line)
-            free[line.rows] = False
-    return found, failure
+            found.append(best)
+            free[best.index] = False
+    return found, failure or _left_over(free, parts)
 
 
-def _surroundings(columns: Array, cluster: IntArray) -> IntArray:
-    """Index of all points in the box about a cluster and `MARGIN` more; columns is (3, N)."""
+def _off_surfaces(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], Failure | None]:
+    """Split a large cluster without the bright surfaces in it; say where these are most of it."""
+    flat = on_surface(cloud.xyz[cluster])
+    rest = cluster[~flat]
+    parts = [rest[group] for group in clusters(cloud.xyz[rest], SURFACE_LINK)]
+    share = np.count_nonzero(flat) / len(cluster)
+    if share <= SATURATED_SHARE:
+        return parts, None
+    reason = f"{share:.0%} of {len(cluster)} points are inside a bright surface"
+    return parts, Failure("part_of_a_surface", reason)
+
+
+def _left_over(free: BoolArray, parts: list[IntArray]) -> Failure:
+    """Say why points are left where no line was tried and found wanting."""
+    most = max((int(np.count_nonzero(free[part])) for part in parts), default=0)
+    if most >= MIN_POLE_POINTS:
+        reason = f"{most} points left after {MAX_POLES_PER_PART} poles, more are not looked for"
+    else:
+        reason = f"no {MIN_POLE_POINTS} points together off poles and surfaces, as a pole needs"
+    return Failure("too_few_points", reason)
+
+
+def _near(columns: Array, cluster: IntArray) -> IntArray:
+    """Index of all points in the box about a cluster and `NEAR_MARGIN` more; columns is (3, N)."""
     index: IntArray | None = None
     for column in columns:
-        low, high = column[cluster].min() - MARGIN, column[cluster].max() + MARGIN
+        low, high = column[cluster].min() - NEAR_MARGIN, column[cluster].max() + NEAR_MARGIN
         values = column if index is None else column[index]
         inside = np.flatnonzero((values >= low) & (values <= high))
         index = inside if index is None else index[inside]
@@ -176,52 +211,62 @@ def _best_line(
     left: IntArray,
     free: BoolArray,
     radius: float,
-    saturated: bool,
-) -> tuple[Line | None, tuple[str, str]]:
-    """Find the best supported pole among some points; if there is none, why."""
-    proposals = propose_lines(
-        cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, radius + SLACK, (radius + TUBE, BESIDE)
-    )
-    if not proposals:
-        return None, ("too_short", f"no two of its points are {MIN_LENGTH:g} m apart")
+    is_saturated: bool,
+) -> Line | Failure:
+    """Find the best supported pole among the points ``left``; if there is none, why."""
+    tube, shell = radius + SEARCH_ROOM, (radius + TUBE, MAX_BESIDE)
     best: Line | None = None
     first: Failure | None = None
-    for point, direction in proposals:
+    for point, direction in propose_lines(cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell):
         line = fit_line(cloud, left, point, direction, radius)
         failure = shape_failure(cloud, line)
         if failure is None:
-            # A pole that something hides in part is two clusters: take all that lies on its line.
-            whole = fit_line(cloud, near[free[near]], line.point, line.direction, radius)
-            if len(whole.rows) > len(line.rows) and shape_failure(cloud, whole) is None:
-                line = whole
+            line = _whole_line(cloud, near[free[near]], line, radius)
             failure = surroundings_failure(cloud, near, free, line)
-        if failure is None and saturated and (line.rms > THICK or len(line.rows) < FEW_POLE_POINTS):
-            failure = "part_of_a_surface", f"{len(line.rows)} points amid a bright surface"
+        if failure is None and is_saturated:
+            failure = _unsure_amid_brightness(line)
         if failure is not None:
             first = first or failure
-        elif best is None or (len(line.rows), -line.rms) > (len(best.rows), -best.rms):
+        elif best is None or (len(line.index), -line.rms) > (len(best.index), -best.rms):
             best = line
-            if len(line.rows) >= 0.9 * len(left):
+            if len(line.index) >= ENOUGH_SHARE * len(left):
                 break
-    return best, first or ("", "")
+    if best is not None:
+        return best
+    nothing = f"no {MIN_LINE_POINTS} of its points lie in line over {MIN_LENGTH:g} m"
+    return first or Failure("too_short", nothing)
+
+
+def _whole_line(cloud: PointCloud, free_near: IntArray, line: Line, radius: float) -> Line:
+    """Take all that lies on the line: a pole that something hides in part is two clusters."""
+    whole = fit_line(cloud, free_near, line.point, line.direction, radius)
+    is_better = len(whole.index) > len(line.index) and shape_failure(cloud, whole) is None
+    return whole if is_better else line
+
+
+def _unsure_amid_brightness(line: Line) -> Failure | None:
+    """Where a bright surface is most of the cluster, only a slim line of many points is a pole."""
+    if line.rms <= THICK_RMS and len(line.index) >= FEW_POLE_POINTS:
+        return None
+    reason = f"{len(line.index)} points in line amid a bright surface"
+    return Failure("part_of_a_surface", reason)
 
 
 def _pole(cloud: PointCloud, line: Line) -> Pole:
-    rows = np.sort(line.rows)
-    xyz = cloud.xyz[rows]
-    return Pole(xyz.mean(axis=0), line.direction, xyz, line.length, line.rms, line.rings, rows)
+    index = np.sort(line.index)
+    xyz = cloud.xyz[index]
+    return Pole(xyz.mean(axis=0), line.direction, xyz, line.length, line.rms, line.rings, index)
 
 
 def _rejected(
-    cloud: PointCloud, free: BoolArray, failures: list[tuple[IntArray, str, str]]
+    cloud: PointCloud, free: BoolArray, failures: list[tuple[IntArray, Failure]]
 ) -> list[RejectedCluster]:
     """Give what no pole has claimed, cluster by cluster, with its reason; the largest first."""
     rejected = []
-    for cluster, code, reason in failures:
+    for cluster, failure in failures:
         left = np.sort(cluster[free[cluster]])
         if len(left) == 0 or (len(left) < len(cluster) and len(left) < MIN_POLE_POINTS):
             continue  # nothing, or the stray returns about a pole
-        if not code:
-            code, reason = "too_few_points", f"{len(left)} points, a pole needs {MIN_POLE_POINTS}"
-        rejected.append(RejectedCluster(left, cloud.xyz[left].mean(axis=0), code, reason))
+        centre = cloud.xyz[left].mean(axis=0)
+        rejected.append(RejectedCluster(left, centre, failure.code, failure.reason))
     return sorted(rejected, key=lambda cluster: -len(cluster.index))

@@ -1,0 +1,219 @@
+"""Does a line have the shape of a pole? One function for each rule, in the order of asking.
+
+A pole is thin, straight, and long for its width. The sensor's place is asked only to find a line
+along one beam's sweep: clouds that another program has transformed have lost it.
+
+What *Sensitivity* means beside a constant: docs/detection.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..datatypes import PointCloud
+from ..reasons import Code
+from .lines import Line
+
+MIN_POLE_POINTS = 6
+"""Least returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
+steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
+
+MIN_POLE_RINGS = 3
+"""Least rings that hit a pole: any two lie in line, the third tests the line. Sensitivity at 2: no
+effect; at 4: 1 pole lost."""
+
+MIN_LENGTH = 0.25
+"""Least extent along the line, metres: three rings of a 16-beam sensor, 2° apart, at 3.6 m (2 · 3.6
+m · tan 2° = 0.25 m). Sensitivity at 0.175: 2 more found, 1 fewer false; at 0.35: 6 poles lost, 3 of
+them recorded posts, 10 fewer false."""
+
+MAX_LENGTH = 4.0
+"""Most extent along the line, metres: twice a pole of 2 m. What is longer is a fence or a kerb.
+Sensitivity at 2.8: 7 fewer false; at 5.6: no effect."""
+
+WIDTH_IN_RMS = 4.0
+"""Width of a line over its scatter: ±2 standard deviations. Sensitivity at 2.8: 1 more found, 8
+more false; at 5.6: 10 recorded posts lost, 2 fewer false."""
+
+MIN_SLENDERNESS = 1.5
+"""Least ratio of the extent along the line to that across it. Sensitivity at 1.05: 1 more found, 8
+more false; at 2.1: 10 recorded posts lost, 2 fewer false."""
+
+THICK_RMS = 0.045
+"""Root mean square distance from the line above which a pole is a thick post, metres. Beams evenly
+spaced across a cylinder of radius r scatter by 0.62 r about their line: 37 mm for r = 60 mm, and 42
+mm with 20 mm of noise. Sensitivity at 0.0315: 37 poles lost, 21 fewer false; at 0.063: 4 recorded
+posts lost, 3 more found, 21 more false."""
+
+MAX_RMS = 0.06
+"""Most that the returns of a thick post scatter about their line, metres: 0.62 r of r = 97 mm.
+Sensitivity at 0.042: 26 poles lost, 17 of them recorded posts, 2 more found, 16 fewer false; at
+0.084: no effect."""
+
+MAX_THICK_LENGTH = 1.5
+"""Most length of a thick post, metres: thick things that are longer are trunks, masts and columns.
+Sensitivity at 1.05: no effect; at 2.1: 2 more found, 1 more false."""
+
+FEW_POLE_POINTS = 10
+"""With fewer points a line is a pole only if it is slim and has next to nothing beside it: a few
+returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 recorded posts lost, 2
+more found, 1 fewer false."""
+
+MAX_FEW_RMS = 0.035
+"""Most that the returns of a line with few points scatter about it, metres. Sensitivity at 0.0245:
+no effect; at 0.049: 1 more false."""
+
+MAX_RING_EXTENT = 0.15
+"""Points of one ring lie no farther apart along a pole, metres. A ring that crosses a pole of width
+w leaning sideways by θ leaves w · tan θ: 0.15 m for 12 cm at 51°, or for 4 cm at 75°. Sensitivity
+from 0.105 to 0.21: no effect."""
+
+ONE_BEAM_ELEVATION = float(np.radians(0.1))
+"""Returns whose elevations span less than this, rad, come from one beam: less than the finest ring
+spacing of the table of sensors, Pandar64 with 1/6°, while a pole has three rings. Sensitivity from
+0.07° to 0.14°: no effect."""
+
+MAX_SIGHT_DISTANCE = 200.0
+"""Farther than this, metres, the origin is not where a pole was seen from, and elevations say
+nothing: the range of a Pandar64. Sensitivity from 140 to 280: no effect."""
+
+SWEEP_STEP = 0.2
+"""Single points at least so far apart, metres, and evenly, are returns of one beam far away: 0.2°
+are 0.2 m at 57 m. Where rings of a pole are so far apart, they have two points or more, or there
+are gaps. Sensitivity from 0.14 to 0.28: no effect."""
+
+SWEEP_EVENNESS = 1.3
+"""Most ratio of two gaps, of the quantiles below, that is even. Sensitivity from 0.91 to 1.82: no
+effect."""
+
+SWEEP_LOW_QUANTILE = 0.1
+"""Quantile of the gaps that stands for the smallest: one in ten may be a double return. Sensitivity
+from 0.07 to 0.14: no effect."""
+
+SWEEP_HIGH_QUANTILE = 0.6
+"""Quantile of the gaps that stands for the largest: two in five may be lost returns. Sensitivity
+from 0.42 to 0.84: no effect."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a line is not a pole: a stable code, and the reason in words and numbers."""
+
+    code: Code
+    reason: str
+
+
+def shape_failure(cloud: PointCloud, line: Line) -> Failure | None:
+    """Say why a line does not have the shape of a pole; None where it has.
+
+    Parameters
+    ----------
+    cloud
+        Where the line was found.
+    line
+        As `fit_line` gives it.
+    """
+    return (
+        _too_few_points(line)
+        or _too_short(line)
+        or _too_long(line)
+        or _too_few_rings(line)
+        or _too_wide_for_its_length(line)
+        or _too_thick(line)
+        or _too_thick_for_few_points(line)
+        or _along_one_sweep(cloud, line)
+    )
+
+
+def _too_few_points(line: Line) -> Failure | None:
+    count = len(line.index)
+    if count >= MIN_POLE_POINTS:
+        return None
+    return Failure("too_few_points", f"{count} points in line, a pole needs {MIN_POLE_POINTS}")
+
+
+def _too_short(line: Line) -> Failure | None:
+    if line.length >= MIN_LENGTH:
+        return None
+    return Failure("too_short", f"{line.length:.2f} m long, a pole needs {MIN_LENGTH:g} m")
+
+
+def _too_long(line: Line) -> Failure | None:
+    if line.length <= MAX_LENGTH:
+        return None
+    return Failure("too_long", f"{line.length:.2f} m long, a pole has {MAX_LENGTH:g} m at most")
+
+
+def _too_few_rings(line: Line) -> Failure | None:
+    if line.rings >= MIN_POLE_RINGS:
+        return None
+    return Failure(
+        "too_few_rows", f"hit by {line.rings} of the rings, a pole needs {MIN_POLE_RINGS}"
+    )
+
+
+def _too_wide_for_its_length(line: Line) -> Failure | None:
+    if line.length >= MIN_SLENDERNESS * _width(line):
+        return None
+    reason = f"{_size(line)}, a pole is {MIN_SLENDERNESS:g} times longer than wide"
+    return Failure("too_wide", reason)
+
+
+def _too_thick(line: Line) -> Failure | None:
+    is_long_and_thick = line.rms > THICK_RMS and line.length > MAX_THICK_LENGTH
+    if line.rms <= MAX_RMS and not is_long_and_thick:
+        return None
+    return Failure("too_wide", f"{_size(line)}, more than any post")
+
+
+def _too_thick_for_few_points(line: Line) -> Failure | None:
+    count = len(line.index)
+    if line.rms <= MAX_FEW_RMS or count >= FEW_POLE_POINTS:
+        return None
+    reason = f"{_size(line)} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
+    return Failure("too_wide", reason)
+
+
+def _along_one_sweep(cloud: PointCloud, line: Line) -> Failure | None:
+    if cloud.ring is not None:
+        along_sweep = _rings_run_along(cloud, line)
+    else:
+        along_sweep = _on_one_elevation(cloud, line) or _evenly_spaced(line)
+    if not along_sweep:
+        return None
+    reason = f"{len(line.index)} points that follow each other in a beam's sweep"
+    return Failure("along_a_beam", reason)
+
+
+def _rings_run_along(cloud: PointCloud, line: Line) -> bool:
+    """Whether each ring leaves its points along the line rather than across it."""
+    assert cloud.ring is not None
+    _, member, counts = np.unique(cloud.ring[line.index], return_inverse=True, return_counts=True)
+    along = line.along[np.lexsort((line.along, member.reshape(-1)))]
+    last = np.cumsum(counts) - 1
+    return float(np.median(along[last] - along[last + 1 - counts])) > MAX_RING_EXTENT
+
+
+def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
+    """Whether one beam, seen from the cloud's origin, met all points of the line."""
+    rays = cloud.xyz[line.index] - cloud.origin
+    elevation = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+    in_sight = np.linalg.norm(rays[0]) < MAX_SIGHT_DISTANCE
+    return bool(in_sight and np.ptp(elevation) < ONE_BEAM_ELEVATION)
+
+
+def _evenly_spaced(line: Line) -> bool:
+    """Whether the points are single ones, far and evenly apart."""
+    gaps = np.diff(np.sort(line.along))
+    low, high = np.quantile(gaps, [SWEEP_LOW_QUANTILE, SWEEP_HIGH_QUANTILE])
+    return bool(low > SWEEP_STEP and high < SWEEP_EVENNESS * low)
+
+
+def _width(line: Line) -> float:
+    return WIDTH_IN_RMS * line.rms
+
+
+def _size(line: Line) -> str:
+    return f"{line.length:.2f} m long and {_width(line):.2f} m wide"

@@ -1,0 +1,208 @@
+"""Does a line stand free? One function for each rule, in the order of asking.
+
+Stripes, edges of signs and rings of a scan are thin and straight like a pole, but they are part of
+something. A pole has free air beside it.
+
+What *Sensitivity* means beside a constant: docs/detection.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from .acceptance_shape import Failure
+from .lines import Line
+from .neighbours import is_wall_behind, runs_along_sweep
+from .surroundings import (
+    MAX_RETRO_CROWDED,
+    PIECES,
+    RETRO_CROWD,
+    SHORT_LENGTH,
+    Surroundings,
+    crowded_share,
+    surroundings_of,
+)
+
+AROUND_ENDS = 0.4
+"""About a suspect line, up to so far beyond its ends, metres, little else shines. Kerbs, tussocks
+and stones on bright ground have plenty about them. Sensitivity at 0.28: no effect; at 0.56: 2 more
+found, 1 fewer false."""
+
+MAX_AROUND_SHARE = 0.2
+"""Most retro-reflective returns about a suspect line, for each of its own. Sensitivity from 0.14 to
+0.28: no effect."""
+
+CROWD = 0.7
+"""A piece is crowded by returns of any kind with so many beside it for each of its own. Sensitivity
+at 0.49: 9 recorded posts lost; at 0.98: no effect."""
+
+MAX_CROWDED = 0.5
+"""Most share of a line's pieces that returns of any kind crowd, except those of a wall behind it.
+Sensitivity at 0.35: 9 poles lost, 3 of them recorded posts, 2 fewer false; at 0.7: no effect."""
+
+MAX_CROWDED_STRICT = 0.25
+"""The limit of both shares for a suspect line. Sensitivity at 0.175: 1 fewer false; at 0.35: no
+effect."""
+
+MAX_UNTAPED = 0.5
+"""Most returns without tape between the points of a line, for each of its own. Sensitivity at 0.35:
+2 recorded posts lost; at 0.7: 1 more false."""
+
+MAX_HUGGING = 0.09
+"""What crowds a line nearer than this, metres, is not a wall behind it. Sensitivity at 0.063: no
+effect; at 0.126: 2 fewer false."""
+
+SINGLE_FILE_STEP = 0.15
+"""Rings of a short line that are nearer than this, metres, have several points each on a pole: 2°
+at 4.3 m, where a pole 4 cm thick spans 0.5°. Sensitivity from 0.105 to 0.21: no effect."""
+
+SINGLE_FILE_SHARE = 0.7
+"""Rings for each point above which a line is in single file, as one beam leaves it on a plate.
+Sensitivity at 0.49: 7 poles lost, 6 of them recorded posts, 1 fewer false; at 0.98: no effect."""
+
+CONTINUED_SHARE = 0.6
+"""A line goes on beyond its end where so much of what fits there is there, in pieces or in rings.
+Sensitivity at 0.42: 1 pole lost; at 0.84: 1 more found."""
+
+
+def surroundings_failure(
+    cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
+) -> Failure | None:
+    """Say what a line is part of; None where it stands free.
+
+    The line is cut into pieces, and in each the returns beside it are weighed against its own. A
+    stripe on a wall has the wall beside it all along. A pole that is held or touched somewhere does
+    not; the stray returns about a bright edge are few; and the wall that a pole leans on passes
+    behind it.
+
+    Parameters
+    ----------
+    cloud, near
+        The cloud, with intensity, and the index (M,) of its points about the line: all within
+        `SHORT_LENGTH`, or more.
+    is_retro
+        (N,) which points of the cloud are retro-reflective and on no other pole.
+    line
+        One that `shape_failure` finds nothing wrong with.
+    """
+    around = surroundings_of(cloud, near, is_retro, line)
+    return (
+        _amid_retro(around)
+        or _crowded_by_retro(around)
+        or _untaped_between(around)
+        or _crowded_by_any(around)
+        or _along_the_sweeps(around)
+        or _in_single_file(around)
+        or _goes_on_without_tape(around)
+    )
+
+
+def _amid_retro(around: Surroundings) -> Failure | None:
+    """A suspect line has next to nothing retro-reflective about it, its ends included."""
+    if not around.is_suspect:
+        return None
+    line = around.line
+    away = np.linalg.norm(around.cloud.xyz[around.near] - line.point, axis=1)
+    about = (around.distance > line.tube) & (away < line.length / 2 + AROUND_ENDS)
+    others = int(np.count_nonzero(around.is_retro & about))
+    if others <= MAX_AROUND_SHARE * len(line.index):
+        return None
+    return Failure(
+        "part_of_a_surface",
+        f"{others} other retro-reflective returns lie about its {len(line.index)}: a patch "
+        "of something bright, not a free-standing pole",
+    )
+
+
+def _crowded_by_retro(around: Surroundings) -> Failure | None:
+    """A pole is not crowded by retro-reflective returns, except by those of a pole that crosses."""
+    line, beside = around.line, around.retro_beside
+    share = crowded_share(line, around.along[beside], RETRO_CROWD)
+    if around.has_few_points:
+        share = max(share, min(1.0, np.count_nonzero(beside) / len(line.index)))
+    if share <= (MAX_CROWDED_STRICT if around.is_suspect else MAX_RETRO_CROWDED):
+        return None
+    return Failure(
+        "part_of_a_surface",
+        f"along {share:.0%} of it other retro-reflective returns lie {_where(around)}: a plate, "
+        "a stripe or bright ground, not a free-standing pole",
+    )
+
+
+def _untaped_between(around: Surroundings) -> Failure | None:
+    """A pole is taped all along: few returns without tape lie between its points."""
+    between = (around.along > around.low) & (around.along < around.high)
+    count = int(np.count_nonzero(around.untaped & around.on_line & between))
+    own = len(around.line.index)
+    if count <= MAX_UNTAPED * own:
+        return None
+    reason = f"{count} returns without tape lie between its {own} points"
+    return Failure("part_of_a_surface", reason)
+
+
+def _crowded_by_any(around: Surroundings) -> Failure | None:
+    """A pole is not crowded by returns of any kind, except by those of a wall behind it."""
+    line, xyz = around.line, around.cloud.xyz
+    beside = around.beside & (~around.is_retro | around.retro_beside)
+    share = crowded_share(line, around.along[beside], CROWD)
+    is_strict = around.is_suspect and not around.is_thick
+    if share <= (MAX_CROWDED_STRICT if is_strict else MAX_CROWDED):
+        return None
+    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
+    is_hugged = crowded_share(line, around.along[hugging], CROWD) > MAX_CROWDED
+    if not (around.is_short or is_hugged) and is_wall_behind(
+        xyz[around.near[beside]], xyz[line.index]
+    ):
+        return None
+    return Failure(
+        "part_of_a_surface",
+        f"along {share:.0%} of it other returns lie {_where(around)}: a plate, a stripe or an "
+        "edge, not a free-standing pole",
+    )
+
+
+def _along_the_sweeps(around: Surroundings) -> Failure | None:
+    """A pole runs across the rings; rings themselves say so better, where the cloud has them."""
+    cloud, line = around.cloud, around.line
+    if cloud.ring is not None or not runs_along_sweep(cloud.xyz, around.near, line):
+        return None
+    reason = f"{len(line.index)} points in the direction in which the beams sweep"
+    return Failure("along_a_beam", reason)
+
+
+def _in_single_file(around: Surroundings) -> Failure | None:
+    """A short pole seen by rings this close together has several points on each."""
+    line, count = around.line, len(around.line.index)
+    if not around.is_short or around.cloud.ring is not None:
+        return None
+    if line.step >= SINGLE_FILE_STEP or line.rings <= SINGLE_FILE_SHARE * count:
+        return None
+    return Failure(
+        "along_a_beam",
+        f"{count} points in single file, {100 * line.step:.0f} cm apart along {line.length:.2f} m: "
+        "as one beam leaves them on a plate",
+    )
+
+
+def _goes_on_without_tape(around: Surroundings) -> Failure | None:
+    """A short pole ends where its tape ends; a sign goes on as its post."""
+    if not around.is_short or around.is_thick:
+        return None
+    line = around.line
+    untaped = around.untaped & (around.distance < around.beside_limit)
+    above, below = around.along - around.high, around.low - around.along
+    needed = CONTINUED_SHARE * min(PIECES, SHORT_LENGTH / line.step)
+    if max(_pieces_hit(beyond[untaped & (beyond > 0)]) for beyond in (above, below)) < needed:
+        return None
+    reason = f"{line.length:.2f} m long, and goes on without tape: a sign on its post"
+    return Failure("goes_on_without_tape", reason)
+
+
+def _pieces_hit(places: Array) -> int:
+    """In how many of `PIECES` equal pieces of the length `SHORT_LENGTH` there is some place."""
+    return int(np.count_nonzero(np.histogram(places, PIECES, (0.0, SHORT_LENGTH))[0]))
+
+
+def _where(around: Surroundings) -> str:
+    return f"{around.line.tube:.2f} to {around.beside_limit:.2f} m beside it"

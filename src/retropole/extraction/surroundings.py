@@ -1,0 +1,179 @@
+"""What is about a line, computed once for all rules of `acceptance_surroundings`.
+
+What *Sensitivity* means beside a constant: docs/detection.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from .acceptance_shape import FEW_POLE_POINTS, THICK_RMS
+from .lines import Line, distance_and_place
+from .neighbours import NEGLIGIBLE, on_crossing_line
+
+SHORT_LENGTH = 0.8
+"""A line that may be shorter than this, metres, is short and has strict limits: edges of signs and
+of lamps are. It is the least length of tape that the advice in `reasons` asks for. Sensitivity at
+0.56: 2 more found, 13 more false; at 1.12: 3 poles lost, 4 fewer false."""
+
+MAX_BESIDE = 0.35
+"""A return from the edge of the tube to this distance of the line is beside it, metres: the spacing
+of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
+5 of them recorded posts, 16 fewer false."""
+
+MAX_FAR_BESIDE = 0.6
+"""The same where rings are farther apart, metres: the spacing of rings 2° apart at 17 m.
+Sensitivity from 0.42 to 0.84: no effect."""
+
+BESIDE_STEPS = 1.2
+"""Where rings are farther apart than `MAX_BESIDE`, so may be the columns of a sign: beside is as
+far as so many steps from ring to ring. Sensitivity from 0.84 to 1.68: no effect."""
+
+ON_LINE_RMS = 2.0
+"""What lies within so many times the scatter of the line's points, and `ON_LINE_ROOM`, is on the
+line. Sensitivity at 1.4: 1 more false; at 2.8: 8 recorded posts lost."""
+
+ON_LINE_ROOM = 0.02
+"""Room beyond the scatter, metres: as `FIT_ROOM`. Sensitivity from 0.014 to 0.028: no effect."""
+
+UNTAPED_INTENSITY = 0.5
+"""A return below this part of the line's dimmest has no tape; one between may be tape seen badly.
+Sensitivity from 0.35 to 0.7: no effect."""
+
+PIECES = 8
+"""Pieces that a line is cut into, to see along how much of it other returns are beside it.
+Sensitivity at 6: 3 recorded posts lost, 1 more found, 3 fewer false; at 11: 1 pole lost, 4 fewer
+false."""
+
+RETRO_CROWD = 0.3
+"""A piece is crowded by retro-reflective returns with so many beside it for each of its own: the
+rest of a sign, or bright ground. Sensitivity from 0.21 to 0.42: no effect."""
+
+MAX_RETRO_CROWDED = 0.5
+"""Most share of a line's pieces that retro-reflective returns crowd. A vest at the pole covers less
+of it. Sensitivity from 0.35 to 0.7: no effect."""
+
+CROSSING_LENGTH = 0.9
+"""Least length of a line beside which a second pole may cross, metres. Sensitivity from 0.63 to
+1.26: no effect."""
+
+MAX_CROSSING_REST = 0.15
+"""Most share of the pieces that is crowded without the pole that crosses. Of a sign, more is left.
+Sensitivity at 0.105: 2 fewer false; at 0.21: no effect."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """A line, and the points of its cloud about it, as the rules see them.
+
+    Attributes
+    ----------
+    cloud, line
+        The cloud, and the line found in it.
+    near
+        (M,) index of the points about the line.
+    distance, along
+        (M,) their distances from the line, and their places along it, metres.
+    low, high
+        Where the line's own points begin and end along it, metres.
+    beside_limit
+        Up to which distance from the line points are beside it, metres.
+    is_retro
+        (M,) which of them are retro-reflective and on no other pole.
+    on_line
+        (M,) which lie on the line, taped or not.
+    untaped
+        (M,) which are too dim for tape.
+    beside
+        (M,) which lie beside the line, outside its tube and between its ends.
+    retro_beside
+        (M,) the retro-reflective ones of these, without those on a pole that crosses.
+    is_thick, is_short, has_few_points
+        What makes a line suspect: a post may be thick, a sign's edge short, a far sign few returns.
+    """
+
+    cloud: PointCloud
+    line: Line
+    near: IntArray
+    distance: Array
+    along: Array
+    low: float
+    high: float
+    beside_limit: float
+    is_retro: BoolArray
+    on_line: BoolArray
+    untaped: BoolArray
+    beside: BoolArray
+    retro_beside: BoolArray
+    is_thick: bool
+    is_short: bool
+    has_few_points: bool
+
+    @property
+    def is_suspect(self) -> bool:
+        """Whether the line must pass the strict limits."""
+        return self.is_thick or self.is_short or self.has_few_points
+
+
+def surroundings_of(
+    cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
+) -> Surroundings:
+    """Compute what the rules share; parameters as for `surroundings_failure`."""
+    assert cloud.intensity is not None
+    distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
+    low, high = float(line.along.min()), float(line.along.max())
+    limit = float(np.clip(BESIDE_STEPS * line.step, MAX_BESIDE, MAX_FAR_BESIDE))
+    beside = (distance > line.tube) & (distance < limit) & (along >= low) & (along <= high)
+    retro = is_retro[near]
+    dimmest = cloud.intensity[line.index].min()
+    is_thick = line.rms > THICK_RMS
+    # Rings half a step beyond either end may just have missed it.
+    is_short = line.length + line.step < SHORT_LENGTH
+    has_few_points = len(line.index) < FEW_POLE_POINTS
+    retro_beside = beside & retro
+    if line.length >= CROSSING_LENGTH and not (is_thick or is_short or has_few_points):
+        retro_beside = _without_crossing_pole(cloud, near, line, along, retro_beside)
+    return Surroundings(
+        cloud=cloud,
+        line=line,
+        near=near,
+        distance=distance,
+        along=along,
+        low=low,
+        high=high,
+        beside_limit=limit,
+        is_retro=retro,
+        on_line=distance <= ON_LINE_RMS * line.rms + ON_LINE_ROOM,
+        untaped=~retro & (cloud.intensity[near] < UNTAPED_INTENSITY * dimmest),
+        beside=beside,
+        retro_beside=retro_beside,
+        is_thick=is_thick,
+        is_short=is_short,
+        has_few_points=has_few_points,
+    )
+
+
+def _without_crossing_pole(
+    cloud: PointCloud, near: IntArray, line: Line, along: Array, retro_beside: BoolArray
+) -> BoolArray:
+    """Leave out the points of one other line, where that leaves next to nothing beside this one."""
+    if crowded_share(line, along[retro_beside], RETRO_CROWD) <= MAX_RETRO_CROWDED:
+        return retro_beside
+    rest = retro_beside.copy()
+    rest[retro_beside] = ~on_crossing_line(cloud.xyz[near[retro_beside]], line)
+    is_pole = crowded_share(line, along[rest], RETRO_CROWD) <= MAX_CROSSING_REST
+    return rest if is_pole else retro_beside
+
+
+def crowded_share(line: Line, places: Array, crowd: float) -> float:
+    """Share of the line's pieces with ``crowd`` or more neighbours for each point of its own.
+
+    Pieces without points of the line do not count; ``places`` (K,) are the neighbours' along it.
+    """
+    edges = np.linspace(line.along.min(), line.along.max() + NEGLIGIBLE, PIECES + 1)
+    own = np.histogram(line.along, edges)[0]
+    neighbours = np.histogram(places, edges)[0]
+    return float(np.mean(neighbours[own > 0] >= crowd * own[own > 0]))

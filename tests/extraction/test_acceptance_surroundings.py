@@ -1,0 +1,254 @@
+"""Each rule of the surroundings passes a line at its limit, and fails one just beyond it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import Array, PointCloud
+from retropole.extraction import acceptance_surroundings as rules
+from retropole.extraction import surroundings as shared
+from retropole.extraction.acceptance_shape import THICK_RMS
+from retropole.extraction.acceptance_surroundings import surroundings_failure
+from retropole.extraction.lines import Line
+from tests.extraction.synthetic import (
+    BRIGHT,
+    DIM,
+    SEEN_BADLY,
+    UP,
+    around,
+    code_of,
+    offset,
+    on_pole,
+    scene,
+    upright_places,
+)
+
+EACH = 4
+"""Points of the plain pole in each of its pieces: two on each of two rings."""
+
+LENGTH = 1.6
+SHORT_POINTS = 18
+"""Points of the short pole."""
+
+Other = tuple[Array, float]
+
+
+def judged(scened: tuple[PointCloud, Line]) -> tuple[str, str]:
+    cloud, line = scened
+    assert cloud.intensity is not None
+    near = np.arange(len(cloud))
+    failure = surroundings_failure(cloud, near, cloud.intensity >= BRIGHT, line)
+    return ("", "") if failure is None else (failure.code, failure.reason)
+
+
+def pole_among(*others: Other) -> tuple[PointCloud, Line]:
+    return scene(on_pole(LENGTH), *others, rings=np.repeat(np.arange(16), 2))
+
+
+def short_among(*others: Other) -> tuple[PointCloud, Line]:
+    return scene(on_pole(0.5, 6, 3), *others, rings=np.repeat(np.arange(6), 3))
+
+
+def in_pieces(pieces: int, each: int, distance: float) -> Array:
+    """So many points about the plain pole in each of its first pieces."""
+    middles = LENGTH * ((np.arange(pieces) + 0.5) / shared.PIECES - 0.5)
+    return np.concatenate([around(each, m, distance, k) for k, m in enumerate(middles)])
+
+
+def test_a_pole_by_itself_stands_free() -> None:
+    assert judged(pole_among()) == ("", "")
+    assert judged(short_among()) == ("", "")
+
+
+@pytest.mark.parametrize(("others", "code"), [(3, ""), (4, "part_of_a_surface")])
+def test_little_else_shines_about_a_suspect_line(others: int, code: str) -> None:
+    assert others - 1 < rules.MAX_AROUND_SHARE * SHORT_POINTS < 4
+    beyond = around(others, 0.25 + 0.9 * rules.AROUND_ENDS, 0.09)
+    found, reason = judged(short_among((beyond, BRIGHT)))
+    assert found == code
+    assert not code or "a patch of something bright" in reason
+    assert judged(pole_among((beyond + 0.6 * UP, BRIGHT))) == ("", ""), "a plain one has no limit"
+
+
+def test_what_shines_farther_away_is_not_about_it() -> None:
+    beyond = around(30, 0.25 + 1.01 * rules.AROUND_ENDS, 0.09)
+    assert judged(short_among((beyond, BRIGHT))) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("pieces", "each", "code"),
+    [
+        (int(shared.MAX_RETRO_CROWDED * shared.PIECES), 8, ""),
+        (int(shared.MAX_RETRO_CROWDED * shared.PIECES) + 1, 8, "part_of_a_surface"),
+        (shared.PIECES, int(np.floor(shared.RETRO_CROWD * EACH)), ""),
+        (shared.PIECES, int(np.floor(shared.RETRO_CROWD * EACH)) + 1, "part_of_a_surface"),
+    ],
+)
+def test_retro_reflective_returns_crowd_no_more_than_half(
+    pieces: int, each: int, code: str
+) -> None:
+    found, reason = judged(pole_among((in_pieces(pieces, each, 0.2), BRIGHT)))
+    assert found == code
+    assert not code or "other retro-reflective returns lie" in reason
+
+
+@pytest.mark.parametrize(("others", "code"), [(1, ""), (2, "part_of_a_surface")])
+def test_beside_few_points_each_retro_reflective_return_counts(others: int, code: str) -> None:
+    """Of seven points a quarter is less than two."""
+    pole = on_pole(LENGTH, 7, 1)
+    scened = scene(pole, (around(others, 0.0, 0.2), BRIGHT), rings=np.arange(7))
+    assert judged(scened)[0] == code
+
+
+@pytest.mark.parametrize(("others", "code"), [(1, ""), (2, "part_of_a_surface")])
+def test_the_share_of_few_points_is_of_all_of_them(others: int, code: str) -> None:
+    """Asked by itself: what is about a suspect line has less of it than what is beside."""
+    pole = on_pole(LENGTH, 7, 1)
+    assert others - 1 <= rules.MAX_CROWDED_STRICT * 7 < 2
+    cloud, line = scene(pole, (around(others, 0.0, 0.2), BRIGHT))
+    is_retro = np.ones(len(cloud), dtype=bool)
+    seen = shared.surroundings_of(cloud, np.arange(len(cloud)), is_retro, line)
+    assert code_of(rules._crowded_by_retro(seen)) == code
+
+
+@pytest.mark.parametrize(("angle", "code"), [(0.3, ""), (0.0, "part_of_a_surface")])
+def test_a_second_pole_may_cross_and_a_parallel_stripe_may_not(angle: float, code: str) -> None:
+    along = np.linspace(-0.8, 0.8, 60)
+    other = offset(0.1, 0.15 + along * np.sin(angle), along * np.cos(angle))
+    assert judged(pole_among((other, BRIGHT)))[0] == code
+
+
+def test_no_second_pole_excuses_a_stripe() -> None:
+    along = np.linspace(-0.8, 0.8, 60)
+    other = offset(0.1, 0.15 + along * np.sin(0.3), along * np.cos(0.3))
+    stripe = around(8, -0.7, 0.25), around(8, 0.7, 0.25)
+    assert judged(pole_among((other, BRIGHT))) == ("", "")
+    assert judged(pole_among(*((part, BRIGHT) for part in stripe))) == ("", "")
+    both = pole_among((other, BRIGHT), *((part, BRIGHT) for part in stripe))
+    assert judged(both)[0] == "part_of_a_surface"
+
+
+@pytest.mark.parametrize(("extra", "code"), [(0, ""), (1, "part_of_a_surface")])
+def test_few_returns_without_tape_lie_between(extra: int, code: str) -> None:
+    count = int(rules.MAX_UNTAPED * 32) + extra
+    between = upright_places(np.linspace(-0.7, 0.7, count))
+    found, reason = judged(pole_among((between, DIM)))
+    assert found == code
+    assert not code or f"{count} returns without tape" in reason
+
+
+def test_tape_seen_badly_may_lie_between() -> None:
+    between = upright_places(np.linspace(-0.7, 0.7, 60))
+    assert judged(pole_among((between, SEEN_BADLY))) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("pieces", "each", "code"),
+    [
+        (int(rules.MAX_CROWDED * shared.PIECES), 8, ""),
+        (int(rules.MAX_CROWDED * shared.PIECES) + 1, 8, "part_of_a_surface"),
+        (shared.PIECES, int(np.floor(rules.CROWD * EACH)), ""),
+        (shared.PIECES, int(np.floor(rules.CROWD * EACH)) + 1, "part_of_a_surface"),
+    ],
+)
+def test_other_returns_crowd_no_more_than_half(pieces: int, each: int, code: str) -> None:
+    found, reason = judged(pole_among((in_pieces(pieces, each, 0.2), DIM)))
+    assert found == code
+    assert not code or "along" in reason
+
+
+@pytest.mark.parametrize(
+    ("pieces", "code"),
+    [
+        (int(rules.MAX_CROWDED_STRICT * 7), ""),
+        (int(rules.MAX_CROWDED_STRICT * 7) + 1, "part_of_a_surface"),
+    ],
+)
+def test_a_suspect_line_may_be_crowded_along_a_quarter(pieces: int, code: str) -> None:
+    """Of the eight pieces, one has no point of the seven."""
+    heights = np.linspace(-LENGTH / 2, LENGTH / 2, 7)[:pieces]
+    others = np.concatenate([around(4, height, 0.2) for height in heights])
+    assert judged(scene(on_pole(LENGTH, 7, 1), (others, DIM), rings=np.arange(7)))[0] == code
+
+
+def wall(distance: float) -> Array:
+    across, up = np.meshgrid(np.linspace(-0.34, 0.34, 30), np.linspace(-0.8, 0.8, 40))
+    return offset(distance, across.ravel(), up.ravel())
+
+
+@pytest.mark.parametrize(("distance", "code"), [(0.2, ""), (0.06, "part_of_a_surface")])
+def test_a_wall_may_stand_behind_a_pole_and_not_hold_a_stripe(distance: float, code: str) -> None:
+    assert judged(pole_among((wall(distance), DIM)))[0] == code
+
+
+def test_no_wall_excuses_a_short_line() -> None:
+    assert judged(short_among((wall(0.2), DIM)))[0] == "part_of_a_surface"
+
+
+@pytest.mark.parametrize(("factor", "code"), [(0.99, "part_of_a_surface"), (1.01, "")])
+def test_no_wall_excuses_what_hugs_the_line(factor: float, code: str) -> None:
+    near = in_pieces(shared.PIECES, 8, factor * rules.MAX_HUGGING)
+    assert judged(pole_among((wall(0.2), DIM), (near, DIM)))[0] == code
+
+
+def level_rows() -> tuple[PointCloud, Line]:
+    """A level row of bright returns on a dim plate, scanned in rings 10 cm apart."""
+    along = np.arange(-0.6, 0.6, 0.02)
+    row = upright_places(along)
+    others = [row + k * np.array([0.0, 0.4, 0.0]) for k in (-3, -2, -1, 1, 2, 3)]
+    return scene(row, (np.concatenate(others), DIM))
+
+
+def test_a_line_along_the_rings_is_no_pole() -> None:
+    code, reason = judged(level_rows())
+    assert code == "along_a_beam"
+    assert "beams sweep" in reason
+
+
+@pytest.mark.parametrize(
+    ("step", "rings", "each", "code"),
+    [
+        (0.1, 6, 1, "along_a_beam"),
+        (0.1, 6, 2, ""),
+        (0.99 * rules.SINGLE_FILE_STEP, 5, 1, "along_a_beam"),
+        (1.01 * rules.SINGLE_FILE_STEP, 5, 1, ""),
+    ],
+)
+def test_a_short_line_in_single_file_is_no_pole(
+    step: float, rings: int, each: int, code: str
+) -> None:
+    """Rings as near as this have more points each on a pole; farther apart they may have one."""
+    pole = on_pole(step * (rings - 1), rings, each)
+    found, reason = judged(scene(pole))
+    assert found == code
+    assert not code or "single file" in reason
+
+
+def test_rings_excuse_single_file() -> None:
+    pole = on_pole(0.5, 10, 1)
+    assert judged(scene(pole))[0] == "along_a_beam"
+    assert judged(scene(pole, rings=np.arange(10))) == ("", "")
+
+
+@pytest.mark.parametrize("end", [-1, 1])
+@pytest.mark.parametrize(
+    ("pieces", "code"),
+    [
+        (int(np.ceil(rules.CONTINUED_SHARE * shared.PIECES)), "goes_on_without_tape"),
+        (int(np.ceil(rules.CONTINUED_SHARE * shared.PIECES)) - 1, ""),
+    ],
+)
+def test_a_short_pole_does_not_go_on_without_tape(end: int, pieces: int, code: str) -> None:
+    middles = shared.SHORT_LENGTH * (np.arange(pieces) + 0.5) / shared.PIECES
+    post = upright_places(end * (0.25 + middles))
+    assert judged(short_among((post, DIM)))[0] == code
+    assert judged(pole_among((post + end * 0.55 * UP, DIM))) == ("", ""), "a long one may"
+
+
+def test_a_thick_short_post_may_go_on_without_tape() -> None:
+    thick = on_pole(0.5, 6, 3, width=0.12)
+    post = upright_places(np.linspace(0.35, 0.95, 7))
+    cloud, line = scene(thick, (post, DIM), rings=np.repeat(np.arange(6), 3))
+    assert line.rms > THICK_RMS
+    assert judged((cloud, line)) == ("", "")
