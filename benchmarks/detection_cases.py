@@ -24,7 +24,7 @@ from retropole.simulation import (
 )
 
 ENOUGH_RETURNS, ENOUGH_RINGS = 6, 3
-"""A pole with so many returns above the threshold, on so many rings, ought to be found."""
+"""A pole with so many returns above the threshold, on so many rings, should be found."""
 
 PURE, WHOLE = 0.8, 0.6
 """A detected pole is a true one if so much of it lies on one, and holds so much of its returns."""
@@ -76,7 +76,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Score:
-    """Poles that ought to be found and are, false ones, errors of the found; what went wrong."""
+    """Poles that should be found and are, false ones, errors of the found; what went wrong."""
 
     visible: int
     found: int

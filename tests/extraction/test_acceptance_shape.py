@@ -21,7 +21,7 @@ def cloud_of(line: Line, ring: IntArray | None = None) -> PointCloud:
     return PointCloud(FOOT + line.along[:, None] * UP, np.full(len(ring), 200.0), ring)
 
 
-def judged(line: Line) -> tuple[str, str]:
+def failed(line: Line) -> tuple[str, str]:
     failure = shape_failure(cloud_of(line), line)
     return ("", "") if failure is None else (failure.code, failure.reason)
 
@@ -96,18 +96,18 @@ LIMITS: dict[str, tuple[Line, Line, str, str]] = {
 @pytest.mark.parametrize("name", LIMITS)
 def test_limits_of_the_shape(name: str) -> None:
     passing, failing, code, words = LIMITS[name]
-    assert judged(passing) == ("", "")
-    found, reason = judged(failing)
+    assert failed(passing) == ("", "")
+    found, reason = failed(failing)
     assert found == code
     assert words in reason
 
 
 def test_rules_are_asked_in_order() -> None:
     everything_wrong = line_with(4, length=0.2, rms=0.2, rings=1)
-    assert judged(everything_wrong)[0] == "too_few_points"
-    assert judged(replace(everything_wrong, index=np.arange(20)))[0] == "too_short"
-    assert judged(line_with(20, length=5.0, rms=2.0, rings=2))[0] == "too_long"
-    assert judged(line_with(20, length=1.0, rms=2.0, rings=2))[0] == "too_few_rows"
+    assert failed(everything_wrong)[0] == "too_few_points"
+    assert failed(replace(everything_wrong, index=np.arange(20)))[0] == "too_short"
+    assert failed(line_with(20, length=5.0, rms=2.0, rings=2))[0] == "too_long"
+    assert failed(line_with(20, length=1.0, rms=2.0, rings=2))[0] == "too_few_rows"
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.999, ""), (1.001, "along_a_beam")])

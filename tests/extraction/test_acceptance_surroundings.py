@@ -34,7 +34,7 @@ SHORT_POINTS = 18
 Other = tuple[Array, float]
 
 
-def judged(scened: tuple[PointCloud, Line]) -> tuple[str, str]:
+def failed(scened: tuple[PointCloud, Line]) -> tuple[str, str]:
     cloud, line = scened
     assert cloud.intensity is not None
     near = np.arange(len(cloud))
@@ -57,23 +57,23 @@ def in_pieces(pieces: int, each: int, distance: float) -> Array:
 
 
 def test_a_pole_by_itself_stands_free() -> None:
-    assert judged(pole_among()) == ("", "")
-    assert judged(short_among()) == ("", "")
+    assert failed(pole_among()) == ("", "")
+    assert failed(short_among()) == ("", "")
 
 
 @pytest.mark.parametrize(("others", "code"), [(3, ""), (4, "part_of_a_surface")])
 def test_little_else_shines_about_a_suspect_line(others: int, code: str) -> None:
     assert others - 1 < rules.MAX_AROUND_SHARE * SHORT_POINTS < 4
     beyond = around(others, 0.25 + 0.9 * rules.AROUND_ENDS, 0.09)
-    found, reason = judged(short_among((beyond, BRIGHT)))
+    found, reason = failed(short_among((beyond, BRIGHT)))
     assert found == code
     assert not code or "a patch of something bright" in reason
-    assert judged(pole_among((beyond + 0.6 * UP, BRIGHT))) == ("", ""), "a plain one has no limit"
+    assert failed(pole_among((beyond + 0.6 * UP, BRIGHT))) == ("", ""), "a plain one has no limit"
 
 
 def test_what_shines_farther_away_is_not_about_it() -> None:
     beyond = around(30, 0.25 + 1.01 * rules.AROUND_ENDS, 0.09)
-    assert judged(short_among((beyond, BRIGHT))) == ("", "")
+    assert failed(short_among((beyond, BRIGHT))) == ("", "")
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_what_shines_farther_away_is_not_about_it() -> None:
 def test_retro_reflective_returns_crowd_no_more_than_half(
     pieces: int, each: int, code: str
 ) -> None:
-    found, reason = judged(pole_among((in_pieces(pieces, each, 0.2), BRIGHT)))
+    found, reason = failed(pole_among((in_pieces(pieces, each, 0.2), BRIGHT)))
     assert found == code
     assert not code or "other retro-reflective returns lie" in reason
 
@@ -98,7 +98,7 @@ def test_beside_few_points_each_retro_reflective_return_counts(others: int, code
     """Of seven points a quarter is less than two."""
     pole = on_pole(LENGTH, 7, 1)
     scened = scene(pole, (around(others, 0.0, 0.2), BRIGHT), rings=np.arange(7))
-    assert judged(scened)[0] == code
+    assert failed(scened)[0] == code
 
 
 @pytest.mark.parametrize(("others", "code"), [(1, ""), (2, "part_of_a_surface")])
@@ -116,31 +116,31 @@ def test_the_share_of_few_points_is_of_all_of_them(others: int, code: str) -> No
 def test_a_second_pole_may_cross_and_a_parallel_stripe_may_not(angle: float, code: str) -> None:
     along = np.linspace(-0.8, 0.8, 60)
     other = offset(0.1, 0.15 + along * np.sin(angle), along * np.cos(angle))
-    assert judged(pole_among((other, BRIGHT)))[0] == code
+    assert failed(pole_among((other, BRIGHT)))[0] == code
 
 
 def test_no_second_pole_excuses_a_stripe() -> None:
     along = np.linspace(-0.8, 0.8, 60)
     other = offset(0.1, 0.15 + along * np.sin(0.3), along * np.cos(0.3))
     stripe = around(8, -0.7, 0.25), around(8, 0.7, 0.25)
-    assert judged(pole_among((other, BRIGHT))) == ("", "")
-    assert judged(pole_among(*((part, BRIGHT) for part in stripe))) == ("", "")
+    assert failed(pole_among((other, BRIGHT))) == ("", "")
+    assert failed(pole_among(*((part, BRIGHT) for part in stripe))) == ("", "")
     both = pole_among((other, BRIGHT), *((part, BRIGHT) for part in stripe))
-    assert judged(both)[0] == "part_of_a_surface"
+    assert failed(both)[0] == "part_of_a_surface"
 
 
 @pytest.mark.parametrize(("extra", "code"), [(0, ""), (1, "part_of_a_surface")])
 def test_few_returns_without_tape_lie_between(extra: int, code: str) -> None:
     count = int(rules.MAX_UNTAPED * 32) + extra
     between = upright_places(np.linspace(-0.7, 0.7, count))
-    found, reason = judged(pole_among((between, DIM)))
+    found, reason = failed(pole_among((between, DIM)))
     assert found == code
     assert not code or f"{count} returns without tape" in reason
 
 
 def test_tape_seen_badly_may_lie_between() -> None:
     between = upright_places(np.linspace(-0.7, 0.7, 60))
-    assert judged(pole_among((between, SEEN_BADLY))) == ("", "")
+    assert failed(pole_among((between, SEEN_BADLY))) == ("", "")
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_tape_seen_badly_may_lie_between() -> None:
     ],
 )
 def test_other_returns_crowd_no_more_than_half(pieces: int, each: int, code: str) -> None:
-    found, reason = judged(pole_among((in_pieces(pieces, each, 0.2), DIM)))
+    found, reason = failed(pole_among((in_pieces(pieces, each, 0.2), DIM)))
     assert found == code
     assert not code or "along" in reason
 
@@ -169,7 +169,7 @@ def test_a_suspect_line_may_be_crowded_along_a_quarter(pieces: int, code: str) -
     """Of the eight pieces, one has no point of the seven."""
     heights = np.linspace(-LENGTH / 2, LENGTH / 2, 7)[:pieces]
     others = np.concatenate([around(4, height, 0.2) for height in heights])
-    assert judged(scene(on_pole(LENGTH, 7, 1), (others, DIM), rings=np.arange(7)))[0] == code
+    assert failed(scene(on_pole(LENGTH, 7, 1), (others, DIM), rings=np.arange(7)))[0] == code
 
 
 def wall(distance: float) -> Array:
@@ -179,17 +179,17 @@ def wall(distance: float) -> Array:
 
 @pytest.mark.parametrize(("distance", "code"), [(0.2, ""), (0.06, "part_of_a_surface")])
 def test_a_wall_may_stand_behind_a_pole_and_not_hold_a_stripe(distance: float, code: str) -> None:
-    assert judged(pole_among((wall(distance), DIM)))[0] == code
+    assert failed(pole_among((wall(distance), DIM)))[0] == code
 
 
 def test_no_wall_excuses_a_short_line() -> None:
-    assert judged(short_among((wall(0.2), DIM)))[0] == "part_of_a_surface"
+    assert failed(short_among((wall(0.2), DIM)))[0] == "part_of_a_surface"
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.99, "part_of_a_surface"), (1.01, "")])
 def test_no_wall_excuses_what_hugs_the_line(factor: float, code: str) -> None:
     near = in_pieces(shared.PIECES, 8, factor * rules.MAX_HUGGING)
-    assert judged(pole_among((wall(0.2), DIM), (near, DIM)))[0] == code
+    assert failed(pole_among((wall(0.2), DIM), (near, DIM)))[0] == code
 
 
 def level_rows() -> tuple[PointCloud, Line]:
@@ -201,7 +201,7 @@ def level_rows() -> tuple[PointCloud, Line]:
 
 
 def test_a_line_along_the_rings_is_no_pole() -> None:
-    code, reason = judged(level_rows())
+    code, reason = failed(level_rows())
     assert code == "along_a_beam"
     assert "beams sweep" in reason
 
@@ -220,15 +220,15 @@ def test_a_short_line_in_single_file_is_no_pole(
 ) -> None:
     """Rings as near as this have more points each on a pole; farther apart they may have one."""
     pole = on_pole(step * (rings - 1), rings, each)
-    found, reason = judged(scene(pole))
+    found, reason = failed(scene(pole))
     assert found == code
     assert not code or "single file" in reason
 
 
 def test_rings_excuse_single_file() -> None:
     pole = on_pole(0.5, 10, 1)
-    assert judged(scene(pole))[0] == "along_a_beam"
-    assert judged(scene(pole, rings=np.arange(10))) == ("", "")
+    assert failed(scene(pole))[0] == "along_a_beam"
+    assert failed(scene(pole, rings=np.arange(10))) == ("", "")
 
 
 @pytest.mark.parametrize("end", [-1, 1])
@@ -242,8 +242,8 @@ def test_rings_excuse_single_file() -> None:
 def test_a_short_pole_does_not_go_on_without_tape(end: int, pieces: int, code: str) -> None:
     middles = shared.SHORT_LENGTH * (np.arange(pieces) + 0.5) / shared.PIECES
     post = upright_places(end * (0.25 + middles))
-    assert judged(short_among((post, DIM)))[0] == code
-    assert judged(pole_among((post + end * 0.55 * UP, DIM))) == ("", ""), "a long one may"
+    assert failed(short_among((post, DIM)))[0] == code
+    assert failed(pole_among((post + end * 0.55 * UP, DIM))) == ("", ""), "a long one may"
 
 
 def test_a_thick_short_post_may_go_on_without_tape() -> None:
@@ -251,4 +251,4 @@ def test_a_thick_short_post_may_go_on_without_tape() -> None:
     post = upright_places(np.linspace(0.35, 0.95, 7))
     cloud, line = scene(thick, (post, DIM), rings=np.repeat(np.arange(6), 3))
     assert line.rms > THICK_RMS
-    assert judged((cloud, line)) == ("", "")
+    assert failed((cloud, line)) == ("", "")

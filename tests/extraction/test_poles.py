@@ -283,11 +283,11 @@ def test_few_points_are_a_pole_only_off_bright_surfaces(is_saturated: bool) -> N
         np.testing.assert_array_equal(np.sort(best.index), line.index)
 
 
-def test_few_or_thick_points_amid_a_bright_surface_are_no_pole() -> None:
+def test_few_or_thick_points_in_a_bright_surface_are_no_pole() -> None:
     many = acceptance_shape.FEW_POLE_POINTS
-    assert poles._unsure_amid_brightness(line_with(many, rms=acceptance_shape.THICK_RMS)) is None
+    assert poles._doubtful_in_brightness(line_with(many, rms=acceptance_shape.THICK_RMS)) is None
     for line in (line_with(many - 1), line_with(many, rms=1.01 * acceptance_shape.THICK_RMS)):
-        failure = poles._unsure_amid_brightness(line)
+        failure = poles._doubtful_in_brightness(line)
         assert failure is not None
         assert failure.code == "part_of_a_surface"
 

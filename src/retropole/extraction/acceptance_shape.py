@@ -17,20 +17,20 @@ from ..reasons import Code
 from .lines import Line
 
 MIN_POLE_POINTS = 6
-"""Least returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
+"""Fewest returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
 steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
 
 MIN_POLE_RINGS = 3
-"""Least rings that hit a pole: any two lie in line, the third tests the line. Sensitivity at 2: no
-effect; at 4: 1 pole lost."""
+"""Fewest rings that hit a pole: any two points lie in line, the third tests the line. Sensitivity
+at 2: no effect; at 4: 1 pole lost."""
 
 MIN_LENGTH = 0.25
-"""Least extent along the line, metres: three rings of a 16-beam sensor, 2° apart, at 3.6 m (2 · 3.6
-m · tan 2° = 0.25 m). Sensitivity at 0.175: 2 more found, 1 fewer false; at 0.35: 6 poles lost, 3 of
-them recorded posts, 10 fewer false."""
+"""Smallest extent along the line, metres: three rings of a 16-beam sensor, 2° apart, at 3.6 m (2 ·
+3.6 m · tan 2° = 0.25 m). Sensitivity at 0.175: 2 more found, 1 fewer false; at 0.35: 6 poles lost,
+3 of them recorded posts, 10 fewer false."""
 
 MAX_LENGTH = 4.0
-"""Most extent along the line, metres: twice a pole of 2 m. What is longer is a fence or a kerb.
+"""Largest extent along the line, metres: twice a pole of 2 m. What is longer is a fence or a kerb.
 Sensitivity at 2.8: 7 fewer false; at 5.6: no effect."""
 
 WIDTH_IN_RMS = 4.0
@@ -38,8 +38,8 @@ WIDTH_IN_RMS = 4.0
 more false; at 5.6: 10 recorded posts lost, 2 fewer false."""
 
 MIN_SLENDERNESS = 1.5
-"""Least ratio of the extent along the line to that across it. Sensitivity at 1.05: 1 more found, 8
-more false; at 2.1: 10 recorded posts lost, 2 fewer false."""
+"""Smallest ratio of the extent along the line to that across it. Sensitivity at 1.05: 1 more found,
+8 more false; at 2.1: 10 recorded posts lost, 2 fewer false."""
 
 THICK_RMS = 0.045
 """Root mean square distance from the line above which a pole is a thick post, metres. Beams evenly
@@ -48,13 +48,13 @@ mm with 20 mm of noise. Sensitivity at 0.0315: 37 poles lost, 21 fewer false; at
 posts lost, 3 more found, 21 more false."""
 
 MAX_RMS = 0.06
-"""Most that the returns of a thick post scatter about their line, metres: 0.62 r of r = 97 mm.
+"""Largest scatter of the returns of a thick post about their line, metres: 0.62 r of r = 97 mm.
 Sensitivity at 0.042: 26 poles lost, 17 of them recorded posts, 2 more found, 16 fewer false; at
 0.084: no effect."""
 
 MAX_THICK_LENGTH = 1.5
-"""Most length of a thick post, metres: thick things that are longer are trunks, masts and columns.
-Sensitivity at 1.05: no effect; at 2.1: 2 more found, 1 more false."""
+"""Greatest length of a thick post, metres: thick things that are longer are trunks, masts and
+columns. Sensitivity at 1.05: no effect; at 2.1: 2 more found, 1 more false."""
 
 FEW_POLE_POINTS = 10
 """With fewer points a line is a pole only if it is slim and has next to nothing beside it: a few
@@ -62,7 +62,7 @@ returns of a far sign look the same. Sensitivity at 7: 1 more false; at 14: 6 re
 more found, 1 fewer false."""
 
 MAX_FEW_RMS = 0.035
-"""Most that the returns of a line with few points scatter about it, metres. Sensitivity at 0.0245:
+"""Largest scatter of the returns of a line with few points about it, metres. Sensitivity at 0.0245:
 no effect; at 0.049: 1 more false."""
 
 MAX_RING_EXTENT = 0.15
@@ -85,7 +85,7 @@ are 0.2 m at 57 m. Where rings of a pole are so far apart, they have two points 
 are gaps. Sensitivity from 0.14 to 0.28: no effect."""
 
 SWEEP_EVENNESS = 1.3
-"""Most ratio of two gaps, of the quantiles below, that is even. Sensitivity from 0.91 to 1.82: no
+"""Largest ratio of two gaps, the quantiles below, that is even. Sensitivity from 0.91 to 1.82: no
 effect."""
 
 SWEEP_LOW_QUANTILE = 0.1

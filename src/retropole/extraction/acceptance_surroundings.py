@@ -30,24 +30,25 @@ and stones on bright ground have plenty about them. Sensitivity at 0.28: no effe
 found, 1 fewer false."""
 
 MAX_AROUND_SHARE = 0.2
-"""Most retro-reflective returns about a suspect line, for each of its own. Sensitivity from 0.14 to
-0.28: no effect."""
+"""Largest number of retro-reflective returns about a suspect line, for each of its own. Sensitivity
+from 0.14 to 0.28: no effect."""
 
 CROWD = 0.7
 """A piece is crowded by returns of any kind with so many beside it for each of its own. Sensitivity
 at 0.49: 9 recorded posts lost; at 0.98: no effect."""
 
 MAX_CROWDED = 0.5
-"""Most share of a line's pieces that returns of any kind crowd, except those of a wall behind it.
-Sensitivity at 0.35: 9 poles lost, 3 of them recorded posts, 2 fewer false; at 0.7: no effect."""
+"""Largest share of a line's pieces that returns of any kind crowd, except those of a wall behind
+it. Sensitivity at 0.35: 9 poles lost, 3 of them recorded posts, 2 fewer false; at 0.7: no
+effect."""
 
 MAX_CROWDED_STRICT = 0.25
 """The limit of both shares for a suspect line. Sensitivity at 0.175: 1 fewer false; at 0.35: no
 effect."""
 
 MAX_UNTAPED = 0.5
-"""Most returns without tape between the points of a line, for each of its own. Sensitivity at 0.35:
-2 recorded posts lost; at 0.7: 1 more false."""
+"""Largest number of returns without tape between the points of a line, for each of its own.
+Sensitivity at 0.35: 2 recorded posts lost; at 0.7: 1 more false."""
 
 MAX_HUGGING = 0.09
 """What crowds a line nearer than this, metres, is not a wall behind it. Sensitivity at 0.063: no
@@ -88,7 +89,7 @@ def surroundings_failure(
     """
     around = surroundings_of(cloud, near, is_retro, line)
     return (
-        _amid_retro(around)
+        _surrounded_by_retro(around)
         or _crowded_by_retro(around)
         or _untaped_between(around)
         or _crowded_by_any(around)
@@ -98,7 +99,7 @@ def surroundings_failure(
     )
 
 
-def _amid_retro(around: Surroundings) -> Failure | None:
+def _surrounded_by_retro(around: Surroundings) -> Failure | None:
     """A suspect line has next to nothing retro-reflective about it, its ends included."""
     if not around.is_suspect:
         return None

@@ -42,7 +42,7 @@ a pole no more than `MAX_RMS`, 0.06. Sensitivity at 0.063: 1 more found, 5 fewer
 fewer false."""
 
 PATCH_POINTS = 8
-"""A neighbourhood with fewer points tells nothing: rings can be farther apart than it is wide.
+"""A neighbourhood with fewer points says nothing: rings can be farther apart than it is wide.
 Sensitivity from 6 to 11: no effect."""
 
 

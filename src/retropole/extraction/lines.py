@@ -13,9 +13,9 @@ import numpy as np
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
 
 MAX_PROPOSING_POINTS = 400
-"""Most points that a line is tried on: of more, every second, third … stands for all. With
-`MAX_PROPOSING_PAIRS` it bounds a search to 800,000 distances, about 4 ms. Sensitivity at 280: 1
-more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
+"""Largest number of points that a line is tried on: of more, every second, third … stands for all.
+With `MAX_PROPOSING_PAIRS` it bounds a search to 800,000 distances, about 4 ms. Sensitivity at 280:
+1 more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
 
 MAX_PROPOSING_PAIRS = 2000
 """Pairs of points, at most, that propose a line. Sensitivity at 1400: 2 poles lost, 9 fewer false;
@@ -235,7 +235,7 @@ def fit_line(
 
 
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
-    """Keep of the points inside the piece with the most points, where a `MAX_GAP` parts them."""
+    """Keep the piece with the most of the points inside, where a `MAX_GAP` separates them."""
     index = np.flatnonzero(inside)
     if len(index) < 2 or np.ptp(along[index]) <= MAX_GAP:
         return inside

@@ -17,8 +17,8 @@ NEGLIGIBLE = 1e-9
 short."""
 
 MIN_CROSSING_ANGLE = float(np.radians(8.0))
-"""Least angle between two poles that cross, rad. The other edge of a plate is parallel. Sensitivity
-at 5.6°: no effect; at 11°: 3 fewer false."""
+"""Smallest angle between two poles that cross, rad. The other edge of a plate is parallel.
+Sensitivity at 5.6°: no effect; at 11°: 3 fewer false."""
 
 CROSSING_TUBE = 0.06
 """Radius about the other line in which its points lie, metres: radius 2 cm and 4 cm of noise, as
@@ -35,8 +35,8 @@ effect."""
 
 PLANE_ROUNDS = 4
 """Rounds of fitting a plane, each to the points near the plane of the round before. A plane that
-still moves after them is judged as it lies: with too few points on it, it is no wall. Sensitivity
-at 3: no effect; at 6: 2 fewer false."""
+still moves after them is taken as it lies: with too few points on it, it is no wall. Sensitivity at
+3: no effect; at 6: 2 fewer false."""
 
 MIN_PLANE_POINTS = 4
 """Three points always lie in a plane; the fourth tests it. Sensitivity from 3 to 6: no effect."""
@@ -50,8 +50,8 @@ PLANE_MEDIANS = 1.5
 1.05: 2 fewer false; at 2.1: no effect."""
 
 MIN_PLANE_SHARE = 0.7
-"""Least share of the points beside a line that lie on a wall behind it. Sensitivity at 0.49: 6 more
-false; at 0.98: 8 poles lost, 6 fewer false."""
+"""Smallest share of the points beside a line that lie on a wall behind it. Sensitivity at 0.49: 6
+more false; at 0.98: 8 poles lost, 6 fewer false."""
 
 MIN_WALL_GAP = 0.08
 """A wall at this distance from the line, metres, is not one that the line lies on. A stripe is on
@@ -66,21 +66,21 @@ SWEEP_NEIGHBOURS = 4
 false; at 6: 4 fewer false."""
 
 MIN_SWEEP_GROUPS = 4
-"""Least returns about a line, in groups of `SWEEP_NEIGHBOURS`; fewer tell nothing. Sensitivity from
+"""Fewest returns about a line, in groups of `SWEEP_NEIGHBOURS`; fewer say nothing. Sensitivity from
 3 to 6: no effect."""
 
 SWEEP_SAMPLE = 200
-"""Returns, nearest to the line, that are asked: it bounds the time. Sensitivity at 140: 1 fewer
-false; at 280: no effect."""
+"""Returns, nearest to the line, whose neighbours are examined: it bounds the time. Sensitivity at
+140: 1 fewer false; at 280: no effect."""
 
 SWEEP_COSINE = 0.85
 """Neighbours within 32° of the line, by this cosine, lie in its direction. Sensitivity at 0.79: 12
 fewer false; at 0.895: 2 more false."""
 
 MAX_SWEEP_SHARE = 0.88
-"""Most share of the neighbours in the direction of the line. A third of all directions lie within
-32° on a plane: more than this is a pattern. Sensitivity at 0.832: 6 fewer false; at 0.916: 2 more
-false."""
+"""Largest share of the neighbours in the direction of the line. A third of all directions lie
+within 32° on a plane: more than this is a pattern. Sensitivity at 0.832: 6 fewer false; at 0.916: 2
+more false."""
 
 
 def on_crossing_line(beside: Array, line: Line) -> BoolArray:
@@ -153,7 +153,7 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
 
     The returns of one ring are much nearer to each other than to those of the next: around a line
     along a ring, nearest neighbours lie in its direction. Rings as close together as their returns
-    tell nothing.
+    say nothing.
 
     Parameters
     ----------
@@ -170,9 +170,9 @@ def runs_along_sweep(xyz: Array, near: IntArray, line: Line) -> bool:
     points = xyz[others]
     # A sample that does not depend on the order of the points: those nearest to the line.
     distance, _ = distance_and_place(points, line.point, line.direction)
-    asked = points[np.argsort(distance, kind="stable")[:SWEEP_SAMPLE]]
-    _, neighbour = cKDTree(points).query(asked, SWEEP_NEIGHBOURS + 1)
-    span = points[neighbour[:, 1:]] - asked[:, None]
+    sample = points[np.argsort(distance, kind="stable")[:SWEEP_SAMPLE]]
+    _, neighbour = cKDTree(points).query(sample, SWEEP_NEIGHBOURS + 1)
+    span = points[neighbour[:, 1:]] - sample[:, None]
     length = np.maximum(np.linalg.norm(span, axis=-1), NEGLIGIBLE)
     cosine = np.abs(span @ line.direction) / length
     return float(np.mean(cosine > SWEEP_COSINE)) > MAX_SWEEP_SHARE

@@ -60,7 +60,7 @@ untaped end is looked for, and more than `MAX_FAR_BESIDE`. Sensitivity at 0.56: 
 
 SURFACE_LINK = 0.4
 """Points of a large cluster that are on no surface are grouped again with this step, metres: a
-third of `LINK`, so that strays on a bright ground do not connect. Sensitivity at 0.28: 7 fewer
+third of `LINK`, so that stray points on bright ground do not connect. Sensitivity at 0.28: 7 fewer
 false; at 0.56: 3 fewer false."""
 
 SATURATED_SHARE = 0.5
@@ -224,7 +224,7 @@ def _best_line(
             line = _whole_line(cloud, near[free[near]], line, radius)
             failure = surroundings_failure(cloud, near, free, line)
         if failure is None and is_saturated:
-            failure = _unsure_amid_brightness(line)
+            failure = _doubtful_in_brightness(line)
         if failure is not None:
             first = first or failure
         elif best is None or (len(line.index), -line.rms) > (len(best.index), -best.rms):
@@ -244,11 +244,11 @@ def _whole_line(cloud: PointCloud, free_near: IntArray, line: Line, radius: floa
     return whole if is_better else line
 
 
-def _unsure_amid_brightness(line: Line) -> Failure | None:
+def _doubtful_in_brightness(line: Line) -> Failure | None:
     """Where a bright surface is most of the cluster, only a slim line of many points is a pole."""
     if line.rms <= THICK_RMS and len(line.index) >= FEW_POLE_POINTS:
         return None
-    reason = f"{len(line.index)} points in line amid a bright surface"
+    reason = f"{len(line.index)} points in line inside a bright surface"
     return Failure("part_of_a_surface", reason)
 
 

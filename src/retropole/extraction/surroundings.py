@@ -53,16 +53,16 @@ RETRO_CROWD = 0.3
 rest of a sign, or bright ground. Sensitivity from 0.21 to 0.42: no effect."""
 
 MAX_RETRO_CROWDED = 0.5
-"""Most share of a line's pieces that retro-reflective returns crowd. A vest at the pole covers less
-of it. Sensitivity from 0.35 to 0.7: no effect."""
+"""Largest share of a line's pieces that retro-reflective returns crowd. A vest at the pole covers
+less of it. Sensitivity from 0.35 to 0.7: no effect."""
 
 CROSSING_LENGTH = 0.9
-"""Least length of a line beside which a second pole may cross, metres. Sensitivity from 0.63 to
+"""Smallest length of a line beside which a second pole may cross, metres. Sensitivity from 0.63 to
 1.26: no effect."""
 
 MAX_CROSSING_REST = 0.15
-"""Most share of the pieces that is crowded without the pole that crosses. Of a sign, more is left.
-Sensitivity at 0.105: 2 fewer false; at 0.21: no effect."""
+"""Largest share of the pieces that is crowded without the pole that crosses. Of a sign, more is
+left. Sensitivity at 0.105: 2 fewer false; at 0.21: no effect."""
 
 
 @dataclass(frozen=True, eq=False)
