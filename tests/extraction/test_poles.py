@@ -272,6 +272,13 @@ def test_bright_surfaces_are_left_out_of_the_search(width: float, is_saturated: 
     assert (failure is not None) is is_saturated
 
 
+def test_a_large_sign_is_rejected_as_a_surface() -> None:
+    cloud, _ = seen([Rectangle(np.array([4.0, 0, 0]), Y, Z, (1.0, 1.0), TAPE)], "OS1")
+    (sign,) = extract_poles(cloud).rejected
+    assert sign.code == "part_of_a_surface"
+    assert "inside a bright surface" in sign.reason
+
+
 @pytest.mark.parametrize("is_saturated", [True, False])
 def test_few_points_are_a_pole_only_off_bright_surfaces(is_saturated: bool) -> None:
     cloud, line = scene(on_pole(rings=acceptance_shape.FEW_POLE_POINTS - 1, each=1))
