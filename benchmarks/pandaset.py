@@ -3,7 +3,7 @@
 Beside it, where ICP of other kinds comes to from the reference itself, and how the surfaces that
 both LiDARs see lie together under each pose. Prints a Markdown table.
 
-    python benchmarks/pandaset.py ../shared/data/pandaset
+    python benchmarks/pandaset.py pandaset
 """
 
 from __future__ import annotations

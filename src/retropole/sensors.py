@@ -20,8 +20,10 @@ class Sensor:
 
     Attributes
     ----------
-    name, aliases
+    name
         What users call it; case, blanks and dashes do not count.
+    aliases
+        Other names of the same model.
     elevations
         (B,) rad, one ring each, from the lowest up; empty for a sensor without rings.
     azimuth_step
