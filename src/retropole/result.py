@@ -1,8 +1,7 @@
 """The result document: everything that a run found, as one JSON file that other programs read.
 
-Schema ``retropole/result/1``. Metres and radians; 4×4 matrices row by row; poses and covariances
-say in which frame and order they are. The names in the file are a contract: where a field has a
-better name here, the file keeps the old one.
+Schema ``retropole/result/1``: metres and radians, 4×4 matrices row by row. The names in the file
+are a contract: where a field has a better name here, the file keeps the old one.
 """
 
 from __future__ import annotations
@@ -36,9 +35,8 @@ Matrix = list[list[float]]
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    None stands for what was not asked for: any number of poles, no prior of the rotation, the
-    sensor's or the cloud's own threshold, the only topic, frames evenly spread. Frames are start,
-    stop and step. Sensors are names, or ``auto``.
+    None stands for what was not asked for: any number of poles, no prior, the sensor's or the
+    cloud's own threshold, the only topic, frames evenly spread. Frames are start, stop and step.
     """
 
     radius_m: float = DEFAULT_RADIUS
@@ -56,6 +54,9 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     target_topic: str | None = None
     source_topic: str | None = None
     frames: tuple[int | None, int | None, int | None] | None = None
+
+
+DEFAULT_CONFIG = RunConfig()
 
 
 class ReasonDoc(msgspec.Struct, frozen=True):

@@ -11,7 +11,7 @@ import numpy as np
 from .errors import UsageError
 from .se3 import Array
 
-PAPER_TABLE_I = "Xue et al. 2019, Table I"
+PAPER_SOURCE = "Xue et al. 2019, Table I"
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,11 +116,11 @@ _PANDAR64_DEG = np.concatenate(
 _ALL = (
     _spinning(
         "VLP-16", ("Puck",), np.linspace(-15, 15, 16), 0.2, 0.010, 3.0, (0.5, 100.0),
-        (230.0, PAPER_TABLE_I), "manufacturer's manual 63-9243: 16 rings 2° apart, ±3 cm",
+        (230.0, PAPER_SOURCE), "manufacturer's manual 63-9243: 16 rings 2° apart, ±3 cm",
     ),
     _spinning(
         "HDL-32E", (), np.linspace(-30.67, 10.67, 32), 0.2, 0.010, 2.8, (1.0, 100.0),
-        (230.0, PAPER_TABLE_I), "manufacturer's manual 63-9113: 32 rings 1.33° apart, ±2 cm",
+        (230.0, PAPER_SOURCE), "manufacturer's manual 63-9113: 32 rings 1.33° apart, ±2 cm",
     ),
     _spinning(
         "VLS-128", ("Alpha Prime",), np.linspace(-25, 15, 128), 0.2, 0.010, 3.0, (0.5, 245.0),
@@ -129,33 +129,33 @@ _ALL = (
     ),
     _spinning(
         "Pandar64", (), _PANDAR64_DEG, 0.2, 0.010, 2.0, (0.3, 200.0),
-        (200.0, PAPER_TABLE_I),
+        (200.0, PAPER_SOURCE),
         "manufacturer's manual: 1/6° apart from −6° to +2°, 1° to 6° outside; rounded",
     ),
     _spinning(
         "PandarQT", ("QT64",), np.linspace(-52.1, 52.1, 64), 0.6, 0.015, 8.0, (0.1, 60.0),
-        (200.0, PAPER_TABLE_I),
+        (200.0, PAPER_SOURCE),
         "manufacturer's manual: 64 rings over 104.2°; taken as evenly spaced",
     ),
     _spinning(
         "XT32", ("PandarXT-32",), np.linspace(-16, 15, 32), 0.18, 0.005, 1.5, (0.05, 120.0),
-        (200.0, PAPER_TABLE_I), "manufacturer's manual: 32 rings 1° apart, ±1 cm, 0.5 cm (1 σ)",
+        (200.0, PAPER_SOURCE), "manufacturer's manual: 32 rings 1° apart, ±1 cm, 0.5 cm (1 σ)",
     ),
     _spinning(
         "RS-LiDAR-16", ("RS16",), np.linspace(-15, 15, 16), 0.2, 0.010, 3.0, (0.4, 150.0),
-        (200.0, PAPER_TABLE_I), "manufacturer's manual: 16 rings 2° apart, ±2 cm",
+        (200.0, PAPER_SOURCE), "manufacturer's manual: 16 rings 2° apart, ±2 cm",
     ),
     _spinning(
         "RS-LiDAR-32", ("RS32",), _RS32_DEG, 0.2, 0.010, 3.0, (0.4, 200.0),
-        (200.0, PAPER_TABLE_I), "manufacturer's manual: 32 rings, 1/3° apart in the middle",
+        (200.0, PAPER_SOURCE), "manufacturer's manual: 32 rings, 1/3° apart in the middle",
     ),
     _spinning(
         "C16", ("Leishen C16", "LS C16"), np.linspace(-15, 15, 16), 0.18, 0.010, 3.0, (0.5, 150.0),
-        (200.0, PAPER_TABLE_I), "manufacturer's manual: 16 rings 2° apart, ±3 cm",
+        (200.0, PAPER_SOURCE), "manufacturer's manual: 16 rings 2° apart, ±3 cm",
     ),
     _spinning(
         "C32", ("Leishen C32", "LS C32"), np.linspace(-16, 15, 32), 0.18, 0.010, 3.0, (0.5, 150.0),
-        (200.0, PAPER_TABLE_I), "manufacturer's manual: 32 rings 1° apart, ±3 cm",
+        (200.0, PAPER_SOURCE), "manufacturer's manual: 32 rings 1° apart, ±3 cm",
     ),
     _spinning(
         "OS0", ("OS0-128", "OS-0-128"), np.linspace(-45, 45, 128), 360 / 1024, 0.015, 6.1,

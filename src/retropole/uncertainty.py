@@ -9,6 +9,9 @@ import numpy as np
 from . import se3
 from .se3 import Array
 
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute value: 1 / 0.6745."""
+
 RANGES = (1.0, 10.0, 30.0, 60.0)
 """Ranges at which the error is predicted, metres."""
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,10 +58,25 @@ class LineAlignment:
     information: Array
 
 
+class PointLineResiduals(NamedTuple):
+    """Vectors from lines to moved points, and their derivative.
+
+    Attributes
+    ----------
+    residuals
+        (N, 3) ``(I − n nᵀ)(R p + t − q)``, metres.
+    jacobian
+        (N, 3, 6) derivative with respect to ``[φ, δ]`` of `se3.retract`.
+    """
+
+    residuals: Array
+    jacobian: Array
+
+
 def point_line_residuals(
     T: Array, points: Array, line_points: Array, line_directions: Array
-) -> tuple[Array, Array]:
-    """Vectors from lines to moved points, and their Jacobian.
+) -> PointLineResiduals:
+    """Move points by a pose, and take the vectors from their lines to them.
 
     Parameters
     ----------
@@ -70,19 +86,12 @@ def point_line_residuals(
         (N, 3) points in the source frame.
     line_points, line_directions
         (N, 3) a point and the unit direction of each point's line, in the target frame.
-
-    Returns
-    -------
-    residuals : (N, 3)
-        ``(I − n nᵀ)(R p + t − q)``, metres.
-    jacobian : (N, 3, 6)
-        Derivative with respect to ``[φ, δ]`` of `se3.retract`.
     """
     rotated = points @ T[:3, :3].T
     across = np.eye(3) - line_directions[:, :, None] * line_directions[:, None, :]
     residuals = np.einsum("nij,nj->ni", across, rotated + T[:3, 3] - line_points)
     jacobian = np.concatenate([across @ -se3.hat(rotated), across], axis=2)
-    return residuals, jacobian
+    return PointLineResiduals(residuals, jacobian)
 
 
 def equivalent_points(xyz: Array) -> Array:

@@ -11,7 +11,7 @@ from operator import index
 from ..errors import UsageError
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
-from ..result import RunConfig, result_document
+from ..result import DEFAULT_CONFIG, RunConfig, result_document
 from .inputs import (
     CloudSource,
     Input,
@@ -22,9 +22,6 @@ from .inputs import (
 )
 from .result import CalibrationResult
 
-DEFAULTS = RunConfig()
-"""Options of a run where nothing else is asked for."""
-
 MIN_POLES = 2
 """One pole leaves the rotation about it, and the place along it, free."""
 
@@ -33,17 +30,17 @@ def calibrate(
     target: CloudSource | Sequence[CloudSource],
     source: CloudSource | Sequence[CloudSource],
     *,
-    radius: float = DEFAULTS.radius_m,
-    radius_sigma: float = DEFAULTS.radius_sigma_m,
-    sensor_target: str = DEFAULTS.sensor_target,
-    sensor_source: str = DEFAULTS.sensor_source,
+    radius: float = DEFAULT_CONFIG.radius_m,
+    radius_sigma: float = DEFAULT_CONFIG.radius_sigma_m,
+    sensor_target: str = DEFAULT_CONFIG.sensor_target,
+    sensor_source: str = DEFAULT_CONFIG.sensor_source,
     threshold_target: float | None = None,
     threshold_source: float | None = None,
     poles: int | None = None,
-    refine: bool = DEFAULTS.refine,
-    up: bool = DEFAULTS.up,
+    refine: bool = DEFAULT_CONFIG.refine,
+    up: bool = DEFAULT_CONFIG.up,
     prior_rpy_deg: Sequence[float] | None = None,
-    prior_sigma_deg: float = DEFAULTS.prior_sigma_deg,
+    prior_sigma_deg: float = DEFAULT_CONFIG.prior_sigma_deg,
     target_topic: str | None = None,
     source_topic: str | None = None,
     frames: slice | None = None,

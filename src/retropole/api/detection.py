@@ -5,14 +5,14 @@ from __future__ import annotations
 from ..datatypes import Detection
 from ..errors import Refusal
 from ..extraction.poles import extract_poles
-from .calibration import DEFAULTS
+from ..result import DEFAULT_CONFIG
 from .inputs import CloudSource, Input, intensity_hint, read_input
 
 
 def detect(
     cloud: CloudSource,
     *,
-    radius: float = DEFAULTS.radius_m,
+    radius: float = DEFAULT_CONFIG.radius_m,
     sensor: str = "auto",
     threshold: float | None = None,
     topic: str | None = None,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..result import DEFAULT_CONFIG
 from ..simulation import SimulatedPair, simulate_pair
-from .calibration import DEFAULTS
 
 
 def simulate(
@@ -15,7 +15,7 @@ def simulate(
     sensor_target: str | None = None,
     sensor_source: str | None = None,
     poles: int = 2,
-    radius: float = DEFAULTS.radius_m,
+    radius: float = DEFAULT_CONFIG.radius_m,
     frames: int = 1,
     symmetric: bool = False,
 ) -> SimulatedPair:

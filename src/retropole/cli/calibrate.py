@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
+from ..result import DEFAULT_CONFIG
 from .common import (
     CLOUD,
     CONTEXT,
-    DEFAULTS,
     EXIT_REFUSED,
     OUT,
     echo_left_out,
@@ -44,7 +44,7 @@ from .common import (
 @click.option(
     "--radius-sigma",
     type=click.FloatRange(min=0),
-    default=DEFAULTS.radius_sigma_m,
+    default=DEFAULT_CONFIG.radius_sigma_m,
     show_default=True,
     help="1 sigma of the radius, m; above 0 the radius is estimated.",
 )
@@ -66,7 +66,7 @@ from .common import (
 @click.option(
     "--prior-sigma-deg",
     type=click.FloatRange(min=0, min_open=True),
-    default=DEFAULTS.prior_sigma_deg,
+    default=DEFAULT_CONFIG.prior_sigma_deg,
     show_default=True,
     help="1 sigma of --up or --prior-rpy-deg.",
 )
@@ -74,7 +74,7 @@ from .common import (
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
-    default=DEFAULTS.seed,
+    default=DEFAULT_CONFIG.seed,
     show_default=True,
     help="Seed of whatever is drawn at random.",
 )

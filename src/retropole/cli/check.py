@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from ..monitoring.movement import DEFAULT_TOLERANCE
+from ..result import DEFAULT_CONFIG
 from .common import (
     CLOUD,
     CONTEXT,
-    DEFAULTS,
     EXIT_REFUSED,
     SAME_FOR_SOURCE,
     TOPIC_HELP,
@@ -203,7 +203,7 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
     data = (path / "result.json" if path.is_dir() else path).read_bytes()
     if not is_result(data):
-        return Stored(pose, DEFAULTS, ())
+        return Stored(pose, DEFAULT_CONFIG, ())
     document = read_result(data)
     warnings = tuple(
         Reason(prefixed("stored", cast("Code", reason.code)), reason.message, reason.values)

@@ -11,16 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from ..reasons import explain, plain
-from ..result import RunConfig
+from ..result import DEFAULT_CONFIG
 from ..sensors import SENSORS
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
 
 EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED = 2, 3, 130
-
-DEFAULTS = RunConfig()
-"""What a run does where no option says otherwise."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -33,7 +30,7 @@ SAME_FOR_SOURCE = "The same for SOURCE."
 radius_option = click.option(
     "--radius",
     type=click.FloatRange(min=0, min_open=True),
-    default=DEFAULTS.radius_m,
+    default=DEFAULT_CONFIG.radius_m,
     show_default=True,
     help="Radius of the poles, m.",
 )
@@ -53,12 +50,15 @@ def sensor_options(command: Callable[..., int]) -> Callable[..., int]:
         ),
         click.option(
             "--sensor-source",
-            default=DEFAULTS.sensor_source,
+            default=DEFAULT_CONFIG.sensor_source,
             show_default=True,
             help=SAME_FOR_SOURCE,
         ),
         click.option(
-            "--sensor-target", default=DEFAULTS.sensor_target, show_default=True, help=SENSOR_HELP
+            "--sensor-target",
+            default=DEFAULT_CONFIG.sensor_target,
+            show_default=True,
+            help=SENSOR_HELP,
         ),
     ):
         command = option(command)

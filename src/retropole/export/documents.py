@@ -20,7 +20,7 @@ from ..errors import MissingExtraError, ReadError, Refusal
 from ..reasons import Code
 from ..result import COVARIANCE_ORDER, ResultDoc, decode
 from .found import Found
-from .text import RPY, RPY_MEANING, TRANSLATION, pose_of, pose_values
+from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,
     Transform,
@@ -212,5 +212,5 @@ def _mapping(node: Any) -> dict[str, Any]:
 def _scalars(node: Any) -> dict[str, str]:
     values = {name: value.value for name, value in _mapping(node).items()}
     if not all(isinstance(value, str) for value in values.values()):
-        raise ReadError(f"expected a number for each of {' '.join((*TRANSLATION, *RPY))}")
+        raise ReadError(f"expected a number for each of {' '.join((*TRANSLATION_KEYS, *RPY))}")
     return values

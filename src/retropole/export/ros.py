@@ -14,7 +14,7 @@ import numpy as np
 from ..datatypes import Array
 from ..errors import ReadError
 from .found import Found
-from .text import QUATERNION, RPY, TRANSLATION, pose_of, pose_values, to_float
+from .text import QUATERNION, RPY, TRANSLATION_KEYS, pose_of, pose_values, to_float
 from .transform import Transform, from_quaternion, from_rpy
 
 PROGRAM = "static_transform_publisher"
@@ -126,7 +126,7 @@ def _ros2_arguments(words: list[str]) -> Found:
         return _positional(words)
     flags, values = words[::2], words[1::2]
     names = [flag.removeprefix("--") for flag in flags]
-    known = {*TRANSLATION, *QUATERNION, *RPY, "frame-id", "child-frame-id"}
+    known = {*TRANSLATION_KEYS, *QUATERNION, *RPY, "frame-id", "child-frame-id"}
     if len(flags) != len(values) or not set(names) <= known or len(set(names)) < len(names):
         raise ReadError(f"cannot read the arguments of {PROGRAM}: {' '.join(words)}")
     given = dict(zip(names, values, strict=True))
@@ -137,7 +137,8 @@ def _ros2_arguments(words: list[str]) -> Found:
         raise ReadError(f"{PROGRAM} has a quaternion and roll-pitch-yaw; one is needed")
     rotation = QUATERNION if {*given} & {*QUATERNION} else RPY
     default = {"qw": "1"} if rotation == QUATERNION else {}
-    full = {name: given.get(name, default.get(name, "0")) for name in (*TRANSLATION, *rotation)}
+    keys = (*TRANSLATION_KEYS, *rotation)
+    full = {name: given.get(name, default.get(name, "0")) for name in keys}
     return Found(parent, child, lambda: pose_of(full))
 
 

@@ -19,7 +19,7 @@ from .transform import (
     to_quaternion,
 )
 
-TRANSLATION = ("x", "y", "z")
+TRANSLATION_KEYS = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 RPY = ("roll", "pitch", "yaw")
 RPY_MEANING = "metres and radians; fixed axes x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll)"
@@ -59,7 +59,7 @@ def pose_values(transform: Transform, rotation: tuple[str, ...]) -> dict[str, st
     T = transform.T_parent_child
     angles = to_quaternion(T) if rotation == QUATERNION else se3.rpy_from_rotation(T[:3, :3])
     values = (*T[:3, 3], *angles)
-    return dict(zip((*TRANSLATION, *rotation), map(number, values), strict=True))
+    return dict(zip((*TRANSLATION_KEYS, *rotation), map(number, values), strict=True))
 
 
 def write_quaternion(transform: Transform) -> str:
@@ -91,12 +91,12 @@ def read_named(data: bytes) -> list[Found]:
 def pose_of(values: dict[str, str]) -> Array:
     """Build a 4×4 transform from ``x y z`` and ``qx qy qz qw`` or ``roll pitch yaw`` by name."""
     kind = QUATERNION if "qw" in values else RPY
-    if set(values) != {*TRANSLATION, *kind}:
+    if set(values) != {*TRANSLATION_KEYS, *kind}:
         raise ReadError(
-            f"expected {' '.join(TRANSLATION)} and {' '.join(QUATERNION)} or {' '.join(RPY)}, "
+            f"expected {' '.join(TRANSLATION_KEYS)} and {' '.join(QUATERNION)} or {' '.join(RPY)}, "
             f"got {' '.join(values) or 'nothing'}"
         )
-    t, angles = ([to_float(values[name]) for name in names] for names in (TRANSLATION, kind))
+    t, angles = ([to_float(values[name]) for name in names] for names in (TRANSLATION_KEYS, kind))
     build = from_quaternion if kind == QUATERNION else from_rpy
     return build(np.array(t), np.array(angles))
 

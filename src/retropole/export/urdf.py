@@ -13,7 +13,7 @@ import numpy as np
 from ..datatypes import Array
 from ..errors import ReadError, UsageError
 from .found import Found
-from .text import RPY, TRANSLATION, pose_values, to_float
+from .text import RPY, TRANSLATION_KEYS, pose_values, to_float
 from .transform import Transform, from_rpy
 from .xml_scan import Element, Scan, scan_xml, with_attributes
 
@@ -38,7 +38,7 @@ def _origin(transform: Transform) -> dict[str, str]:
     """Attributes of the joint's origin."""
     values = pose_values(transform, RPY)
     return {
-        "xyz": " ".join(values[name] for name in TRANSLATION),
+        "xyz": " ".join(values[name] for name in TRANSLATION_KEYS),
         "rpy": " ".join(values[name] for name in RPY),
     }
 

@@ -7,10 +7,12 @@ in whatever order its points come. What *Sensitivity* means beside a constant: d
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..uncertainty import MAD_TO_SIGMA
 
 MAX_PROPOSING_POINTS = 400
 """Largest number of points that a line is tried on: of more, every second, third … stands for all.
@@ -45,9 +47,6 @@ FIT_ROUNDS = 4
 """Rounds of a fit at most; it ends before where a round keeps the points of the one before. A fit
 that has not ended is tested as it is: the rules see its points and their scatter. Sensitivity at 3:
 9 more false; at 6: 13 fewer false."""
-
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute value: 1 / 0.6745."""
 
 FIT_SIGMAS = 2.5
 """Distance from the line to which points are kept, in standard deviations: 98.8 % of a normal
@@ -173,19 +172,33 @@ def propose_lines(
     return lines
 
 
-def distance_and_place(xyz: Array, point: Array, direction: Array) -> tuple[Array, Array]:
+class DistanceAndPlace(NamedTuple):
     """Distances (N,) of points from a line, and their places (N,) along it, metres."""
+
+    distances: Array
+    places: Array
+
+
+def distance_and_place(xyz: Array, point: Array, direction: Array) -> DistanceAndPlace:
+    """Measure points (N, 3) from a line through ``point`` (3,) with a unit direction (3,)."""
     offset = xyz - point
     along = offset @ direction
     square = np.einsum("ni,ni->n", offset, offset) - along * along
-    return np.sqrt(np.maximum(square, 0.0)), along
+    return DistanceAndPlace(np.sqrt(np.maximum(square, 0.0)), along)
 
 
-def principal_line(xyz: Array) -> tuple[Array, Array]:
-    """Centroid (3,) and direction (3,) of the line with the least squared distance to points."""
+class PrincipalLine(NamedTuple):
+    """Centroid (3,) of points, and unit direction (3,) of the line nearest to them."""
+
+    point: Array
+    direction: Array
+
+
+def principal_line(xyz: Array) -> PrincipalLine:
+    """Find the line with the least squared distance to points (N, 3)."""
     centre = xyz.mean(axis=0)
     offset = xyz - centre
-    return centre, np.asarray(np.linalg.eigh(offset.T @ offset)[1][:, 2])
+    return PrincipalLine(centre, np.asarray(np.linalg.eigh(offset.T @ offset)[1][:, 2]))
 
 
 def fit_line(

@@ -40,7 +40,7 @@ facing sides of a 2 cm pole leave up to 31 mm between two LiDARs, noise a little
 EXTENSION_RMS = 3 * EXACT_RMS
 """Distance within which further poles fall into place under a match of two, metres."""
 
-MAX_LEAN, MAX_GAP = np.radians(10.0), 1.0
+MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
 """Two poles of a match are one only if they lean against each other by less, rad, and if less lies
 between them along the line, metres: two lines far apart along themselves are two posts."""
 
@@ -229,7 +229,9 @@ def _extend(
             gap -= (pole.length + other.length) / 2
             misfit = float(np.linalg.norm(across, axis=1).max())
             leaning = float(np.linalg.norm(np.cross(along, other.direction)))
-            distance[i, j] = misfit if leaning < np.sin(MAX_LEAN) and gap < MAX_GAP else np.inf
+            distance[i, j] = (
+                misfit if leaning < np.sin(MAX_MATCH_LEAN) and gap < MAX_MATCH_GAP else np.inf
+            )
     rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
     return tuple(
         (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= gate

@@ -24,8 +24,8 @@ class Explanation(NamedTuple):
     advice: tuple[str, ...] = ()
 
 
-LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
-LINK_SENTENCE = re.compile(rf"(?:^|(?<=[.!?]))\s*{LINK.pattern}\.")
+MARKDOWN_LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
+MARKDOWN_LINK_SENTENCE = re.compile(rf"(?:^|(?<=[.!?]))\s*{MARKDOWN_LINK.pattern}\.")
 
 
 def unlinked(markdown: str) -> str:
@@ -33,7 +33,7 @@ def unlinked(markdown: str) -> str:
 
     A link becomes its words; a sentence that is nothing but a link goes.
     """
-    return LINK.sub(r"\1", LINK_SENTENCE.sub("", markdown)).strip()
+    return MARKDOWN_LINK.sub(r"\1", MARKDOWN_LINK_SENTENCE.sub("", markdown)).strip()
 
 
 def plain(markdown: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,11 +86,18 @@ def cross_sections(result: ResultDoc, first: Placement) -> str:
     )
 
 
-def across(points: Array) -> tuple[Array, Array]:
-    """Centre (3,) of points (N, 3) along a line, and two unit vectors (2, 3) across it."""
+class Across(NamedTuple):
+    """Centre (3,) of points along a line, and two unit vectors (2, 3) across it."""
+
+    centre: Array
+    axes: Array
+
+
+def across(points: Array) -> Across:
+    """Find the plane across the line that points (N, 3) lie along."""
     centre = points.mean(axis=0)
     axes = np.linalg.svd(points - centre, full_matrices=False)[2]
-    return centre, axes[1:]
+    return Across(centre, axes[1:])
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ SPAN = 0.5
 """Patches as far from each other along their surface may be one surface, metres; how well the one's
 normal predicts where the other lies is counted."""
 
-CLUSTER = 2.0
+CLUSTER_SIDE = 2.0
 """Residuals of patches within a cube of this side, metres, are counted as correlated."""
 
 MIN_HOLD = 6.0
@@ -137,7 +137,7 @@ def pair_patches(
         tilt=(source.tilt[s] + target.tilt[t]) / 4,
         variance=(source.thickness[s] + target.thickness[t]) / PATCH_NEIGHBOURS
         + (source.tilt[s] + target.tilt[t]) / 4 * distance[s] ** 2,
-        cluster=labels_of(np.floor(moved[s] / CLUSTER)),
+        cluster=labels_of(np.floor(moved[s] / CLUSTER_SIDE)),
         rings_target=target.rings[t],
         rings_source=source.rings[s],
         range_target=-np.einsum("mi,mi->m", normal, target.rays[t]),

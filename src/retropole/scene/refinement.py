@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 from .. import se3
 from ..alignment.solver import Step, gauss_newton
 from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
+from ..uncertainty import MAD_TO_SIGMA
 from .patch_pairs import MIN_PATCHES, PatchPairs, held_directions, pair_patches
 from .patches import surface_patches
 from .ring_offsets import RANGE_BIAS, RingOffsets, ring_offsets
@@ -34,9 +35,6 @@ regions of benchmarks/accuracy.py hold the truth in 95 % of its simulated scenes
 
 MIN_SIGMA = 1e-4
 """Least scale of the residuals, in units of their own predicted standard deviation."""
-
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""

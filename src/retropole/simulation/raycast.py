@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,13 @@ class Material:
 
     reflectance: float = 0.4
     retro: bool = False
+
+
+class Intersection(NamedTuple):
+    """Range (N,) to a surface, infinite where a ray misses it, and cosine of incidence (N,)."""
+
+    ranges: Array
+    cosine: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +65,8 @@ class Rectangle:
         """Radius of a sphere about the centre that contains it, metres."""
         return float(np.hypot(*self.half_sides))
 
-    def intersect(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
-        """Range (N,) to the surface, infinite for no hit, and cosine of incidence (N,)."""
+    def intersect(self, origin: Array, rays: Array, divergence: float) -> Intersection:
+        """Intersect rays (N, 3) from an origin (3,) or (N, 3) with the surface."""
         normal = np.cross(self.u, self.v)
         cosine = rays @ normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,7 +74,7 @@ class Rectangle:
             at = origin + ranges[:, None] * rays - self.centre
             hit = (ranges > 0) & (np.abs(at @ self.u) <= self.half_sides[0])
             hit &= np.abs(at @ self.v) <= self.half_sides[1]
-        return np.where(hit, ranges, np.inf), np.abs(cosine)
+        return Intersection(np.where(hit, ranges, np.inf), np.abs(cosine))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +103,8 @@ class Box:
         """Radius of a sphere about the centre that contains it, metres."""
         return float(np.linalg.norm(self.half_sides))
 
-    def intersect(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
-        """Range (N,) to the surface, infinite for no hit, and cosine of incidence (N,)."""
+    def intersect(self, origin: Array, rays: Array, divergence: float) -> Intersection:
+        """Intersect rays (N, 3) from an origin (3,) or (N, 3) with the surface."""
         start, direction = (origin - self.centre) @ self.axes, rays @ self.axes
         with np.errstate(divide="ignore", invalid="ignore"):
             low, high = (
@@ -109,7 +117,7 @@ class Box:
         last = np.maximum(low, high).min(axis=1)
         hit = (first > 0) & (first <= last)
         cosine = np.abs(np.take_along_axis(direction, side[:, None], 1)[:, 0])
-        return np.where(hit, first, np.inf), cosine
+        return Intersection(np.where(hit, first, np.inf), cosine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +147,7 @@ class Cylinder:
         """Radius of a sphere about the centre that contains it and the edge of a beam, metres."""
         return float(np.hypot(self.radius, self.length / 2)) + BEAM_MARGIN
 
-    def intersect(self, origin: Array, rays: Array, divergence: float) -> tuple[Array, Array]:
+    def intersect(self, origin: Array, rays: Array, divergence: float) -> Intersection:
         """Range (N,) to the surface, infinite for no hit, and cosine of incidence (N,).
 
         A beam with a divergence hits the cylinder if its centre line passes by less than half of
@@ -161,7 +169,7 @@ class Cylinder:
             along = start_along + ranges * ray_along
             hit &= (ranges > 0) & (np.abs(along) <= self.length / 2)
             cosine = np.sqrt(np.maximum(1 - (distance / self.radius) ** 2, 0.0)) * np.sqrt(a)
-        return np.where(hit, ranges, np.inf), np.where(hit, cosine, 0.0)
+        return Intersection(np.where(hit, ranges, np.inf), np.where(hit, cosine, 0.0))
 
 
 Surface = Rectangle | Box | Cylinder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -104,8 +105,16 @@ class LabelledScan:
     labels: IntArray
 
 
-def beams(sensor: Sensor, rng: np.random.Generator) -> tuple[Array, IntArray, Array]:
-    """Directions (N, 3), rings (N,) and times (N,) of the beams of one sweep, sensor frame.
+class Sweep(NamedTuple):
+    """Directions (N, 3), rings (N,) and times (N,), s, of the beams of one sweep, sensor frame."""
+
+    rays: Array
+    rings: IntArray
+    times: Array
+
+
+def beams(sensor: Sensor, rng: np.random.Generator) -> Sweep:
+    """Send the beams of one sweep.
 
     A spinning sensor starts at a random azimuth within its step. A rosette continues from a random
     place of a sequence that never repeats and covers its field of view evenly.
@@ -127,7 +136,7 @@ def beams(sensor: Sensor, rng: np.random.Generator) -> tuple[Array, IntArray, Ar
         time = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
     level = np.cos(elevation)
     rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
-    return rays, ring.astype(np.int64), time
+    return Sweep(rays, ring.astype(np.int64), time)
 
 
 def scan(

@@ -29,7 +29,7 @@ PAPER_TABLE_IV = {"planes": 0.0824, "poles": 0.0822, "ICP": 0.0461, "wrong hypot
 SCORING_SEED = 0
 """Of the points that the entropy is taken of, and of the planes that are drawn."""
 
-HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+HALF_TURN_POSE = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Rotation by 180° about the vertical: it stands for a wrong hypothesis in recordings without
 poles."""
 
@@ -153,7 +153,7 @@ def comparing_real(data: Path) -> Exhibit:
             found["reference"] = reference
         right = found.get("reference", found["planes"])
         if not isinstance(right, str):
-            found["wrong hypothesis"] = right @ HALF_TURN
+            found["wrong hypothesis"] = right @ HALF_TURN_POSE
         for name, T in found.items():
             if isinstance(T, str):
                 rows.append((pair, name, None, f"refused: {T}", None, None))

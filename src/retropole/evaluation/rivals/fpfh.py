@@ -27,7 +27,7 @@ RANSAC_DISTANCE = 1.5 * FPFH_VOXEL
 EDGE_RATIO = 0.9
 """Least ratio of the sides of corresponding triangles (the same)."""
 
-NORMAL_NEIGHBOURS, FEATURE_NEIGHBOURS = 30, 100
+FPFH_NORMAL_NEIGHBOURS, FEATURE_NEIGHBOURS = 30, 100
 """At most, within the radius (the same)."""
 
 RANSAC_POINTS = 3
@@ -114,7 +114,7 @@ def _featured(open3d: Any, cloud: PointCloud) -> tuple[Any, Any]:
         )
     made = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     near = open3d.geometry.KDTreeSearchParamHybrid
-    made.estimate_normals(near(radius=NORMAL_RADIUS, max_nn=NORMAL_NEIGHBOURS))
+    made.estimate_normals(near(radius=NORMAL_RADIUS, max_nn=FPFH_NORMAL_NEIGHBOURS))
     made.orient_normals_towards_camera_location(cloud.origin)
     features = open3d.pipelines.registration.compute_fpfh_feature(
         made, near(radius=FEATURE_RADIUS, max_nn=FEATURE_NEIGHBOURS)

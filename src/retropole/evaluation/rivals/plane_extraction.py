@@ -29,7 +29,7 @@ MAX_PLANES = 8
 MAX_ROUNDS = 2 * MAX_PLANES
 """Each round finds a plane or a strip; with more strips than planes the search is given up."""
 
-MIN_PLANE_POINTS = 60
+MIN_PLANE_SUPPORT = 60
 """Downsampled points of a plane (chosen: about 1 m² fully seen)."""
 
 MIN_EXTENT = 0.8
@@ -140,13 +140,13 @@ def extract_planes(cloud: PointCloud, rng: np.random.Generator) -> PlaneSearch:
         points = points[rng.choice(len(points), MAX_PLANE_POINTS, replace=False)]
     planes: list[Plane] = []
     for _ in range(MAX_ROUNDS):
-        if len(points) < MIN_PLANE_POINTS or len(planes) == MAX_PLANES:
+        if len(points) < MIN_PLANE_SUPPORT or len(planes) == MAX_PLANES:
             break
         best = _best_plane(points, rng)
         if best is None:
             break
         on_it = best.distances(points) < THICKNESS
-        if np.count_nonzero(on_it) < MIN_PLANE_POINTS:
+        if np.count_nonzero(on_it) < MIN_PLANE_SUPPORT:
             break
         # A strip, too narrow for a plane, is removed like one, or every round would find it again.
         inliers, points = points[on_it], points[~on_it]
@@ -156,7 +156,7 @@ def extract_planes(cloud: PointCloud, rng: np.random.Generator) -> PlaneSearch:
         sign = -1.0 if best.normal @ cloud.origin + best.offset < 0 else 1.0
         planes.append(Plane(sign * best.normal, sign * best.offset, inliers, len(inliers)))
     else:
-        complete = len(points) < MIN_PLANE_POINTS or len(planes) == MAX_PLANES
+        complete = len(points) < MIN_PLANE_SUPPORT or len(planes) == MAX_PLANES
         return PlaneSearch(tuple(planes), complete)
     return PlaneSearch(tuple(planes), complete=True)
 
