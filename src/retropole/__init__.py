@@ -13,21 +13,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .api import (
-        CalibrationResult,
-        MissingExtraError,
-        PointCloud,
-        ReadError,
-        Refusal,
-        RetropoleError,
-        UsageError,
-        calibrate,
-        detect,
-        evaluate,
-        load_result,
-        read_cloud,
-        simulate,
-    )
+    from .api.calibration import calibrate
+    from .api.detection import detect
+    from .api.evaluation import evaluate
+    from .api.result import CalibrationResult, load_result
+    from .api.simulation import simulate
+    from .datatypes import PointCloud
+    from .errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
+    from .io import read_cloud
 
 __version__ = "0.1.0"
 
