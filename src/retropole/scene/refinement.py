@@ -41,7 +41,7 @@ ROBUST_WIDTH = 2.0
 
 MAX_REFINEMENT_ITERATIONS = 40
 STEP_ROTATION, STEP_TRANSLATION = 3e-6, 3e-5
-"""Stop where a step is below these, rad and m: about the least 1 σ that any of 48 simulated scenes
+"""Stop where a step is below these, rad and m: about the least 1 σ that any of 50 simulated scenes
 states, 2.5e-6 rad and 7e-5 m."""
 
 
