@@ -209,6 +209,11 @@ def find_sensor(name: str) -> Sensor:
     )
 
 
+def sensor_or_auto(name: str) -> Sensor | None:
+    """Find a sensor as `find_sensor` does; None for ``auto``, which stands for any."""
+    return None if name == "auto" else find_sensor(name)
+
+
 @dataclass(frozen=True)
 class Threshold:
     """Intensity from which a return counts as retro-reflective, and how it was found."""

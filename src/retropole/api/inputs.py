@@ -23,7 +23,7 @@ from ..io import (
     sha256_of,
 )
 from ..result import InputDoc, RunConfig
-from ..sensors import Sensor, find_sensor
+from ..sensors import Sensor, sensor_or_auto
 
 CloudSource = str | Path | PointCloud | NDArray[Any]
 """What gives a cloud: a path that `io.read_cloud` reads, a cloud, or an array (N, 3) or (N, 4) of
@@ -107,7 +107,7 @@ def read_input(
     ReadError, MissingExtraError
         As `io.read_cloud`.
     """
-    known = None if sensor == "auto" else find_sensor(sensor)
+    known = sensor_or_auto(sensor)
     if isinstance(given, str | Path):
         read = read_recording(given, topic=topic, frames=frames)
         return Input(given, read.cloud, known, threshold, read)

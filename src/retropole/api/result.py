@@ -15,7 +15,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Placement
 from ..errors import ReadError, Refusal
-from ..export.documents import read_result
+from ..export.documents import RESULT_FILE, read_result, result_file
 from ..files import write_atomically
 from ..report import render_report, write_report
 from ..report.inputs import StoredInputs, placements_of
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from ..reasons import Code
 
-RESULT_FILE, REPORT_FILE = "result.json", "report.html"
-"""What the two files of a result are called in their folder."""
+REPORT_FILE = "report.html"
+"""What the report of a result is called in its folder."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -239,8 +239,7 @@ def load_result(path: str | Path) -> CalibrationResult:
     ReadError
         Where there is no such file, or it is no result document; names the file.
     """
-    path = Path(path)
-    file = path / RESULT_FILE if path.is_dir() else path
+    file = result_file(Path(path))
     try:
         document = read_result(file.read_bytes())
     except OSError as error:

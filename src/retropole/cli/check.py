@@ -178,15 +178,13 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     Refusal
         Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
     """
-    from typing import cast
-
     import numpy as np
 
     from ..datatypes import PoseEstimate, Reason
     from ..errors import Refusal
     from ..export import inverted, read_transform
-    from ..export.documents import is_result, read_result
-    from ..reasons import Code, prefixed
+    from ..export.documents import is_result, read_result, result_file
+    from ..reasons import prefixed
 
     transform = read_transform(path)
     if transform.roles == ("source", "target"):
@@ -201,12 +199,12 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    data = (path / "result.json" if path.is_dir() else path).read_bytes()
+    data = result_file(path).read_bytes()
     if not is_result(data):
         return Stored(pose, DEFAULT_CONFIG, ())
     document = read_result(data)
     warnings = tuple(
-        Reason(prefixed("stored", cast("Code", reason.code)), reason.message, reason.values)
+        Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons
     )
     return Stored(pose, document.config, warnings)

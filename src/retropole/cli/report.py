@@ -38,11 +38,12 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
       2    RESULT or a cloud cannot be read
       130  interrupted
     """
-    from ..api.result import REPORT_FILE, RESULT_FILE, load_result
+    from ..api.result import REPORT_FILE, load_result
+    from ..export.documents import result_file
     from ..report import write_report
     from ..report.inputs import placements_of
 
-    file = result / RESULT_FILE if result.is_dir() else result
+    file = result_file(result)
     document, page = load_result(file).document, out or file.with_name(REPORT_FILE)
     with progress_on_terminal(quiet) as progress:
         stored = placements_of(document, file.parent, clouds, progress=progress)

@@ -42,15 +42,14 @@ def simulate(
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
     """
-    import numpy as np
-
-    from ..simulation import simulate_pair, write_pair
+    from ..api.simulation import simulate as run
+    from ..simulation import write_pair
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
-        pair = simulate_pair(
+        pair = run(
             scene,
-            np.random.default_rng(seed),
+            seed,
             sensor_target=sensor_target,
             sensor_source=sensor_source,
             poles=poles,

@@ -15,7 +15,15 @@ from typing import NamedTuple
 from ..datatypes import Array
 from ..errors import ReadError, UsageError
 from ..result import ReasonDoc
-from .documents import is_result, read_json, read_result, read_yaml, write_json, write_yaml
+from .documents import (
+    is_result,
+    read_json,
+    read_result,
+    read_yaml,
+    result_file,
+    write_json,
+    write_yaml,
+)
 from .found import Found, choose
 from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
 from .text import (
@@ -130,7 +138,7 @@ def read_transform(
         Where it cannot be read.
     """
     path = Path(path)
-    file = path / "result.json" if path.is_dir() else path
+    file = result_file(path)
     data = file.read_bytes().removeprefix(codecs.BOM_UTF8)
     try:
         name = fmt if fmt not in (None, "auto") else detect_format(file, data)
@@ -146,7 +154,7 @@ def read_transform(
 def read_verdict(path: Path) -> list[ReasonDoc]:
     """Read what a result document warns of: empty for one that is ok, and for any other file."""
     path = Path(path)
-    data = (path / "result.json" if path.is_dir() else path).read_bytes()
+    data = result_file(path).read_bytes()
     return read_result(data).reasons if is_result(data) else []
 
 

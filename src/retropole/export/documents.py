@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, cast
 
 import msgspec
@@ -32,6 +33,9 @@ from .transform import (
 )
 
 TRANSFORM_SCHEMA = "retropole/transform/1"
+RESULT_FILE = "result.json"
+"""What the result document is called in its folder."""
+
 ROS_COVARIANCE_FRAME = "axes of the parent: t_true = t + [x y z], R_true = Exp([rot]) R; m and rad"
 _KEYS = {
     "T_target_source": ("target", "source"),
@@ -83,6 +87,11 @@ def read_json(data: bytes) -> list[Found]:
     covariance = _covariance(document)
     parent, child = _name(document, "parent"), _name(document, "child")
     return [Found(parent, child, lambda: _pose(document, keys[0]), covariance, _KEYS[keys[0]])]
+
+
+def result_file(path: Path) -> Path:
+    """Take the result document in a folder, and a file as it is."""
+    return path / RESULT_FILE if path.is_dir() else path
 
 
 def is_result(data: bytes) -> bool:

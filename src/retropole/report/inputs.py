@@ -13,7 +13,7 @@ from ..errors import ReadError, UsageError
 from ..io import ARRAY_SOURCE, read_cloud, sha256_of
 from ..pipeline import find_poles
 from ..result import InputDoc, PoleDoc, ResultDoc, RunConfig
-from ..sensors import find_sensor
+from ..sensors import sensor_or_auto
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -136,7 +136,7 @@ def _read(path: Path, topic: str | None, config: RunConfig) -> PointCloud:
 
 def _search(cloud: PointCloud, item: InputDoc, config: RunConfig) -> Scan:
     """Find the poles of a cloud with the sensor and the threshold that the run used."""
-    sensor = None if item.sensor == "auto" else find_sensor(item.sensor)
+    sensor = sensor_or_auto(item.sensor)
     return find_poles(cloud, sensor=sensor, threshold=item.threshold, radius=config.radius_m)
 
 

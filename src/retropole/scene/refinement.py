@@ -170,13 +170,14 @@ def _linear_system(
     weights = 1.0 / (spread * (1.0 + (r / (ROBUST_WIDTH * spread)) ** 2)) ** 2
     held = held_directions(pairs, weights)
     offsets = ring_offsets(pairs, pairs.jacobian @ held, weights, range_bias)
-    weighted = (offsets.jacobian * weights[:, None]).T
+    weighted = offsets.jacobian * weights[:, None]
+    information = offsets.jacobian.T @ weighted + offsets.prior_information
     return _Problem(
         pairs,
         weights,
         offsets,
-        gradient=weighted @ r + prior @ from_poles,
-        curvature=offsets.jacobian.T @ (offsets.jacobian * weights[:, None]) + offsets.lost + prior,
+        gradient=weighted.T @ r + prior @ from_poles,
+        curvature=information + prior,
     )
 
 
@@ -196,7 +197,7 @@ def _covariance(problem: _Problem, prior: Array) -> Array:
     without = H - _summed(outer, cluster).reshape(-1, 6, 6)
     moves = np.linalg.solve(without, gradients[:, :, None])[:, :, 0]
     places = _summed(JW, cluster)
-    inner = prior + offsets.spread + places.T @ places * PLACE_BIAS**2
+    inner = prior + offsets.prior_information + places.T @ places * PLACE_BIAS**2
     inverse = np.linalg.inv(H)
     return np.asarray(inverse @ inner @ inverse + moves.T @ moves)
 

@@ -25,18 +25,16 @@ class RingOffsets:
         (P, 6) derivative of the residuals by the pose, the offsets following along.
     residuals
         (P,) without what the offsets explain.
-    lost
-        (6, 6) what the offsets' own prior adds to the information, since following costs.
-    spread
-        (6, 6) variance of the gradient that comes of the offsets.
+    prior_information
+        (6, 6) what the offsets' own prior adds to the information, since following costs; and as
+        much is the variance of the gradient that comes of the offsets.
     sigma
         1 σ of an offset, metres.
     """
 
     jacobian: Array
     residuals: Array
-    lost: Array
-    spread: Array
+    prior_information: Array
     sigma: float
 
 
@@ -67,7 +65,6 @@ def ring_offsets(pairs: PatchPairs, J: Array, weights: Array, sigma: float) -> R
     return RingOffsets(
         J - D @ by_pose,
         pairs.residuals - D @ by_residual,
-        by_pose.T @ by_pose / sigma**2,
         by_pose.T @ by_pose / sigma**2,
         float(np.clip(new, *RANGE_BIAS_LIMITS)),
     )

@@ -83,10 +83,8 @@ def is_right(hypothesis: Hypothesis, T_true: Array, poles: Array) -> bool:
     poles
         (K, 3) a point of each pole, source frame.
     """
-    T = hypothesis.match.T_target_source
-    offsets = se3.apply(T, poles) - se3.apply(T_true, poles)
-    rotation = se3.rotation_angle(T[:3, :3] @ T_true[:3, :3].T)
-    return rotation < RIGHT_ANGLE and float(np.linalg.norm(offsets, axis=1).max()) < RIGHT_DISTANCE
+    apart = se3.difference_at(hypothesis.match.T_target_source, T_true, poles)
+    return apart.rotation < RIGHT_ANGLE and apart.translation < RIGHT_DISTANCE
 
 
 def score_corridor(seed: int) -> ScoredCorridor:
