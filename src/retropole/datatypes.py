@@ -17,7 +17,7 @@ from .errors import Refusal
 from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
-from .uncertainty import WeakDirection
+from .uncertainty import RadiusEstimate, Uncertainty, WeakDirection
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -324,6 +324,10 @@ class Calibration:
         What was recorded and found, one for each placement of the poles.
     seconds
         Time of each step.
+    uncertainty
+        `covariance` in its two kinds, and the error budget; None when refused.
+    radius
+        The poles' radius as given and as estimated; None when refused.
     """
 
     status: Literal["ok", "warn", "refused"]
@@ -338,3 +342,5 @@ class Calibration:
     weakest: WeakDirection | None
     placements: tuple[Placement, ...]
     seconds: Mapping[str, float]
+    uncertainty: Uncertainty | None = None
+    radius: RadiusEstimate | None = None

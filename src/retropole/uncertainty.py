@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,77 @@ LEVER = 10.0
 
 ALONG = np.cos(np.radians(30.0))
 """A direction within this angle of another goes by its name."""
+
+
+@dataclass(frozen=True)
+class BudgetEntry:
+    """One source of error, and its part in the uncertainty of the pose.
+
+    Attributes
+    ----------
+    name
+        What errs, such as ``range offset`` or ``scatter of the surfaces``.
+    sensor
+        Whose error it is; None where it is no single LiDAR's.
+    sigma, unit
+        1 σ of the error itself, and its unit: ``m``, ``rad`` or ``1``; not of the pose.
+    estimated
+        The error as this data has it, in the same unit, of which the answer is already free; None
+        where it is not estimated or is not one number.
+    share_at_30m
+        Its share of the variance of where a point 30 m away lands. All shares add up to 1.
+    """
+
+    name: str
+    sensor: Literal["target", "source"] | None
+    sigma: float
+    unit: Literal["m", "rad", "1"]
+    estimated: float | None
+    share_at_30m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Uncertainty of a pose in its two kinds (GUM, JCGM 100:2008).
+
+    Attributes
+    ----------
+    random
+        (6, 6) over ``[φ, δ]``, rad and m: type A, from the scatter of these data. Recording again
+        draws it again.
+    systematic
+        (6, 6) type B, from what is known of the instruments and the poles, and of what no model
+        names. Recording again repeats it.
+    budget
+        Every source of error, the largest first.
+    """
+
+    random: Array
+    systematic: Array
+    budget: tuple[BudgetEntry, ...] = ()
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) all errors together."""
+        return np.asarray(self.random + self.systematic)
+
+
+@dataclass(frozen=True)
+class RadiusEstimate:
+    """The poles' radius as given and as the data have it, each with its 1 σ, metres.
+
+    Attributes
+    ----------
+    given, given_sigma
+        What the user said, and how far it may be off.
+    estimated, sigma
+        From the data and what was given together.
+    """
+
+    given: float
+    given_sigma: float
+    estimated: float
+    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
