@@ -39,6 +39,7 @@ from .scene import disambiguation
 from .scene.refinement import Refinement, refine
 from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
+from .systematic import ErrorModel, sizes_of
 from .uncertainty import predicted_error, weakest_direction
 from .verdict import check_choice, margin_of, weaknesses
 
@@ -117,7 +118,7 @@ def calibrate(
                 aligned = align_poles(paired, hypotheses[0].match.T_target_source)
                 placements = leave_one_out(paired, aligned, align_poles)
             with step("refine"):
-                refined = refine_by_scene(placements, aligned) if scene else None
+                refined = refine_by_scene(placements, aligned, sensors) if scene else None
         except Refusal as refusal:
             return refused(refusal, placements, hypotheses, seconds)
     return answered(paired, placements, hypotheses, aligned, refined, seconds)
@@ -181,6 +182,10 @@ def align(
         T_start,
         radius=radius,
         radius_sigma=radius_sigma,
+        sizes=(
+            sizes_of(paired[0].placement.target.sensor),
+            sizes_of(paired[0].placement.source.sensor),
+        ),
     )
 
 
@@ -205,12 +210,18 @@ def leave_one_out(
     return tuple(found)
 
 
-def refine_by_scene(placements: Sequence[Placement], aligned: BeamAlignment) -> Refinement | None:
+def refine_by_scene(
+    placements: Sequence[Placement],
+    aligned: BeamAlignment,
+    sensors: tuple[Sensor | None, Sensor | None],
+) -> Refinement | None:
     """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
     return refine(
         merged([placement.target.cloud for placement in placements]),
         merged([placement.source.cloud for placement in placements]),
         aligned.pose,
+        factor=aligned.factor,
+        model=ErrorModel(sizes_of(sensors[0]), sizes_of(sensors[1]), aligned.radius.given_sigma),
     )
 
 
@@ -242,6 +253,8 @@ def answered(
         weakest=weakest,
         placements=placements,
         seconds=seconds,
+        uncertainty=aligned.uncertainty if refined is None else refined.uncertainty,
+        radius=aligned.radius,
     )
 
 

@@ -11,10 +11,6 @@ from ..datatypes import Array, IntArray, PointCloud, Pole
 from ..sensors import Sensor
 from .likelihood import closest_approach
 
-RING_BAND = np.radians(0.4)
-"""Returns within a band of elevation of this width, rad, are taken for one ring's where rings are
-not known: the widest spacing that sensors of 64 rings and more have."""
-
 DIVERGENCE = 0.003
 """Full angle of the beams of a sensor that is not known, rad: manufacturers state 1.5 to 8 mrad."""
 
@@ -43,8 +39,8 @@ class Beams:
         (3,) where they start.
     directions, ranges
         (N, 3) and (N,) of the returns.
-    pole, ring
-        (N,) which pole each lies on, and which ring of the LiDAR it came from.
+    pole
+        (N,) which pole each lies on.
     half_width
         (N,) half of the beam's width at the return, metres.
     passed_directions, passed_pole
@@ -58,7 +54,6 @@ class Beams:
     directions: Array
     ranges: Array
     pole: IntArray
-    ring: IntArray
     half_width: Array
     passed_directions: Array
     passed_pole: IntArray
@@ -81,12 +76,6 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     divergence = DIVERGENCE if sensor is None else sensor.divergence
     ray = np.concatenate([pole.xyz for pole, _ in seen]) - origin
     ranges = np.linalg.norm(ray, axis=1)
-    rings = [None if cloud.ring is None else cloud.ring[pole.index] for pole, cloud in seen]
-    known = [ring for ring in rings if ring is not None]
-    if len(known) == len(rings):
-        ring = np.concatenate(known)
-    else:
-        ring = np.floor(np.arcsin(ray[:, 2] / ranges) / RING_BAND)
     passed = [
         np.zeros((0, 3)) if sensor is None else _passed(pole, cloud, divergence)
         for pole, cloud in seen
@@ -98,7 +87,6 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
         directions=ray / ranges[:, None],
         ranges=ranges,
         pole=np.repeat(np.arange(len(seen)), [len(pole.xyz) for pole, _ in seen]),
-        ring=np.unique(ring, return_inverse=True)[1].reshape(-1).astype(np.int64),
         half_width=0.5 * divergence * ranges,
         passed_directions=np.concatenate(passed),
         passed_pole=passed_pole,

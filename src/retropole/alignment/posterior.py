@@ -128,25 +128,6 @@ def beam_geometry(
 
 
 @dataclass(frozen=True, eq=False)
-class RingSums:
-    """Sums over the returns of each ring of one LiDAR.
-
-    Attributes
-    ----------
-    curvature
-        (R, P) of the curvature times the derivative of a range offset of the ring.
-    gradient
-        (R,) of the residuals in depth over their variance.
-    weight
-        (R,) of the inverse variances.
-    """
-
-    curvature: Array
-    gradient: Array
-    weight: Array
-
-
-@dataclass(frozen=True, eq=False)
 class _Terms:
     """What the beams of one LiDAR add to the cost and its derivatives."""
 
@@ -173,8 +154,6 @@ class Posterior:
         (2, 2) where the logarithm of the noise should go.
     inliers
         How many returns lie on the poles.
-    rings
-        Sums over each ring of the target, and of the source.
     """
 
     state: State
@@ -185,14 +164,13 @@ class Posterior:
     curvature: Array
     noise_step: Array
     inliers: float
-    rings: tuple[RingSums, ...]
 
 
 @dataclass(frozen=True)
 class Priors:
-    """1 σ of the range offsets and of the radius, metres, and the radius itself."""
+    """1 σ of the range offset of each LiDAR and of the radius, metres, and the radius itself."""
 
-    bias: float
+    offsets: tuple[float, float]
     radius: float
     radius_sigma: float
 
@@ -214,17 +192,16 @@ def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Pri
     size = SHARED + 4 * len(state.points)
     x, prior = np.zeros(size), np.zeros(size)
     x[6:8], x[8] = state.offsets, state.radius - priors.radius
-    sigmas = (max(sigma, MIN_PRIOR_SIGMA) for sigma in (priors.bias, priors.radius_sigma))
-    prior[6:8], prior[8] = (1.0 / sigma**2 for sigma in sigmas)
+    sigmas = np.maximum([*priors.offsets, priors.radius_sigma], MIN_PRIOR_SIGMA)
+    prior[6:9] = 1.0 / sigmas**2
     log, score = -0.5 * float(prior @ x**2), -prior * x
     information, lifted = np.diag(prior), np.diag(prior)
-    noise_step, inliers, rings = np.zeros((2, 2)), 0.0, []
+    noise_step, inliers = np.zeros((2, 2)), 0.0
     for lidar, one in enumerate(beams):
         noise = np.exp(log_noise[lidar])
         on_poles = _on_poles(state, lidar, one, noise)
         noise_step[lidar] = on_poles.noise_step
         inliers += on_poles.inliers
-        rings.append(on_poles.rings)
         for terms in (on_poles.terms, _passed(state, lidar, one, noise)):
             log += terms.log
             score = score + terms.score
@@ -239,18 +216,16 @@ def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Pri
         lifted,
         np.clip(noise_step, *NOISE_STEP),
         inliers,
-        tuple(rings),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _OnPoles:
-    """What the returns on the poles say: of the state, of the log-noise (2,), of each ring."""
+    """What the returns on the poles say: of the state, and of the log-noise (2,)."""
 
     terms: _Terms
     noise_step: Array
     inliers: float
-    rings: RingSums
 
 
 def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
@@ -278,15 +253,7 @@ def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
     gradient = arc.inlier @ (arc.noise - 1.0)
     curvature = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
     noise_step = gradient / np.maximum(curvature, NOISE_CURVATURE * arc.inlier.sum())
-    count = int(beams.ring.max()) + 1
-    by_ring = np.zeros((count, size))
-    np.add.at(by_ring, beams.ring, weighted[:, 0] * seen.sine[:, None])
-    sums = RingSums(
-        by_ring,
-        np.bincount(beams.ring, arc.score[:, 0], count).astype(np.float64),
-        np.bincount(beams.ring, arc.inlier / sigma_depth**2, count).astype(np.float64),
-    )
-    return _OnPoles(terms, noise_step, float(arc.inlier.sum()), sums)
+    return _OnPoles(terms, noise_step, float(arc.inlier.sum()))
 
 
 def _passed(state: State, lidar: int, beams: Beams, noise: Array) -> _Terms:

@@ -1,4 +1,9 @@
-"""Patches of both clouds that lie on one surface, and which directions of the pose they hold."""
+"""Patches of both clouds that lie on one surface, and which directions of the pose they hold.
+
+Each patch of the source is compared with the surface that its nearest patches of the target make
+together. Every limit is a smooth weight, so that the sum of squares has one minimum where a hard
+limit would leave many: an answer must not depend on where the search started.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from .. import se3
 from ..datatypes import Array, IntArray
+from ..systematic import DEVICE, RADIUS, Layout
 from .patches import PATCH_NEIGHBOURS, Patches
 
 MAX_NORMAL_ANGLE = np.radians(35.0)
@@ -25,6 +32,9 @@ POSE_SIGMAS = 3.0
 SPAN = 0.5
 """Patches as far from each other along their surface may be one surface, metres; how well the one's
 normal predicts where the other lies is counted."""
+
+BLENDED = 4
+"""Nearest patches of the target that make its surface; the next one beyond has no weight left."""
 
 CLUSTER_SIDE = 2.0
 """Residuals of patches within a cube of this side, metres, are counted as correlated."""
@@ -47,6 +57,9 @@ class PatchPairs:
         (P,) signed distance along the normal, metres.
     jacobian
         (P, 6) derivative with respect to ``[φ, δ]``.
+    by_error
+        (P, B) derivative with respect to the errors of both LiDARs, as `systematic.Layout` orders
+        them.
     levers
         (P, 3, 6) derivative of where the source's patch lies.
     normal, tilt
@@ -54,43 +67,77 @@ class PatchPairs:
     variance
         (P,) of the residual as the patches' own scatter has it, m²: of their centres, and of their
         normals over the distance between the centres.
+    agreement
+        (P,) weight, 0 to 1: how far the limits of what corresponds allow the pair.
     cluster
         (P,) which residuals lie at one place.
-    rings_target, rings_source
-        (P, PATCH_NEIGHBOURS) the ring of each point of the target's, of the source's patch.
-    range_target, range_source
-        (P,) derivative of the residual with respect to the range that the LiDAR measured.
     """
 
     residuals: Array
     jacobian: Array
+    by_error: Array
     levers: Array
     normal: Array
     tilt: Array
     variance: Array
+    agreement: Array
     cluster: IntArray
-    rings_target: IntArray
-    rings_source: IntArray
-    range_target: Array
-    range_source: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PatchSets:
+    """Patches of both clouds, made ready to be paired under one pose after the other.
+
+    Attributes
+    ----------
+    target, source
+        Each in its own frame.
+    tree
+        Of the target's centres.
+    layout
+        Order of the errors.
+    shares
+        For each LiDAR, (M, bands) share of a patch's points that lie in each band.
+    clusters
+        (M,) place of each patch of the source.
+    """
+
+    target: Patches
+    source: Patches
+    tree: cKDTree
+    layout: Layout
+    shares: tuple[csr_matrix, csr_matrix]
+    clusters: IntArray
+
+
+def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSets:
+    """Prepare patches for `pair_patches`; the layout must have all bands of both."""
+    shares = tuple(
+        _share_of_bands(patches.bands, layout.bands[lidar])
+        for lidar, patches in enumerate((target, source))
+    )
+    clusters = labels_of(np.floor(source.centres / CLUSTER_SIDE))
+    return PatchSets(
+        target, source, cKDTree(target.centres), layout, (shares[0], shares[1]), clusters
+    )
+
+
+def _share_of_bands(bands: IntArray, known: IntArray) -> csr_matrix:
+    rows = np.repeat(np.arange(len(bands)), bands.shape[1])
+    columns = np.searchsorted(known, bands.reshape(-1))
+    share = np.full(len(rows), 1.0 / max(bands.shape[1], 1))
+    return csr_matrix((share, (rows, columns)), shape=(len(bands), len(known)))
 
 
 def pair_patches(
-    target: Patches,
-    source: Patches,
-    tree: cKDTree,
-    T: Array,
-    covariance: Array,
-    origins_known: bool,
+    sets: PatchSets, T: Array, covariance: Array, origins_known: bool
 ) -> PatchPairs | None:
-    """Pair each source patch with the target patch on its surface.
+    """Pair each source patch with the surface of the target's patches near it.
 
     Parameters
     ----------
-    target, source
-        Patches, each in its own frame.
-    tree
-        Of the target's centres.
+    sets
+        Patches of both clouds.
     T, covariance
         (4, 4) and (6, 6) the pose and how far it may still be off: both steer how far a patch looks
         for its partner.
@@ -102,47 +149,90 @@ def pair_patches(
     PatchPairs or None
         None where fewer than `MIN_PATCHES` pairs are found.
     """
+    target, source = sets.target, sets.source
     rotated = source.centres @ T[:3, :3].T
     moved = rotated + T[:3, 3]
     # How far each patch may still be off, from the covariance of the pose: tr(J Σ Jᵀ).
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
     spread = np.sqrt(np.einsum("mik,mik->m", lever @ covariance, lever))
-    distance_limit = np.minimum(
-        MIN_CORRESPONDENCE_DISTANCE + 3.0 * spread, MAX_CORRESPONDENCE_DISTANCE
+    limit = np.minimum(
+        MIN_CORRESPONDENCE_DISTANCE + POSE_SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE
     )
-    span = max(float(distance_limit.max()), SPAN)
-    distance, nearest = tree.query(moved, distance_upper_bound=span)
-    s = np.flatnonzero(distance <= np.maximum(distance_limit, SPAN))
-    t = nearest[s]
+    span = np.maximum(limit, SPAN)
+    distance, near = sets.tree.query(
+        moved, k=BLENDED + 1, distance_upper_bound=float(span.max()) * 2.0
+    )
+    s = np.flatnonzero(distance[:, 0] < span)
+    if len(s) < MIN_PATCHES:
+        return None
+    distance, near = distance[s], near[s]
+    outside = near >= len(target.centres)
+    near = np.where(outside, 0, near)
+    # The next patch beyond those that are blended sets the width, so that it has no weight itself.
+    width = np.minimum(distance[:, -1], 2.0 * span[s])[:, None]
+    kernel = _smooth(distance[:, :-1] / width)
+    kernel[outside[:, :-1]] = 0.0
+    near = near[:, :-1]
     normal_source = source.normals[s] @ T[:3, :3].T
-    cosine = np.einsum("mi,mi->m", normal_source, target.normals[t])
+    cosine = np.einsum("mi,mki->mk", normal_source, target.normals[near])
+    sign = np.ones_like(cosine)
     if not origins_known:
-        normal_source, cosine = normal_source * np.sign(cosine)[:, None], np.abs(cosine)
-    agree = cosine > np.cos(MAX_NORMAL_ANGLE)
-    if np.count_nonzero(agree) < MIN_PATCHES:
+        sign, cosine = np.where(cosine < 0, -1.0, 1.0), np.abs(cosine)
+    least = np.cos(MAX_NORMAL_ANGLE)
+    same = np.maximum((cosine - least) / (1.0 - least), 0.0)
+    weight = kernel * np.minimum(2.0 * same, 1.0) * _smooth(distance[:, :-1] / span[s, None])
+    total = weight.sum(axis=1)
+    used = total > 1e-6 * kernel.sum(axis=1)
+    if np.count_nonzero(used) < MIN_PATCHES:
         return None
-    s, t = s[agree], t[agree]
-    normal = normal_source[agree] + target.normals[t]
+    s, near, weight, kernel, sign, normal_source, total, distance = (
+        one[used] for one in (s, near, weight, kernel, sign, normal_source, total, distance)
+    )
+    agreement = total / kernel.sum(axis=1)
+    weight = weight / total[:, None]
+
+    def blended(values: Array) -> Array:
+        return np.asarray(np.einsum("mk,mk...->m...", weight, values[near]))
+
+    normal = normal_source + np.einsum("mk,mki->mi", weight * sign, target.normals[near])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    near = np.abs(np.einsum("mi,mi->m", normal, moved[s] - target.centres[t])) <= distance_limit[s]
-    if np.count_nonzero(near) < MIN_PATCHES:
-        return None
-    s, t, normal = s[near], t[near], normal[near]
-    rays_source = source.rays[s] @ T[:3, :3].T
+    between = moved[s] - blended(target.centres)
+    residuals = np.einsum("mi,mi->m", normal, between)
+    agreement = agreement * _smooth(residuals / limit[s])
+    by_target = -np.einsum("mi,mij->mj", normal, blended(target.by_error))
+    by_source = np.einsum("mi,mij->mj", normal @ T[:3, :3], source.by_error[s])
+    rows = np.repeat(np.arange(len(s)), BLENDED)
+    blend = csr_matrix(
+        (weight.reshape(-1), (rows, near.reshape(-1))), shape=(len(s), len(target.centres))
+    )
+    by_error = np.zeros((len(s), sets.layout.size))
+    for lidar, (by, share) in enumerate(
+        ((by_target, blend @ sets.shares[0]), (by_source, sets.shares[1][s]))
+    ):
+        by_error[:, sets.layout.device(lidar)] = by[:, :DEVICE]
+        dense = share.toarray()
+        for kind in (0, 1):
+            by_error[:, sets.layout.rings(lidar, kind)] = dense * by[:, DEVICE + kind, None]
+    by_error[:, RADIUS] = 0.0
+    tilt = (source.tilt[s] + blended(target.tilt)) / 4
+    along = np.einsum("mi,mi->m", between, between)
     return PatchPairs(
-        residuals=np.einsum("mi,mi->m", normal, moved[s] - target.centres[t]),
+        residuals=residuals,
         jacobian=np.einsum("mi,mij->mj", normal, lever[s]),
+        by_error=by_error,
         levers=lever[s],
         normal=normal,
-        tilt=(source.tilt[s] + target.tilt[t]) / 4,
-        variance=(source.thickness[s] + target.thickness[t]) / PATCH_NEIGHBOURS
-        + (source.tilt[s] + target.tilt[t]) / 4 * distance[s] ** 2,
-        cluster=labels_of(np.floor(moved[s] / CLUSTER_SIDE)),
-        rings_target=target.rings[t],
-        rings_source=source.rings[s],
-        range_target=-np.einsum("mi,mi->m", normal, target.rays[t]),
-        range_source=np.einsum("mi,mi->m", normal, rays_source),
+        tilt=tilt,
+        variance=(source.thickness[s] + blended(target.thickness)) / PATCH_NEIGHBOURS
+        + tilt * along,
+        agreement=agreement,
+        cluster=np.unique(sets.clusters[s], return_inverse=True)[1].astype(np.int64),
     )
+
+
+def _smooth(x: Array) -> Array:
+    """1 at 0, and 0 from 1 on, with a derivative everywhere (Tukey's biweight)."""
+    return np.asarray(np.maximum(1.0 - x**2, 0.0) ** 2)
 
 
 def held_directions(pairs: PatchPairs, weights: Array) -> Array:
@@ -151,7 +241,8 @@ def held_directions(pairs: PatchPairs, weights: Array) -> Array:
     The normal of flat ground errs by a degree here and there, and thousands of such errors seem to
     hold a pose along the ground: information of that kind is what ``H_n``, the sum over the two
     tangents of each patch by the variance of its normal, says. Of the generalised eigenvectors of
-    ``H_s v = λ H_n v``, those with λ below `MIN_HOLD` are left to the poles.
+    ``H_s v = λ H_n v``, those with λ below `MIN_HOLD` are left to the poles, those far above it to
+    the scene, and what lies between to both, by ``λ²/(λ² + MIN_HOLD²)``.
     """
     across = np.eye(3) - pairs.normal[:, :, None] * pairs.normal[:, None, :]
     tangents = across @ pairs.levers
@@ -160,9 +251,9 @@ def held_directions(pairs: PatchPairs, weights: Array) -> Array:
     scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
     noise = noise * np.outer(scale, scale) + 1e-9 * np.eye(6)
     values, vectors = eigh(scene * np.outer(scale, scale), noise)
-    kept = vectors[:, values >= MIN_HOLD]
+    kept = values**2 / (values**2 + MIN_HOLD**2)
     # The vectors are orthonormal under H_n: v vᵀ H_n projects onto them.
-    projection = kept @ kept.T @ noise
+    projection = (vectors * kept) @ vectors.T @ noise
     return np.asarray(scale[:, None] * projection / scale[None, :])
 
 

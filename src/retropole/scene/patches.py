@@ -6,8 +6,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import small_gicp
+from scipy.spatial import cKDTree
 
 from ..datatypes import Array, IntArray, PointCloud
+from ..systematic import DEVICE, band_of, by_error
 from .registration import voxel_downsample
 
 PATCH_VOXELS = (0.15, 0.3, 0.6)
@@ -32,11 +34,8 @@ MIN_THICKNESS = 0.001
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
-PATCH_RING_BAND = np.radians(0.5)
-"""Returns within a band of elevation of this width, rad, are taken for one ring's."""
-
 MAX_PATCHES = 2000
-"""Patches of each cloud: every n-th is taken so that about so many are left."""
+"""Patches of each size and cloud: every n-th is taken so that about so many are left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +54,11 @@ class Patches:
         (M,) variance of the normals, rad².
     thickness
         (M,) variance of the points across the patch, m².
-    rings
+    bands
         (M, PATCH_NEIGHBOURS) the band of elevation that each point of the patch came from.
+    by_error
+        (M, 3, 10) how the errors of its LiDAR move the centre, metres by the unit of each: those of
+        the whole LiDAR, and range and elevation of its rings (`systematic.by_error`).
     """
 
     centres: Array
@@ -64,16 +66,28 @@ class Patches:
     rays: Array
     tilt: Array
     thickness: Array
-    rings: IntArray
+    bands: IntArray
+    by_error: Array
 
 
 def surface_patches(cloud: PointCloud) -> Patches:
-    """Fit planes to the neighbourhoods of the downsampled cloud and keep the flat ones."""
-    parts, points = [], cloud.xyz
+    """Fit planes to the neighbourhoods of the downsampled cloud and keep the flat ones.
+
+    At each place the finest are kept that the density of the cloud carries: a wide patch on a road
+    that is cambered leans, and a plane through a corner is none.
+    """
+    parts: list[Patches] = []
+    points = cloud.xyz
     for voxel in PATCH_VOXELS:
         # From fine to coarse, each starts from the one before: there are fewer points then.
         points = voxel_downsample(points, voxel)
-        parts.append(_patches_of(points, cloud.origin))
+        found = _patches_of(points, cloud.origin)
+        if parts and len(found.centres):
+            finer = np.concatenate([part.centres for part in parts])
+            if len(finer):
+                apart = cKDTree(finer).query(found.centres, distance_upper_bound=2 * voxel)[0]
+                found = _selected(found, np.isinf(apart))
+        parts.append(found)
     return Patches(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -82,19 +96,20 @@ def surface_patches(cloud: PointCloud) -> Patches:
     )
 
 
+def _selected(patches: Patches, kept: Array) -> Patches:
+    return Patches(*(getattr(patches, field.name)[kept] for field in fields(Patches)))
+
+
 def _patches_of(points: Array, origin: Array) -> Patches:
     if len(points) < PATCH_NEIGHBOURS:
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, PATCH_NEIGHBOURS), dtype=np.int64)
-        return Patches(none, none, none, nothing, nothing, bands)
+        return Patches(none, none, none, nothing, nothing, bands, np.zeros((0, 3, DEVICE + 2)))
     tree = small_gicp.KdTree(points)
     at = points[:: 1 + len(points) // MAX_PATCHES]
     index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
-    neighbours = points[np.asarray(index, dtype=np.intp)]
-    ray = points - origin
-    band = np.floor(np.arcsin(ray[:, 2] / np.linalg.norm(ray, axis=1)) / PATCH_RING_BAND).astype(
-        np.int64
-    )
+    index = np.asarray(index, dtype=np.intp)
+    neighbours = points[index]
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / PATCH_NEIGHBOURS
@@ -105,16 +120,30 @@ def _patches_of(points: Array, origin: Array) -> Patches:
     aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
     flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
     centres, normals = centres[flat], vectors[flat, :, 0]
-    rays = centres - origin
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    away = np.einsum("mi,mi->m", normals, rays) > 0
+    ranges = np.linalg.norm(centres - origin, axis=1)
+    rays = (centres - origin) / ranges[:, None]
+    cosine = np.einsum("mi,mi->m", normals, rays)
     # A plane goes through a point that lies apart from the others, whatever its error: a patch is
     # not taken for thinner than most are.
     thickness = (
         np.maximum(values[flat, 0], np.median(values[flat, 0])) if flat.any() else values[flat, 0]
     )
     tilt = thickness / (PATCH_NEIGHBOURS * values[flat, 1])
-    normals = np.where(away[:, None], -normals, normals)
+    normals = np.where((cosine > 0)[:, None], -normals, normals)
+    tangent = np.sqrt(1.0 - np.minimum(cosine**2, 1.0)) / np.maximum(np.abs(cosine), 1e-3)
+    x, y, z = rays.T
+    level = np.maximum(np.hypot(x, y), 1e-9)
+    by_azimuth = ranges[:, None] * np.stack([-y, x, 0 * x], axis=1)
+    by_elevation = ranges[:, None] * np.stack([-x * z / level, -y * z / level, level], axis=1)
+    device, ring = by_error(rays, by_azimuth, by_elevation, rays, ranges, tangent, tape=False)
+    ray = points - origin
+    band = band_of(ray / np.linalg.norm(ray, axis=1, keepdims=True))
     return Patches(
-        centres, normals, rays, tilt, np.maximum(thickness, MIN_THICKNESS**2), band[index][flat]
+        centres,
+        normals,
+        rays,
+        tilt,
+        np.maximum(thickness, MIN_THICKNESS**2),
+        band[index[flat]],
+        np.concatenate([device, ring], axis=2),
     )

@@ -1,16 +1,16 @@
-"""Poles and scene in one problem: the pose that both agree on.
+"""Poles and scene in one problem: the pose that both agree on, with the LiDARs' errors in it.
 
-The poles give a pose and its covariance; the scene adds the distances between surface patches that
-both LiDARs see. Minimised together:
+The poles give a quadratic form of the pose and of the errors of both LiDARs (`alignment.factor`);
+the scene adds the distances between surface patches that both LiDARs see, which the same errors
+move. Minimised together over the step x and the errors b:
 
-    Σ_i ρ( n_i · (R c_i + t − d_i) / σ )  +  e(T)ᵀ Σ_poles⁻¹ e(T)
+    Σ_i w_i ρ( n_i · (R c_i + t − d_i) + D_i b )  +  ½ zᵀΛz − ηᵀz  +  ½ bᵀB⁻¹b,    z = [x, b]
 
-with c_i the centre of a patch of the source, d_i of its nearest patch of the target, n_i the mean
-of their normals, σ the scale of these residuals estimated from themselves, and e(T) the step from
-the poles' pose to T. A direction that the scene does not hold (along a corridor, over open ground)
-has no part in the first sum and stays where the poles put it; one that it holds becomes as certain
-as the surfaces are. Coarse to fine: a patch looks for its partner as far as the pose is still
-uncertain there.
+with c_i the centre of a patch of the source, d_i of the target's surface near it, n_i the mean of
+their normals. A direction that the scene does not hold (along a corridor, over open ground) has no
+part in the first sum and stays where the poles put it. The sizes of the errors are estimated too,
+never below what the manufacturer states. Coarse to fine: a patch looks for its partner as far as
+the pose is still uncertain there.
 """
 
 from __future__ import annotations
@@ -18,20 +18,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .. import se3
-from ..alignment.solver import Step, gauss_newton
+from ..alignment.certainty import Scatter, group_scales, prior_precision, stated
+from ..alignment.factor import POSE, PoleFactor, gaussian_factor
 from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
-from ..uncertainty import MAD_TO_SIGMA
-from .patch_pairs import MIN_PATCHES, PatchPairs, held_directions, pair_patches
+from ..systematic import ErrorModel, Groups, Layout, groups_of, joined
+from ..uncertainty import MAD_TO_SIGMA, Uncertainty
+from .patch_pairs import (
+    MIN_PATCHES,
+    PatchPairs,
+    PatchSets,
+    held_directions,
+    pair_patches,
+    prepare_patches,
+)
 from .patches import surface_patches
-from .ring_offsets import RANGE_BIAS, RingOffsets, ring_offsets
 
-PLACE_BIAS = 0.0008
+PLACE_BIAS = 0.0015
 """1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the
-downsampling, which keeps more of the far tail of the noise than of the middle. Set so that the 95 %
-regions of benchmarks/accuracy.py hold the truth in 95 % of its simulated scenes."""
+downsampling, which keeps more of the far tail of the noise than of the middle."""
 
 MIN_SIGMA = 1e-4
 """Least scale of the residuals, in units of their own predicted standard deviation."""
@@ -39,10 +45,25 @@ MIN_SIGMA = 1e-4
 ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
 
-MAX_REFINEMENT_ITERATIONS = 40
-STEP_ROTATION, STEP_TRANSLATION = 3e-6, 3e-5
-"""Stop where a step is below these, rad and m: about the least 1 σ that any of 50 simulated scenes
-states, 2.5e-6 rad and 7e-5 m."""
+MAX_REFINEMENT_ITERATIONS = 60
+STEP = 2e-7
+"""Stop where a step is below this, rad and m: steps shrink by half or more each time, so that ends
+from other starts agree within 1e-6."""
+
+WIDE, START_SIGMAS = 0.1, 2.0
+"""From which 1 σ of the poles at the middle of the cloud, metres, the search is also started from
+so many σ to either side."""
+
+SEVERAL = 16.8
+"""Squared Mahalanobis distance from which two ends are two minima: χ² with 6 degrees of freedom
+exceeds it once in a hundred times."""
+
+DISAGREE = 16.8
+"""Squared Mahalanobis distance of the poles' pose from which it is not taken for chance that the
+scene has another: the covariance then covers both."""
+
+SUPPORT_WIDTH = 0.01
+"""Residual that halves the support of a pair when minima are compared, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +74,8 @@ class Refinement:
     ----------
     pose
         Pose, covariance, and RMS residual of the patches.
+    uncertainty
+        The covariance in its two kinds, and the budget.
     patches
         How many pairs of patches took part.
     mahalanobis_sq
@@ -60,41 +83,80 @@ class Refinement:
         where the stated uncertainties are right.
     from_poles
         The same step as rotation, rad, and translation, metres at the source's own origin.
+    other_minima
+        Steps (6,) to where the search ended from other starts within the poles' uncertainty, where
+        that is another pose; empty mostly.
     converged, iterations
         Whether the last step was below its tolerance, and how many were taken.
     """
 
     pose: PoseEstimate
+    uncertainty: Uncertainty
     patches: int
     mahalanobis_sq: float
     from_poles: se3.PoseDifference
+    other_minima: tuple[Array, ...]
     converged: bool
     iterations: int
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """Patches and poles at a pose: the linear system, and what its parts were made of."""
+class _Linear:
+    """The problem about a pose, solved.
+
+    Attributes
+    ----------
+    pairs, weights
+        Patches that correspond, and the weights (P,) of their residuals, 1/m².
+    rows
+        (P, 6 + B) derivative of the residuals by the pose, held directions only, and the errors.
+    precision
+        (B,) of the prior of the errors.
+    step, errors
+        (6,) and (B,) the minimum.
+    inverse
+        (6 + B, 6 + B) of the information of both.
+    """
 
     pairs: PatchPairs
     weights: Array
-    offsets: RingOffsets
-    gradient: Array
-    curvature: Array
+    rows: Array
+    precision: Array
+    step: Array
+    errors: Array
+    inverse: Array
 
 
 @dataclass(frozen=True, eq=False)
-class _Estimate:
-    """A pose on the way, its covariance and the ring offsets' σ, and the problem that gave it."""
+class _Problem:
+    """What stays the same from step to step: patches, poles, groups of errors, their sizes."""
+
+    sets: PatchSets
+    factor: PoleFactor
+    groups: Groups
+    known: Array
+    origins_known: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where a descent ended: pose, 1 σ of each group of errors, and the last linear problem."""
 
     T: Array
-    covariance: Array
-    range_bias: float
-    problem: _Problem | None = None
+    sigma: Array
+    linear: _Linear
+    converged: bool
+    iterations: int
 
 
 def refine(
-    target: PointCloud, source: PointCloud, poles: PoseEstimate, *, origins_known: bool = False
+    target: PointCloud,
+    source: PointCloud,
+    poles: PoseEstimate,
+    *,
+    factor: PoleFactor | None = None,
+    model: ErrorModel | None = None,
+    origins_known: bool = False,
 ) -> Refinement | None:
     """Let the scene sharpen the pose that the poles give.
 
@@ -103,7 +165,12 @@ def refine(
     target, source
         Clouds, each in its own frame.
     poles
-        Pose and covariance of the poles.
+        Pose and covariance of the poles, from which the search starts.
+    factor
+        What the poles say of the pose and the errors; None takes `poles` for a normal distribution
+        of the pose that says nothing of the errors.
+    model
+        Sizes of the errors; None takes those of unknown LiDARs.
     origins_known
         Whether the beams of both clouds start where `PointCloud.origin` says; without, the front of
         an object and its back cannot be told apart by their normals.
@@ -114,92 +181,153 @@ def refine(
         None where the scene has fewer than `MIN_PATCHES` common patches: it has nothing to say.
     """
     assert poles.covariance is not None
-    target_patches, source_patches = surface_patches(target), surface_patches(source)
-    if min(len(target_patches.centres), len(source_patches.centres)) < MIN_PATCHES:
+    patches = surface_patches(target), surface_patches(source)
+    if min(len(one.centres) for one in patches) < MIN_PATCHES:
         return None
-    tree = cKDTree(target_patches.centres)
-    prior: Array = np.asarray(np.linalg.inv(poles.covariance))
+    seen = Layout((np.unique(patches[0].bands), np.unique(patches[1].bands)))
+    given = gaussian_factor(poles) if factor is None else factor
+    layout = joined(given.layout, seen)
+    groups = groups_of(layout)
+    known = (ErrorModel() if model is None else model).sigmas(groups)
+    sets = prepare_patches(patches[0], patches[1], layout)
+    problem = _Problem(sets, given.within(layout), groups, known, origins_known)
+    end = _descend(problem, poles.T_target_source, poles.covariance)
+    if end is None:
+        return None
+    others = [_descend(problem, T, poles.covariance) for T in _other_starts(poles, source)]
+    ends = [end, *(other for other in others if other is not None)]
+    best = max(ends, key=_support)
+    e = se3.local(poles.T_target_source, best.T)
+    mahalanobis_sq = float(e @ np.linalg.solve(poles.covariance, e))
+    apart = (("poles and scene disagree", np.outer(e, e)),) if mahalanobis_sq > DISAGREE else ()
+    uncertainty = _uncertainty(best, problem, apart)
+    pairs, weights = best.linear.pairs, best.linear.weights
+    rms = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
+    minima = [
+        se3.local(best.T, one.T)
+        for one in ends
+        if _distance_sq(uncertainty.covariance, best.T, one.T) > SEVERAL
+    ]
+    return Refinement(
+        PoseEstimate(best.T, uncertainty.covariance, rms),
+        uncertainty,
+        len(weights),
+        mahalanobis_sq,
+        se3.difference(poles.T_target_source, best.T),
+        tuple(minima),
+        best.converged,
+        best.iterations,
+    )
 
-    def linearise(now: _Estimate) -> _Problem | None:
-        pairs = pair_patches(
-            target_patches, source_patches, tree, now.T, now.covariance, origins_known
-        )
+
+def _distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
+    step = se3.local(T, T_other)
+    return float(step @ np.linalg.solve(covariance, step))
+
+
+def _other_starts(poles: PoseEstimate, source: PointCloud) -> list[Array]:
+    """Give the ends of the poles' uncertainty where surfaces may be mistaken for their neighbours.
+
+    Under a wide uncertainty patches correspond over decimetres, and what the search ends at may
+    depend on where it started.
+    """
+    assert poles.covariance is not None
+    lever = float(np.median(np.linalg.norm(source.xyz - source.origin, axis=1)))
+    scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
+    values, vectors = np.linalg.eigh(poles.covariance / np.outer(scale, scale))
+    widest = float(np.sqrt(max(values[-1], 0.0)))
+    if widest < WIDE:
+        return []
+    step = START_SIGMAS * widest * vectors[:, -1] * scale
+    return [se3.retract(poles.T_target_source, sign * step) for sign in (1.0, -1.0)]
+
+
+def _support(end: _End) -> float:
+    """How much of the scene agrees at an end: the sum of robust weights, each at most 1."""
+    pairs = end.linear.pairs
+    square = pairs.residuals**2 / (pairs.variance + SUPPORT_WIDTH**2)
+    return float(np.sum(pairs.agreement / (1.0 + square)))
+
+
+def _descend(problem: _Problem, T: Array, covariance: Array) -> _End | None:
+    """Gauss–Newton steps of the pose, the errors and their sizes, to a standstill."""
+    groups, sigma = problem.groups, problem.known
+    for iteration in range(1, MAX_REFINEMENT_ITERATIONS + 1):
+        pairs = pair_patches(problem.sets, T, covariance, problem.origins_known)
         if pairs is None:
             return None
-        from_poles = se3.local(poles.T_target_source, now.T)
-        return _linear_system(pairs, prior, from_poles, now.range_bias)
-
-    def move(now: _Estimate, problem: _Problem, step: Array) -> _Estimate:
-        covariance = _covariance(problem, prior)
-        T = se3.retract(now.T, step)
-        return _Estimate(T, covariance, problem.offsets.sigma, problem)
-
-    start = _Estimate(poles.T_target_source, poles.covariance, RANGE_BIAS)
-    found = gauss_newton(
-        start, linearise, move, _is_small, max_iterations=MAX_REFINEMENT_ITERATIONS
-    )
-    if found is None:
-        return None
-    end = found.point
-    assert end.problem is not None
-    residuals = end.problem.pairs.residuals
-    rms = float(np.sqrt(np.average(residuals**2, weights=end.problem.weights)))
-    e = se3.local(poles.T_target_source, end.T)
-    return Refinement(
-        PoseEstimate(end.T, end.covariance, rms),
-        len(residuals),
-        float(e @ prior @ e),
-        se3.difference(poles.T_target_source, end.T),
-        found.converged,
-        found.iterations,
-    )
+        precision = prior_precision(groups, sigma)
+        linear = _solve(pairs, problem.factor, T, precision)
+        T = se3.retract(T, linear.step)
+        covariance = linear.inverse[:POSE, :POSE]
+        variance = np.diag(linear.inverse)[POSE:]
+        sigma = group_scales(groups, problem.known, precision, linear.errors, variance)
+        if np.abs(linear.step).max() < STEP:
+            return _End(T, sigma, linear, True, iteration)
+    return _End(T, sigma, linear, False, MAX_REFINEMENT_ITERATIONS)
 
 
-def _is_small(step: Step) -> bool:
-    rotation, translation = np.linalg.norm(step.step[:3]), np.linalg.norm(step.step[3:])
-    return bool(rotation < STEP_ROTATION and translation < STEP_TRANSLATION)
-
-
-def _linear_system(
-    pairs: PatchPairs, prior: Array, from_poles: Array, range_bias: float
-) -> _Problem:
-    """Weigh the residuals, keep to what the surfaces hold, and add the poles."""
+def _solve(pairs: PatchPairs, factor: PoleFactor, T: Array, precision: Array) -> _Linear:
+    """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior."""
     r = pairs.residuals
     spread = np.sqrt(pairs.variance)
-    spread = spread * max(MAD_TO_SIGMA * float(np.median(np.abs(r) / spread)), MIN_SIGMA)
-    weights = 1.0 / (spread * (1.0 + (r / (ROBUST_WIDTH * spread)) ** 2)) ** 2
+    typical = weighted_median(np.abs(r) / spread, pairs.agreement)
+    spread = spread * max(MAD_TO_SIGMA * typical, MIN_SIGMA)
+    weights = pairs.agreement / (spread * (1.0 + (r / (ROBUST_WIDTH * spread)) ** 2)) ** 2
     held = held_directions(pairs, weights)
-    offsets = ring_offsets(pairs, pairs.jacobian @ held, weights, range_bias)
-    weighted = offsets.jacobian * weights[:, None]
-    information = offsets.jacobian.T @ weighted + offsets.prior_information
-    return _Problem(
-        pairs,
-        weights,
-        offsets,
-        gradient=weighted.T @ r + prior @ from_poles,
-        curvature=information + prior,
-    )
+    rows = np.concatenate([pairs.jacobian @ held, pairs.by_error], axis=1)
+    weighted = rows * weights[:, None]
+    information = weighted.T @ rows + factor.information
+    index = np.arange(POSE, len(information))
+    information[index, index] += precision
+    here = np.r_[se3.local(factor.T_target_source, T), np.zeros(len(precision))]
+    gradient = weighted.T @ r + factor.information @ here - factor.vector
+    inverse = np.linalg.inv(information)
+    step = -inverse @ gradient
+    return _Linear(pairs, weights, rows, precision, step[:POSE], step[POSE:], inverse)
 
 
-def _covariance(problem: _Problem, prior: Array) -> Array:
-    """Covariance of the minimum, of residuals that are far from independent.
+def weighted_median(values: Array, weights: Array) -> float:
+    """Median of values (N,) with weights (N,), interpolated, so that it moves with them."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(np.interp(0.5 * total[-1], total, values[order]))
 
-    ``Σ_c d_c d_cᵀ + H⁻¹ (V_b + V_c + Σ_poles⁻¹) H⁻¹``: ``d_c = (H − H_c)⁻¹ g_c`` is how far the
-    answer goes without all residuals at one place, which may be correlated in any way (the
-    jackknife over clusters, Bell and McCaffrey 2002); V_b is what the rings' offsets do to the
-    gradient, V_c what an error of `PLACE_BIAS` does that all residuals of a cluster share.
+
+def _uncertainty(end: _End, problem: _Problem, other: tuple[tuple[str, Array], ...]) -> Uncertainty:
+    """State the uncertainty of the minimum, of residuals that are far from independent.
+
+    ``Σ_c d_c d_cᵀ``: ``d_c = (S − S_c)⁻¹ g_c`` is how far the answer goes without all residuals at
+    one place, which may be correlated in any way (the jackknife over clusters, Bell and McCaffrey
+    2002), with the errors b eliminated from S and g.
     """
-    H, offsets, cluster = problem.curvature, problem.offsets, problem.pairs.cluster
-    J = offsets.jacobian
-    JW = J * problem.weights[:, None]
-    gradients = _summed(JW * offsets.residuals[:, None], cluster)
-    outer = (JW[:, :, None] * J[:, None, :]).reshape(-1, 36)
-    without = H - _summed(outer, cluster).reshape(-1, 6, 6)
+    linear = end.linear
+    inverse, weights, cluster = linear.inverse, linear.weights, linear.pairs.cluster
+    marginal = np.linalg.inv(inverse[:POSE, :POSE])
+    J = linear.rows @ inverse[:, :POSE] @ marginal
+    residuals = linear.pairs.residuals + linear.rows[:, POSE:] @ linear.errors
+    JW = J * weights[:, None]
+    gradients = _summed(JW * residuals[:, None], cluster)
+    outer = (JW[:, :, None] * J[:, None, :]).reshape(-1, POSE**2)
+    without = marginal - _summed(outer, cluster).reshape(-1, POSE, POSE)
     moves = np.linalg.solve(without, gradients[:, :, None])[:, :, 0]
-    places = _summed(JW, cluster)
-    inner = prior + offsets.prior_information + places.T @ places * PLACE_BIAS**2
-    inverse = np.linalg.inv(H)
-    return np.asarray(inverse @ inner @ inverse + moves.T @ moves)
+    size = np.sum(moves * (moves @ marginal), axis=1)
+    freedom = float(size.sum() ** 2 / max(float(np.sum(size**2)), 1e-300))
+    places = _summed(JW, cluster) @ inverse[:POSE, :POSE]
+    information = problem.factor.information
+    from_poles = inverse[:POSE] @ information @ inverse[:POSE].T
+    return stated(
+        problem.groups,
+        end.sigma,
+        linear.precision,
+        inverse,
+        linear.errors,
+        (
+            Scatter("scatter of the surfaces", moves.T @ moves, freedom),
+            Scatter("scatter of the poles' returns", from_poles, problem.factor.redundancy),
+        ),
+        (("surfaces that are not flat", places.T @ places * PLACE_BIAS**2), *other),
+    )
 
 
 def _summed(rows: Array, label: IntArray) -> Array:

@@ -14,6 +14,7 @@ from ...datatypes import Array, IntArray, PointCloud, Pole
 from ...errors import Refusal
 from ...simulation import EXACT, SimulatedPair, simulate_pair
 from ...simulation.paper import PAPER_NOISE
+from ...systematic import NO_ERRORS
 from ..metrics import e_rt
 from .exhibit import Exhibit
 
@@ -90,7 +91,12 @@ def solve(pair: SimulatedPair, poles: Poles) -> Estimates:
     paper = Estimate(by_lines.T_target_source, by_lines.converged)
     radius = pair.poles[0].radius
     try:
-        ours = align_beams(*as_beams(pair, poles), paper.T_target_source, radius=radius, bias=0.0)
+        ours = align_beams(
+            *as_beams(pair, poles),
+            paper.T_target_source,
+            radius=radius,
+            sizes=(NO_ERRORS, NO_ERRORS),
+        )
     except Refusal:
         return Estimates(paper, None)
     return Estimates(paper, Estimate(ours.pose.T_target_source, ours.converged))

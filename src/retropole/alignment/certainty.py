@@ -1,0 +1,165 @@
+"""How sure a pose is: what the scatter says, what the instruments allow, and what no model names.
+
+The pose x and the errors b are estimated together, with information ``H`` (all of x and b, the
+prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: what
+the data show of it is taken out, the rest passes into the pose. See docs/method.md, Certainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import fdtri
+
+from ..datatypes import Array
+from ..systematic import Groups
+from ..uncertainty import BudgetEntry, Uncertainty, predicted_error
+from .factor import POSE, PoleFactor
+
+FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.005)), 0.001
+"""1 σ about and along each axis that no model names, rad and m: bent housings, temperature, grounds
+that are not flat, time between the recordings."""
+
+SCALE_WEIGHT = 4.0
+"""So many errors of the size that is known beforehand count beside those that the data show."""
+
+BUDGET_RANGE = 30.0
+"""Range at which shares of the budget are told, metres."""
+
+CHI2_95 = 12.591587243743977
+"""95 % quantile of χ² with 6 degrees of freedom."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """A random part of the covariance: its name, (6, 6), and how many degrees of freedom it has."""
+
+    name: str
+    covariance: Array
+    freedom: float
+
+
+def prior_precision(groups: Groups, sigma: Array) -> Array:
+    """(B,) B⁻¹ of the errors, from the 1 σ of each group."""
+    return np.asarray(1.0 / sigma[groups.label] ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class FactorEstimate:
+    """Step (6,) of the pose, errors (B,), and the inverse (6 + B, 6 + B) of the information."""
+
+    step: Array
+    errors: Array
+    inverse: Array
+
+
+def solve_factor(factor: PoleFactor, precision: Array) -> FactorEstimate:
+    """Estimate pose and errors from the poles alone, with the precision (B,) of the errors."""
+    information = factor.information.copy()
+    index = np.arange(POSE, len(information))
+    information[index, index] += precision
+    inverse: Array = np.asarray(np.linalg.inv(information))
+    best = inverse @ factor.vector
+    return FactorEstimate(best[:POSE], best[POSE:], inverse)
+
+
+def group_scales(
+    groups: Groups, known: Array, precision: Array, estimated: Array, variance: Array
+) -> Array:
+    """Estimate the 1 σ of each group from the errors that the data show, never below the known.
+
+    ``σ² = (ν₀ σ₀² + Σ b̂²) / (ν₀ + Σ γ)`` with ``γ = 1 − var/σ²``, how far the data determine each
+    error (MacKay 1992, Bayesian interpolation; REML in the geodesists' words).
+
+    Parameters
+    ----------
+    groups
+        Which errors belong together.
+    known
+        (G,) the sizes known beforehand.
+    precision
+        (B,) of the prior that the errors were estimated with.
+    estimated, variance
+        (B,) the errors and their posterior variance.
+    """
+    determined = np.clip(1.0 - variance * precision, 0.0, 1.0)
+    count = len(known)
+    square = np.bincount(groups.label, estimated**2, count)
+    gamma = np.bincount(groups.label, determined, count)
+    new = (SCALE_WEIGHT * known**2 + square) / (SCALE_WEIGHT + gamma)
+    return np.asarray(np.maximum(np.sqrt(new), known))
+
+
+def stated(
+    groups: Groups,
+    sigma: Array,
+    precision: Array,
+    inverse: Array,
+    estimated: Array,
+    scatter: Sequence[Scatter],
+    other: Sequence[tuple[str, Array]] = (),
+) -> Uncertainty:
+    """State the uncertainty of the pose, and its budget.
+
+    Parameters
+    ----------
+    groups, sigma
+        Errors, and the 1 σ of each group.
+    precision
+        (B,) of the prior that the errors were estimated with, which may be narrower.
+    inverse
+        (6 + B, 6 + B) H⁻¹.
+    estimated
+        (B,) the errors as the data have them.
+    scatter
+        Random parts, each named.
+    other
+        Further systematic parts (6, 6), each named.
+    """
+    passed = inverse[:POSE, POSE:] * precision * sigma[groups.label]
+    rows: list[tuple[str, int | None, float, str, float | None, Array]] = []
+    for g, (kind, lidar) in enumerate(zip(groups.kinds, groups.sensors, strict=True)):
+        member = groups.label == g
+        part = passed[:, member] @ passed[:, member].T
+        value = float(estimated[member][0]) if np.count_nonzero(member) == 1 else None
+        rows.append((kind.name, lidar, float(sigma[g]), kind.unit, value, part))
+    random = np.zeros((POSE, POSE))
+    for one in scatter:
+        widened = one.covariance * few_freedom(one.freedom)
+        random = random + widened
+        rows.append((one.name, None, _at(widened), "m", None, widened))
+    floor = np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
+    for name, part in (*other, ("what no model names", floor)):
+        rows.append((name, None, _at(part), "m", None, part))
+    total = sum((row[5] for row in rows), np.zeros((POSE, POSE)))
+    whole = _at(total) ** 2
+    budget = [
+        BudgetEntry(
+            name,
+            None if lidar is None else _sensor(lidar),
+            size,
+            unit,  # type: ignore[arg-type]
+            value,
+            _at(part) ** 2 / whole,
+        )
+        for name, lidar, size, unit, value, part in rows
+    ]
+    budget.sort(key=lambda entry: -entry.share_at_30m)
+    return Uncertainty(random, np.asarray(total - random), tuple(budget))
+
+
+def few_freedom(freedom: float) -> float:
+    """Factor by which few degrees of freedom widen a covariance: ``6 F(6, ν) / χ²(6)`` at 95 %."""
+    return float(POSE * fdtri(POSE, max(freedom, 3.0), 0.95) / CHI2_95)
+
+
+def _sensor(lidar: int) -> Literal["target", "source"]:
+    return "source" if lidar else "target"
+
+
+def _at(covariance: Array) -> float:
+    """1 σ at `BUDGET_RANGE`, metres."""
+    return predicted_error(covariance, (BUDGET_RANGE,))[0][1]

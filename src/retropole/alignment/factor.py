@@ -1,0 +1,294 @@
+"""What the poles say of the pose and of the LiDARs' systematic errors, as one quadratic form.
+
+Near the maximum of the posterior the returns on the poles say
+
+    −log L(x, b) = ½ zᵀ Λ z − ηᵀ z,    z = [x, b],
+
+with x the step from the poles' pose and b the errors of `systematic`; the axes of the poles are
+eliminated (Schur complement). The prior of b is no part of it, so that the scene can share b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..datatypes import Array, IntArray, PoseEstimate
+from ..systematic import DEVICE, RADIUS, TAPE, Layout, band_of, by_error
+from .likelihood import arc_likelihood, closest_approach, passed_beam_likelihood
+from .observations import Beams
+from .posterior import RETURN_CURVATURE, SHARED, State, beam_geometry
+
+POSE = 6
+"""Parameters of the pose."""
+
+MANY = 1e3
+"""Degrees of freedom of a covariance that is given, not estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoleFactor:
+    """Quadratic form of the pose and the errors that the poles' returns give.
+
+    Attributes
+    ----------
+    T_target_source
+        (4, 4) the pose that the steps x start from.
+    layout
+        Order of the errors b.
+    information, vector
+        (6 + B, 6 + B) Λ and (6 + B,) η.
+    redundancy
+        Returns more than parameters: the degrees of freedom of their noise.
+    """
+
+    T_target_source: Array
+    layout: Layout
+    information: Array
+    vector: Array
+    redundancy: float
+
+    def within(self, layout: Layout) -> PoleFactor:
+        """Give the same in a layout that has more bands."""
+        place = np.r_[np.arange(POSE), POSE + self.layout.places_in(layout)]
+        size = POSE + layout.size
+        information, vector = np.zeros((size, size)), np.zeros(size)
+        information[np.ix_(place, place)] = self.information
+        vector[place] = self.vector
+        return PoleFactor(self.T_target_source, layout, information, vector, self.redundancy)
+
+
+def gaussian_factor(pose: PoseEstimate) -> PoleFactor:
+    """Give the quadratic form of a pose with a covariance, which says nothing of the errors."""
+    assert pose.covariance is not None
+    none = np.zeros(0, dtype=np.int64)
+    layout = Layout((none, none))
+    information = np.zeros((POSE + layout.size, POSE + layout.size))
+    information[:POSE, :POSE] = np.linalg.inv(pose.covariance)
+    return PoleFactor(pose.T_target_source, layout, information, np.zeros(len(information)), MANY)
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """Second-order expansion of the likelihood of the returns about a state, LiDAR by LiDAR.
+
+    Attributes
+    ----------
+    state, layout
+        Where, and the order of the errors.
+    errors
+        (B,) the errors that the state already has: offsets on tape, and of the radius.
+    information, gradient
+        For the target and the source, (P, P) and (P,) over pose, errors and axes; the gradient is
+        that of the logarithm of the likelihood.
+    inliers, returns
+        (2, K) how many returns of each LiDAR lie on each pole, and of how many.
+    """
+
+    state: State
+    layout: Layout
+    errors: Array
+    information: tuple[Array, Array]
+    gradient: tuple[Array, Array]
+    inliers: Array
+    returns: Array
+
+
+def expand(state: State, log_noise: Array, beams: Sequence[Beams], radius: float) -> Expansion:
+    """Expand the likelihood of the returns about a state to second order.
+
+    Parameters
+    ----------
+    state, log_noise
+        The maximum of the posterior, and the noise there (`posterior.evaluate`).
+    beams
+        Of the target and of the source.
+    radius
+        Of the poles as given, metres, from which its error counts.
+    """
+    bands = [np.unique(band_of(one.directions)) for one in beams]
+    layout = Layout((bands[0], bands[1]))
+    poles = len(state.points)
+    errors = np.zeros(layout.size)
+    errors[TAPE], errors[DEVICE + TAPE] = state.offsets
+    errors[RADIUS] = state.radius - radius
+    found = [
+        _of_lidar(state, lidar, one, np.exp(log_noise[lidar]), layout)
+        for lidar, one in enumerate(beams)
+    ]
+    return Expansion(
+        state,
+        layout,
+        errors,
+        (found[0][0], found[1][0]),
+        (found[0][1], found[1][1]),
+        np.array([found[lidar][2] for lidar in (0, 1)]),
+        np.array([np.bincount(one.pole, minlength=poles) for one in beams]),
+    )
+
+
+def pole_factor(expansion: Expansion) -> PoleFactor:
+    """Eliminate the axes of the poles from an expansion."""
+    axes = POSE + expansion.layout.size
+    information = expansion.information[0] + expansion.information[1]
+    gradient = expansion.gradient[0] + expansion.gradient[1]
+    kept, gone = slice(0, axes), slice(axes, len(gradient))
+    eliminated = np.linalg.solve(information[gone, gone], information[gone, kept])
+    marginal = information[kept, kept] - information[kept, gone] @ eliminated
+    vector = gradient[kept] - eliminated.T @ gradient[gone]
+    here = np.r_[np.zeros(POSE), expansion.errors]
+    redundancy = float(expansion.inliers.sum()) - POSE - 4.0 * len(expansion.state.points)
+    return PoleFactor(
+        expansion.state.T,
+        expansion.layout,
+        marginal,
+        vector + marginal @ here,
+        max(redundancy, 1.0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class AxesTest:
+    """Whether both LiDARs see the poles stand to each other alike.
+
+    Attributes
+    ----------
+    chi2, freedom
+        By how much freeing the axes for each LiDAR would raise twice the logarithm of the
+        posterior, and how many more parameters that has: χ² where the poles stand alike.
+    by_pole
+        (K,) the same where only that pole's axis is freed.
+    """
+
+    chi2: float
+    freedom: int
+    by_pole: Array
+
+
+def compare_axes(expansion: Expansion, precision: Array) -> AxesTest:
+    """Test whether the poles stood alike when each LiDAR recorded them (score test, Rao 1948).
+
+    The source's axes get a displacement of their own, beside pose, errors and common axes. Six of
+    its directions are the pose's; two poles leave two to test, their angle and their distance.
+
+    Parameters
+    ----------
+    expansion
+        About the maximum.
+    precision
+        (B,) of the prior of the errors.
+    """
+    axes = POSE + expansion.layout.size
+    poles = len(expansion.state.points)
+    both = expansion.information[0] + expansion.information[1]
+    gradient = expansion.gradient[0] + expansion.gradient[1]
+    index = np.arange(POSE, axes)
+    both[index, index] += precision
+    gradient[index] -= precision * expansion.errors
+    source = expansion.information[1]
+
+    def gain(own: slice) -> float:
+        cross = source[:, own]
+        known = np.linalg.solve(both, np.column_stack([cross, gradient]))
+        left = source[own, own] - cross.T @ known[:, :-1]
+        score = expansion.gradient[1][own] - cross.T @ known[:, -1]
+        return float(score @ np.linalg.pinv(left, rcond=1e-9, hermitian=True) @ score)
+
+    by_pole = [gain(slice(axes + 4 * k, axes + 4 * k + 4)) for k in range(poles)]
+    return AxesTest(
+        gain(slice(axes, axes + 4 * poles)), max(4 * poles - POSE, 1), np.array(by_pole)
+    )
+
+
+def _of_lidar(
+    state: State, lidar: int, one: Beams, noise: Array, layout: Layout
+) -> tuple[Array, Array, Array]:
+    """Information, gradient, and inliers on each pole, of the beams of one LiDAR."""
+    J = _jacobian(state, lidar, one.directions, one.ranges, one, one.pole, layout)
+    size = J.shape[2]
+    seen = beam_geometry(state, lidar, one.origin, one.directions, one.ranges, one.pole)
+    sigma = np.hypot(noise[0] * seen.sine, noise[1] * np.sqrt(1.0 - seen.sine**2))
+    arc = arc_likelihood(
+        seen.depth,
+        seen.lateral_offset,
+        sigma,
+        np.full_like(sigma, noise[1]),
+        state.radius,
+        one.half_width,
+    )
+    least = np.linalg.eigvalsh(arc.information)[:, 0]
+    lift = np.maximum(RETURN_CURVATURE * arc.inlier / sigma**2 - least, 0.0)
+    curvature = arc.information + lift[:, None, None] * np.eye(3)
+    flat = J.reshape(-1, size)
+    information = flat.T @ (curvature @ J).reshape(-1, size)
+    gradient = arc.score.reshape(-1) @ flat
+    if len(one.passed_pole):
+        far = np.zeros(len(one.passed_pole))
+        J = _jacobian(state, lidar, one.passed_directions, far, one, one.passed_pole, layout)[:, 1:]
+        seen = beam_geometry(state, lidar, one.origin, one.passed_directions, far, one.passed_pole)
+        free = passed_beam_likelihood(
+            seen.lateral_offset, np.full_like(far, noise[1]), state.radius, one.passed_half_width
+        )
+        lift = np.maximum(-np.linalg.eigvalsh(free.information)[:, 0], 0.0)
+        curvature = free.information + lift[:, None, None] * np.eye(2)
+        flat = J.reshape(-1, size)
+        information = information + flat.T @ (curvature @ J).reshape(-1, size)
+        gradient = gradient + free.score.reshape(-1) @ flat
+    inliers = np.bincount(one.pole, arc.inlier, len(state.points)).astype(np.float64)
+    return np.asarray(information), np.asarray(gradient), inliers
+
+
+def _jacobian(
+    state: State,
+    lidar: int,
+    directions: Array,
+    ranges: Array,
+    beams: Beams,
+    own: IntArray,
+    layout: Layout,
+) -> Array:
+    """Derivative (N, 3, P) of depth, lateral offset and radius by pose, errors and axes."""
+    seen = beam_geometry(state, lidar, beams.origin, directions, ranges, own)
+    T = state.T if lidar else np.eye(4)
+    R, t = T[:3, :3], T[:3, 3]
+    q, n = ((state.points - t) @ R)[own], (state.directions @ R)[own]
+    by = closest_approach(beams.origin, directions, q, n)
+    ahead = by.ranges - ranges + state.offsets[lidar]
+    by_axis = np.stack(
+        [
+            by.sine[:, None] * by.ranges_by_axis + ahead[:, None] * by.sine_by_axis,
+            by.lateral_offset_by_axis,
+        ],
+        axis=1,
+    )
+    # Turning the beam about its origin is turning the axis the other way.
+    arm = (q - beams.origin)[:, None, :]
+    by_rotation = -np.cross(arm, by_axis[:, :, :3]) - np.cross(n[:, None, :], by_axis[:, :, 3:])
+    level = np.maximum(np.hypot(directions[:, 0], directions[:, 1]), 1e-9)
+    raising = np.stack([directions[:, 1], -directions[:, 0], 0.0 * level], axis=1) / level[:, None]
+    by_range = np.stack([-by.sine, 0.0 * by.sine], axis=1)
+    device, ring = by_error(
+        by_range,
+        by_rotation[:, :, 2],
+        np.einsum("nki,ni->nk", by_rotation, raising),
+        directions,
+        ranges,
+        np.zeros(len(own)),
+        tape=True,
+    )
+    axes = POSE + layout.size
+    J = np.zeros((len(own), 3, axes + seen.jacobian.shape[2] - SHARED))
+    J[:, :2, :POSE] = seen.jacobian[:, :, :POSE]
+    J[:, :2, POSE:axes][:, :, layout.device(lidar)] = device
+    J[:, 2, POSE + RADIUS] = 1.0
+    J[:, :2, axes:] = seen.jacobian[:, :, SHARED:]
+    band = np.searchsorted(layout.bands[lidar], band_of(directions))
+    known = band < len(layout.bands[lidar])
+    known[known] = layout.bands[lidar][band[known]] == band_of(directions)[known]
+    rows = np.flatnonzero(known)
+    for kind in (0, 1):
+        column = POSE + layout.rings(lidar, kind).start + band[rows]
+        J[rows, :2, column] = ring[rows, :, kind]
+    return J

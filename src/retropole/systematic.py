@@ -1,0 +1,281 @@
+"""Systematic errors of LiDARs: their kinds, their sizes, and what each does to a return.
+
+An error that one LiDAR repeats at every return leaves no scatter, and much of it no residual: the
+pose absorbs it. What is known of its size must then come from the instrument (type B of the GUM,
+JCGM 100:2008). Each kind is a random effect ``b ~ N(0, σ²)``, the same wherever that LiDAR's
+returns are used, on poles and on surfaces. With measured range ρ, azimuth α and elevation ε, the
+true return lies at
+
+    range      ρ − zero − scale·ρ − slant·ρ·tan(incidence) − [tape] − ring_range(ring)
+    azimuth    α + encoder_c cos α + encoder_s sin α
+    elevation  ε + wobble_c cos α + wobble_s sin α + ring_elevation(ring).
+
+A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .se3 import Array
+from .sensors import Sensor
+
+IntArray = NDArray[np.int64]
+
+
+BAND = np.radians(1.0)
+"""Returns within a band of elevation of this width, rad, share the errors of one ring. Sensors of
+64 rings and more have several in a band, which then count as one."""
+
+RANGE_TO_OFFSET = 3.0
+"""A manufacturer's ± figure for the range is taken for so many σ of the offset that all returns
+share: the bound that hardly any device exceeds."""
+
+MIN_ZERO = 0.005
+"""Least 1 σ of the range offset, metres, whatever the manufacturer says."""
+
+MIN_ERROR_SIGMA = 1e-9
+"""Least 1 σ of an error, in its unit: one that is not there."""
+
+MAX_TANGENT = 5.0
+"""Tangent of the incidence up to which the pulse counts as stretched, about 79°."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """1 σ of each kind of systematic error of a LiDAR.
+
+    Attributes
+    ----------
+    zero
+        Range offset that all returns share, metres.
+    scale
+        Error of the range as a part of it.
+    slant
+        Range error by range and tangent of the incidence, rad: a wide beam on a slanted surface.
+    encoder, wobble
+        Of each of the cosine and the sine over the azimuth: error of the azimuth of an eccentric
+        encoder, and of the elevation under a tilted axis of rotation, rad.
+    tape
+        Range offset of retro-reflective returns beside all others, metres.
+    ring_range, ring_elevation
+        Of each ring, metres and rad.
+    """
+
+    zero: float = 0.007
+    scale: float = 2e-4
+    slant: float = 3e-4
+    encoder: float = float(np.radians(0.02))
+    wobble: float = float(np.radians(0.008))
+    tape: float = 0.007
+    ring_range: float = 0.004
+    ring_elevation: float = float(np.radians(0.02))
+
+
+def sizes_of(sensor: Sensor | None) -> Sizes:
+    """Give the sizes of the errors of a sensor; cautious ones where it is not known."""
+    if sensor is None or sensor.range_accuracy is None:
+        return Sizes()
+    zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
+    tape = Sizes.tape if sensor.retro_accuracy is None else sensor.retro_accuracy / RANGE_TO_OFFSET
+    return replace(Sizes(), zero=zero, tape=tape)
+
+
+class Kind(NamedTuple):
+    """A kind of systematic error: its name for people, its field in `Sizes`, and its unit."""
+
+    name: str
+    field: str
+    unit: Literal["m", "rad", "1"]
+
+
+DEVICE_KINDS = (
+    Kind("range offset", "zero", "m"),
+    Kind("range scale", "scale", "1"),
+    Kind("slanted surfaces", "slant", "rad"),
+    Kind("encoder", "encoder", "rad"),
+    Kind("encoder", "encoder", "rad"),
+    Kind("wobble of the axis", "wobble", "rad"),
+    Kind("wobble of the axis", "wobble", "rad"),
+    Kind("range offset on tape", "tape", "m"),
+)
+"""Of the parameters of a whole LiDAR, in their order."""
+
+RING_KINDS = (
+    Kind("range of single rings", "ring_range", "m"),
+    Kind("elevation of single rings", "ring_elevation", "rad"),
+)
+"""Of the parameters of each ring."""
+
+DEVICE = len(DEVICE_KINDS)
+TAPE = DEVICE - 1
+"""Parameters of a whole LiDAR, and which of them only tape has."""
+
+RADIUS = 2 * DEVICE
+"""Where the error of the poles' radius stands, after those of the target and of the source."""
+
+SHARED_ERRORS = RADIUS + 1
+"""Parameters that are no single ring's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Order of all errors: target's, source's, the radius, then range and elevation of each ring.
+
+    Attributes
+    ----------
+    bands
+        The bands of elevation that the target has returns in, and the source, sorted.
+    """
+
+    bands: tuple[IntArray, IntArray]
+
+    @property
+    def size(self) -> int:
+        """How many errors there are."""
+        return SHARED_ERRORS + 2 * (len(self.bands[0]) + len(self.bands[1]))
+
+    def device(self, lidar: int) -> slice:
+        """Where the errors of the whole target (0) or source (1) stand."""
+        return slice(DEVICE * lidar, DEVICE * (lidar + 1))
+
+    def rings(self, lidar: int, kind: int) -> slice:
+        """Where the range (0) or elevation (1) errors of the bands of a LiDAR stand."""
+        first = SHARED_ERRORS + 2 * len(self.bands[0]) * lidar + kind * len(self.bands[lidar])
+        return slice(first, first + len(self.bands[lidar]))
+
+    def places_in(self, other: Layout) -> IntArray:
+        """(size,) where each error of this layout stands in another that has all its bands."""
+        place = np.arange(self.size)
+        for lidar in (0, 1):
+            at = np.searchsorted(other.bands[lidar], self.bands[lidar])
+            for kind in (0, 1):
+                place[self.rings(lidar, kind)] = other.rings(lidar, kind).start + at
+        return place
+
+
+def joined(a: Layout, b: Layout) -> Layout:
+    """Give the layout that has the bands of both."""
+    target, source = (np.union1d(a.bands[lidar], b.bands[lidar]) for lidar in (0, 1))
+    return Layout((target, source))
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Which errors have one 1 σ in common.
+
+    Attributes
+    ----------
+    label
+        (B,) the group of each error.
+    kinds, sensors
+        Of each group: what it is, and whose, 0 for the target and 1 for the source; None for the
+        radius.
+    """
+
+    label: IntArray
+    kinds: tuple[Kind, ...]
+    sensors: tuple[int | None, ...]
+
+
+RADIUS_KIND = Kind("radius of the poles", "radius", "m")
+
+
+def groups_of(layout: Layout) -> Groups:
+    """Group the errors of a layout by kind and LiDAR."""
+    label = np.zeros(layout.size, dtype=np.int64)
+    kinds: list[Kind] = []
+    sensors: list[int | None] = []
+    for lidar in (0, 1):
+        for k, kind in enumerate(DEVICE_KINDS):
+            if not (k and DEVICE_KINDS[k - 1] == kind):
+                kinds.append(kind)
+                sensors.append(lidar)
+            label[layout.device(lidar).start + k] = len(kinds) - 1
+        for k, kind in enumerate(RING_KINDS):
+            kinds.append(kind)
+            sensors.append(lidar)
+            label[layout.rings(lidar, k)] = len(kinds) - 1
+    kinds.append(RADIUS_KIND)
+    sensors.append(None)
+    label[RADIUS] = len(kinds) - 1
+    return Groups(label, tuple(kinds), tuple(sensors))
+
+
+def band_of(rays: Array) -> IntArray:
+    """(N,) band of elevation of each unit vector (N, 3)."""
+    elevation = np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))
+    return np.asarray(np.floor(elevation / BAND), dtype=np.int64)
+
+
+def by_error(
+    by_range: Array,
+    by_azimuth: Array,
+    by_elevation: Array,
+    rays: Array,
+    ranges: Array,
+    tangent: Array,
+    tape: bool,
+) -> tuple[Array, Array]:
+    """Derivative of some quantity of each return with respect to the errors of its LiDAR.
+
+    Parameters
+    ----------
+    by_range, by_azimuth, by_elevation
+        (N, …) its derivative with respect to the true range, metres, azimuth and elevation, rad.
+    rays, ranges
+        (N, 3) and (N,) unit vectors and ranges of the returns, frame of the LiDAR.
+    tangent
+        (N,) of the angle of incidence.
+    tape
+        Whether these are returns from tape.
+
+    Returns
+    -------
+    device, ring
+        (N, …, 8) by the errors of the whole LiDAR, (N, …, 2) by those of the return's ring.
+    """
+    level = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)
+    cosine, sine = rays[:, 0] / level, rays[:, 1] / level
+    one = np.ones_like(ranges)
+    stretch = ranges * np.minimum(tangent, MAX_TANGENT)
+
+    def times(derivative: Array, *factors: Array) -> list[Array]:
+        shape = (-1,) + (1,) * (derivative.ndim - 1)
+        return [derivative * factor.reshape(shape) for factor in factors]
+
+    device = [
+        *times(by_range, -one, -ranges, -stretch),
+        *times(by_azimuth, cosine, sine),
+        *times(by_elevation, cosine, sine),
+        *times(by_range, -one if tape else 0.0 * one),
+    ]
+    return np.stack(device, axis=-1), np.stack([-by_range, by_elevation], axis=-1)
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """What is known of the errors before the data: sizes for both LiDARs, 1 σ of the radius, m."""
+
+    target: Sizes = Sizes()
+    source: Sizes = Sizes()
+    radius_sigma: float = 0.0004
+
+    def sigmas(self, groups: Groups) -> Array:
+        """(G,) 1 σ of each group of errors, in its own unit."""
+        sizes = (self.target, self.source)
+        known = np.array(
+            [
+                self.radius_sigma if lidar is None else getattr(sizes[lidar], kind.field)
+                for kind, lidar in zip(groups.kinds, groups.sensors, strict=True)
+            ]
+        )
+        return np.asarray(np.maximum(known, MIN_ERROR_SIGMA))
+
+
+NO_ERRORS = Sizes(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a LiDAR without any."""
