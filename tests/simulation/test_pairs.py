@@ -10,14 +10,14 @@ from retropole.errors import UsageError
 from retropole.simulation import (
     EXACT,
     SCENES,
+    NoiseModel,
     SimulatedPair,
     SimulationError,
     place_again,
     record_again,
     simulate_pair,
 )
-from retropole.simulation.pairs import MIN_RETURNS
-from retropole.simulation.scanning import NoiseModel
+from retropole.simulation.recording import MIN_RETURNS
 from retropole.simulation.scenes import SURROUNDINGS
 from tests.simulation.surfaces import distance_from
 

@@ -7,7 +7,16 @@ import pytest
 
 from retropole.datatypes import Array
 from retropole.sensors import SENSORS, find_sensor
-from retropole.simulation import EXACT, TYPICAL, Material, NoiseModel, Rectangle, Surface, scan
+from retropole.simulation import (
+    EXACT,
+    FIELD,
+    TYPICAL,
+    Material,
+    NoiseModel,
+    Rectangle,
+    Surface,
+    scan,
+)
 from retropole.simulation.scanning import LabelledScan, beams
 
 
@@ -110,7 +119,10 @@ def test_a_rosette_fills_its_field_of_view_and_never_repeats() -> None:
     assert not np.any(np.all(np.isclose(first, second), axis=1))
 
 
-def test_typical_noise_leaves_nothing_out() -> None:
-    switched_off = {name for name in vars(TYPICAL) if not getattr(TYPICAL, name)}
-    assert switched_off == {"isotropic_noise"}, "noise along the beam takes its place"
-    assert not any(vars(EXACT).values())
+def test_the_field_leaves_nothing_out_and_exact_leaves_all() -> None:
+    off = (0, False, "centre")
+    switched_off = {name for name in vars(FIELD) if getattr(FIELD, name) in off}
+    assert switched_off == {"isotropic_noise", "sway"}, "noise along the beam; a mast stands still"
+    assert all(size in off for size in vars(EXACT).values())
+    for name, size in vars(TYPICAL).items():
+        assert size in (*off, getattr(FIELD, name)) or 0 < size < getattr(FIELD, name)

@@ -1,23 +1,22 @@
 """Simulated pairs of scans whose true transform is known."""
 
-from .pairs import (
-    SCENES,
-    SimulatedPair,
-    SimulationError,
-    place_again,
-    record_again,
-    simulate_pair,
-)
+from .devices import Device, draw_device
+from .noise import EXACT, FIELD, NOISE_MODELS, TYPICAL, NoiseModel
+from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
-from .scanning import EXACT, TYPICAL, LabelledScan, NoiseModel, scan
+from .recording import SimulatedPair, SimulationError
+from .scanning import LabelledScan, scan
 from .writing import write_pair
 
 __all__ = [
     "EXACT",
+    "FIELD",
+    "NOISE_MODELS",
     "SCENES",
     "TYPICAL",
     "Box",
     "Cylinder",
+    "Device",
     "LabelledScan",
     "Material",
     "NoiseModel",
@@ -25,6 +24,7 @@ __all__ = [
     "SimulatedPair",
     "SimulationError",
     "Surface",
+    "draw_device",
     "place_again",
     "record_again",
     "scan",

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from .. import se3
-from ..datatypes import Array, BoolArray, IntArray, PointCloud
-from ..errors import RetropoleError, UsageError
-from ..sensors import Sensor, find_sensor
+from ..datatypes import Array
+from ..errors import UsageError
+from ..sensors import find_sensor
 from . import paper
-from .raycast import Cylinder, Surface
-from .scanning import TYPICAL, LabelledScan, NoiseModel, scan
+from .devices import draw_device
+from .noise import TYPICAL, NoiseModel
+from .raycast import Cylinder
+from .recording import (
+    MIN_RETURNS,
+    MIN_RINGS,
+    Arrangement,
+    Recorders,
+    SimulatedPair,
+    SimulationError,
+    are_in_view,
+    record,
+    record_every_pole,
+)
 from .scenes import SURROUNDINGS, draw_lidar, draw_poles, rotated_by_180, symmetric_poles
 
 SCENES = (*SURROUNDINGS, "paper")
@@ -32,114 +41,11 @@ MIN_POLE_ANGLE, MAX_POLE_ANGLE = float(np.radians(15.0)), float(np.radians(60.0)
 """Between any two poles, rad: nearly parallel poles determine no pose, and people do not lean poles
 further (chosen)."""
 
-MIN_RETURNS, MIN_RINGS = 6, 3
-"""A LiDAR sees a pole with at least so many returns on so many rings: fewer give no line."""
-
 LIDAR_SPACING = 0.5, 6.0
 """Least and greatest distance between the two LiDARs, metres (chosen)."""
 
 MAX_DRAWS = 400
 """Draws of an arrangement before a `SimulationError`; in 30 seeds no scene needed more than 32."""
-
-
-class SimulationError(RetropoleError):
-    """No arrangement of poles and LiDARs was found that meets the demands."""
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedPair:
-    """Two scans and the truth about them.
-
-    Attributes
-    ----------
-    target, source
-        Clouds, each in its sensor's frame.
-    T_target_source, T_world_target, T_world_source
-        (4, 4) true poses.
-    surfaces
-        Everything in the scene, in the world frame; the poles come last.
-    poles
-        The taped poles.
-    labels
-        For the target and the source, the index of the surface that each point lies on.
-    returns_on_poles
-        Per pole, how many points the target and the source have on it.
-    sensors
-        The two models.
-    clear
-        Half extents of the ground around the world's origin where poles may stand, metres.
-    """
-
-    target: PointCloud
-    source: PointCloud
-    T_target_source: Array
-    T_world_target: Array
-    T_world_source: Array
-    surfaces: tuple[Surface, ...]
-    poles: tuple[Cylinder, ...]
-    labels: tuple[IntArray, IntArray]
-    returns_on_poles: tuple[tuple[int, int], ...]
-    sensors: tuple[Sensor, Sensor]
-    clear: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def surroundings(self) -> tuple[Surface, ...]:
-        """Everything but the poles."""
-        return self.surfaces[: len(self.surfaces) - len(self.poles)]
-
-    @property
-    def sees_every_pole(self) -> bool:
-        """Whether both LiDARs see every pole, with `MIN_RETURNS` on `MIN_RINGS`."""
-        first = len(self.surroundings)
-        return all(
-            _sees(cloud, labels == first + k)
-            for cloud, labels in zip((self.target, self.source), self.labels, strict=True)
-            for k in range(len(self.poles))
-        )
-
-
-def _sees(cloud: PointCloud, on_pole: BoolArray) -> bool:
-    """Whether a pole's points in a cloud are enough to find it."""
-    count = int(np.count_nonzero(on_pole))
-    rings = count if cloud.ring is None else len(np.unique(cloud.ring[on_pole]))
-    return count >= MIN_RETURNS and rings >= MIN_RINGS
-
-
-def _record(
-    surroundings: Sequence[Surface],
-    poles: Sequence[Cylinder],
-    poses: tuple[Array, Array],
-    sensors: tuple[Sensor, Sensor],
-    rng: np.random.Generator,
-    noise: NoiseModel,
-    frames: int,
-) -> SimulatedPair:
-    """Scan a scene from the poses (4, 4) of the target and the source in the world frame."""
-    everything: list[Surface] = [*surroundings, *poles]
-    target, source = (
-        scan(everything, sensor, pose, rng, noise, frames)
-        for sensor, pose in zip(sensors, poses, strict=True)
-    )
-    first = len(surroundings)
-    return SimulatedPair(
-        target=target.cloud,
-        source=source.cloud,
-        T_target_source=se3.inverse(poses[0]) @ poses[1],
-        T_world_target=poses[0],
-        T_world_source=poses[1],
-        surfaces=tuple(everything),
-        poles=tuple(poles),
-        labels=(target.labels, source.labels),
-        returns_on_poles=tuple(
-            (_returns_on(target, first + k), _returns_on(source, first + k))
-            for k in range(len(poles))
-        ),
-        sensors=sensors,
-    )
-
-
-def _returns_on(scanned: LabelledScan, label: int) -> int:
-    return int(np.count_nonzero(scanned.labels == label))
 
 
 def simulate_pair(
@@ -192,38 +98,50 @@ def simulate_pair(
         raise UsageError(f"no scene is called {scene!r}; there are {', '.join(SCENES)}")
     names = DEFAULT_SENSORS[scene]
     sensors = (find_sensor(sensor_target or names[0]), find_sensor(sensor_source or names[1]))
-    if scene == "paper":
-        noise = paper.PAPER_NOISE if noise is None else noise
-        for _ in range(MAX_DRAWS):
-            drawn = paper.draw_poles(rng, radius)
-            pair = _record([], drawn, paper.lidar_poses(), sensors, rng, noise, frames)
-            if pair.sees_every_pole:
-                return pair
-        raise SimulationError(f"{MAX_DRAWS} draws gave no two poles that both LiDARs see")
-    noise = TYPICAL if noise is None else noise
+    if noise is None:
+        noise = paper.PAPER_NOISE if scene == "paper" else TYPICAL
+    # The arrangement comes from rng alone, all that the noise model changes from its children.
+    *for_devices, for_recording = rng.spawn(3)
+    target, source = (
+        draw_device(sensor, noise, own) for sensor, own in zip(sensors, for_devices, strict=True)
+    )
+    recorders = Recorders(sensors, (target, source), noise, frames)
     for _ in range(MAX_DRAWS):
-        place = SURROUNDINGS[scene](rng)
-        if min(place.clear) <= 0:
-            continue
-        surfaces = place.surfaces
-        if symmetric:
-            surfaces = [*surfaces, *rotated_by_180(surfaces)]
-            standing: list[Cylinder] | None = symmetric_poles(rng, radius)
-        else:
-            angles = (min_pole_angle, max_pole_angle)
-            standing = draw_poles(rng, poles, place.clear, angles, radius)
-        if standing is None:
-            continue
-        poses = _draw_lidars(rng, standing, place.clear)
-        if poses is None:
-            continue
-        pair = _record(surfaces, standing, poses, sensors, rng, noise, frames)
-        if pair.sees_every_pole:
-            return replace(pair, clear=place.clear)
+        at = (
+            Arrangement([], paper.draw_poles(rng, radius), paper.lidar_poses(), (0.0, 0.0))
+            if scene == "paper"
+            else _draw(scene, rng, poles, (min_pole_angle, max_pole_angle), radius, symmetric)
+        )
+        if at is not None and are_in_view(at, recorders, rng):
+            return record_every_pole(at, recorders, for_recording)
     raise SimulationError(
         f"{MAX_DRAWS} draws of {scene!r} gave none where {sensors[0].name} and {sensors[1].name} "
         f"both see {poles} poles with {MIN_RETURNS} returns on {MIN_RINGS} rings"
     )
+
+
+def _draw(
+    scene: str,
+    rng: np.random.Generator,
+    poles: int,
+    angles: tuple[float, float],
+    radius: float,
+    symmetric: bool,
+) -> Arrangement | None:
+    """Draw surroundings, poles and LiDARs; None where this draw has none."""
+    place = SURROUNDINGS[scene](rng)
+    if min(place.clear) <= 0:
+        return None
+    surfaces = place.surfaces
+    if symmetric:
+        surfaces = [*surfaces, *rotated_by_180(surfaces)]
+        standing: list[Cylinder] | None = symmetric_poles(rng, radius)
+    else:
+        standing = draw_poles(rng, poles, place.clear, angles, radius)
+    if standing is None:
+        return None
+    poses = _draw_lidars(rng, standing, place.clear)
+    return None if poses is None else Arrangement(surfaces, standing, poses, place.clear)
 
 
 def _draw_lidars(
@@ -241,7 +159,7 @@ def place_again(
     pair: SimulatedPair,
     rng: np.random.Generator,
     *,
-    noise: NoiseModel = TYPICAL,
+    noise: NoiseModel | None = None,
     frames: int = 1,
 ) -> SimulatedPair:
     """Put the poles of a pair in other places, with the same LiDARs and surroundings.
@@ -250,8 +168,13 @@ def place_again(
     ----------
     pair
         From `simulate_pair`; its poles are taken away.
-    rng, noise, frames
+    rng
         As there.
+    noise
+        As there, but the LiDARs are the pair's and keep their systematic errors; None takes the
+        pair's.
+    frames
+        How many sweeps each LiDAR records.
 
     Raises
     ------
@@ -261,6 +184,8 @@ def place_again(
     count, radius = len(pair.poles), pair.poles[0].radius
     angles = MIN_POLE_ANGLE, MAX_POLE_ANGLE
     poses = pair.T_world_target, pair.T_world_source
+    recorders = Recorders(pair.sensors, pair.devices, noise or pair.noise, frames)
+    (for_recording,) = rng.spawn(1)
     for _ in range(MAX_DRAWS):
         standing = (
             draw_poles(rng, count, pair.clear, angles, radius)
@@ -269,9 +194,9 @@ def place_again(
         )
         if standing is None:
             continue
-        again = _record(pair.surroundings, standing, poses, pair.sensors, rng, noise, frames)
-        if again.sees_every_pole:
-            return replace(again, clear=pair.clear)
+        at = Arrangement(pair.surroundings, standing, poses, pair.clear)
+        if are_in_view(at, recorders, rng):
+            return record_every_pole(at, recorders, for_recording)
     raise SimulationError(f"{MAX_DRAWS} draws gave no other place for {count} poles")
 
 
@@ -281,26 +206,30 @@ def record_again(
     *,
     moved: Array | None = None,
     poles: bool = True,
-    noise: NoiseModel = TYPICAL,
+    noise: NoiseModel | None = None,
     frames: int = 1,
 ) -> SimulatedPair:
-    """Record the same place again, after the source was moved.
+    """Record the same place again with the same LiDARs, after the source was moved.
 
     Parameters
     ----------
     pair
-        From `simulate_pair`; everything in its scene stays.
-    rng, noise, frames
-        As there. The biases of the rings are drawn again, too, as if the LiDARs had been replaced
-        by others of their kind: real ones keep theirs.
+        From `simulate_pair`; everything in its scene stays, and the LiDARs keep their systematic
+        errors. Only people and plants are elsewhere.
+    rng
+        As there.
     moved
         (6,) step ``[φ, δ]`` of the source's pose in the target's frame (`se3.retract`), rad and m;
         None leaves it where it was.
     poles
         Whether the taped poles still stand.
+    noise
+        As in `place_again`.
+    frames
+        How many sweeps each LiDAR records.
     """
     T = pair.T_target_source if moved is None else se3.retract(pair.T_target_source, moved)
     poses = pair.T_world_target, pair.T_world_target @ T
-    standing = pair.poles if poles else ()
-    again = _record(pair.surroundings, standing, poses, pair.sensors, rng, noise, frames)
-    return replace(again, clear=pair.clear)
+    at = Arrangement(pair.surroundings, pair.poles if poles else (), poses, pair.clear)
+    recorders = Recorders(pair.sensors, pair.devices, noise or pair.noise, frames)
+    return record(at, recorders, rng)

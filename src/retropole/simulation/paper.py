@@ -8,8 +8,8 @@ import numpy as np
 
 from .. import se3
 from ..datatypes import Array
+from .noise import EXACT
 from .raycast import Cylinder
-from .scanning import EXACT
 from .scenes import TAPE
 
 PAPER_RADIUS = 0.02
@@ -31,6 +31,9 @@ PAPER_SPACING = 1.5, 4.0
 
 PAPER_MIN_UPRIGHT = 0.9
 """n_z of each axis is greater than this."""
+
+PAPER_CLEAR = 4.0, 4.0
+"""Half extents in x and y in which things move, if any does, metres (the paper has none)."""
 
 _LIDARS = (
     (np.array([0.094, 0.079, 0.094, 0.988]), np.array([1.0, -1.0, 0.0])),

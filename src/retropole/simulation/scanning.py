@@ -10,6 +10,12 @@ import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import Sensor
+from .devices import Device, draw_device
+from .environment import Mover, draw_sway, is_ground, wet_loss
+from .footprint import Materials, report, turned
+from .glow import Echoes, with_glow
+from .intensity import intensities
+from .noise import TYPICAL, NoiseModel
 from .raycast import Surface, cast
 
 SWEEP_SECONDS = 0.1
@@ -23,71 +29,6 @@ independent irrational numbers never repeat and cover it evenly."""
 ROSETTE_STARTS = 10**6
 """A rosette starts at a random one of so many places of its sequence (chosen: many sweeps)."""
 
-DIFFUSE_SHARE = 0.45
-"""Intensity of a white diffuse surface at normal incidence, as a share of the sensor's threshold.
-Chosen; on Velodyne's scale diffuse returns end at 100 and the threshold is 230, which is 0.43."""
-
-DIFFUSE_RANGE = 0.005, 1.0
-"""Limits of reflectance times cosine with its noise: no return without intensity, and none
-brighter than white (chosen)."""
-
-RETRO_SATURATION = 6.0
-"""The brightest tape, in units of the threshold, where the sensor's full scale is not less: an
-Ouster with a threshold of 1000 records up to 6,268 and not the 65,535 of its full scale."""
-
-RETRO_GRAZING, RETRO_INCIDENCE = 0.55, 0.45
-"""Strength of tape at grazing incidence, and what its cosine adds up to normal incidence: 1 is
-saturation (chosen: tape is bright from most angles)."""
-
-RETRO_RANGE = 0.05, 1.0
-"""Limits of the strength of tape with its noise: always above the threshold (chosen)."""
-
-
-@dataclass(frozen=True)
-class NoiseModel:
-    """How a scan differs from exact geometry; each part can be switched off.
-
-    Attributes
-    ----------
-    range_noise
-        Scale of the sensor's own noise along the beam.
-    isotropic_noise
-        1 σ of additional noise in each coordinate, metres.
-    dropout
-        Share of the returns that are lost.
-    beam_width
-        Whether beams have the sensor's divergence, so that the edge of a beam hits thin objects.
-    ring_bias
-        1 σ of a range error that all returns of one ring share, metres.
-    retro_bias
-        1 σ of a range error that all retro-reflective returns of one LiDAR share, metres.
-    intensity_noise
-        Relative 1 σ of the intensity.
-    """
-
-    range_noise: float = 1.0
-    isotropic_noise: float = 0.0
-    dropout: float = 0.02
-    beam_width: bool = True
-    ring_bias: float = 0.003
-    retro_bias: float = 0.003
-    intensity_noise: float = 0.15
-
-
-TYPICAL = NoiseModel()
-"""All errors, of ordinary size."""
-
-EXACT = NoiseModel(
-    range_noise=0.0,
-    isotropic_noise=0.0,
-    dropout=0.0,
-    beam_width=False,
-    ring_bias=0.0,
-    retro_bias=0.0,
-    intensity_noise=0.0,
-)
-"""No errors at all: every return lies on its surface."""
-
 
 @dataclass(frozen=True, eq=False)
 class LabelledScan:
@@ -98,7 +39,8 @@ class LabelledScan:
     cloud
         In the sensor's frame.
     labels
-        (N,) index of the surface of each point in the scene.
+        (N,) index of the surface of each point in the scene; −1 for one that lies on none of them:
+        on something that moves, or beside tape that blooms.
     """
 
     cloud: PointCloud
@@ -139,6 +81,24 @@ def beams(sensor: Sensor, rng: np.random.Generator) -> Sweep:
     return Sweep(rays, ring.astype(np.int64), time)
 
 
+GROWTH_RANGE = 10.0
+"""Range at which `NoiseModel.noise_growth` is stated, metres."""
+
+DARKEST = 0.05
+"""Least brightness that noise grows by (chosen: a darker surface hardly returns)."""
+
+
+class Sources(NamedTuple):
+    """Sources of randomness by kind: what is switched off leaves the others as they were."""
+
+    device: np.random.Generator
+    phases: np.random.Generator
+    directions: np.random.Generator
+    losses: np.random.Generator
+    returns: np.random.Generator
+    glow: np.random.Generator
+
+
 def scan(
     surfaces: Sequence[Surface],
     sensor: Sensor,
@@ -146,86 +106,112 @@ def scan(
     rng: np.random.Generator,
     noise: NoiseModel = TYPICAL,
     frames: int = 1,
+    *,
+    device: Device | None = None,
+    movers: Sequence[Mover] = (),
+    start: float = 0.0,
 ) -> LabelledScan:
-    """Record a static scene.
+    """Record a scene.
 
     Parameters
     ----------
     surfaces
         The scene, in the world frame.
     sensor
-        The LiDAR that records it.
+        The LiDAR model that records it.
     T_world_sensor
-        (4, 4) its pose.
+        (4, 4) its pose; the mean one if it sways.
     rng
-        Source of all that is random: phases, noise, dropouts, intensities.
+        Source of all that is random: phases, noise, dropouts, intensities. Equal generators send
+        the same beams under every noise model.
     noise
         How the scan differs from exact geometry.
     frames
         How many sweeps to record.
+    device
+        The LiDAR itself with its systematic errors; None draws one of the sizes in `noise`.
+    movers
+        Things that move, in the world frame.
+    start
+        Time at which the recording starts, s: movers are where they are then.
 
     Returns
     -------
     LabelledScan
         In the sensor's frame; the intensity is on the sensor's own scale.
     """
-    ring_bias = noise.ring_bias * rng.normal(size=max(len(sensor.elevations), 1))
-    retro_bias = noise.retro_bias * rng.normal()
-    retro = np.array([s.material.retro for s in surfaces], dtype=bool)
-    reflectance = np.array([s.material.reflectance for s in surfaces], dtype=float)
-    xyz, ring, time, frame, intensity, labels = [], [], [], [], [], []
+    sources = Sources(*rng.spawn(len(Sources._fields)))
+    device = draw_device(sensor, noise, sources.device) if device is None else device
+    sway = draw_sway(noise.sway, sources.directions) if noise.sway else None
+    xyz, intensity, labels, ring, time, frame = [], [], [], [], [], []
     for k in range(frames):
-        rays, rings, times = beams(sensor, rng)
-        hits = cast(
-            T_world_sensor[:3, 3],
-            rays @ T_world_sensor[:3, :3].T,
-            surfaces,
-            sensor.divergence if noise.beam_width else 0.0,
+        sweep = beams(sensor, sources.phases)
+        shot = device.directions(sweep.rays, sweep.rings)
+        if noise.pointing_noise:
+            aside = noise.pointing_noise * sources.directions.normal(size=(2, len(shot)))
+            shot = turned(shot, *aside)
+        world = shot @ T_world_sensor[:3, :3].T
+        if sway is not None:
+            world = sway.turn(world, start + k * SWEEP_SECONDS + sweep.times)
+        present = [*surfaces, *(each.at(start + k * SWEEP_SECONDS) for each in movers)]
+        echoes = _echoes(
+            present, sensor, T_world_sensor[:3, 3], world, sweep.rings, device, noise, sources
         )
-        seen = (hits.ranges > sensor.min_range) & (hits.ranges < sensor.max_range)
-        seen &= rng.uniform(size=len(rays)) >= noise.dropout
-        index = np.flatnonzero(seen)
-        label = hits.surface[index]
-        ranges = hits.ranges[index] + ring_bias[rings[index]] + retro_bias * retro[label]
-        ranges += noise.range_noise * sensor.range_noise * rng.normal(size=len(index))
-        points = ranges[:, None] * rays[index]
-        xyz.append(points + noise.isotropic_noise * rng.normal(size=points.shape))
-        ring.append(rings[index])
-        time.append(times[index] + k * SWEEP_SECONDS)
-        frame.append(np.full(len(index), k))
-        intensity.append(
-            _intensity(sensor, retro[label], reflectance[label], hits.cosine[index], rng, noise)
-        )
-        labels.append(label)
+        points = echoes.ranges[:, None] * sweep.rays[echoes.beam]
+        xyz.append(points + noise.isotropic_noise * sources.returns.normal(size=points.shape))
+        intensity.append(echoes.intensity)
+        labels.append(np.where(echoes.surface < len(surfaces), echoes.surface, -1))
+        ring.append(sweep.rings[echoes.beam])
+        time.append(sweep.times[echoes.beam] + k * SWEEP_SECONDS)
+        frame.append(np.full(len(points), k, dtype=np.int64))
     cloud = PointCloud(
         xyz=np.concatenate(xyz),
         intensity=np.concatenate(intensity),
         ring=np.concatenate(ring) if sensor.pattern == "spinning" else None,
         time=np.concatenate(time),
-        frame=np.concatenate(frame).astype(np.int64) if frames > 1 else None,
+        frame=np.concatenate(frame) if frames > 1 else None,
     )
     return LabelledScan(cloud, np.concatenate(labels))
 
 
-def _intensity(
+def _echoes(
+    surfaces: Sequence[Surface],
     sensor: Sensor,
-    retro: Array,
-    reflectance: Array,
-    cosine: Array,
-    rng: np.random.Generator,
+    origin: Array,
+    world: Array,
+    rings: IntArray,
+    device: Device,
     noise: NoiseModel,
-) -> Array:
-    """Intensities on the sensor's scale: diffuse returns below its threshold, tape above it.
-
-    Diffuse returns follow the cosine of incidence. Tape lies between the threshold and saturation,
-    lower where only the edge of a beam hit it.
-    """
-    gain = 1 + noise.intensity_noise * rng.normal(size=len(cosine))
-    diffuse = (
-        DIFFUSE_SHARE * sensor.threshold * np.clip(reflectance * cosine * gain, *DIFFUSE_RANGE)
+    sources: Sources,
+) -> Echoes:
+    """What one sweep returns whose beams truly leave an origin (3,) along world rays (N, 3)."""
+    wide = noise.beam_width or noise.footprint != "centre"
+    hits = cast(origin, world, surfaces, sensor.divergence if wide else 0.0)
+    share = np.ones(len(world))
+    if noise.footprint != "centre":
+        hits, share = report(hits, origin, world, surfaces, sensor, noise.footprint)
+    materials = Materials.of(surfaces)
+    seen = (hits.ranges > sensor.min_range) & (hits.ranges < sensor.max_range)
+    seen &= sources.losses.uniform(size=len(world)) >= noise.dropout
+    if noise.wet:
+        ground = np.array([is_ground(surface, origin) for surface in surfaces])
+        dark = wet_loss(noise.wet, materials.reflectance[hits.surface], hits.cosine)
+        seen &= sources.losses.uniform(size=len(world)) >= dark * ground[hits.surface]
+    beam = np.flatnonzero(seen)
+    surface, cosine, true = hits.surface[beam], hits.cosine[beam], hits.ranges[beam]
+    retro, reflectance = materials.retro[surface], materials.reflectance[surface]
+    sigma = np.full(len(beam), noise.range_noise * sensor.range_noise)
+    if noise.noise_growth:
+        brightness = np.where(retro, 1.0, np.maximum(reflectance * cosine, DARKEST))
+        sigma *= np.sqrt(1 + (noise.noise_growth * true / GROWTH_RANGE) ** 2 / brightness)
+    ranges = device.ranges(true, rings[beam], cosine, retro)
+    ranges += sigma * sources.returns.normal(size=len(beam))
+    intensity = intensities(
+        sensor, retro, reflectance, cosine, true, share[beam], sources.returns, noise
     )
-    saturation = min(sensor.intensity_max, RETRO_SATURATION * sensor.threshold)
-    loss = noise.intensity_noise * np.abs(rng.normal(size=len(cosine)))
-    strength = np.clip((RETRO_GRAZING + RETRO_INCIDENCE * cosine) * (1 - loss), *RETRO_RANGE)
-    bright = sensor.threshold + (saturation - sensor.threshold) * strength
-    return np.asarray(np.round(np.where(retro, bright, diffuse)))
+    echoes = Echoes(ranges, intensity, surface, beam)
+    if noise.blooming:
+        echoes = with_glow(
+            echoes, retro, world, noise.blooming, sensor, len(surfaces), sources.glow
+        )
+    return echoes

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..files import write_atomically
 from ..io import write_pcd
-from .pairs import SimulatedPair
+from .recording import SimulatedPair
 
 
 def write_pair(pair: SimulatedPair, out: Path) -> None:

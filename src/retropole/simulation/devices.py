@@ -1,0 +1,136 @@
+"""Single LiDARs: the systematic errors that an instrument keeps in all its recordings."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ..datatypes import Array, BoolArray, IntArray
+from ..sensors import Sensor
+from .noise import NoiseModel
+
+MAX_SLANT = 5.0
+"""Greatest tangent of incidence that a slant error grows with: that of 79° (chosen; a longer
+footprint rather loses its return)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """The systematic errors of one LiDAR.
+
+    It believes that its beams leave in the sensor's nominal directions. They leave elsewhere, by
+    its errors of elevation and azimuth, and the points that it records lie on the nominal beams.
+
+    Attributes
+    ----------
+    ring_range
+        (B,) range error of each ring, metres; one for a sensor without rings.
+    ring_elevation
+        (B,) elevation error of each ring, rad.
+    zero_offset
+        Range error of all returns, metres.
+    scale
+        Range error as a part of the range.
+    slant
+        Range error as a part of range times tangent of incidence, rad.
+    encoder
+        (2,) azimuth error, rad: these times cosine and sine of the azimuth.
+    wobble
+        (2,) elevation error, rad: the same.
+    tape_offset
+        Range error of retro-reflective returns, metres.
+    """
+
+    ring_range: Array
+    ring_elevation: Array
+    zero_offset: float
+    scale: float
+    slant: float
+    encoder: Array
+    wobble: Array
+    tape_offset: float
+
+    def directions(self, rays: Array, rings: IntArray) -> Array:
+        """Directions (N, 3) in which beams leave that are believed to leave along rays (N, 3).
+
+        Parameters
+        ----------
+        rays
+            (N, 3) nominal unit directions in the sensor's frame.
+        rings
+            (N,) ring of each.
+        """
+        if not (self.ring_elevation.any() or self.encoder.any() or self.wobble.any()):
+            return rays
+        level = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), np.finfo(float).tiny)
+        around = rays[:, :2] / level[:, None]
+        azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + around @ self.encoder
+        elevation = np.arctan2(rays[:, 2], level)
+        elevation += self.ring_elevation[rings] + around @ self.wobble
+        level = np.cos(elevation)
+        return np.stack(
+            [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
+        )
+
+    def ranges(self, ranges: Array, rings: IntArray, cosine: Array, retro: BoolArray) -> Array:
+        """Ranges (N,) that the LiDAR states, without random noise, metres.
+
+        Parameters
+        ----------
+        ranges
+            (N,) true ranges, metres.
+        rings
+            (N,) ring of each return.
+        cosine
+            (N,) of the angle of incidence.
+        retro
+            (N,) whether the surface is retro-reflective.
+        """
+        stated = ranges + self.ring_range[rings] + self.tape_offset * retro
+        stated += self.zero_offset + self.scale * ranges
+        if self.slant:
+            floor = 1 / np.hypot(1, MAX_SLANT)
+            stated += self.slant * ranges * np.sqrt(1 / np.clip(cosine, floor, 1) ** 2 - 1)
+        return np.asarray(stated)
+
+    def as_dict(self) -> dict[str, float | list[float]]:
+        """Give numbers for JSON, names with their units."""
+        units = {"scale": "", "ring_range": "_m", "zero_offset": "_m", "tape_offset": "_m"}
+        return {
+            name + units.get(name, "_rad"): value.tolist()
+            if isinstance(value, np.ndarray)
+            else value
+            for name, value in asdict(self).items()
+        }
+
+
+def draw_device(sensor: Sensor, noise: NoiseModel, rng: np.random.Generator) -> Device:
+    """Draw one LiDAR of a model.
+
+    Equal generators draw equal LiDARs up to the sizes of the families: to switch one off changes
+    no other.
+
+    Parameters
+    ----------
+    sensor
+        The model.
+    noise
+        1 σ of each family of systematic errors.
+    rng
+        Source of the draws.
+    """
+    count = max(len(sensor.elevations), 1)
+    per_ring = rng.normal(size=(2, count))
+    zero_offset, scale, slant, tape_offset = rng.normal(size=4)
+    encoder, wobble = rng.normal(size=(2, 2))
+    return Device(
+        ring_range=noise.ring_bias * per_ring[0],
+        ring_elevation=noise.ring_elevation * per_ring[1],
+        zero_offset=float(noise.zero_offset * zero_offset),
+        scale=float(noise.scale * scale),
+        slant=float(noise.slant * slant),
+        encoder=noise.encoder * encoder,
+        wobble=noise.wobble * wobble,
+        tape_offset=float(noise.retro_bias * tape_offset),
+    )
