@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import UsageError
 from ..result import DEFAULT_CONFIG
-from ..simulation import SimulatedPair, simulate_pair
+from ..simulation import NOISE_MODELS, SimulatedPair, simulate_pair
 
 
 def simulate(
@@ -18,6 +19,7 @@ def simulate(
     radius: float = DEFAULT_CONFIG.radius_m,
     frames: int = 1,
     symmetric: bool = False,
+    nuisances: str | None = None,
 ) -> SimulatedPair:
     """Draw a scene with taped poles that two LiDARs see, and scan it.
 
@@ -37,6 +39,9 @@ def simulate(
         How many sweeps each LiDAR records.
     symmetric
         Make surroundings that do not distinguish the hypotheses.
+    nuisances
+        What the recordings suffer from: ``field``, ``typical`` or ``none``
+        (`retropole.simulation.noise`); None takes ``typical``, and for ``paper`` the paper's noise.
 
     Returns
     -------
@@ -46,10 +51,12 @@ def simulate(
     Raises
     ------
     UsageError
-        For an unknown scene or sensor.
+        For an unknown scene, sensor or set of nuisances.
     SimulationError
         Where no arrangement is found in which both LiDARs see every pole.
     """
+    if nuisances is not None and nuisances not in NOISE_MODELS:
+        raise UsageError(f"no nuisances {nuisances!r}; there are {', '.join(NOISE_MODELS)}")
     return simulate_pair(
         scene,
         np.random.default_rng(seed),
@@ -57,6 +64,7 @@ def simulate(
         sensor_source=sensor_source,
         poles=poles,
         radius=radius,
+        noise=None if nuisances is None else NOISE_MODELS[nuisances],
         frames=frames,
         symmetric=symmetric,
     )

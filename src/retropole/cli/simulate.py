@@ -23,6 +23,12 @@ from .common import CONTEXT, OUT, progress_on_terminal, radius_option
 @click.option("--sensor-source", help="The same for the source.")
 @click.option("--poles", type=click.IntRange(min=1), default=2, show_default=True)
 @radius_option
+@click.option(
+    "--nuisances",
+    type=click.Choice(["field", "typical", "none"]),
+    help="Errors of the LiDARs and of the site: all that a real one has, noise and range errors, or "
+    "none.  [default: typical; for paper the paper's noise]",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate(
     scene: str,
@@ -32,6 +38,7 @@ def simulate(
     sensor_source: str | None,
     poles: int,
     radius: float,
+    nuisances: str | None,
     quiet: bool,
 ) -> int:
     """Make two scans of taped poles whose true transform is known.
@@ -40,6 +47,7 @@ def simulate(
     Examples:
       retropole simulate street --seed 1 --out s
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
+      retropole simulate street --nuisances field --seed 1 --out f
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
     """
     from ..api.simulation import simulate as run
@@ -54,6 +62,7 @@ def simulate(
             sensor_source=sensor_source,
             poles=poles,
             radius=radius,
+            nuisances=nuisances,
         )
         write_pair(pair, out)
     if not quiet:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 from ..files import write_atomically
@@ -22,6 +23,11 @@ def write_pair(pair: SimulatedPair, out: Path) -> None:
         "target": "lidar0.pcd",
         "source": "lidar1.pcd",
         "sensors": [sensor.name for sensor in pair.sensors],
+        "noise": asdict(pair.noise),
+        "devices": {
+            role: device.as_dict()
+            for role, device in zip(("target", "source"), pair.devices, strict=True)
+        },
         "poles": [
             {
                 "point_world_m": pole.centre.tolist(),
