@@ -24,7 +24,7 @@ from ..alignment.certainty import Scatter, group_scales, prior_precision, stated
 from ..alignment.factor import POSE, PoleFactor, gaussian_factor
 from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
 from ..systematic import ErrorModel, Groups, Layout, groups_of, joined
-from ..uncertainty import MAD_TO_SIGMA, Uncertainty
+from ..uncertainty import Uncertainty
 from .patch_pairs import (
     MIN_PATCHES,
     PatchPairs,
@@ -44,6 +44,10 @@ MIN_SIGMA = 1e-4
 
 ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
+
+GEMAN_HALF, SCALE_BISECTIONS = 0.6120, 60
+"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and halvings that
+find a scale to rounding."""
 
 MAX_REFINEMENT_ITERATIONS = 60
 STEP = 2e-7
@@ -271,8 +275,7 @@ def _solve(pairs: PatchPairs, factor: PoleFactor, T: Array, precision: Array) ->
     """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior."""
     r = pairs.residuals
     spread = np.sqrt(pairs.variance)
-    typical = weighted_median(np.abs(r) / spread, pairs.agreement)
-    spread = spread * max(MAD_TO_SIGMA * typical, MIN_SIGMA)
+    spread = spread * max(robust_scale(r / spread, pairs.agreement), MIN_SIGMA)
     weights = pairs.agreement / (spread * (1.0 + (r / (ROBUST_WIDTH * spread)) ** 2)) ** 2
     held = held_directions(pairs, weights)
     rows = np.concatenate([pairs.jacobian @ held, pairs.by_error], axis=1)
@@ -287,11 +290,23 @@ def _solve(pairs: PatchPairs, factor: PoleFactor, T: Array, precision: Array) ->
     return _Linear(pairs, weights, rows, precision, step[:POSE], step[POSE:], inverse)
 
 
-def weighted_median(values: Array, weights: Array) -> float:
-    """Median of values (N,) with weights (N,), interpolated, so that it moves with them."""
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(np.interp(0.5 * total[-1], total, values[order]))
+def robust_scale(values: Array, weights: Array) -> float:
+    """Estimate the standard deviation of values (N,) about 0, half of which may be outliers.
+
+    The s with ``Σ w x²/(x² + (cs)²) = ½ Σ w`` (an M-estimate of scale, Huber 1981, with the loss of
+    Geman and McClure); c makes it 1 for standard normal values. Unlike a median it has a derivative
+    everywhere: where it jumped, so would the pose.
+    """
+    square = values**2
+    low, high = 1e-30, float(square.max()) + 1e-30
+    half = 0.5 * float(weights.sum())
+    for _ in range(SCALE_BISECTIONS):
+        middle = np.sqrt(low * high)
+        if float(weights @ (square / (square + middle))) > half:
+            low = middle
+        else:
+            high = middle
+    return float(np.sqrt(low * high)) / GEMAN_HALF
 
 
 def _uncertainty(end: _End, problem: _Problem, other: tuple[tuple[str, Array], ...]) -> Uncertainty:
