@@ -111,7 +111,7 @@ WARNINGS: dict[WarningCode, Explanation] = {
         "scene ends at different poses. The best fit is given; the message says how far the others "
         "lie from it.",
         (
-            "Look at the view from far above: do walls and ground coincide everywhere?",
+            "Look at the view of the report: walls and ground must coincide, far away too.",
             "Better poles leave one: stand them nearer, lean them more, or add a placement, "
             "[`--placement`](placing.md#one-placement-is-weak-make-more).",
             "Compare with `--no-refine`, which keeps to the poles.",
