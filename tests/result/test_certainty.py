@@ -1,13 +1,14 @@
 """Certainty in its two kinds, written and read back."""
 
 import json
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from retropole.datatypes import Calibration
+from retropole.datatypes import Calibration, PointCloud
 from retropole.result import (
+    InputDoc,
     ResultDoc,
     RunConfig,
     decode,
@@ -17,20 +18,23 @@ from retropole.result import (
     uncertainty_of,
 )
 from retropole.uncertainty import BudgetEntry, RadiusEstimate, Uncertainty
-from tests.report.made_up import BUDGET, RANDOM, SYSTEMATIC
+from tests.report.made_up import BUDGET, RANDOM, SYSTEMATIC, placement_of
+
+INPUTS = [InputDoc(f"{name}.pcd", "0" * 64, 1, 0, "auto", None) for name in ("a", "b")]
 
 
 def calibration(
     uncertainty: Uncertainty | None = None, radius: RadiusEstimate | None = None
 ) -> Calibration:
     """Hold nothing but how certain it is."""
-    answer = Calibration("ok", (), np.eye(4), None, None, None, (), None, (), None, (), {})
+    seen = (placement_of(PointCloud(np.ones((1, 3)))),)
+    answer = Calibration("ok", (), np.eye(4), None, None, None, (), None, (), None, seen, {})
     covariance = None if uncertainty is None else uncertainty.covariance
     return replace(answer, covariance=covariance, uncertainty=uncertainty, radius=radius)
 
 
 def written(answer: Calibration) -> ResultDoc:
-    return result_document(answer, inputs=[], config=RunConfig(), seconds={})
+    return result_document(answer, inputs=INPUTS, config=RunConfig(), seconds={})
 
 
 STATED = calibration(
@@ -78,10 +82,13 @@ def test_the_largest_error_comes_first() -> None:
 
 
 def test_numbers_of_numpy_are_written_as_numbers() -> None:
-    entry = BudgetEntry("scale", "target", np.float64(1e-4), "1", np.float64(2e-5), np.float64(1))  # type: ignore[arg-type]
-    (found,) = written(calibration(Uncertainty(RANDOM, SYSTEMATIC, (entry,)))).budget or ()
-    assert (found.sigma, found.estimated, found.share_at_30m) == astuple(entry)[2:3] + (2e-5, 1.0)
-    assert encode(written(calibration(Uncertainty(RANDOM, SYSTEMATIC, (entry,)))))
+    share = np.float64(1)
+    entry = BudgetEntry("scale", "target", np.float64(1e-4), "1", np.float64(2e-5), share)
+    document = written(calibration(Uncertainty(RANDOM, SYSTEMATIC, (entry,))))
+    (found,) = document.budget or [None]
+    assert found is not None
+    assert (found.sigma, found.estimated, found.share_at_30m) == (1e-4, 2e-5, 1.0)
+    assert decode(encode(document)) == document
 
 
 @pytest.mark.parametrize("missing", ["null", "absent"])
