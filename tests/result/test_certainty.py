@@ -85,8 +85,8 @@ def test_numbers_of_numpy_are_written_as_numbers() -> None:
     share = np.float64(1)
     entry = BudgetEntry("scale", "target", np.float64(1e-4), "1", np.float64(2e-5), share)
     document = written(calibration(Uncertainty(RANDOM, SYSTEMATIC, (entry,))))
-    (found,) = document.budget or [None]
-    assert found is not None
+    assert document.budget is not None
+    (found,) = document.budget
     assert (found.sigma, found.estimated, found.share_at_30m) == (1e-4, 2e-5, 1.0)
     assert decode(encode(document)) == document
 
