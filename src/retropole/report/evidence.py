@@ -116,11 +116,12 @@ def _radius_note(result: ResultDoc) -> str:
     if result.T_target_source is None:
         return ""
     millimetres, words = 1000 * result.config.radius_m, radius_words(result)
+    apart = f"{millimetres * math.pi / 2:.0f}"
     stated = "" if words is None else f"<p>Radius of the poles: {escape(words)} (1 σ).</p>"
     return (
-        f'{stated}<p class="note">Returns lie on the side of the pole that faces their LiDAR: at a radius '
-        f"of {millimetres:g} mm two LiDARs may see lines up to {millimetres * math.pi / 2:.0f} "
-        "mm apart though the transform is exact.</p>"
+        f'{stated}<p class="note">Returns lie on the side of the pole that faces their LiDAR: at '
+        f"a radius of {millimetres:g} mm two LiDARs may see lines up to {apart} mm apart though "
+        "the transform is exact.</p>"
     )
 
 

@@ -53,10 +53,9 @@ def table(
     head = "".join(
         f'<th scope="col"{c}>{escape(name)}</th>' for c, name in zip(kind, header, strict=True)
     )
-    lengths = [
+    ends = [
         f' class="share {escape(name)}" style="--share: {100 * share:.1f}%"' for name, share in bars
-    ]
-    last = lengths or [kind[-1]] * len(rows)
+    ] or [kind[-1]] * len(rows)
     body = "".join(
         f'<tr><th scope="row">{escape(str(row[0]))}</th>'
         + "".join(
@@ -64,7 +63,7 @@ def table(
             for c, cell in zip([*kind[1:-1], end], row[1:], strict=True)
         )
         + "</tr>"
-        for row, end in zip(rows, last, strict=True)
+        for row, end in zip(rows, ends, strict=True)
     )
     name = escape(caption)
     return (

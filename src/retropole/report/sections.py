@@ -87,7 +87,7 @@ def _certainty(result: ResultDoc) -> str:
         )
     largest = largest_error(result)
     if largest is not None:
-        sentence += f" Largest source of error: {largest}."
+        sentence += f" Largest source of error, {largest}."
     if result.weakest is not None:
         sentence += f" Least certain, at the poles, 1 σ: {result.weakest.words}."
     return sentence

@@ -168,7 +168,7 @@ def _certainty_lines(result: ResultDoc) -> list[str]:
                 f"systematic ± {error(each.systematic)}"
             )
     if largest is not None:
-        lines.append(f"  largest source of error: {largest}")
+        lines.append(f"  largest source of error, {largest}")
     if result.weakest is not None:
         lines.append(f"  least certain, 1 sigma: {result.weakest.words}")
     if radius is not None:
