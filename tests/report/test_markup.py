@@ -24,9 +24,8 @@ def test_table_escapes_every_cell() -> None:
 
 
 def test_a_bar_is_as_long_as_its_share() -> None:
-    html = table(
-        "t", ("a", "b"), [("x", "61 %"), ("y", "7 %")], (), [("source", 0.614), ("", 0.07)]
-    )
+    rows = [("x", "61 %"), ("y", "7 %")]
+    html = table("t", ("a", "b"), rows, (), [("source", 0.614), ("", 0.07)])
     bars = [a for tag, a in Page(html).tags if tag == "td"]
     assert [bar["style"] for bar in bars] == ["--share: 61.4%", "--share: 7.0%"]
     assert bars[0]["class"] == "share source"
