@@ -58,7 +58,19 @@ def test_every_source_of_error_is_listed_the_largest_first() -> None:
         assert said in listed
     bars = [str(a["style"]) for tag, a in page.tags if "share" in str(a.get("class"))]
     assert bars[0] == "--share: 58.0%"
+    assert "1 smaller, together < 1 %" in listed
     assert len(bars) == len(BUDGET)
+
+
+def test_the_largest_of_many_small_errors_is_not_folded_away() -> None:
+    result = made_up(count=500).result
+    assert result.budget is not None
+    many = [replace(result.budget[0], name=f"part {k}", share_at_30m=0.005) for k in range(200)]
+    html = uncertainty(replace(result, budget=many))
+    assert "part 0" in html.split("<details>")[0]
+    assert "199 smaller, together 100 %" in html
+    single = uncertainty(replace(result, budget=many[:1]))
+    assert "smaller" not in single
 
 
 def test_words_of_a_budget_stay_words() -> None:

@@ -97,11 +97,11 @@ WARNINGS: dict[WarningCode, Explanation] = {
     ),
     "radius_differs": Explanation(
         "The radius is not the one you gave",
-        "The data deny the given radius by more than 3 σ. Radius and pose were estimated together, "
-        "and the answer uses the estimate. [Both are stated](certainty.md#the-radius).",
+        "The data deny the given radius by more than 3 σ. The returns alone decide it then, and the "
+        "answer uses that. [Both are stated](certainty.md#the-radius).",
         (
             "Check `--radius` with a calliper: it is half the thickness, tape included, in metres. "
-            "About half of what was given: `--radius` was given a diameter.",
+            "An estimate of half of what was given says that `--radius` was given a diameter.",
             "Where the calliper agrees with what was given, look at what was taken for a pole.",
         ),
     ),

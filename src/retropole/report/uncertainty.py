@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
-from typing import Literal
 
 import numpy as np
 
 from ..quantities import Unit, error, percent, value
-from ..result import Matrix, ResultDoc
+from ..result import BudgetEntryDoc, Matrix, ResultDoc
 from .certainty import BUDGET_RANGE, error_parts
 from .markup import MISSING, number, plus_minus, table
 
@@ -20,6 +20,9 @@ _STATE = {
 _STATE_UNITS: tuple[Unit, ...] = ("rad", "rad", "rad", "m", "m", "m")
 
 PARTS = ("random", "systematic")
+
+FOLDED_BELOW = 0.01
+"""Sources of error with a smaller share are folded away."""
 
 
 def uncertainty(result: ResultDoc) -> str:
@@ -110,6 +113,27 @@ def _budget(result: ResultDoc) -> str:
     if not result.budget:
         return ""
     entries = sorted(result.budget, key=lambda entry: -entry.share_at_30m)
+    # At least the largest is shown, also of a budget of many equal parts.
+    shown = max(1, sum(entry.share_at_30m >= FOLDED_BELOW for entry in entries))
+    rest, folded = entries[shown:], ""
+    if rest:
+        together = percent(sum(entry.share_at_30m for entry in rest))
+        folded = (
+            f"<details><summary>{len(rest)} smaller, together {together}</summary>"
+            f"{_entries('The rest of the error budget', rest)}</details>"
+        )
+    return (
+        "<h3>What the error is made of</h3>"
+        + _entries("Error budget", entries[:shown])
+        + folded
+        + '<p class="note">1 σ: how large an error of that kind may be; of what is no error of an '
+        f"instrument or a pole, how far it moves a point {BUDGET_RANGE:g} m away. Estimated: what "
+        "these data say of it; the pose is free of that. Share: of the variance of where a point "
+        f"{BUDGET_RANGE:g} m away lands; all shares make 100 %.</p>"
+    )
+
+
+def _entries(caption: str, entries: Sequence[BudgetEntryDoc]) -> str:
     rows = [
         (
             entry.name,
@@ -120,18 +144,9 @@ def _budget(result: ResultDoc) -> str:
         )
         for entry in entries
     ]
-    bars: list[tuple[Literal["target", "source", "both"], float]] = [
-        (entry.sensor or "both", entry.share_at_30m) for entry in entries
-    ]
-    at = f"{BUDGET_RANGE:g} m"
-    header = ("source of error", "LiDAR", "1 σ", "estimated", f"share at {at}")
-    return (
-        "<h3>What the error is made of</h3>"
-        + table("Error budget", header, rows, (1,), bars)
-        + '<p class="note">1 σ: how large an error of that kind may be in itself. Estimated: what '
-        "these data say of it; the pose is free of that. Share: of the variance of where a point "
-        f"{at} away lands; all shares make 100 %.</p>"
-    )
+    bars = [(entry.sensor or "both", entry.share_at_30m) for entry in entries]
+    header = ("source of error", "LiDAR", "1 σ", "estimated", f"share at {BUDGET_RANGE:g} m")
+    return table(caption, header, rows, (1,), bars)
 
 
 def _matrix(result: ResultDoc, caption: str, matrix: Matrix) -> str:
