@@ -97,8 +97,8 @@ WARNINGS: dict[WarningCode, Explanation] = {
     ),
     "radius_differs": Explanation(
         "The radius is not the one you gave",
-        "The data deny the given radius by more than 3 σ. The returns alone decide it then, and the "
-        "answer uses that. [Both are stated](certainty.md#the-radius).",
+        "The data deny the given radius by more than 3 σ. Then the returns alone decide it, and "
+        "the answer uses what they say. [Both are stated](certainty.md#the-radius).",
         (
             "Check `--radius` with a calliper: it is half the thickness, tape included, in metres. "
             "An estimate of half of what was given says that `--radius` was given a diameter.",
