@@ -21,8 +21,8 @@ _STATE_UNITS: tuple[Unit, ...] = ("rad", "rad", "rad", "m", "m", "m")
 
 PARTS = ("random", "systematic")
 
-FOLDED_BELOW = 0.01
-"""Sources of error with a smaller share are folded away."""
+FOLDED_BELOW = 0.005
+"""Sources of error with a smaller share, written ``< 1 %``, are folded away."""
 
 
 def uncertainty(result: ResultDoc) -> str:
