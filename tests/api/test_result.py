@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import retropole as rp
 from retropole.io import write_pcd
 from retropole.result import encode
+from retropole.uncertainty import RadiusEstimate
 from tests.api.clouds import calibrated, pair, refused
+from tests.report.made_up import BUDGET, RANDOM, made_up
 
 
 class Cells(HTMLParser):
@@ -80,7 +83,8 @@ def test_a_refusal_has_a_reason_and_nothing_else() -> None:
 def test_repr_is_a_few_lines() -> None:
     lines = repr(calibrated()).splitlines()
     assert lines[0] == f"CalibrationResult: {calibrated().status}"
-    assert len(lines) == 4 + len(calibrated().reasons)
+    said = [calibrated().document.budget, calibrated().document.radius]
+    assert len(lines) == 4 + sum(each is not None for each in said) + len(calibrated().reasons)
     assert "at 10 m" in lines[3]
     T = calibrated().T_target_source
     assert T is not None
@@ -88,6 +92,26 @@ def test_repr_is_a_few_lines() -> None:
     lines = repr(refused()).splitlines()
     assert len(lines) == 2
     assert refused().reasons[0].message in lines[1]
+
+
+def test_certainty_is_given_back_in_its_two_kinds() -> None:
+    made = rp.CalibrationResult(made_up(count=100).result)
+    assert made.uncertainty is not None
+    assert made.covariance is not None
+    np.testing.assert_array_equal(made.uncertainty.random, RANDOM)
+    np.testing.assert_allclose(made.uncertainty.covariance, made.covariance, rtol=1e-12)
+    assert made.uncertainty.budget == BUDGET
+    assert made.radius == RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042)
+    for line in (
+        "predicted error  ± 5.6 mm at 1 m, ± 6.2 mm at 10 m, ± 9.5 mm at 30 m, ± 16 mm at 60 m",
+        "largest error    range offset of the source LiDAR: 58 % of the variance of ± 9.5 mm",
+        "radius           20.00 mm given, 20.31 ± 0.42 mm estimated",
+    ):
+        assert line in repr(made)
+    older = replace(made.document, uncertainty=None, budget=None, radius=None)
+    assert rp.CalibrationResult(older).uncertainty is None
+    assert rp.CalibrationResult(older).radius is None
+    assert len(repr(rp.CalibrationResult(older)).splitlines()) == 4
 
 
 def test_html_says_the_same_and_is_escaped() -> None:

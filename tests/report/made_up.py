@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from html.parser import HTMLParser
 from typing import NamedTuple
 
@@ -21,18 +22,22 @@ from retropole.datatypes import (
     Scan,
 )
 from retropole.result import (
+    BudgetEntryDoc,
     ErrorAtRange,
     HypothesisDoc,
     InputDoc,
     PolesDoc,
     PoseEstimateDoc,
+    RadiusDoc,
     ReasonDoc,
     ResultDoc,
     RunConfig,
     StagesDoc,
+    UncertaintyDoc,
     WeakestDoc,
     pole_documents,
 )
+from retropole.uncertainty import BudgetEntry, predicted_error
 
 HOSTILE = "</script><script>window.injected=1</script>\u2028<!--'\"&"
 """Text that would run, were it not escaped."""
@@ -56,6 +61,20 @@ REASONS = {
         ReasonDoc("ambiguous", "the scene does not tell 2 hypotheses apart", {"margin": 0.005})
     ],
 }
+
+RANDOM = np.diag(np.square([1e-4, 1e-4, 8e-5, 7e-4, 9e-4, 1.1e-3]))
+SYSTEMATIC = np.diag(np.square([2e-4, 1.5e-4, 1e-4, 2e-3, 3e-3, 4e-3]))
+"""(6, 6) each, over ``[φ, δ]``, rad and m."""
+
+BUDGET = (
+    BudgetEntry("range offset", "source", 0.01, "m", -0.0123, 0.58),
+    BudgetEntry("elevation of the beams", "source", 5e-4, "rad", None, 0.14),
+    BudgetEntry("scatter of the surfaces", None, 0.0031, "m", None, 0.11),
+    BudgetEntry("eccentricity of the encoder", "target", 3e-4, "rad", 1.2e-4, 0.08),
+    BudgetEntry("what no model names", None, 0.0025, "m", None, 0.06),
+    BudgetEntry("scale of ranges", "target", 2e-4, "1", -3e-5, 0.027),
+    BudgetEntry("radius of the poles", None, 4.2e-4, "m", 3.1e-4, 0.003),
+)
 
 
 class Run(NamedTuple):
@@ -156,21 +175,22 @@ def made_up(status: str = "ok", count: int = 4000) -> Run:
     """Make up a run of one placement."""
     placement = Placement(observed(np.eye(4), 1, count), observed(T_TRUE, 2, count))
     answered = status != "refused"
-    T, covariance = T_TRUE.tolist(), np.diag(np.square([6e-4, 5e-4, 4e-4, 2e-3, 3e-3, 6e-3]))
+    T, covariance = T_TRUE.tolist(), RANDOM + SYSTEMATIC
     from_poles = PoseEstimateDoc(T, covariance.tolist(), 0.0142)
     result = ResultDoc(
         status=status,
         reasons=REASONS[status],
         T_target_source=T if answered else None,
         covariance=covariance.tolist() if answered else None,
-        predicted_error=[
-            ErrorAtRange(r, float(np.hypot(0.007, 7e-4 * r))) for r in (1.0, 10.0, 30.0, 60.0)
-        ]
+        uncertainty=UncertaintyDoc(RANDOM.tolist(), SYSTEMATIC.tolist()) if answered else None,
+        budget=[BudgetEntryDoc(*astuple(entry)) for entry in BUDGET] if answered else None,
+        predicted_error=[ErrorAtRange(*each) for each in predicted_error(covariance)]
         if answered
         else None,
-        weakest=WeakestDoc([0.0, 0.0, 1.0], 0.006, "height along the poles: 0.6 cm", 11.0)
+        weakest=WeakestDoc([0.0, 0.0, 1.0], 0.006, "height along the poles: 6.0 mm", 11.0)
         if answered
         else None,
+        radius=RadiusDoc(0.02, 0.0005, 0.02031, 0.00042) if answered else None,
         stages=StagesDoc(
             from_poles if answered else None,
             replace(from_poles, rms_m=0.0098) if status == "ok" else None,

@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from retropole import se3
-from retropole.report.evidence import placements, poles, provenance, uncertainty
+from retropole.report.evidence import placements, poles, provenance
 from retropole.result import PlacementDoc, RunConfig
 from tests.report.made_up import Page, made_up
 
@@ -38,19 +38,11 @@ def test_residuals_are_those_of_the_points_from_the_lines() -> None:
     assert figures[3] == pytest.approx(1000 * distances.max(), abs=0.05)
 
 
-def test_covariance_is_told_by_its_states() -> None:
-    page = Page(uncertainty(made_up(count=500).result))
-    assert page.open == []
-    assert "Least certain, at the poles: height along the poles: 0.6 cm" in page.text
-    for said in ("rotation about x (phi_x)0.0344 deg", "translation along z (delta_z)0.60 cm"):
-        assert said in page.text
-    assert "R_true = Exp(phi) R" in page.text
-    assert uncertainty(made_up("refused", 500).result) == ""
-
-
-def test_a_pose_without_covariance_says_so() -> None:
-    result = replace(made_up(count=500).result, covariance=None)
-    assert "gives no covariance" in Page(uncertainty(result)).text
+def test_the_radius_is_told_as_given_and_as_estimated() -> None:
+    result, (placement,) = made_up(count=500)
+    said = "Radius of the poles: 20.00 mm given, 20.31 ± 0.42 mm estimated (1 σ)."
+    assert said in Page(poles(result, placement)).text
+    assert "estimated" not in Page(poles(replace(result, radius=None), placement)).text
 
 
 def test_change_without_each_placement_is_told_in_degrees_and_millimetres() -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from retropole.report.markup import NO_BREAK, centimetres, inline, number, table
+from retropole.report.markup import NO_BREAK, inline, number, plus_minus, table
 from tests.report.made_up import HOSTILE, Page
 
 
 def test_numbers_that_are_none_are_dashes() -> None:
     assert number(1.25, 1, 100, " %") == "125.0 %"
     assert {number(value, 2) for value in (None, float("nan"), float("inf"))} == {"–"}
-    said = [centimetres(v).replace(NO_BREAK, " ") for v in (0.0009, 0.0234, None)]
-    assert said == ["± 0.09 cm", "± 2.3 cm", "–"]
+    said = [plus_minus(v).replace(NO_BREAK, " ") for v in (0.0009, 0.0234, None)]
+    assert said == ["± 0.90 mm", "± 23 mm", "–"]
 
 
 def test_table_escapes_every_cell() -> None:
@@ -21,6 +21,16 @@ def test_table_escapes_every_cell() -> None:
     assert page.open == []
     assert page.text.count(HOSTILE) == 5
     assert "script" not in [tag for tag, _ in page.tags]
+
+
+def test_a_bar_is_as_long_as_its_share() -> None:
+    rows = [("x", "61 %"), ("y", "7 %")]
+    html = table("t", ("a", "b"), rows, (), [("source", 0.614), ("", 0.07)])
+    bars = [a for tag, a in Page(html).tags if tag == "td"]
+    assert [bar["style"] for bar in bars] == ["--share: 61.4%", "--share: 7.0%"]
+    assert bars[0]["class"] == "share source"
+    with pytest.raises(ValueError, match="zip"):
+        table("t", ("a", "b"), rows, (), [("source", 0.614)])
 
 
 @pytest.mark.parametrize(

@@ -41,9 +41,11 @@ def test_an_unknown_code_is_shown_with_its_message_alone() -> None:
 
 def test_says_how_certain_and_in_which_direction() -> None:
     text = Page(verdict(made_up(count=500).result)).text.replace(NO_BREAK, " ")
-    assert "Least certain, at the poles, 1 σ: height along the poles: 0.6 cm." in text
+    assert "Least certain, at the poles, 1 σ: height along the poles: 6.0 mm." in text
     assert "A point 60 m away" in text
-    assert "± 4.3 cm" in text
+    assert "± 16 mm" in text
+    share = "58 % of the variance of ± 9.5 mm at 30 m"
+    assert f"Largest source of error, range offset of the source LiDAR: {share}." in text
 
 
 def test_refused_page_gives_no_transform_to_copy() -> None:

@@ -18,6 +18,7 @@ from retropole.report.text import (
     transform_lines,
 )
 from retropole.result import (
+    ErrorAtRange,
     InputDoc,
     PlacementDoc,
     ReasonDoc,
@@ -89,6 +90,31 @@ def test_a_result_ends_with_its_verdict(status: str) -> None:
     assert f"verdict: {status}\n" in text
     assert ("what to do: " in text) is (status != "ok")
     assert ("T_target_source" in text) is (status != "refused")
+
+
+def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius() -> None:
+    result = made_up(count=500).result
+    lines = describe_result(result, []).splitlines()
+    for line in (
+        "  predicted error, 1 sigma: ± 5.6 mm at 1 m, ± 6.2 mm at 10 m, ± 9.5 mm at 30 m, "
+        "± 16 mm at 60 m",
+        "  at 30 m: random ± 4.3 mm, systematic ± 8.5 mm",
+        "  largest source of error, range offset of the source LiDAR: 58 % of the variance of "
+        "± 9.5 mm at 30 m",
+        "  radius 20.00 mm given, 20.31 ± 0.42 mm estimated",
+    ):
+        assert line in lines
+    older = replace(result, uncertainty=None, budget=None, radius=None)
+    text = describe_result(older, [])
+    assert "predicted error" in text
+    for word in ("systematic", "largest", "radius"):
+        assert word not in text
+
+
+def test_no_error_is_written_as_nothing() -> None:
+    small = [ErrorAtRange(r, 1e-6 * r) for r in (1.0, 10.0)]
+    text = describe_result(replace(made_up(count=500).result, predicted_error=small), [])
+    assert "± 0.0010 mm at 1 m, ± 0.010 mm at 10 m" in text
 
 
 def test_placements_are_written_with_the_change_of_the_pose() -> None:

@@ -17,9 +17,12 @@ from ..datatypes import Array, Placement
 from ..errors import ReadError, Refusal
 from ..export.documents import RESULT_FILE, read_result, result_file
 from ..files import write_atomically
+from ..quantities import error
 from ..report import render_report, write_report
+from ..report.certainty import largest_error, radius_words
 from ..report.inputs import StoredInputs, placements_of
-from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode
+from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, radius_of, uncertainty_of
+from ..uncertainty import RadiusEstimate, Uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,6 +76,19 @@ class CalibrationResult:
         return None if covariance is None else np.array(covariance)
 
     @property
+    def uncertainty(self) -> Uncertainty | None:
+        """`covariance` in its two kinds, random and systematic, and the error budget.
+
+        None when refused, and of a result of a version that did not state it.
+        """
+        return uncertainty_of(self.document.uncertainty, self.document.budget)
+
+    @property
+    def radius(self) -> RadiusEstimate | None:
+        """The poles' radius as given and as estimated, metres; None as `uncertainty` is."""
+        return radius_of(self.document.radius)
+
+    @property
     def predicted_error(self) -> tuple[ErrorAtRange, ...]:
         """Predicted 1 σ error of a point (`sigma_m`) at ranges (`range_m`); empty when refused."""
         return tuple(self.document.predicted_error or ())
@@ -120,10 +136,14 @@ class CalibrationResult:
             ]
         if self.predicted_error:
             at = ", ".join(
-                f"{100 * each.sigma_m:.2f} cm at {each.range_m:g} m"
-                for each in self.predicted_error
+                f"± {error(each.sigma_m)} at {each.range_m:g} m" for each in self.predicted_error
             )
             rows.append(("predicted error", f"{at} (1 σ)"))
+        said = (
+            ("largest error", largest_error(self.document)),
+            ("radius", radius_words(self.document)),
+        )
+        rows += [(name, words) for name, words in said if words is not None]
         return rows + [(reason.code, reason.message) for reason in self.reasons]
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:

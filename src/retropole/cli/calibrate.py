@@ -46,7 +46,7 @@ from .common import (
     type=click.FloatRange(min=0),
     default=DEFAULT_CONFIG.radius_sigma_m,
     show_default=True,
-    help="1 sigma of the radius, m; above 0 the radius is estimated.",
+    help="1 sigma of the radius, m; at least 2 % of it is taken.",
 )
 @sensor_options
 @topic_options

@@ -32,7 +32,7 @@ radius_option = click.option(
     type=click.FloatRange(min=0, min_open=True),
     default=DEFAULT_CONFIG.radius_m,
     show_default=True,
-    help="Radius of the poles, m.",
+    help="Radius of the poles, m: half their thickness, tape included.",
 )
 
 topic_option = click.option("--topic", metavar="NAME", help=TOPIC_HELP)

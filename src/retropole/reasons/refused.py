@@ -19,7 +19,9 @@ RefusedCode = Literal[
     "placements_disagree",
     "moving_pole",
     "poor_fit",
+    "poles_inconsistent",
     "degenerate_poles",
+    "poles_scene_contradict",
     "registration_failed",
     "refused",
 ]
@@ -146,10 +148,35 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "does not fit.",
         ),
     ),
+    "poles_inconsistent": Explanation(
+        "The poles do not stand alike in both recordings",
+        "Distances and angles between the poles differ between the two LiDARs by more than the "
+        "noise and the instruments' errors allow (χ², the message gives it with its limit). A pose "
+        "moves all poles together; it cannot put one right.",
+        (
+            "If a pole was moved or bumped between the recordings, record again. The message names "
+            "the pole that fits worst.",
+            "If that one is another object, a post or a bollard, cover it. All poles must have the "
+            "radius that `--radius` says.",
+            "Record both LiDARs at the same time.",
+        ),
+    ),
     "degenerate_poles": Explanation(
         "The poles leave a part of the pose free",
         "The poles leave the pose free in some direction by more than 0.1 rad or 0.5 m.",
         ("Lean one by 15° or more against the other; stand them apart, upright, about 5 m away.",),
+    ),
+    "poles_scene_contradict": Explanation(
+        "The poles and the scene contradict each other",
+        "Poles and scene give poses further apart than any stated error explains. One of them is "
+        "wrong, and the data do not say which.",
+        (
+            "If a pole moved between the recordings, or something large in the scene did, record "
+            "again, both LiDARs at the same time.",
+            "Check with `retropole detect` that both see the same poles, and `--radius` with a "
+            "calliper.",
+            "If you know that the poles stood still, `--no-refine` keeps to them.",
+        ),
     ),
     "registration_failed": Explanation(
         "The scene could not be registered",

@@ -16,6 +16,8 @@ WarningCode = Literal[
     "weak_direction",
     "offset_not_separable",
     "poles_and_scene_disagree",
+    "radius_differs",
+    "several_minima",
 ]
 
 WARNINGS: dict[WarningCode, Explanation] = {
@@ -91,6 +93,28 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "poles.",
             "Clouds that another program has moved have lost their beam origin "
             "([accuracy](accuracy.md#what-the-figures-rest-on)).",
+        ),
+    ),
+    "radius_differs": Explanation(
+        "The radius is not the one you gave",
+        "The data deny the given radius by more than 3 σ. Then the returns alone decide it, and "
+        "the answer uses what they say. [Both are stated](certainty.md#the-radius).",
+        (
+            "Check `--radius` with a calliper: it is half the thickness, tape included, in metres. "
+            "An estimate of half of what was given says that `--radius` was given a diameter.",
+            "Where the calliper agrees with what was given, look at what was taken for a pole.",
+        ),
+    ),
+    "several_minima": Explanation(
+        "The scene fits at more than one pose",
+        "Started from different poses within the uncertainty of the poles, the refinement by the "
+        "scene ends at different poses. The best fit is given; the message says how far the others "
+        "lie from it.",
+        (
+            "Look at the view of the report: walls and ground must coincide, far away too.",
+            "Better poles leave one: stand them nearer, lean them more, or add a placement, "
+            "[`--placement`](placing.md#one-placement-is-weak-make-more).",
+            "Compare with `--no-refine`, which keeps to the poles.",
         ),
     ),
 }

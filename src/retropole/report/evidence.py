@@ -1,4 +1,4 @@
-"""What the answer rests on: poles, residuals, covariance, inputs; from the result to HTML."""
+"""What the answer rests on: poles, residuals, placements, inputs; from the result to HTML."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 from .. import se3
 from ..datatypes import Placement, Scan
 from ..result import ResultDoc, RunConfig
+from .certainty import radius_words
 from .crosssections import cross_sections
-from .markup import MISSING, centimetres, number, table
+from .markup import MISSING, number, table
 from .names import LIDARS, pair_name, pole_name
 
 UNFOLDED_CLUSTERS = 4
@@ -114,64 +115,13 @@ def _residuals(result: ResultDoc, first: Placement) -> str:
 def _radius_note(result: ResultDoc) -> str:
     if result.T_target_source is None:
         return ""
-    millimetres = 1000 * result.config.radius_m
+    millimetres, words = 1000 * result.config.radius_m, radius_words(result)
+    apart = f"{millimetres * math.pi / 2:.0f}"
+    stated = "" if words is None else f"<p>Radius of the poles: {escape(words)} (1 σ).</p>"
     return (
-        '<p class="note">Returns lie on the side of the pole that faces their LiDAR: at a radius '
-        f"of {millimetres:g} mm two LiDARs may see lines up to {millimetres * math.pi / 2:.0f} "
-        "mm apart though the transform is exact.</p>"
-    )
-
-
-_STATE = {
-    **{f"phi_{axis}": f"rotation about {axis} (phi_{axis})" for axis in "xyz"},
-    **{f"delta_{axis}": f"translation along {axis} (delta_{axis})" for axis in "xyz"},
-}
-
-
-def uncertainty(result: ResultDoc) -> str:
-    """Show the covariance and what it means at each range."""
-    if result.T_target_source is None:
-        return ""
-    tables, matrix = [], "<p>This run gives no covariance.</p>"
-    if result.covariance is not None:
-        covariance, order = np.array(result.covariance), result.covariance_order
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-        written = [number(s, 4, 180 / math.pi, " deg") for s in sigma[:3]]
-        written += [number(s, 2, 100, " cm") for s in sigma[3:]]
-        states = [(_STATE.get(name, name), s) for name, s in zip(order, written, strict=True)]
-        tables.append(table("1 σ of the pose", ("state", "1 σ"), states))
-        entries = [
-            (name, *(f"{value:.3e}" for value in row))
-            for name, row in zip(order, covariance, strict=True)
-        ]
-        matrix = (
-            f"<p>{escape(result.covariance_frame)}</p>"
-            "<details><summary>Covariance matrix</summary>"
-            f"{table('Covariance, rad and m', ('', *order), entries)}</details>"
-        )
-    estimates = (("poles alone", result.stages.poles), ("refined", result.stages.refined))
-    residuals = [(name, number(e.rms_m, 1, 1000)) for name, e in estimates if e is not None]
-    if residuals:
-        tables.append(table("Pose estimates", ("estimate", "rms residual, mm"), residuals))
-    ranges = [(f"{e.range_m:g} m", centimetres(e.sigma_m)) for e in result.predicted_error or []]
-    if ranges:
-        tables.append(table("A source point in the target frame", ("at range", "1 σ"), ranges))
-    return (
-        '<section aria-labelledby="uncertainty"><h2 id="uncertainty">Uncertainty</h2>'
-        f'{_weakest(result)}<div class="columns">{"".join(tables)}</div>{matrix}</section>'
-    )
-
-
-def _weakest(result: ResultDoc) -> str:
-    """Say in which direction the pose is least certain."""
-    weakest = result.weakest
-    if weakest is None:
-        return ""
-    direction = ", ".join(number(value, 2) for value in weakest.direction)
-    return (
-        f"<p>Least certain, at the poles: {escape(weakest.words)} (1 σ), along ({direction}) in "
-        "the target frame. Ratio of the largest to the smallest 1 σ of the six directions of the "
-        f"pose: {number(weakest.condition, 1)}.</p>"
+        f'{stated}<p class="note">Returns lie on the side of the pole that faces their LiDAR: at '
+        f"a radius of {millimetres:g} mm two LiDARs may see lines up to {apart} mm apart though "
+        "the transform is exact.</p>"
     )
 
 

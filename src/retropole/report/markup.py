@@ -7,15 +7,12 @@ import re
 from collections.abc import Collection, Sequence
 from html import escape
 
+from ..quantities import UNKNOWN, error
 from ..reasons import unlinked
 
-MISSING = "–"
-"""Stands where there is no number."""
+MISSING = UNKNOWN
 
 NO_BREAK = "\u00a0"
-
-TWO_DIGITS_BELOW = 0.00995
-"""Lengths below this, metres, are written in cm with two digits after the point."""
 
 CODE = re.compile(r"`([^`]+)`")
 EMPHASIS = re.compile(r"\*([^*\s][^*]*)\*")
@@ -28,11 +25,10 @@ def number(value: float | None, digits: int, scale: float = 1.0, unit: str = "")
     return f"{value * scale:.{digits}f}{unit}"
 
 
-def centimetres(sigma_m: float | None) -> str:
-    """Write a 1 σ as ``± … cm``, which no line break parts; a dash where there is none."""
-    digits = 2 if sigma_m is not None and abs(sigma_m) < TWO_DIGITS_BELOW else 1
-    text = number(sigma_m, digits, 100)
-    return text if text == MISSING else f"±{NO_BREAK}{text}{NO_BREAK}cm"
+def plus_minus(sigma_m: float | None) -> str:
+    """Write a 1 σ as ``± 8.4 mm``, which no line break parts; a dash where there is none."""
+    text = error(sigma_m)
+    return text if text == MISSING else f"± {text}".replace(" ", NO_BREAK)
 
 
 def table(
@@ -40,6 +36,7 @@ def table(
     header: Sequence[str],
     rows: Sequence[Sequence[object]],
     text: Collection[int] = (),
+    bars: Sequence[tuple[str, float]] = (),
 ) -> str:
     """Lay out a table that scrolls sideways on narrow screens.
 
@@ -49,18 +46,24 @@ def table(
         Every cell is escaped; the first of each row is its heading.
     text
         Columns of words, aligned left; all others but the first are numbers.
+    bars
+        Of each row, the class and the length, 0 to 1, of a bar behind its last cell.
     """
     kind = ["" if k not in text else ' class="text"' for k in range(len(header))]
     head = "".join(
         f'<th scope="col"{c}>{escape(name)}</th>' for c, name in zip(kind, header, strict=True)
     )
+    ends = [
+        f' class="share {escape(name)}" style="--share: {100 * share:.1f}%"' for name, share in bars
+    ] or [kind[-1]] * len(rows)
     body = "".join(
         f'<tr><th scope="row">{escape(str(row[0]))}</th>'
         + "".join(
-            f"<td{c}>{escape(str(cell))}</td>" for c, cell in zip(kind[1:], row[1:], strict=True)
+            f"<td{c}>{escape(str(cell))}</td>"
+            for c, cell in zip([*kind[1:-1], end], row[1:], strict=True)
         )
         + "</tr>"
-        for row in rows
+        for row, end in zip(rows, ends, strict=True)
     )
     name = escape(caption)
     return (

@@ -13,6 +13,7 @@ from ..files import write_atomically
 from ..result import ResultDoc
 from . import evidence, sections
 from .names import LIDARS, input_names
+from .uncertainty import uncertainty
 from .view_data import embed_json, page_view
 
 MAX_PAGE_POINTS = 100_000
@@ -70,7 +71,7 @@ def render_report(
         "hypotheses": sections.hypotheses(result),
         "transform": sections.transform(result),
         "poles": evidence.poles(result, placements[0]),
-        "uncertainty": evidence.uncertainty(result),
+        "uncertainty": uncertainty(result),
         "placements": evidence.placements(result),
         "run": evidence.provenance(result),
     }

@@ -11,7 +11,8 @@ from .. import se3
 from ..export import FORMATS, export_lines
 from ..reasons import explain
 from ..result import HypothesisDoc, ReasonDoc, ResultDoc
-from .markup import centimetres, inline, number, table
+from .certainty import largest_error
+from .markup import inline, number, plus_minus, table
 from .names import LIDARS, hypothesis_name, pair_name
 
 FRAMES = ("lidar_target", "lidar_source")
@@ -74,7 +75,7 @@ def _reason(reason: ReasonDoc) -> str:
 
 
 def _certainty(result: ResultDoc) -> str:
-    """Say how far off a point may land, and in which direction the pose is least certain."""
+    """Say how far off a point may land, mostly by what, and where the pose is least certain."""
     if result.T_target_source is None:
         return ""
     sentence = ""
@@ -82,8 +83,11 @@ def _certainty(result: ResultDoc) -> str:
         far = max(result.predicted_error, key=lambda error: error.range_m)
         sentence = (
             f" A point {far.range_m:g} m away is expected to land within "
-            f"{centimetres(far.sigma_m)} (1 σ) of its true place."
+            f"{plus_minus(far.sigma_m)} (1 σ) of its true place."
         )
+    largest = largest_error(result)
+    if largest is not None:
+        sentence += f" Largest source of error, {largest}."
     if result.weakest is not None:
         sentence += f" Least certain, at the poles, 1 σ: {result.weakest.words}."
     return sentence
@@ -92,7 +96,7 @@ def _certainty(result: ResultDoc) -> str:
 def _figures(result: ResultDoc) -> str:
     """Show the predicted error at each range, and the margin, as tiles."""
     tiles = [
-        (centimetres(error.sigma_m), f"at {error.range_m:g} m, 1 σ")
+        (plus_minus(error.sigma_m), f"at {error.range_m:g} m, 1 σ")
         for error in result.predicted_error or []
     ]
     if result.margin is not None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import se3
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
+from ..quantities import error
 from ..reasons import explain, plain
 from ..result import (
     DetectionDoc,
@@ -18,6 +19,7 @@ from ..result import (
     ReasonDoc,
     ResultDoc,
 )
+from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words
 from .names import LIDARS, hypothesis_name
 
 ACTIONS = 2
@@ -138,13 +140,7 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
     if result.T_target_source is not None:
         parts += ["T_target_source (source points into the target frame)"]
         parts += transform_lines(result.T_target_source)
-        if result.predicted_error:
-            at = ", ".join(
-                f"{100 * e.sigma_m:.1f} cm at {e.range_m:g} m" for e in result.predicted_error
-            )
-            parts.append(f"  predicted error, 1 sigma: {at}")
-        if result.weakest is not None:
-            parts.append(f"  least certain, 1 sigma: {result.weakest.words}")
+        parts += _certainty_lines(result)
         if result.placements:
             rows = [
                 _placement_row(k, placement) for k, placement in enumerate(result.placements, 1)
@@ -157,6 +153,27 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
         parts += reason_lines(reason)
     parts.append("written: " + ", ".join(written))
     return "\n".join(parts)
+
+
+def _certainty_lines(result: ResultDoc) -> list[str]:
+    """Say how certain the pose is, what makes it uncertain, and the radius of the poles."""
+    lines, largest, radius = [], largest_error(result), radius_words(result)
+    if result.predicted_error:
+        at = ", ".join(f"± {error(e.sigma_m)} at {e.range_m:g} m" for e in result.predicted_error)
+        lines.append(f"  predicted error, 1 sigma: {at}")
+    for each in error_parts(result):
+        if each.range_m == BUDGET_RANGE:
+            lines.append(
+                f"  at {each.range_m:g} m: random ± {error(each.random)}, "
+                f"systematic ± {error(each.systematic)}"
+            )
+    if largest is not None:
+        lines.append(f"  largest source of error, {largest}")
+    if result.weakest is not None:
+        lines.append(f"  least certain, 1 sigma: {result.weakest.words}")
+    if radius is not None:
+        lines.append(f"  radius {radius}")
+    return lines
 
 
 _PLACEMENT_HEADER = ("placement", "poles", "rotation deg", "translation m")

@@ -12,24 +12,74 @@ from typing import Literal
 
 import msgspec
 
-from . import __version__
-from .datatypes import (
+from .. import __version__
+from ..datatypes import (
     DEFAULT_RADIUS,
-    Array,
     Calibration,
-    Detection,
     Hypothesis,
     Placement,
-    Pole,
     PoseEstimate,
 )
-from .uncertainty import WeakDirection
+from .certainty import (
+    BudgetEntryDoc,
+    ErrorAtRange,
+    Matrix,
+    RadiusDoc,
+    UncertaintyDoc,
+    WeakestDoc,
+    budget_document,
+    matrix_rows,
+    radius_document,
+    radius_of,
+    uncertainty_document,
+    uncertainty_of,
+    weakest_document,
+)
+from .detected import (
+    DetectionDoc,
+    InputDoc,
+    PoleDoc,
+    PolesDoc,
+    RejectedDoc,
+    detection_document,
+    pole_documents,
+)
+
+__all__ = [
+    "COVARIANCE_FRAME",
+    "COVARIANCE_ORDER",
+    "DEFAULT_CONFIG",
+    "RESULT_SCHEMA",
+    "BudgetEntryDoc",
+    "DetectionDoc",
+    "ErrorAtRange",
+    "HypothesisDoc",
+    "InputDoc",
+    "Matrix",
+    "PlacementDoc",
+    "PoleDoc",
+    "PolesDoc",
+    "PoseEstimateDoc",
+    "RadiusDoc",
+    "ReasonDoc",
+    "RejectedDoc",
+    "ResultDoc",
+    "RunConfig",
+    "StagesDoc",
+    "UncertaintyDoc",
+    "WeakestDoc",
+    "decode",
+    "detection_document",
+    "encode",
+    "pole_documents",
+    "radius_of",
+    "result_document",
+    "uncertainty_of",
+]
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
 COVARIANCE_FRAME = "target axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
-
-Matrix = list[list[float]]
 
 
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -97,60 +147,6 @@ class HypothesisDoc(msgspec.Struct, frozen=True):
     chosen: bool
 
 
-class PoleDoc(msgspec.Struct, frozen=True):
-    """One pole as one LiDAR sees it, in that LiDAR's frame."""
-
-    point_m: list[float]
-    direction: list[float]
-    length_m: float
-    points: int
-    rings: int
-    rms_m: float
-
-
-class RejectedDoc(msgspec.Struct, frozen=True):
-    """A retro-reflective cluster that was rejected."""
-
-    centre_m: list[float]
-    points: int
-    code: str
-    reason: str
-
-
-class PolesDoc(msgspec.Struct, frozen=True):
-    """The poles of both LiDARs."""
-
-    target: list[PoleDoc]
-    source: list[PoleDoc]
-
-
-class InputDoc(msgspec.Struct, frozen=True):
-    """What was read."""
-
-    path: str
-    sha256: str
-    points: int
-    dropped: int
-    sensor: str
-    threshold: float | None
-
-
-class ErrorAtRange(msgspec.Struct, frozen=True):
-    """Predicted error of a point at a range, 1 sigma."""
-
-    range_m: float
-    sigma_m: float
-
-
-class WeakestDoc(msgspec.Struct, frozen=True):
-    """The direction in which the pose is least certain, at the poles, target axes."""
-
-    direction: list[float]
-    sigma_m: float
-    words: str
-    condition: float
-
-
 class PlacementDoc(msgspec.Struct, frozen=True):
     """One of several placements: its poles, and how far the pose without it is from the whole."""
 
@@ -170,8 +166,11 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     covariance: Matrix | None
     covariance_order: tuple[str, ...] = COVARIANCE_ORDER
     covariance_frame: str = COVARIANCE_FRAME
+    uncertainty: UncertaintyDoc | None = None
+    budget: list[BudgetEntryDoc] | None = None
     predicted_error: list[ErrorAtRange] | None
     weakest: WeakestDoc | None = None
+    radius: RadiusDoc | None = None
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
     margin: float | None
@@ -189,26 +188,12 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
         return next((hypothesis for hypothesis in self.hypotheses if hypothesis.chosen), None)
 
 
-class DetectionDoc(msgspec.Struct, frozen=True):
-    """What `retropole detect` found in one file."""
-
-    input: InputDoc
-    threshold_source: str
-    retro_points: int
-    poles: list[PoleDoc]
-    rejected: list[RejectedDoc]
-
-
-def _rows(value: Array) -> Matrix:
-    return [[float(v) for v in row] for row in value]
-
-
 def _pose(pose: PoseEstimate | None) -> PoseEstimateDoc | None:
     if pose is None:
         return None
     return PoseEstimateDoc(
-        _rows(pose.T_target_source),
-        None if pose.covariance is None else _rows(pose.covariance),
+        matrix_rows(pose.T_target_source),
+        None if pose.covariance is None else matrix_rows(pose.covariance),
         pose.rms,
     )
 
@@ -216,7 +201,7 @@ def _pose(pose: PoseEstimate | None) -> PoseEstimateDoc | None:
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
     return HypothesisDoc(
         pairs=list(hypothesis.match.pairs),
-        T_target_source=_rows(hypothesis.match.T_target_source),
+        T_target_source=matrix_rows(hypothesis.match.T_target_source),
         pole_rms_m=hypothesis.match.pole_rms,
         exact=hypothesis.match.exact,
         icp_rotation_rad=hypothesis.icp_rotation,
@@ -226,12 +211,6 @@ def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
         score=hypothesis.score,
         chosen=chosen,
     )
-
-
-def _weakest(weakest: WeakDirection | None) -> WeakestDoc | None:
-    if weakest is None:
-        return None
-    return WeakestDoc(weakest.direction.tolist(), weakest.sigma, weakest.words, weakest.condition)
 
 
 def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
@@ -260,35 +239,6 @@ def _with_thresholds(inputs: Sequence[InputDoc], placements: Sequence[Placement]
     ]
 
 
-def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
-    """Write poles as the result document holds them."""
-    return [
-        PoleDoc(
-            pole.point.tolist(),
-            pole.direction.tolist(),
-            pole.length,
-            len(pole.xyz),
-            pole.rings,
-            pole.rms,
-        )
-        for pole in poles
-    ]
-
-
-def detection_document(detection: Detection, source: InputDoc) -> DetectionDoc:
-    """Write what was found in one cloud, the rejected clusters included."""
-    return DetectionDoc(
-        input=source,
-        threshold_source=detection.threshold_source,
-        retro_points=detection.retro_points,
-        poles=pole_documents(detection.poles),
-        rejected=[
-            RejectedDoc(r.centre.tolist(), len(r.index), r.code, r.reason)
-            for r in detection.rejected
-        ],
-    )
-
-
 def result_document(
     calibration: Calibration,
     *,
@@ -315,13 +265,16 @@ def result_document(
     return ResultDoc(
         status=calibration.status,
         reasons=[ReasonDoc(r.code, r.message, dict(r.values)) for r in calibration.reasons],
-        T_target_source=None if T is None else _rows(T),
-        covariance=None if covariance is None else _rows(covariance),
+        T_target_source=None if T is None else matrix_rows(T),
+        covariance=None if covariance is None else matrix_rows(covariance),
+        uncertainty=uncertainty_document(calibration.uncertainty),
+        budget=budget_document(calibration.uncertainty),
         predicted_error=[
             ErrorAtRange(range_m, sigma) for range_m, sigma in calibration.predicted_error
         ]
         or None,
-        weakest=_weakest(calibration.weakest),
+        weakest=weakest_document(calibration.weakest),
+        radius=radius_document(calibration.radius),
         stages=StagesDoc(_pose(calibration.poles), _pose(calibration.refined)),
         hypotheses=[
             _hypothesis(h, answered and k == 0) for k, h in enumerate(calibration.hypotheses)

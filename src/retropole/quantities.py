@@ -1,0 +1,93 @@
+"""Errors and what they belong to, in words: two significant digits, and a unit that fits.
+
+More digits of an uncertainty mean nothing, and fewer lose too much (GUM, JCGM 100:2008, 7.2.6). A
+value beside its uncertainty ends at the same digit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+Unit = Literal["m", "rad", "1"]
+
+UNKNOWN = "–"
+"""Stands where there is no number."""
+
+MILLIMETRES_BELOW = 0.0995
+"""Lengths below this, metres, are written in mm: what rounds to 0.10 m is written in m."""
+
+
+def error(sigma: float | None, unit: Unit = "m") -> str:
+    """Write an uncertainty with two significant digits: ``8.4 mm``, ``0.12 m``, ``0.035°``.
+
+    Parameters
+    ----------
+    sigma
+        In SI units; None, or what is not finite, is a dash.
+    unit
+        ``m`` is written in mm or m, ``rad`` in degrees, and ``1`` in per mille.
+    """
+    if sigma is None or not math.isfinite(sigma):
+        return UNKNOWN
+    scale, symbol = _scale(abs(sigma), unit)
+    return _fixed(sigma * scale, _decimals(sigma * scale)) + symbol
+
+
+def value(number: float | None, sigma: float, unit: Unit = "m") -> str:
+    """Write a value to the digit at which its uncertainty ends: ``20.31 mm`` beside 0.42 mm.
+
+    Parameters
+    ----------
+    number
+        In SI units; None, or what is not finite, is a dash.
+    sigma
+        Its uncertainty, same unit; at 0 the value itself has two significant digits.
+    unit
+        As in `error`.
+    """
+    return _beside(number, sigma, unit, "")
+
+
+def value_and_error(number: float | None, sigma: float, unit: Unit = "m") -> str:
+    """Write a value with its uncertainty, both to the same digit: ``20.31 ± 0.42 mm``."""
+    return _beside(number, sigma, unit, " ± ")
+
+
+def percent(share: float) -> str:
+    """Write a share, 0 to 1, in whole per cent: ``61 %``, ``< 1 %``."""
+    return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
+
+
+def _beside(number: float | None, sigma: float, unit: Unit, plus_minus: str) -> str:
+    if number is None or not math.isfinite(number) or not math.isfinite(sigma):
+        return UNKNOWN
+    scale, symbol = _scale(max(abs(number), abs(sigma)), unit)
+    decimals = _decimals(scale * (sigma or number))
+    text = _fixed(scale * number, decimals)
+    if plus_minus:
+        text += plus_minus + _fixed(scale * sigma, decimals)
+    if plus_minus and symbol == "°":
+        return f"({text})°"
+    return text + symbol
+
+
+def _scale(size: float, unit: Unit) -> tuple[float, str]:
+    """Choose the factor from SI units, and the symbol with its space."""
+    if unit == "rad":
+        return 180 / math.pi, "°"
+    if unit == "1":
+        return 1000.0, " ‰"
+    return (1000.0, " mm") if size < MILLIMETRES_BELOW else (1.0, " m")
+
+
+def _decimals(number: float) -> int:
+    """Digits after the point that leave two significant ones; negative in front of it."""
+    if number == 0:
+        return 0
+    return 1 - int(f"{number:.1e}".partition("e")[2])
+
+
+def _fixed(number: float, decimals: int) -> str:
+    """Write a number to a digit; nothing is a negative zero."""
+    return f"{round(number, decimals) + 0.0:.{max(decimals, 0)}f}"

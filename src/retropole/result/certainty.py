@@ -1,0 +1,122 @@
+"""How certain an answer is, as the result document holds it, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from ..datatypes import Array
+from ..uncertainty import BudgetEntry, RadiusEstimate, Uncertainty, WeakDirection
+
+Matrix = list[list[float]]
+
+
+class ErrorAtRange(msgspec.Struct, frozen=True):
+    """Predicted error of a point at a range, 1 sigma."""
+
+    range_m: float
+    sigma_m: float
+
+
+class WeakestDoc(msgspec.Struct, frozen=True):
+    """The direction in which the pose is least certain, at the poles, target axes."""
+
+    direction: list[float]
+    sigma_m: float
+    words: str
+    condition: float
+
+
+class UncertaintyDoc(msgspec.Struct, frozen=True):
+    """The two parts of the covariance, in its order and frame; it is their sum."""
+
+    random: Matrix
+    systematic: Matrix
+
+
+class BudgetEntryDoc(msgspec.Struct, frozen=True):
+    """One source of error; `sigma` and `estimated` are in `unit`."""
+
+    name: str
+    sensor: Literal["target", "source"] | None
+    sigma: float
+    unit: Literal["m", "rad", "1"]
+    estimated: float | None
+    share_at_30m: float
+
+
+class RadiusDoc(msgspec.Struct, frozen=True):
+    """Radius of the poles as given and as the data have it, each with its 1 sigma."""
+
+    given_m: float
+    given_sigma_m: float
+    estimated_m: float
+    sigma_m: float
+
+
+def matrix_rows(value: Array) -> Matrix:
+    """Write a matrix row by row."""
+    return [[float(v) for v in row] for row in value]
+
+
+def weakest_document(weakest: WeakDirection | None) -> WeakestDoc | None:
+    """Write the weakest direction; None where there is none."""
+    if weakest is None:
+        return None
+    return WeakestDoc(weakest.direction.tolist(), weakest.sigma, weakest.words, weakest.condition)
+
+
+def uncertainty_document(uncertainty: Uncertainty | None) -> UncertaintyDoc | None:
+    """Write both parts of the covariance; None where they are not known."""
+    if uncertainty is None:
+        return None
+    return UncertaintyDoc(matrix_rows(uncertainty.random), matrix_rows(uncertainty.systematic))
+
+
+def budget_document(uncertainty: Uncertainty | None) -> list[BudgetEntryDoc] | None:
+    """Write every source of error, the largest first; None where they are not known."""
+    if uncertainty is None:
+        return None
+    return [
+        BudgetEntryDoc(
+            entry.name,
+            entry.sensor,
+            float(entry.sigma),
+            entry.unit,
+            None if entry.estimated is None else float(entry.estimated),
+            float(entry.share_at_30m),
+        )
+        for entry in sorted(uncertainty.budget, key=lambda entry: -entry.share_at_30m)
+    ]
+
+
+def radius_document(radius: RadiusEstimate | None) -> RadiusDoc | None:
+    """Write the radius as given and as estimated; None where it was not estimated."""
+    if radius is None:
+        return None
+    return RadiusDoc(radius.given, radius.given_sigma, radius.estimated, radius.sigma)
+
+
+def uncertainty_of(
+    document: UncertaintyDoc | None, budget: Sequence[BudgetEntryDoc] | None
+) -> Uncertainty | None:
+    """Read back what `uncertainty_document` and `budget_document` wrote."""
+    if document is None:
+        return None
+    return Uncertainty(
+        np.array(document.random, dtype=float),
+        np.array(document.systematic, dtype=float),
+        tuple(BudgetEntry(**msgspec.structs.asdict(entry)) for entry in budget or ()),
+    )
+
+
+def radius_of(document: RadiusDoc | None) -> RadiusEstimate | None:
+    """Read back what `radius_document` wrote."""
+    if document is None:
+        return None
+    return RadiusEstimate(
+        document.given_m, document.given_sigma_m, document.estimated_m, document.sigma_m
+    )

@@ -1,0 +1,104 @@
+"""Certainty in its two kinds, written and read back."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import Calibration, PointCloud
+from retropole.result import (
+    InputDoc,
+    ResultDoc,
+    RunConfig,
+    decode,
+    encode,
+    radius_of,
+    result_document,
+    uncertainty_of,
+)
+from retropole.uncertainty import BudgetEntry, RadiusEstimate, Uncertainty
+from tests.report.made_up import BUDGET, RANDOM, SYSTEMATIC, placement_of
+
+INPUTS = [InputDoc(f"{name}.pcd", "0" * 64, 1, 0, "auto", None) for name in ("a", "b")]
+
+
+def calibration(
+    uncertainty: Uncertainty | None = None, radius: RadiusEstimate | None = None
+) -> Calibration:
+    """Hold nothing but how certain it is."""
+    seen = (placement_of(PointCloud(np.ones((1, 3)))),)
+    answer = Calibration("ok", (), np.eye(4), None, None, None, (), None, (), None, seen, {})
+    covariance = None if uncertainty is None else uncertainty.covariance
+    return replace(answer, covariance=covariance, uncertainty=uncertainty, radius=radius)
+
+
+def written(answer: Calibration) -> ResultDoc:
+    return result_document(answer, inputs=INPUTS, config=RunConfig(), seconds={})
+
+
+STATED = calibration(
+    Uncertainty(RANDOM, SYSTEMATIC, BUDGET), RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042)
+)
+
+
+def test_names_that_others_rely_on() -> None:
+    plain = json.loads(encode(written(STATED)))
+    assert set(plain["uncertainty"]) == {"random", "systematic"}
+    names = {"name", "sensor", "sigma", "unit", "estimated", "share_at_30m"}
+    assert all(set(entry) == names for entry in plain["budget"])
+    assert plain["radius"] == {
+        "given_m": 0.02,
+        "given_sigma_m": 0.0005,
+        "estimated_m": 0.02031,
+        "sigma_m": 0.00042,
+    }
+
+
+def test_the_covariance_is_the_sum_of_its_two_parts() -> None:
+    plain = json.loads(encode(written(STATED)))
+    random, systematic = (np.array(plain["uncertainty"][k]) for k in ("random", "systematic"))
+    assert random.shape == systematic.shape == (6, 6)
+    np.testing.assert_allclose(random + systematic, plain["covariance"], rtol=1e-12)
+
+
+def test_what_was_written_is_read_back() -> None:
+    document = decode(encode(written(STATED)))
+    found, stated = uncertainty_of(document.uncertainty, document.budget), STATED.uncertainty
+    assert found is not None
+    assert stated is not None
+    np.testing.assert_array_equal(found.random, stated.random)
+    np.testing.assert_array_equal(found.systematic, stated.systematic)
+    assert found.budget == stated.budget
+    assert radius_of(document.radius) == STATED.radius
+
+
+def test_the_largest_error_comes_first() -> None:
+    shuffled = Uncertainty(RANDOM, SYSTEMATIC, BUDGET[::-1])
+    budget = written(calibration(shuffled)).budget
+    assert budget is not None
+    shares = [entry.share_at_30m for entry in budget]
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_numbers_of_numpy_are_written_as_numbers() -> None:
+    share = np.float64(1)
+    entry = BudgetEntry("scale", "target", np.float64(1e-4), "1", np.float64(2e-5), share)
+    document = written(calibration(Uncertainty(RANDOM, SYSTEMATIC, (entry,))))
+    assert document.budget is not None
+    (found,) = document.budget
+    assert (found.sigma, found.estimated, found.share_at_30m) == (1e-4, 2e-5, 1.0)
+    assert decode(encode(document)) == document
+
+
+@pytest.mark.parametrize("missing", ["null", "absent"])
+def test_files_that_do_not_state_it_are_read(missing: str) -> None:
+    plain = json.loads(encode(written(calibration())))
+    for name in ("uncertainty", "budget", "radius"):
+        assert plain[name] is None
+        if missing == "absent":
+            del plain[name]
+    document = decode(json.dumps(plain).encode())
+    assert (document.uncertainty, document.budget, document.radius) == (None, None, None)
+    assert uncertainty_of(document.uncertainty, document.budget) is None
+    assert radius_of(document.radius) is None
