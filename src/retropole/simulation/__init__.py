@@ -1,5 +1,6 @@
 """Simulated pairs of scans whose true transform is known."""
 
+from .insertion import InsertedPair, insert_poles
 from .pairs import (
     SCENES,
     SimulatedPair,
@@ -18,6 +19,7 @@ __all__ = [
     "TYPICAL",
     "Box",
     "Cylinder",
+    "InsertedPair",
     "LabelledScan",
     "Material",
     "NoiseModel",
@@ -25,6 +27,7 @@ __all__ = [
     "SimulatedPair",
     "SimulationError",
     "Surface",
+    "insert_poles",
     "place_again",
     "record_again",
     "scan",

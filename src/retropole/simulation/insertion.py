@@ -50,8 +50,8 @@ POLE_LENGTHS, MAX_LEAN = (2.0, 2.4), float(np.radians(45.0))
 """Least and greatest length, metres; lean from the vertical, rad: what people set up by hand."""
 
 GROUND_RADIUS, GROUND_POINTS, GROUND_QUANTILE = 0.5, 5, 0.1
-"""The ground at a foot is this quantile of the heights of at least so many returns around it, within
-so many metres."""
+"""The ground at a foot is this quantile of the heights within so many metres around it, of at least
+so many returns."""
 
 GROUND_SPREAD = 0.3
 """It is bare where the heights spread by less, metres: no car, hedge or wall stands there."""

@@ -95,14 +95,14 @@ def sharpest_axis(directions: Array) -> Array:
     for step in TILT_STEPS:
         tried = [tilt + step * np.array([i, j]) for i in offsets for j in offsets]
         # The middle first: of equals it stays.
-        tried.sort(key=lambda other: float(np.linalg.norm(other - tilt)))  # noqa: B023
-        tilt = min(tried, key=lambda other: _entropy(some @ _axis(other), step))  # noqa: B023
+        tried.sort(key=lambda other: float(np.linalg.norm(other - tilt)))
+        tilt = min(tried, key=lambda other: _entropy(some @ _axis(other), step))
     return _axis(tilt)
 
 
 def _axis(tilt: Array) -> Array:
     axis = np.array([tilt[0], tilt[1], 1.0])
-    return axis / np.linalg.norm(axis)
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def _entropy(sines: Array, step: float) -> float:
