@@ -21,12 +21,13 @@ from retropole.simulation import (
     SimulationError,
     Surface,
     insert_poles,
-    insertion,
     scan,
+    standing,
 )
-from retropole.simulation.insertion import CLEARANCE, MAX_LEAN, MIN_RETURNS, POLE_DISTANCES
+from retropole.simulation.pairs import MIN_RINGS
 from retropole.simulation.recorded import levels, recorded_beams, sharpest_axis
 from retropole.simulation.scenes import FOOT_HEIGHT, POLE_SPACING, TAPE
+from retropole.simulation.standing import CLEARANCE, MAX_LEAN, MIN_RETURNS, POLE_DISTANCES
 from tests.paths import SHARED
 
 WALL = Material(0.5)
@@ -248,6 +249,9 @@ def test_poles_that_are_drawn_stand_free_on_the_ground_in_sight_of_both(tilt: fl
             up=turned.T[:, 2],
         )
         assert np.min(made.returns_on_poles) >= MIN_RETURNS
+        for cloud, labels in zip((made.target, made.source), made.labels, strict=True):
+            assert cloud.ring is not None
+            assert min(len(np.unique(cloud.ring[labels == k])) for k in range(2)) >= MIN_RINGS
         axes = [turned @ pole.axis for pole in made.poles]
         assert abs(axes[0] @ axes[1]) < np.cos(np.radians(15.0))
         feet = [turned @ p.centre - p.length / 2 * a for p, a in zip(made.poles, axes, strict=True)]
@@ -271,7 +275,7 @@ def test_equal_seeds_give_equal_pairs() -> None:
 
 
 def test_without_ground_there_is_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(insertion, "MAX_DRAWS", 50)
+    monkeypatch.setattr(standing, "MAX_DRAWS", 50)
     target, source = recordings(ROOM[2:])
     with pytest.raises(SimulationError, match="50 draws gave no 2 poles"):
         insert_poles(target, source, T, np.random.default_rng(0))

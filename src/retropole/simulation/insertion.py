@@ -10,15 +10,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .. import se3
 from ..datatypes import DEFAULT_RADIUS, PER_POINT, Array, IntArray, PointCloud
 from ..sensors import Sensor
-from .pairs import MIN_POLE_ANGLE, SimulationError
-from .raycast import Cylinder, Hits, cast
-from .recorded import RecordedBeams, recorded_beams
-from .scenes import FOOT_HEIGHT, POLE_SPACING, TAPE, UP
+from .raycast import Cylinder
+from .recorded import RecordedBeams, in_frame, met_by, recorded_beams
+from .scenes import UP
+from .standing import draw_standing_poles
 
 RANGE_NOISE, DIVERGENCE = 0.010, 0.003
 """1 σ of the range, metres, and full angle of the beam, rad, where the sensor is not known: those
@@ -39,32 +38,6 @@ FULL_SCALE = 255.0
 
 GRAZING, FLUCTUATION = 0.55, 0.15
 """Strength of tape at grazing incidence and 1 σ of its fluctuation, of 1 (as in `scanning`)."""
-
-MIN_RETURNS = 8
-"""Returns of each LiDAR on each pole."""
-
-POLE_DISTANCES = 3.0, 10.0
-"""Least and greatest horizontal distance of a pole's foot from each LiDAR, metres."""
-
-POLE_LENGTHS, MAX_LEAN = (2.0, 2.4), float(np.radians(45.0))
-"""Least and greatest length, metres; lean from the vertical, rad: what people set up by hand."""
-
-GROUND_RADIUS, GROUND_POINTS, GROUND_QUANTILE = 0.5, 5, 0.1
-"""The ground at a foot is this quantile of the heights within so many metres around it, of at least
-so many returns."""
-
-GROUND_SPREAD = 0.3
-"""It is bare where the heights spread by less, metres: no car, hedge or wall stands there."""
-
-GROUND_STEP, GROUND_AROUND = 0.5, 3.0
-"""It is the ground, and not the top of something, where it lies less than this above the lowest
-returns within so many metres around."""
-
-CLEARANCE, CLEAR_FROM = 0.3, 0.25
-"""Nothing was recorded this close to a pole, from so high above the ground, metres."""
-
-MAX_DRAWS, MAX_SECOND_DRAWS = 20_000, 2_000
-"""Draws of single poles before a `SimulationError`, and before earlier poles are drawn again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,15 +126,16 @@ def insert_poles(
     Raises
     ------
     SimulationError
-        `MAX_DRAWS` draws gave no such poles.
+        No such poles were found in many draws.
     """
     beams = recorded_beams(target), recorded_beams(source)
     widths = tuple(DIVERGENCE if s is None else s.divergence for s in sensors)
     frames = np.eye(4), T_target_source
     if isinstance(poles, int):
         # Cast from the target's frame: drawing tries many poles, and beams turn only once.
-        turned = tuple(_in_frame(b, T) for b, T in zip(beams, frames, strict=True))
-        standing = _draw(target, source, T_target_source, turned, widths, rng, poles, radius, up)
+        turned = tuple(in_frame(b, T) for b, T in zip(beams, frames, strict=True))
+        points = np.concatenate([target.xyz, se3.apply(T_target_source, source.xyz)])
+        standing = draw_standing_poles(points, turned, widths, rng, poles, radius, up)
     else:
         standing = list(poles)
     made = [
@@ -180,11 +154,6 @@ def insert_poles(
     )
 
 
-def _in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:
-    origin = se3.apply(T, beams.origin[None])[0]
-    return replace(beams, origin=origin, directions=beams.directions @ T[:3, :3].T)
-
-
 def _moved(poles: Sequence[Cylinder], T_target_cloud: Array) -> list[Cylinder]:
     """Poles of the target's frame in the cloud's."""
     T = se3.inverse(T_target_cloud)
@@ -192,12 +161,6 @@ def _moved(poles: Sequence[Cylinder], T_target_cloud: Array) -> list[Cylinder]:
         replace(pole, centre=se3.apply(T, pole.centre[None])[0], axis=T[:3, :3] @ pole.axis)
         for pole in poles
     ]
-
-
-def _met(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
-    """Cast the beams at the poles; the index is of those that meet one before their return."""
-    hits = cast(beams.origin, beams.directions, poles, width)
-    return hits, np.flatnonzero(hits.ranges < beams.ranges)
 
 
 def _with_poles(
@@ -211,7 +174,7 @@ def _with_poles(
     ring_bias: float,
 ) -> tuple[PointCloud, IntArray]:
     """Replace what the poles hide by returns on them; the labels (N',) are their index or −1."""
-    hits, met = _met(beams, poles, width)
+    hits, met = met_by(beams, poles, width)
     biases = np.r_[ring_bias * rng.normal(size=max(int(beams.rings.max()), 0) + 1), 0.0]
     noise = RANGE_NOISE if sensor is None else sensor.range_noise
     ranges = hits.ranges[met] + tape_offset * rng.normal() + biases[beams.rings[met]]
@@ -252,109 +215,3 @@ def _tape(
     strength = np.clip((GRAZING + (1 - GRAZING) * cosine) * (1 - loss), 0, 1)
     bright = least + (top - least) * strength
     return np.asarray(np.round(bright) if top > 1.0 else bright)
-
-
-def _draw(
-    target: PointCloud,
-    source: PointCloud,
-    T_target_source: Array,
-    beams: tuple[RecordedBeams, ...],
-    widths: tuple[float, ...],
-    rng: np.random.Generator,
-    count: int,
-    radius: float,
-    up: Array,
-) -> list[Cylinder]:
-    """Draw poles, in the target's frame, that stand free on the ground where both see them."""
-    level = _level(up)
-    points = np.concatenate([target.xyz, se3.apply(T_target_source, source.xyz)]) @ level.T
-    origins = [level @ each.origin for each in beams]
-    near = np.linalg.norm(points[:, :2] - origins[0][:2], axis=1)
-    points = points[near < POLE_DISTANCES[1] + GROUND_AROUND]
-    trees = cKDTree(points[:, :2]), cKDTree(points)
-    standing: list[Cylinder] = []
-    feet: list[Array] = []
-    since = 0
-    for _ in range(MAX_DRAWS):
-        since += 1
-        if since > MAX_SECOND_DRAWS:
-            standing, feet, since = [], [], 0
-        bearing = rng.uniform(0, 2 * np.pi)
-        away = np.sqrt(rng.uniform(POLE_DISTANCES[0] ** 2, POLE_DISTANCES[1] ** 2))
-        foot = origins[0][:2] + away * np.array([np.cos(bearing), np.sin(bearing)])
-        lean, toward = rng.uniform(0, MAX_LEAN), rng.uniform(0, 2 * np.pi)
-        length = float(rng.uniform(*POLE_LENGTHS))
-        axis = np.r_[np.sin(lean) * np.array([np.cos(toward), np.sin(toward)]), np.cos(lean)]
-        if not POLE_DISTANCES[0] <= np.linalg.norm(foot - origins[1][:2]) <= POLE_DISTANCES[1]:
-            continue
-        gaps = [float(np.linalg.norm(foot - other)) for other in feet]
-        if any(not POLE_SPACING[0] <= gap <= POLE_SPACING[1] for gap in gaps):
-            continue
-        cosines = [abs(float(level @ pole.axis @ axis)) for pole in standing]
-        if any(cosine > np.cos(MIN_POLE_ANGLE) for cosine in cosines):
-            continue
-        ground = ground_height(points, trees[0], foot)
-        if ground is None:
-            continue
-        centre = np.r_[foot, ground + FOOT_HEIGHT] + axis * length / 2
-        if not _stands_free(points, trees[1], centre, axis, length, ground):
-            continue
-        pole = Cylinder(level.T @ centre, level.T @ axis, radius, length, TAPE)
-        seen = [len(_met(b, [pole], w)[1]) for b, w in zip(beams, widths, strict=True)]
-        if min(seen) < MIN_RETURNS:
-            continue
-        standing, since = [*standing, pole], 0
-        feet.append(foot)
-        if len(standing) == count:
-            hidden = [
-                np.bincount(h.surface[m], minlength=count)
-                for h, m in (_met(b, standing, w) for b, w in zip(beams, widths, strict=True))
-            ]
-            if np.min(hidden) >= MIN_RETURNS:
-                return standing
-            standing, feet = [], []
-    raise SimulationError(
-        f"{MAX_DRAWS} draws gave no {count} poles on the ground of the recordings with "
-        f"{MIN_RETURNS} returns of each LiDAR"
-    )
-
-
-def _level(up: Array) -> Array:
-    """(3, 3) rotation from the target's frame to one whose z axis points up."""
-    third = up / np.linalg.norm(up)
-    first = np.cross(np.eye(3)[int(np.argmin(np.abs(third)))], third)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(third, first), third])
-
-
-def ground_height(points: Array, tree: Any, foot: Array) -> float | None:
-    """Height of bare ground at a foot (2,), metres; None where there is none.
-
-    Parameters
-    ----------
-    points
-        (N, 3) metres, z up.
-    tree
-        `cKDTree` of their x and y.
-    foot
-        (2,) x and y, metres.
-    """
-    heights = points[tree.query_ball_point(foot, GROUND_RADIUS), 2]
-    if len(heights) < GROUND_POINTS:
-        return None
-    ground, high = np.quantile(heights, [GROUND_QUANTILE, 1 - GROUND_QUANTILE])
-    around = points[tree.query_ball_point(foot, GROUND_AROUND), 2]
-    if high - ground > GROUND_SPREAD:
-        return None
-    lowest = np.quantile(around, GROUND_QUANTILE / 2)
-    return float(ground) if ground - lowest < GROUND_STEP else None
-
-
-def _stands_free(
-    points: Array, tree: Any, centre: Array, axis: Array, length: float, ground: float
-) -> bool:
-    """Whether nothing was recorded within `CLEARANCE` of a pole."""
-    near = points[tree.query_ball_point(centre, length / 2 + CLEARANCE)] - centre
-    along = np.clip(near @ axis, -length / 2, length / 2)
-    away = np.linalg.norm(near - along[:, None] * axis, axis=1)
-    return not np.any((away < CLEARANCE) & (near[:, 2] + centre[2] > ground + CLEAR_FROM))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .. import se3
 from ..datatypes import Array, IntArray, PointCloud
+from .raycast import Cylinder, Hits, cast
 
 TILT_STEPS = tuple(np.radians([0.8, 0.4, 0.2, 0.1, 0.05, 0.025, 0.0125]))
 """The axis of the rings is searched in steps that shrink, rad. The first two reach 2.4° from the
@@ -83,6 +86,18 @@ def recorded_beams(cloud: PointCloud) -> RecordedBeams:
         rings=np.concatenate([rings, rings[like]]),
         like=np.concatenate([own, like]),
     )
+
+
+def in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:
+    """Express beams in another frame by its pose (4, 4)."""
+    origin = se3.apply(T, beams.origin[None])[0]
+    return replace(beams, origin=origin, directions=beams.directions @ T[:3, :3].T)
+
+
+def met_by(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
+    """Cast the beams at the poles; the index is of those that meet one before their return."""
+    hits = cast(beams.origin, beams.directions, poles, width)
+    return hits, np.flatnonzero(hits.ranges < beams.ranges)
 
 
 def sharpest_axis(directions: Array) -> Array:
