@@ -1,12 +1,17 @@
-"""`simulate`: two scans of taped poles whose true transform is known."""
+"""`simulate` and `insert`: scans of taped poles whose true transform is known."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from ..datatypes import Array
 from ..errors import UsageError
+from ..export import read_transform
 from ..result import DEFAULT_CONFIG
-from ..simulation import NOISE_MODELS, SimulatedPair, simulate_pair
+from ..simulation import NOISE_MODELS, InsertedPair, SimulatedPair, insert_poles, simulate_pair
+from .inputs import CloudSource, read_input
 
 
 def simulate(
@@ -67,4 +72,57 @@ def simulate(
         noise=None if nuisances is None else NOISE_MODELS[nuisances],
         frames=frames,
         symmetric=symmetric,
+    )
+
+
+def insert(
+    target: CloudSource,
+    source: CloudSource,
+    transform: str | Path | Array,
+    seed: int = 0,
+    *,
+    sensors: tuple[str, str] = ("auto", "auto"),
+    poles: int = 2,
+    radius: float = DEFAULT_CONFIG.radius_m,
+) -> InsertedPair:
+    """Put taped poles into two real recordings, along the recordings' own beams.
+
+    Parameters
+    ----------
+    target, source
+        Files, clouds or arrays, each in its sensor's frame. The z axis of the target points up.
+    transform
+        ``T_target_source``, (4, 4), or a file that `export.read_transform` reads.
+    seed
+        Of everything random; equal seeds give equal pairs.
+    sensors
+        Names of the sensors of the target and the source; ``auto`` where they are not known.
+    poles
+        How many taped poles.
+    radius
+        Of the poles, metres.
+
+    Returns
+    -------
+    InsertedPair
+        Its `target` and `source` are clouds, its `T_target_source` is the given transform.
+
+    Raises
+    ------
+    ReadError, UsageError
+        For a file that cannot be read or an unknown sensor.
+    SimulationError
+        Where no poles are found that both LiDARs see on the ground of the recordings.
+    """
+    given = read_input(target, sensor=sensors[0]), read_input(source, sensor=sensors[1])
+    if isinstance(transform, str | Path):
+        transform = read_transform(Path(transform)).T_parent_child
+    return insert_poles(
+        given[0].cloud,
+        given[1].cloud,
+        np.asarray(transform, dtype=float),
+        np.random.default_rng(seed),
+        sensors=(given[0].sensor, given[1].sensor),
+        poles=poles,
+        radius=radius,
     )

@@ -6,11 +6,26 @@ from pathlib import Path
 
 import click
 
-from .common import CONTEXT, OUT, progress_on_terminal, radius_option
+from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option
 
 
 @click.command(context_settings=CONTEXT)
-@click.argument("scene", type=click.Choice(["corridor", "street", "harbor", "paper", "bare"]))
+@click.argument(
+    "scene",
+    type=click.Choice(["corridor", "street", "harbor", "paper", "bare"]),
+    required=False,
+)
+@click.option(
+    "--into",
+    type=(CLOUD, CLOUD),
+    metavar="TARGET SOURCE",
+    help="Instead of a scene, two recordings to put the poles into.",
+)
+@click.option(
+    "--transform",
+    type=CLOUD,
+    help="With --into: T_target_source, as a result or in any format that export writes.",
+)
 @click.option(
     "--out",
     type=OUT,
@@ -19,19 +34,21 @@ from .common import CONTEXT, OUT, progress_on_terminal, radius_option
     help="Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
+@click.option("--sensor-target", help="Sensor's name.  [default: the scene's; auto]")
 @click.option("--sensor-source", help="The same for the source.")
 @click.option("--poles", type=click.IntRange(min=1), default=2, show_default=True)
 @radius_option
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
-    help="Errors of the LiDARs and of the site: all that a real one has, noise and range errors, or "
-    "none.  [default: typical; for paper the paper's noise]",
+    help="Errors of the LiDARs and of the site: all that a real one has, noise and range errors, "
+    "or none.  [default: typical; for paper the paper's noise]",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate(
-    scene: str,
+    scene: str | None,
+    into: tuple[Path, Path] | None,
+    transform: Path | None,
     out: Path,
     seed: int,
     sensor_target: str | None,
@@ -49,21 +66,39 @@ def simulate(
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
       retropole simulate street --nuisances field --seed 1 --out f
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
+      retropole simulate --into front.pcd rear.pcd --transform retropole-out --out s
     """
+    from ..api.simulation import insert
     from ..api.simulation import simulate as run
-    from ..simulation import write_pair
+    from ..simulation import InsertedPair, SimulatedPair, write_pair
 
+    if (scene is None) == (into is None):
+        raise click.UsageError("give a SCENE, or --into with two recordings")
+    if (into is None) != (transform is None):
+        raise click.UsageError("--into and --transform need each other")
+    pair: SimulatedPair | InsertedPair
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
-        pair = run(
-            scene,
-            seed,
-            sensor_target=sensor_target,
-            sensor_source=sensor_source,
-            poles=poles,
-            radius=radius,
-            nuisances=nuisances,
-        )
+        if into is not None and transform is not None:
+            pair = insert(
+                *into,
+                transform,
+                seed,
+                sensors=(sensor_target or "auto", sensor_source or "auto"),
+                poles=poles,
+                radius=radius,
+            )
+        else:
+            assert scene is not None
+            pair = run(
+                scene,
+                seed,
+                sensor_target=sensor_target,
+                sensor_source=sensor_source,
+                poles=poles,
+                radius=radius,
+                nuisances=nuisances,
+            )
         write_pair(pair, out)
     if not quiet:
         names = ", ".join(str(out / name) for name in ("lidar0.pcd", "lidar1.pcd", "truth.json"))

@@ -1,6 +1,7 @@
 """Simulated pairs of scans whose true transform is known."""
 
 from .devices import Device, draw_device
+from .insertion import InsertedPair, insert_poles
 from .noise import EXACT, FIELD, NOISE_MODELS, TYPICAL, NoiseModel
 from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
@@ -17,6 +18,7 @@ __all__ = [
     "Box",
     "Cylinder",
     "Device",
+    "InsertedPair",
     "LabelledScan",
     "Material",
     "NoiseModel",
@@ -25,6 +27,7 @@ __all__ = [
     "SimulationError",
     "Surface",
     "draw_device",
+    "insert_poles",
     "place_again",
     "record_again",
     "scan",

@@ -8,11 +8,15 @@ from pathlib import Path
 
 from ..files import write_atomically
 from ..io import write_pcd
+from .insertion import InsertedPair
 from .recording import SimulatedPair
 
 
-def write_pair(pair: SimulatedPair, out: Path) -> None:
-    """Write ``lidar0.pcd`` (target), ``lidar1.pcd`` (source) and ``truth.json`` to a folder."""
+def write_pair(pair: SimulatedPair | InsertedPair, out: Path) -> None:
+    """Write ``lidar0.pcd`` (target), ``lidar1.pcd`` (source) and ``truth.json`` to a folder.
+
+    Of poles in recordings, the world's frame is the target's.
+    """
     out.mkdir(parents=True, exist_ok=True)
     write_pcd(out / "lidar0.pcd", pair.target)
     write_pcd(out / "lidar1.pcd", pair.source)
@@ -22,12 +26,18 @@ def write_pair(pair: SimulatedPair, out: Path) -> None:
         "T_world_source": pair.T_world_source.tolist(),
         "target": "lidar0.pcd",
         "source": "lidar1.pcd",
-        "sensors": [sensor.name for sensor in pair.sensors],
-        "noise": asdict(pair.noise),
-        "devices": {
-            role: device.as_dict()
-            for role, device in zip(("target", "source"), pair.devices, strict=True)
-        },
+        "sensors": [sensor.name if sensor else "auto" for sensor in pair.sensors],
+        **(
+            {
+                "noise": asdict(pair.noise),
+                "devices": {
+                    role: device.as_dict()
+                    for role, device in zip(("target", "source"), pair.devices, strict=True)
+                },
+            }
+            if isinstance(pair, SimulatedPair)
+            else {}
+        ),
         "poles": [
             {
                 "point_world_m": pole.centre.tolist(),

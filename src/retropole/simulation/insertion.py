@@ -1,0 +1,217 @@
+"""Taped poles in two real recordings, met by the recordings' own beams.
+
+Surroundings, other bright things and the pattern of the beams stay as they were recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import DEFAULT_RADIUS, PER_POINT, Array, IntArray, PointCloud
+from ..sensors import Sensor
+from .raycast import Cylinder
+from .recorded import RecordedBeams, in_frame, met_by, recorded_beams
+from .scenes import UP
+from .standing import draw_standing_poles
+
+RANGE_NOISE, DIVERGENCE = 0.010, 0.003
+"""1 σ of the range, metres, and full angle of the beam, rad, where the sensor is not known: those
+of most of the table of sensors."""
+
+TAPE_OFFSET, RING_BIAS = 0.003, 0.003
+"""1 σ of the errors of a LiDAR's ranges to tape and of each of its rings, metres (chosen)."""
+
+LEAST_OF_FULL_SCALE = 0.8
+"""The weakest tape as a share of the top of the cloud's intensities, where the sensor is not known:
+8-bit sensors have it at 200 of 255 (Xue et al. 2019, Table I)."""
+
+SATURATION = 6.0
+"""The brightest tape, in thresholds, of a sensor whose full scale is higher (as in `scanning`)."""
+
+FULL_SCALE = 255.0
+"""Of a cloud without intensity, whose own returns then get 0."""
+
+GRAZING, FLUCTUATION = 0.55, 0.15
+"""Strength of tape at grazing incidence and 1 σ of its fluctuation, of 1 (as in `scanning`)."""
+
+
+@dataclass(frozen=True, eq=False)
+class InsertedPair:
+    """Two recordings with poles put into them.
+
+    Attributes
+    ----------
+    target, source
+        Clouds, each in its own frame.
+    T_target_source
+        (4, 4) the reference by which the poles were placed: exact for them, and for the
+        surroundings as good as it is.
+    poles
+        In the target's frame.
+    labels
+        For the target and the source, the index of the pole that each point lies on; −1 for what
+        was recorded.
+    sensors
+        The two models; None where not known.
+    """
+
+    target: PointCloud
+    source: PointCloud
+    T_target_source: Array
+    poles: tuple[Cylinder, ...]
+    labels: tuple[IntArray, IntArray]
+    sensors: tuple[Sensor | None, Sensor | None]
+
+    @property
+    def T_world_target(self) -> Array:
+        """(4, 4): the world's frame is the target's."""
+        return np.eye(4)
+
+    @property
+    def T_world_source(self) -> Array:
+        """(4, 4) the reference."""
+        return self.T_target_source
+
+    @property
+    def returns_on_poles(self) -> tuple[tuple[int, int], ...]:
+        """Per pole, how many points the target and the source have on it."""
+        target, source = (
+            np.bincount(each[each >= 0], minlength=len(self.poles)) for each in self.labels
+        )
+        return tuple((int(t), int(s)) for t, s in zip(target, source, strict=True))
+
+
+def insert_poles(
+    target: PointCloud,
+    source: PointCloud,
+    T_target_source: Array,
+    rng: np.random.Generator,
+    *,
+    sensors: tuple[Sensor | None, Sensor | None] = (None, None),
+    poles: int | Sequence[Cylinder] = 2,
+    radius: float = DEFAULT_RADIUS,
+    up: Array = UP,
+    tape_offset: float = TAPE_OFFSET,
+    ring_bias: float = RING_BIAS,
+) -> InsertedPair:
+    """Put taped poles into two recordings.
+
+    Parameters
+    ----------
+    target, source
+        What was recorded, each in its own frame, the beams starting at `PointCloud.origin`.
+    T_target_source
+        (4, 4) the reference.
+    rng
+        Source of everything random; equal generators give equal pairs.
+    sensors
+        What recorded the target and the source; None where not known. They give the noise, the
+        width of the beams and the intensity of tape.
+    poles
+        How many to draw, standing on the ground where both LiDARs see them; or the poles
+        themselves, in the target's frame, wherever they are.
+    radius
+        Of poles that are drawn, metres.
+    up
+        (3,) unit vector, in the target's frame.
+    tape_offset, ring_bias
+        1 σ of the errors of ranges that all returns of one LiDAR on tape share, and all of one
+        ring, metres.
+
+    Raises
+    ------
+    SimulationError
+        No such poles were found in many draws.
+    """
+    beams = recorded_beams(target), recorded_beams(source)
+    widths = tuple(DIVERGENCE if s is None else s.divergence for s in sensors)
+    frames = np.eye(4), T_target_source
+    if isinstance(poles, int):
+        # Cast from the target's frame: drawing tries many poles, and beams turn only once.
+        turned = tuple(in_frame(b, T) for b, T in zip(beams, frames, strict=True))
+        points = np.concatenate([target.xyz, se3.apply(T_target_source, source.xyz)])
+        standing = draw_standing_poles(points, turned, widths, rng, poles, radius, up)
+    else:
+        standing = list(poles)
+    made = [
+        _with_poles(cloud, beam, _moved(standing, T), width, sensor, rng, tape_offset, ring_bias)
+        for cloud, beam, T, width, sensor in zip(
+            (target, source), beams, frames, widths, sensors, strict=True
+        )
+    ]
+    return InsertedPair(
+        target=made[0][0],
+        source=made[1][0],
+        T_target_source=T_target_source,
+        poles=tuple(standing),
+        labels=(made[0][1], made[1][1]),
+        sensors=sensors,
+    )
+
+
+def _moved(poles: Sequence[Cylinder], T_target_cloud: Array) -> list[Cylinder]:
+    """Poles of the target's frame in the cloud's."""
+    T = se3.inverse(T_target_cloud)
+    return [
+        replace(pole, centre=se3.apply(T, pole.centre[None])[0], axis=T[:3, :3] @ pole.axis)
+        for pole in poles
+    ]
+
+
+def _with_poles(
+    cloud: PointCloud,
+    beams: RecordedBeams,
+    poles: Sequence[Cylinder],
+    width: float,
+    sensor: Sensor | None,
+    rng: np.random.Generator,
+    tape_offset: float,
+    ring_bias: float,
+) -> tuple[PointCloud, IntArray]:
+    """Replace what the poles hide by returns on them; the labels (N',) are their index or −1."""
+    hits, met = met_by(beams, poles, width)
+    biases = np.r_[ring_bias * rng.normal(size=max(int(beams.rings.max()), 0) + 1), 0.0]
+    noise = RANGE_NOISE if sensor is None else sensor.range_noise
+    ranges = hits.ranges[met] + tape_offset * rng.normal() + biases[beams.rings[met]]
+    ranges += noise * rng.normal(size=len(met))
+    points = beams.origin + ranges[:, None] * beams.directions[met]
+    # Returns stay in their places in the file; beams that had none come last.
+    count = len(cloud)
+    rows = np.concatenate([np.arange(count), beams.like[met[met >= count]]])
+    place = np.where(met < count, met, 0)
+    place[met >= count] = np.arange(count, len(rows))
+    arrays: dict[str, Any] = {"xyz": cloud.xyz[rows]}
+    for name in PER_POINT:
+        value = getattr(cloud, name)
+        arrays[name] = None if value is None else value[rows]
+    if cloud.intensity is None:
+        arrays["intensity"] = np.zeros(len(rows))
+    labels = np.full(len(rows), -1, dtype=np.int64)
+    arrays["xyz"][place] = points
+    arrays["intensity"][place] = _tape(cloud.intensity, sensor, hits.cosine[met], rng)
+    labels[place] = hits.surface[met]
+    return replace(cloud, **arrays), labels
+
+
+def _tape(
+    recorded: Array | None, sensor: Sensor | None, cosine: Array, rng: np.random.Generator
+) -> Array:
+    """Intensities of tape on the scale of the recording, saturated at normal incidence."""
+    top = FULL_SCALE if recorded is None else float(recorded.max(initial=0.0))
+    if sensor is None:
+        least = LEAST_OF_FULL_SCALE * top
+    else:
+        scale = 1.0
+        if recorded is not None and top <= 1.0 < sensor.threshold:
+            scale = 1.0 / sensor.intensity_max
+        least = scale * sensor.threshold
+        top = scale * min(sensor.intensity_max, SATURATION * sensor.threshold)
+    loss = FLUCTUATION * np.abs(rng.normal(size=len(cosine)))
+    strength = np.clip((GRAZING + (1 - GRAZING) * cosine) * (1 - loss), 0, 1)
+    bright = least + (top - least) * strength
+    return np.asarray(np.round(bright) if top > 1.0 else bright)

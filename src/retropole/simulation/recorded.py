@@ -1,0 +1,191 @@
+"""The beams of a recorded cloud: those that returned, and those between them that did not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, IntArray, PointCloud
+from .raycast import Cylinder, Hits, cast
+
+TILT_STEPS = tuple(np.radians([0.8, 0.4, 0.2, 0.1, 0.05, 0.025, 0.0125]))
+"""The axis of the rings is searched in steps that shrink, rad. The first two reach 2.4° from the
+cloud's z axis: clouds come in the frame of a vehicle rather than of the LiDAR."""
+
+SHARPNESS_POINTS = 20_000
+"""The axis is searched with at most so many points (chosen: 10 ms a step)."""
+
+LEVEL_BIN = float(np.radians(0.02))
+"""Elevations are counted in bins of this size, rad: a fifth of the closest rings (chosen)."""
+
+LEVEL_RETURNS, LEVEL_WIDTH = 15, 6
+"""A ring fills each of its bins with so many returns at least, and so many bins at most. Rings of
+the table of sensors are 8 bins apart or more."""
+
+LEVEL_SHARE = 0.7
+"""Elevations are rings if so large a share of the returns lies on them (chosen; recordings of
+spinning LiDARs have 0.9 and more, a raster of directions has none)."""
+
+MIN_GAP = 1.5
+"""A ring has lost returns where two of its neighbours are more than so many steps apart."""
+
+MAX_GAP = float(np.radians(45.0))
+"""Wider gaps are not filled, rad: behind them may be the vehicle itself, or no beam at all
+(chosen)."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedBeams:
+    """Beams of one recording, in its frame; the first N are those of its N returns.
+
+    Attributes
+    ----------
+    origin
+        (3,) where they start, metres.
+    directions
+        (M, 3) unit vectors.
+    ranges
+        (M,) metres; infinite where there was no return.
+    rings
+        (M,) index of the ring; −1 where it is not known.
+    like
+        (M,) index of a return on the same ring next to it; of a return, its own.
+    """
+
+    origin: Array
+    directions: Array
+    ranges: Array
+    rings: IntArray
+    like: IntArray
+
+
+def recorded_beams(cloud: PointCloud) -> RecordedBeams:
+    """Find the beams of a recording.
+
+    A recording tells nothing of a beam without a return. Where neighbours on one ring are more
+    than `MIN_GAP` steps apart, the beams between them are put back evenly, at the elevation of
+    both, so that a pole against the sky is met. Rings come from the cloud, or else from
+    elevations that come in sharp levels. Without rings, as of a solid-state LiDAR, no beam is
+    put back.
+    """
+    rays = cloud.xyz - cloud.origin
+    ranges = np.linalg.norm(rays, axis=1)
+    directions = rays / ranges[:, None]
+    given = cloud.ring is not None and len(np.unique(cloud.ring)) > 1
+    axis = np.array([0.0, 0.0, 1.0]) if given else sharpest_axis(directions)
+    rings = cloud.ring if given and cloud.ring is not None else levels(directions @ axis)
+    missing, like = _between(directions, rings, axis, cloud.frame)
+    own = np.arange(len(cloud))
+    return RecordedBeams(
+        origin=cloud.origin,
+        directions=np.concatenate([directions, missing]),
+        ranges=np.concatenate([ranges, np.full(len(missing), np.inf)]),
+        rings=np.concatenate([rings, rings[like]]),
+        like=np.concatenate([own, like]),
+    )
+
+
+def in_frame(beams: RecordedBeams, T: Array) -> RecordedBeams:
+    """Express beams in another frame by its pose (4, 4)."""
+    origin = se3.apply(T, beams.origin[None])[0]
+    return replace(beams, origin=origin, directions=beams.directions @ T[:3, :3].T)
+
+
+def met_by(beams: RecordedBeams, poles: Sequence[Cylinder], width: float) -> tuple[Hits, IntArray]:
+    """Cast the beams at the poles; the index is of those that meet one before their return."""
+    hits = cast(beams.origin, beams.directions, poles, width)
+    return hits, np.flatnonzero(hits.ranges < beams.ranges)
+
+
+def sharpest_axis(directions: Array) -> Array:
+    """Find the axis (3,) about which the elevations of directions (N, 3) are sharpest.
+
+    It lies near z. The sharpness is the entropy of the elevations' histogram.
+    """
+    some = directions[:: -(-len(directions) // SHARPNESS_POINTS)]
+    tilt, offsets = np.zeros(2), np.arange(-2, 3)
+    for step in TILT_STEPS:
+        tried = [tilt + step * np.array([i, j]) for i in offsets for j in offsets]
+        # The middle first: of equals it stays.
+        tried.sort(key=lambda other: float(np.linalg.norm(other - tilt)))
+        tilt = min(tried, key=lambda other: _entropy(some @ _axis(other), step))
+    return _axis(tilt)
+
+
+def _axis(tilt: Array) -> Array:
+    axis = np.array([tilt[0], tilt[1], 1.0])
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _entropy(sines: Array, step: float) -> float:
+    elevation = np.arcsin(np.clip(sines, -1, 1))
+    share = np.bincount(((elevation + np.pi / 2) / step).astype(np.int64)) / len(sines)
+    share = share[share > 0]
+    return float(-(share * np.log(share)).sum())
+
+
+def levels(sines: Array) -> IntArray:
+    """Number the levels (N,) on which elevations lie, from the lowest up; −1 for those on none.
+
+    Parameters
+    ----------
+    sines
+        (N,) of the elevations.
+    """
+    rings = np.full(len(sines), -1, dtype=np.int64)
+    elevation = np.arcsin(np.clip(sines, -1, 1))
+    bins = ((elevation + np.pi / 2) / LEVEL_BIN).astype(np.int64)
+    full = np.bincount(bins, minlength=int(np.pi / LEVEL_BIN) + 2) >= LEVEL_RETURNS
+    edges = np.flatnonzero(np.diff(np.r_[False, full, False].astype(np.int64)))
+    starts, ends = edges[::2], edges[1::2]
+    narrow = ends - starts <= LEVEL_WIDTH
+    for ring, (start, end) in enumerate(zip(starts[narrow], ends[narrow], strict=True)):
+        # A bin beside it holds what fell over its edge.
+        rings[(bins >= start - 1) & (bins <= end)] = ring
+    if np.count_nonzero(rings >= 0) < LEVEL_SHARE * len(rings):
+        rings[:] = -1
+    return rings
+
+
+def _between(
+    directions: Array, rings: IntArray, axis: Array, frame: IntArray | None
+) -> tuple[Array, IntArray]:
+    """Directions (K, 3) of the beams that are missing in each ring, and a return (K,) beside."""
+    across = np.cross(axis, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    beside = np.cross(axis, across)
+    azimuth = np.arctan2(directions @ beside, directions @ across)
+    sines = directions @ axis
+    frames = np.zeros(len(rings), dtype=np.int64) if frame is None else frame
+    groups = [
+        np.flatnonzero((rings == ring) & (frames == number))
+        for number in np.unique(frames)
+        for ring in np.unique(rings[rings >= 0])
+    ]
+    sorted_groups = [group[np.argsort(azimuth[group])] for group in groups if len(group) > 1]
+    if not sorted_groups:
+        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    gaps = [np.diff(azimuth[g], append=azimuth[g[0]] + 2 * np.pi) for g in sorted_groups]
+    common = float(np.median(np.concatenate(gaps)))
+    found, like = [], []
+    for group, gap in zip(sorted_groups, gaps, strict=True):
+        step = min(float(np.median(gap)), MIN_GAP * common)
+        at = np.flatnonzero((gap > MIN_GAP * step) & (gap <= MAX_GAP))
+        count = np.round(gap[at] / step).astype(np.int64) - 1
+        left = np.repeat(at, count)
+        number = np.arange(len(left)) - np.repeat(np.cumsum(count) - count, count) + 1
+        share = number / np.repeat(count + 1, count)
+        turned = azimuth[group[left]] + share * gap[left]
+        following = group[(left + 1) % len(group)]
+        sine = (1 - share) * sines[group[left]] + share * sines[following]
+        level = np.sqrt(1 - sine**2)
+        found.append(
+            (level * np.cos(turned))[:, None] * across
+            + (level * np.sin(turned))[:, None] * beside
+            + sine[:, None] * axis
+        )
+        like.append(group[left])
+    return np.concatenate(found), np.concatenate(like)
