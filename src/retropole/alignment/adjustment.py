@@ -20,18 +20,19 @@ from ..datatypes import Array, PoseEstimate
 from ..errors import Refusal
 from ..systematic import RADIUS, ErrorModel, Sizes, groups_of
 from ..uncertainty import RadiusEstimate, Uncertainty
-from .certainty import Scatter, group_scales, prior_precision, solve_factor, stated
+from .certainty import (
+    WORKING_SHARE,
+    Scatter,
+    group_scales,
+    prior_precision,
+    solve_factor,
+    stated,
+    working_sigma,
+)
 from .factor import POSE, AxesTest, Expansion, PoleFactor, compare_axes, expand, pole_factor
 from .observations import Beams
 from .posterior import Posterior, Priors, State, beam_geometry, evaluate
 from .solver import Solution, Step, levenberg_marquardt
-
-WORKING_SHARE = 0.25
-"""The estimate is drawn to the errors' prior as if they had this part of their 1 σ; what is stated
-counts them whole. A few poles cannot tell an offset from a translation: given all the freedom that
-the instrument has, the estimate takes noise for offsets. Of 100 set-ups of the paper the median
-e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with offsets of 7 mm on tape and 4 mm on
-rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
 
 RADIUS_TOLERANCE = 0.02
 """Least 1 σ of the radius, as a part of it: tubes differ by so much, and tape adds to them."""
@@ -335,7 +336,7 @@ def _answer(
     known = model.sigmas(groups)
     sigma = known
     for _ in range(SCALE_ROUNDS):
-        precision = prior_precision(groups, sigma) / WORKING_SHARE**2
+        precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=True))
         estimate = solve_factor(factor, precision)
         variance = np.diag(estimate.inverse)[POSE:]
         sigma = group_scales(groups, known, precision, estimate.errors, variance)

@@ -20,7 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import se3
-from ..alignment.certainty import Scatter, group_scales, prior_precision, stated
+from ..alignment.certainty import (
+    Scatter,
+    group_scales,
+    prior_precision,
+    stated,
+    working_sigma,
+)
 from ..alignment.factor import POSE, PoleFactor, gaussian_factor
 from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
 from ..systematic import ErrorModel, Groups, Layout, groups_of, joined
@@ -35,7 +41,7 @@ from .patch_pairs import (
 )
 from .patches import surface_patches
 
-PLACE_BIAS = 0.0015
+PLACE_BIAS = 0.0008
 """1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the
 downsampling, which keeps more of the far tail of the noise than of the middle."""
 
@@ -53,6 +59,11 @@ MAX_REFINEMENT_ITERATIONS = 60
 STEP = 2e-7
 """Stop where a step is below this, rad and m: steps shrink by half or more each time, so that ends
 from other starts agree within 1e-6."""
+
+NARROWING, INFORMATION_SHARE = 0.25, 4.0
+"""Patches look for their partners as far as so many times the variance that independent residuals
+would leave, and as this part, from step to step, of the variance that the poles left: narrowed at
+once, the search clings to whatever the first step found."""
 
 WIDE, START_SIGMAS = 0.1, 2.0
 """From which 1 σ of the poles at the middle of the cloud, metres, the search is also started from
@@ -255,15 +266,16 @@ def _support(end: _End) -> float:
 
 def _descend(problem: _Problem, T: Array, covariance: Array) -> _End | None:
     """Gauss–Newton steps of the pose, the errors and their sizes, to a standstill."""
-    groups, sigma = problem.groups, problem.known
+    groups, sigma, start = problem.groups, problem.known, covariance
     for iteration in range(1, MAX_REFINEMENT_ITERATIONS + 1):
         pairs = pair_patches(problem.sets, T, covariance, problem.origins_known)
         if pairs is None:
             return None
-        precision = prior_precision(groups, sigma)
-        linear = _solve(pairs, problem.factor, T, precision)
+        precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=False))
+        linear = _solve(pairs, problem.factor, T, covariance, precision)
         T = se3.retract(T, linear.step)
-        covariance = linear.inverse[:POSE, :POSE]
+        narrowed = NARROWING**iteration * start
+        covariance = INFORMATION_SHARE * linear.inverse[:POSE, :POSE] + narrowed
         variance = np.diag(linear.inverse)[POSE:]
         sigma = group_scales(groups, problem.known, precision, linear.errors, variance)
         if np.abs(linear.step).max() < STEP:
@@ -271,12 +283,20 @@ def _descend(problem: _Problem, T: Array, covariance: Array) -> _End | None:
     return _End(T, sigma, linear, False, MAX_REFINEMENT_ITERATIONS)
 
 
-def _solve(pairs: PatchPairs, factor: PoleFactor, T: Array, precision: Array) -> _Linear:
-    """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior."""
+def _solve(
+    pairs: PatchPairs, factor: PoleFactor, T: Array, covariance: Array, precision: Array
+) -> _Linear:
+    """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior.
+
+    What the pose may still be off by, `covariance`, is no reason to take a residual for an outlier:
+    a distant wall would be given up before the ground has let the pose turn towards it.
+    """
     r = pairs.residuals
     spread = np.sqrt(pairs.variance)
     spread = spread * max(robust_scale(r / spread, pairs.agreement), MIN_SIGMA)
-    weights = pairs.agreement / (spread * (1.0 + (r / (ROBUST_WIDTH * spread)) ** 2)) ** 2
+    still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
+    outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
+    weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
     held = held_directions(pairs, weights)
     rows = np.concatenate([pairs.jacobian @ held, pairs.by_error], axis=1)
     weighted = rows * weights[:, None]
