@@ -163,13 +163,19 @@ def worst(pair: SimulatedPair, devices: tuple[Device, Device]) -> float:
 
 
 def test_a_lidar_keeps_its_errors_in_all_its_recordings() -> None:
-    rng = np.random.default_rng(4)
-    pair = simulate_pair("street", rng, noise=replace(SYSTEMATIC, slant=0.0))
+    rng, lidars = np.random.default_rng(4), ("HDL-32E", "VLP-16")
+    pair = simulate_pair(
+        "street",
+        rng,
+        sensor_target=lidars[0],
+        sensor_source=lidars[1],
+        noise=replace(SYSTEMATIC, slant=0.0),
+    )
     step = np.array([0.01, 0.0, 0.02, 0.1, 0.0, -0.05])
     again, moved = record_again(pair, rng), record_again(pair, rng, moved=step, poles=False)
     for other in (again, moved, place_again(pair, rng), record_again(again, rng, noise=EXACT)):
         assert other.devices == pair.devices
         assert worst(other, pair.devices) < 1e-8
     assert not np.array_equal(again.target.xyz[:100], pair.target.xyz[:100])
-    strangers = simulate_pair("street", np.random.default_rng(5), noise=SYSTEMATIC).devices
-    assert worst(pair, strangers) > 1e-3
+    target, source = (device_of(SYSTEMATIC, 5, name) for name in lidars)
+    assert worst(pair, (target, source)) > 1e-3
