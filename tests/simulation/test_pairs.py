@@ -4,12 +4,16 @@ import click
 import numpy as np
 import pytest
 
+import retropole as rp
 from retropole import se3
 from retropole.cli.simulate import simulate
 from retropole.errors import UsageError
 from retropole.simulation import (
     EXACT,
+    FIELD,
+    NOISE_MODELS,
     SCENES,
+    TYPICAL,
     NoiseModel,
     SimulatedPair,
     SimulationError,
@@ -60,6 +64,48 @@ def test_equal_generators_give_equal_pairs() -> None:
     np.testing.assert_array_equal(one.T_target_source, two.T_target_source)
     other = simulate_pair("street", np.random.default_rng(5))
     assert not np.array_equal(one.T_target_source, other.T_target_source)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_arrangement_of_a_seed_is_the_same_under_every_noise(scene: str) -> None:
+    for seed in range(2):
+        one, *others = (
+            simulate_pair(scene, np.random.default_rng(seed), noise=noise)
+            for noise in NOISE_MODELS.values()
+        )
+        for other in others:
+            np.testing.assert_array_equal(other.T_world_target, one.T_world_target)
+            np.testing.assert_array_equal(other.T_world_source, one.T_world_source)
+            for ours, theirs in zip(one.surfaces, other.surfaces, strict=True):
+                np.testing.assert_array_equal(ours.centre, theirs.centre)
+
+
+def test_the_field_is_simulated_with_all_its_poles_in_view() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3), noise=FIELD)
+    assert pair.sees_every_pole
+    assert pair.noise == FIELD
+    assert np.any(pair.labels[0] == -1)
+    again = record_again(pair, np.random.default_rng(4))
+    assert (again.noise, again.devices) == (FIELD, pair.devices)
+    calm = record_again(pair, np.random.default_rng(4), noise=EXACT)
+    assert calm.devices == pair.devices
+    assert calm.labels[0].min() >= 0
+
+
+def test_noise_that_hides_every_pole_is_named() -> None:
+    with pytest.raises(SimulationError, match="hides"):
+        simulate_pair("bare", np.random.default_rng(0), noise=NoiseModel(dropout=0.999))
+
+
+def test_nuisances_have_names() -> None:
+    plain, field = (rp.simulate("bare", 1, nuisances=name) for name in ("none", "field"))
+    assert (plain.noise, field.noise) == (EXACT, FIELD)
+    assert rp.simulate("bare", 1).noise == TYPICAL
+    with pytest.raises(UsageError, match="typical"):
+        rp.simulate("bare", 1, nuisances="rain")
+    offered = next(each.type for each in simulate.params if each.name == "nuisances")
+    assert isinstance(offered, click.Choice)
+    assert set(offered.choices) == set(NOISE_MODELS)
 
 
 def test_every_frame_is_labelled() -> None:

@@ -16,6 +16,10 @@ def test_what_is_written_reads_back_here_and_elsewhere(tmp_path: Path) -> None:
     truth = json.loads((tmp_path / "truth.json").read_text())
     np.testing.assert_array_equal(truth["T_target_source"], pair.T_target_source)
     assert len(truth["poles"]) == len(pair.poles)
+    assert truth["noise"]["ring_bias"] == pair.noise.ring_bias
+    for role, device in zip(("target", "source"), pair.devices, strict=True):
+        np.testing.assert_array_equal(truth["devices"][role]["ring_range_m"], device.ring_range)
+        assert truth["devices"][role]["tape_offset_m"] == device.tape_offset
     for name, cloud in (("lidar0.pcd", pair.target), ("lidar1.pcd", pair.source)):
         ours = read_cloud(tmp_path / name)
         theirs = OtherReader.from_path(tmp_path / name)

@@ -18,6 +18,10 @@ BLOOM_STRENGTH = 0.5
 """The brightest false return, where 0 is the threshold and 1 saturation (chosen)."""
 
 
+CELL = 1 / 64
+"""Least size of the cells in which beams beside tape are looked for, rad."""
+
+
 class Echoes(NamedTuple):
     """Range, m, intensity, surface and beam (N,) of each return; beams in ascending order."""
 
@@ -53,9 +57,24 @@ def bloom(
     bright, dark = np.flatnonzero(on_tape), np.flatnonzero(~on_tape)
     if len(bright) == 0:
         return bright, bright
+    dark = dark[_in_cells_beside(rays[dark], rays[bright], max(half_width, CELL))]
     apart, nearest = KDTree(rays[bright]).query(rays[dark], distance_upper_bound=half_width)
     glows = np.flatnonzero(rng.uniform(size=len(dark)) < 1 - apart / half_width)
     return dark[glows], bright[nearest[glows]]
+
+
+def _in_cells_beside(rays: Array, others: Array, size: float) -> IntArray:
+    """Index of rays (N, 3) in the same cubic cell as one of others (M, 3), or in one next to it.
+
+    It leaves out most beams before distances are computed.
+    """
+    count = int(np.ceil(2 / size)) + 3
+    steps = np.array([count * count, count, 1])
+    shift = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3) @ steps
+    occupied = np.zeros(count**3, dtype=bool)
+    cells = np.unique(((others + 1) / size + 1).astype(np.int64) @ steps)
+    occupied[(cells[:, None] + shift).ravel()] = True
+    return np.flatnonzero(occupied[((rays + 1) / size + 1).astype(np.int64) @ steps])
 
 
 def with_glow(

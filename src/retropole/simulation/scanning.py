@@ -12,7 +12,7 @@ from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import Sensor
 from .devices import Device, draw_device
 from .environment import Mover, draw_sway, is_ground, wet_loss
-from .footprint import Materials, report, turned
+from .footprint import Materials, report
 from .glow import Echoes, with_glow
 from .intensity import intensities
 from .noise import TYPICAL, NoiseModel
@@ -65,19 +65,23 @@ def beams(sensor: Sensor, rng: np.random.Generator) -> Sweep:
         count = round(2 * np.pi / sensor.azimuth_step)
         start = rng.uniform(0, sensor.azimuth_step)
         azimuths = start + np.arange(count) * (2 * np.pi / count)
-        azimuth = np.repeat(azimuths, len(sensor.elevations))
-        elevation = np.tile(sensor.elevations, count)
+        up, level = np.sin(sensor.elevations), np.cos(sensor.elevations)
+        grid = np.empty((count, len(up), 3))
+        grid[:, :, 0] = np.cos(azimuths)[:, None] * level
+        grid[:, :, 1] = np.sin(azimuths)[:, None] * level
+        grid[:, :, 2] = up
+        rays = grid.reshape(-1, 3)
         ring = np.tile(np.arange(len(sensor.elevations)), count)
         time = np.repeat(np.arange(count) * (SWEEP_SECONDS / count), len(sensor.elevations))
     else:
         number = rng.integers(0, ROSETTE_STARTS) + np.arange(sensor.points)
         low, high = np.sin(sensor.elevation_span)
         azimuth = 2 * np.pi * ((number * GOLDEN) % 1.0)
-        elevation = np.arcsin(low + (high - low) * ((number * SILVER) % 1.0))
+        up = low + (high - low) * ((number * SILVER) % 1.0)
+        level = np.sqrt(1 - up**2)
+        rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], axis=1)
         ring = np.zeros(sensor.points, dtype=np.int64)
         time = np.arange(sensor.points) * (SWEEP_SECONDS / sensor.points)
-    level = np.cos(elevation)
-    rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
     return Sweep(rays, ring.astype(np.int64), time)
 
 
@@ -148,8 +152,9 @@ def scan(
         sweep = beams(sensor, sources.phases)
         shot = device.directions(sweep.rays, sweep.rings)
         if noise.pointing_noise:
-            aside = noise.pointing_noise * sources.directions.normal(size=(2, len(shot)))
-            shot = turned(shot, *aside)
+            # The part along the ray has no effect on its direction.
+            shot = shot + noise.pointing_noise * sources.directions.normal(size=shot.shape)
+            shot /= np.sqrt(np.einsum("ni,ni->n", shot, shot))[:, None]
         world = shot @ T_world_sensor[:3, :3].T
         if sway is not None:
             world = sway.turn(world, start + k * SWEEP_SECONDS + sweep.times)
@@ -158,7 +163,9 @@ def scan(
             present, sensor, T_world_sensor[:3, 3], world, sweep.rings, device, noise, sources
         )
         points = echoes.ranges[:, None] * sweep.rays[echoes.beam]
-        xyz.append(points + noise.isotropic_noise * sources.returns.normal(size=points.shape))
+        if noise.isotropic_noise:
+            points += noise.isotropic_noise * sources.returns.normal(size=points.shape)
+        xyz.append(points)
         intensity.append(echoes.intensity)
         labels.append(np.where(echoes.surface < len(surfaces), echoes.surface, -1))
         ring.append(sweep.rings[echoes.beam])
