@@ -70,7 +70,7 @@ class Sizes:
     scale: float = 2e-4
     slant: float = 3e-4
     encoder: float = float(np.radians(0.02))
-    wobble: float = float(np.radians(0.008))
+    wobble: float = float(np.radians(0.006))
     tape: float = 0.007
     ring_range: float = 0.004
     ring_elevation: float = float(np.radians(0.02))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from retropole import se3
 from retropole.datatypes import PointCloud
 from retropole.errors import UsageError
 from retropole.evaluation import comparison
@@ -10,12 +11,16 @@ from retropole.evaluation.comparison import compare
 from retropole.evaluation.metrics import e_rt, evaluate
 from retropole.evaluation.rivals import RIVALS, load_rival
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.simulation import SimulatedPair, record_again, simulate_pair
 
 
 @pytest.fixture(scope="module")
 def pair() -> SimulatedPair:
-    return simulate_pair("corridor", np.random.default_rng(4))
+    """Two LiDARs side by side: a registration that starts from the identity answers."""
+    rng = np.random.default_rng(4)
+    anywhere = simulate_pair("corridor", rng)
+    beside = se3.retract(np.eye(4), np.array([0.0, 0.0, 0.05, 0.3, -0.2, 0.1]))
+    return record_again(anywhere, rng, moved=se3.local(anywhere.T_target_source, beside))
 
 
 def test_answers_and_scores_are_those_of_the_methods(pair: SimulatedPair) -> None:

@@ -19,7 +19,7 @@ from ..systematic import Groups
 from ..uncertainty import BudgetEntry, Uncertainty, predicted_error
 from .factor import POSE, PoleFactor
 
-FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.005)), 0.001
+FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.004)), 0.001
 """1 σ about and along each axis that no model names, rad and m: bent housings, temperature, grounds
 that are not flat, time between the recordings."""
 
@@ -32,6 +32,10 @@ of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with
 
 SCALE_WEIGHT = 4.0
 """So many errors of the size that is known beforehand count beside those that the data show."""
+
+MIN_MEMBERS = 4
+"""Errors that a size is estimated from: one error does not tell its own size, and given the freedom
+it grows with the pose that it pulls along."""
 
 MAX_SCALE = 3.0
 """Most that errors may be found larger than they are known to be: beyond, it is not the LiDAR."""
@@ -108,8 +112,9 @@ def group_scales(
     count = len(known)
     square = np.bincount(groups.label, estimated**2, count)
     gamma = np.bincount(groups.label, determined, count)
-    new = (SCALE_WEIGHT * known**2 + square) / (SCALE_WEIGHT + gamma)
-    return np.asarray(np.clip(np.sqrt(new), known, MAX_SCALE * known))
+    new = np.sqrt((SCALE_WEIGHT * known**2 + square) / (SCALE_WEIGHT + gamma))
+    many = np.bincount(groups.label, minlength=count) >= MIN_MEMBERS
+    return np.asarray(np.where(many, np.clip(new, known, MAX_SCALE * known), known))
 
 
 def stated(

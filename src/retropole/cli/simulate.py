@@ -41,8 +41,8 @@ from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
-    help="Errors of the LiDARs and of the site: all kinds, noise and range errors alone, or none.  "
-    "[default: typical; for paper the paper's noise]",
+    help="Errors of the LiDARs and of the site: all that a real one has, noise and range errors, "
+    "or none.  [default: typical; for paper the paper's noise]",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate(
