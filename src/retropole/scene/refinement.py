@@ -326,7 +326,7 @@ def robust_scale(values: Array, weights: Array) -> float:
             low = middle
         else:
             high = middle
-    return float(np.sqrt(low * high)) / GEMAN_HALF
+    return float((low * high) ** 0.25) / GEMAN_HALF
 
 
 def _uncertainty(end: _End, problem: _Problem, other: tuple[tuple[str, Array], ...]) -> Uncertainty:
