@@ -79,11 +79,9 @@ RADIUS_MODEL = 0.0015
 a pole are bright enough is not known. In 24 simulated scenes the returns alone gave 0.6 to 1.7 mm
 too little, whatever the sensor."""
 
-FREE_RADIUS = 0.5
-"""1 σ of the radius while the returns are asked for it, as a part of the one given."""
-
-COLLAPSED, OTHER_RADII = 0.3, (0.5, 2.0)
-"""Below this part of the given radius the search is repeated from these parts of it."""
+RADIUS_ROUNDS, MIN_RADIUS_SHARE = 4, 0.2
+"""So often a radius is put in the place of the one given, until the returns agree with it, and no
+less than this part of the one before."""
 
 MIN_RADIUS_PRECISION = 1e-2
 """Of a prior of the radius that says nothing, 1/m²."""
@@ -229,37 +227,26 @@ def align_beams(
     given_sigma = max(radius_sigma, RADIUS_TOLERANCE * radius)
     model = ErrorModel(*sizes, given_sigma)
     state, log_noise = _start(target, source, T_start, radius)
-    free = replace(model, radius_sigma=FREE_RADIUS * radius)
-    found, expansion = _climb(state, log_noise, beams, free, radius)
-    if found.point.state.radius < COLLAPSED * radius:
-        # A line has a maximum of its own; a pole thinner or thicker than given, a higher one.
-        again = [
-            _climb(*_start(target, source, T_start, share * radius), beams, free, radius)
-            for share in OTHER_RADII
-        ]
-        found, expansion = min([(found, expansion), *again], key=lambda end: end[0].point.cost)
+    found, expansion = _climb(state, log_noise, beams, model, radius)
     by_returns = _radius_of_returns(expansion, model, radius)
-    denied = abs(by_returns.value - radius) / float(np.hypot(by_returns.sigma, given_sigma))
+    denied = by_returns.sigmas_below(radius, given_sigma)
     if denied > RADIUS_DENIED:
-        # What was given has no say any more: the returns' own radius takes its place.
-        assumed = by_returns.value
-        model = replace(model, radius_sigma=by_returns.sigma)
-        expansion = replace(
-            expansion, errors=_with(expansion.errors, found.point.state.radius - assumed)
-        )
-        estimate = RadiusEstimate(radius, given_sigma, assumed, by_returns.sigma)
+        # What was given has no say any more; the returns' own radius takes its place.
+        assumed = radius
+        for _ in range(RADIUS_ROUNDS):
+            assumed = max(by_returns.value, MIN_RADIUS_SHARE * assumed)
+            model = replace(model, radius_sigma=by_returns.sigma)
+            start = replace(found.point.state, radius=assumed)
+            found, expansion = _climb(start, found.point.log_noise, beams, model, assumed)
+            by_returns = _radius_of_returns(expansion, model, assumed)
+            if by_returns.sigmas_below(assumed, 0.0) < 1.0:
+                break
+        estimate = RadiusEstimate(radius, given_sigma, assumed, model.radius_sigma)
     else:
         weights = np.array([given_sigma, by_returns.sigma]) ** -2.0
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
     return _answer(found, expansion, model, estimate, denied)
-
-
-def _with(errors: Array, radius: float) -> Array:
-    """Count the error of the radius from another one."""
-    errors = errors.copy()
-    errors[RADIUS] = radius
-    return errors
 
 
 def _check_counts(target: Beams, source: Beams) -> None:
@@ -308,6 +295,13 @@ class _ReturnsRadius:
 
     value: float
     sigma: float
+
+    def sigmas_below(self, radius: float, sigma: float) -> float:
+        """By how many σ the returns want a thinner pole than one with a 1 σ of its own.
+
+        Thicker is no denial: tape glows, and beams beside a pole return as if they had met it.
+        """
+        return max(radius - self.value, 0.0) / float(np.hypot(self.sigma, sigma))
 
 
 def _radius_of_returns(expansion: Expansion, model: ErrorModel, radius: float) -> _ReturnsRadius:
