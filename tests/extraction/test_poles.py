@@ -265,7 +265,7 @@ def test_bright_surfaces_are_left_out_of_the_search(width: float, is_saturated: 
     across, up = np.meshgrid(np.arange(0, width, 0.04), np.arange(0, 1.5, 0.04))
     plate = offset(0.0, 0.5 + across.ravel(), up.ravel())
     cloud = PointCloud(np.concatenate([on_pole(1.6, 160, 3), plate]))
-    parts, failure = poles._off_surfaces(cloud, np.arange(len(cloud)))
+    parts, failure = poles.off_surfaces(cloud, np.arange(len(cloud)))
     searched = np.concatenate(parts)
     assert set(range(480)) <= set(searched), "the pole is searched"
     assert len(searched) < len(cloud)
