@@ -2,8 +2,8 @@
 
 Two LiDARs look at two poles in a corridor or a street. One pole, or both, stand 0.2 to 0.3 m from a
 wall, beside a person in a vest or beside a bright plate, or are short and 5 to 8 m away, so that
-they have few returns. In the last kind one of the two poles is missing, while a vest and a plate
-stand there: the right answer is a refusal.
+they have few returns. In the last kind one of the two poles is missing, and vests, plates, strips
+of tape and bollards stand about: the right answer is a refusal, or the true pose by other things.
 
     python benchmarks/detection_hard.py --scenes 100
 
@@ -97,6 +97,24 @@ def _beside(pole: Cylinder, what: str, eyes: Array, rng: np.random.Generator) ->
     return [Rectangle(at, across, UP, (rng.uniform(0.1, 0.3), rng.uniform(0.1, 0.4)), TAPE)]
 
 
+def _clutter(
+    poles: Sequence[Cylinder], eyes: Array, clear: tuple[float, float], rng: np.random.Generator
+) -> list[Surface]:
+    """A vest and a plate where the poles are, and other bright things about the place."""
+    things = [*_beside(poles[1], "vest", eyes, rng), *_beside(poles[0], "plate", eyes, rng)]
+    for what in rng.choice(["vest", "plate", "strip", "bollard"], rng.integers(3, 9)):
+        spot = np.r_[rng.uniform(-1.3, 1.3, 2) * clear, 0.0]
+        if what == "strip":
+            length, at = rng.uniform(0.1, 0.5), spot + rng.uniform(0.4, 1.5) * UP
+            things.append(Rectangle(at, _level(rng.uniform(0, 6)), UP, (0.03, length), TAPE))
+        elif what == "bollard":
+            height = rng.uniform(0.3, 0.6)
+            things.append(Cylinder(spot + height * UP, UP, 0.08, 2 * height, TAPE))
+        else:
+            things += _beside(replace(poles[0], centre=spot + UP), what, eyes, rng)
+    return things
+
+
 def outcome_of(job: tuple[str, int]) -> Outcome | None:
     """Draw one scene, calibrate, and compare with the truth; None where no scene was found."""
     kind, seed = job
@@ -134,7 +152,7 @@ def outcome_of(job: tuple[str, int]) -> Outcome | None:
         ]
         missing = kind == "one pole missing"
         if missing:
-            things = [*_beside(poles[1], "vest", eyes, rng), *_beside(poles[0], "plate", eyes, rng)]
+            things = _clutter(poles, eyes, place.clear, rng)
         standing = poles[:1] if missing else poles
         everything = [*place.surfaces, *things, *standing]
         scans = [scan(everything, s, T, rng) for s, T in zip(sensors, poses, strict=True)]

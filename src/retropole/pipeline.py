@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 
 from threadpoolctl import threadpool_limits
@@ -24,8 +24,11 @@ from .datatypes import (
     Scan,
 )
 from .errors import Refusal
+from .extraction.doubtful import with_doubtful
 from .extraction.poles import extract_poles
+from .io.rings import with_trusted_rings
 from .matching import correspondence
+from .matching.confirmation import is_confirmed, with_doubtful_poles
 from .matching.placements import (
     PairedPlacement,
     PlacementHypotheses,
@@ -41,6 +44,12 @@ from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .uncertainty import predicted_error, weakest_direction
 from .verdict import check_choice, margin_of, weaknesses
+
+RESCUED = {
+    *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
+    "prior_contradicted",
+}
+"""Refusals after which doubtful poles are tried: other poles may give what these did not."""
 
 
 def calibrate(
@@ -104,15 +113,13 @@ def calibrate(
             placements = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
         try:
             check_poles(placements)
-            with step("match"):
-                matched = [match_poles(placement, poles, prior) for placement in placements]
-            with step("disambiguate"):
-                scored = [score_hypotheses(each) for each in matched]
-                hypotheses = scored[0].hypotheses
-                choices = recurring(scored)
-                hypotheses = rank_joint_hypotheses(choices, scored)
-                check_choice(hypotheses)
-                paired = choices[0].paired
+            chosen = choose(placements, poles, prior, step)
+            if chosen.refusal is not None:
+                chosen = choose_with_doubtful(chosen, placements, poles, prior, radius, step)
+            hypotheses = chosen.hypotheses
+            if chosen.refusal is not None:
+                raise chosen.refusal
+            paired = chosen.paired
             with step("align"):
                 aligned = align_poles(paired, hypotheses[0].match.T_target_source)
                 placements = leave_one_out(paired, aligned, align_poles)
@@ -131,7 +138,7 @@ def find_poles(
     Never raises a refusal: the scan holds it, and `check_poles` raises it, so that what was found
     elsewhere is not lost.
     """
-    static = remove_dynamic_points(cloud)
+    static = with_trusted_rings(remove_dynamic_points(cloud))
     try:
         detection = extract_poles(static, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
@@ -152,6 +159,76 @@ def check_poles(placements: Sequence[Placement]) -> None:
             if scan.refusal is not None:
                 raise scan.refusal
             check_static(name, scan.cloud, scan.poles)
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The pose that the poles and the scene agree on: every placement paired by it; or why none."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    paired: tuple[PairedPlacement, ...]
+    refusal: Refusal | None = None
+
+
+def choose(
+    placements: Sequence[Placement],
+    count: int | None,
+    prior: RotationPrior | None,
+    step: Callable[[str], AbstractContextManager[None]],
+) -> Chosen:
+    """Match the poles of every placement and let the scene choose; a refusal is kept."""
+    hypotheses: tuple[Hypothesis, ...] = ()
+    try:
+        with step("match"):
+            matched = [match_poles(placement, count, prior) for placement in placements]
+        with step("disambiguate"):
+            scored = [score_hypotheses(each) for each in matched]
+            hypotheses = scored[0].hypotheses
+            choices = recurring(scored)
+            hypotheses = rank_joint_hypotheses(choices, scored)
+            check_choice(hypotheses)
+    except Refusal as refusal:
+        return Chosen(hypotheses, (), refusal)
+    return Chosen(hypotheses, choices[0].paired)
+
+
+def choose_with_doubtful(
+    refused: Chosen,
+    placements: Sequence[Placement],
+    count: int | None,
+    prior: RotationPrior | None,
+    radius: float,
+    step: Callable[[str], AbstractContextManager[None]],
+) -> Chosen:
+    """Choose once more with the doubtful poles; the first refusal where nothing confirms them."""
+    assert refused.refusal is not None
+    if refused.refusal.code not in RESCUED:
+        return refused
+    with step("extract"):
+        wider = [
+            replace(
+                each,
+                target=_with_doubtful(each.target, radius),
+                source=_with_doubtful(each.source, radius),
+            )
+            for each in placements
+        ]
+    chosen = choose(wider, count, prior, step)
+    if chosen.refusal is not None or not is_confirmed(chosen.paired, chosen.hypotheses, radius):
+        return refused
+    try:
+        for each in chosen.paired:
+            check_static("target", each.placement.target.cloud, each.target_poles)
+            check_static("source", each.placement.source.cloud, each.source_poles)
+    except Refusal:
+        return refused
+    return chosen
+
+
+def _with_doubtful(scan: Scan, radius: float) -> Scan:
+    assert scan.detection is not None
+    found = with_doubtful(scan.cloud, scan.detection, radius).doubtful
+    return with_doubtful_poles(scan, found)
 
 
 def match_poles(
@@ -278,4 +355,4 @@ def _timed(seconds: dict[str, float], progress: Callable[[str], None], name: str
     progress(name)
     start = time.perf_counter()
     yield
-    seconds[name] = time.perf_counter() - start
+    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start

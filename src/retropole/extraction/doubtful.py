@@ -16,6 +16,7 @@ from ..io.rings import with_trusted_rings
 from .acceptance_shape import MAX_LENGTH, MIN_LENGTH, MIN_POLE_POINTS, shape_failure
 from .acceptance_surroundings import (
     CROWD,
+    MAX_HUGGING,
     along_the_sweeps,
     crowded_by_retro,
     in_single_file,
@@ -34,8 +35,9 @@ MAX_FEW_POINTS_RMS = 0.02
 of most sensors of the table; a few returns that scatter more lie in line by chance."""
 
 CLINGING = 0.06
-"""What lies from the edge of the tube to so far outside it clings to a line, metres: a stripe has
-its wall there and a plate the rest of itself, and a pole has air. Two steps of 0.2° at 8 m."""
+"""Bright returns from the edge of the tube to so far outside it cling to a line, metres: a plate
+has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
+itself is nearer than `MAX_HUGGING`."""
 
 MAX_CLINGING_SHARE = 0.5
 """Largest share of the line's pieces to which something clings. Two bands of a vest cover less."""
@@ -126,7 +128,8 @@ def _may_be_pole(cloud: PointCloud, near: IntArray, free: BoolArray, line: Line)
     if is_few and (line.rms > MAX_FEW_POINTS_RMS or _skips_rings(cloud, line)):
         return False
     around = surroundings_of(cloud, near, free, line)
-    if _is_clung_to(around, around.is_retro) or _is_clung_to(around, ~around.is_retro):
+    bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line
+    if _is_clung_to(around, bright, line.tube + CLINGING) or _is_clung_to(around, dim, MAX_HUGGING):
         return False
     if is_few and crowded_by_retro(around) is not None:
         return False
@@ -141,9 +144,7 @@ def _skips_rings(cloud: PointCloud, line: Line) -> bool:
     return bool(np.ptp(rings) > len(rings))
 
 
-def _is_clung_to(around: Surroundings, kind: BoolArray) -> bool:
-    """Whether returns of a kind lie close beside most of the line."""
-    line = around.line
-    close = kind & around.beside & (around.distance < line.tube + CLINGING)
-    places: Array = around.along[close]
-    return crowded_share(line, places, CROWD) > MAX_CLINGING_SHARE
+def _is_clung_to(around: Surroundings, kind: BoolArray, within: float) -> bool:
+    """Whether returns of a kind lie close beside most of the line, within some metres."""
+    places: Array = around.along[kind & (around.distance < within)]
+    return crowded_share(around.line, places, CROWD) > MAX_CLINGING_SHARE
