@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from threadpoolctl import threadpool_limits
@@ -24,11 +24,10 @@ from .datatypes import (
     Scan,
 )
 from .errors import Refusal
-from .extraction.doubtful import with_doubtful
 from .extraction.poles import extract_poles
 from .io.rings import with_trusted_rings
 from .matching import correspondence
-from .matching.confirmation import is_confirmed, with_doubtful_poles
+from .matching.confirmation import Chosen, choose_with_doubtful
 from .matching.placements import (
     PairedPlacement,
     PlacementHypotheses,
@@ -44,12 +43,6 @@ from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .uncertainty import predicted_error, weakest_direction
 from .verdict import check_choice, margin_of, weaknesses
-
-RESCUED = {
-    *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
-    "prior_contradicted",
-}
-"""Refusals after which doubtful poles are tried: other poles may give what these did not."""
 
 
 def calibrate(
@@ -113,9 +106,8 @@ def calibrate(
             placements = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
         try:
             check_poles(placements)
-            chosen = choose(placements, poles, prior, step)
-            if chosen.refusal is not None:
-                chosen = choose_with_doubtful(chosen, placements, poles, prior, radius, step)
+            choose_from = partial(choose, count=poles, prior=prior, step=step)
+            chosen = choose_with_doubtful(choose_from, placements, radius)
             hypotheses = chosen.hypotheses
             if chosen.refusal is not None:
                 raise chosen.refusal
@@ -161,15 +153,6 @@ def check_poles(placements: Sequence[Placement]) -> None:
             check_static(name, scan.cloud, scan.poles)
 
 
-@dataclass(frozen=True, eq=False)
-class Chosen:
-    """The pose that the poles and the scene agree on: every placement paired by it; or why none."""
-
-    hypotheses: tuple[Hypothesis, ...]
-    paired: tuple[PairedPlacement, ...]
-    refusal: Refusal | None = None
-
-
 def choose(
     placements: Sequence[Placement],
     count: int | None,
@@ -187,48 +170,12 @@ def choose(
             choices = recurring(scored)
             hypotheses = rank_joint_hypotheses(choices, scored)
             check_choice(hypotheses)
+            for each in choices[0].paired:
+                check_static("target", each.placement.target.cloud, each.target_poles)
+                check_static("source", each.placement.source.cloud, each.source_poles)
     except Refusal as refusal:
         return Chosen(hypotheses, (), refusal)
     return Chosen(hypotheses, choices[0].paired)
-
-
-def choose_with_doubtful(
-    refused: Chosen,
-    placements: Sequence[Placement],
-    count: int | None,
-    prior: RotationPrior | None,
-    radius: float,
-    step: Callable[[str], AbstractContextManager[None]],
-) -> Chosen:
-    """Choose once more with the doubtful poles; the first refusal where nothing confirms them."""
-    assert refused.refusal is not None
-    if refused.refusal.code not in RESCUED:
-        return refused
-    with step("extract"):
-        wider = [
-            replace(
-                each,
-                target=_with_doubtful(each.target, radius),
-                source=_with_doubtful(each.source, radius),
-            )
-            for each in placements
-        ]
-    chosen = choose(wider, count, prior, step)
-    if chosen.refusal is not None or not is_confirmed(chosen.paired, chosen.hypotheses, radius):
-        return refused
-    try:
-        for each in chosen.paired:
-            check_static("target", each.placement.target.cloud, each.target_poles)
-            check_static("source", each.placement.source.cloud, each.source_poles)
-    except Refusal:
-        return refused
-    return chosen
-
-
-def _with_doubtful(scan: Scan, radius: float) -> Scan:
-    assert scan.detection is not None
-    found = with_doubtful(scan.cloud, scan.detection, radius).doubtful
-    return with_doubtful_poles(scan, found)
 
 
 def match_poles(

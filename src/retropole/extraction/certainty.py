@@ -51,13 +51,14 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
         lost it.
     """
     return (
-        _too_thick_for_radius(cloud, line, radius)
+        too_thick_for_radius(cloud, line, radius)
         or _interrupted(cloud, line)
         or (_end_on(cloud, line) if knows_origin else None)
     )
 
 
-def _too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
+def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
+    """Say that a line is thicker than a pole of a radius, metres; None where it is not."""
     limit = MAX_SURE_RMS + RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:

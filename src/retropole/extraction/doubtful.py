@@ -13,7 +13,13 @@ import numpy as np
 
 from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud
 from ..io.rings import with_trusted_rings
-from .acceptance_shape import MAX_LENGTH, MIN_LENGTH, MIN_POLE_POINTS, shape_failure
+from .acceptance_shape import (
+    FEW_POLE_POINTS,
+    MAX_LENGTH,
+    MIN_LENGTH,
+    MIN_POLE_POINTS,
+    shape_failure,
+)
 from .acceptance_surroundings import (
     CROWD,
     MAX_HUGGING,
@@ -22,6 +28,7 @@ from .acceptance_surroundings import (
     in_single_file,
     untaped_between,
 )
+from .certainty import too_thick_for_radius
 from .clustering import LINK, clusters
 from .lines import MAX_PROPOSING_POINTS, TUBE, Line, fit_line, in_canonical_order, propose_lines
 from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
@@ -29,10 +36,6 @@ from .surroundings import MAX_BESIDE, Surroundings, crowded_share, surroundings_
 
 MIN_DOUBTFUL_POINTS = 3
 """Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
-
-MAX_FEW_POINTS_RMS = 0.02
-"""Largest scatter of a line of fewer than `MIN_POLE_POINTS` returns, metres: 2 σ of the range noise
-of most sensors of the table; a few returns that scatter more lie in line by chance."""
 
 CLINGING = 0.06
 """Bright returns from the edge of the tube to so far outside it cling to a line, metres: a plate
@@ -79,13 +82,13 @@ def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Det
         if len(cluster) < MIN_DOUBTFUL_POINTS:
             continue
         near = near_box(columns, cluster)
-        parts = [cluster]
+        parts, fewest = [cluster], MIN_DOUBTFUL_POINTS
         if len(cluster) > MAX_PROPOSING_POINTS:
             parts, failure = off_surfaces(cloud, cluster)
-            if failure is not None:
-                continue  # where most is bright, lines of bright returns say nothing
+            # Where most is bright, a line of few bright returns says nothing.
+            fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
         for part in parts:
-            for line in _lines_in(cloud, near, part, free, radius):
+            for line in _lines_in(cloud, near, part, free, radius, fewest):
                 free[line.index] = False
                 found.append(pole_on(cloud, line))
     found.sort(key=lambda pole: (-len(pole.index), pole.rms))
@@ -93,7 +96,12 @@ def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Det
 
 
 def _lines_in(
-    cloud: PointCloud, near: IntArray, part: IntArray, free: BoolArray, radius: float
+    cloud: PointCloud,
+    near: IntArray,
+    part: IntArray,
+    free: BoolArray,
+    radius: float,
+    fewest: int,
 ) -> list[Line]:
     """Find the doubtful poles of one group of bright points, the best supported first."""
     free = free.copy()
@@ -110,7 +118,8 @@ def _lines_in(
                 cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell
             )
         ]
-        lines = [line for line in lines if _may_be_pole(cloud, near, free, line)]
+        lines = [line for line in lines if len(line.index) >= fewest]
+        lines = [line for line in lines if _may_be_pole(cloud, near, free, line, radius)]
         if not lines:
             break
         best = max(lines, key=lambda line: (len(line.index), -line.rms))
@@ -119,13 +128,15 @@ def _lines_in(
     return found
 
 
-def _may_be_pole(cloud: PointCloud, near: IntArray, free: BoolArray, line: Line) -> bool:
-    if len(line.index) < MIN_DOUBTFUL_POINTS:
-        return False
+def _may_be_pole(
+    cloud: PointCloud, near: IntArray, free: BoolArray, line: Line, radius: float
+) -> bool:
     if shape_failure(cloud, line, fewest=MIN_DOUBTFUL_POINTS) is not None:
         return False
+    if too_thick_for_radius(cloud, line, radius) is not None:
+        return False
     is_few = len(line.index) < MIN_POLE_POINTS
-    if is_few and (line.rms > MAX_FEW_POINTS_RMS or _skips_rings(cloud, line)):
+    if is_few and _skips_rings(cloud, line):
         return False
     around = surroundings_of(cloud, near, free, line)
     bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line

@@ -7,12 +7,14 @@ nearly as well: that does not happen by chance (docs/detection.md, Doubtful pole
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Hypothesis, Pole, Reason, Scan
+from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
+from ..errors import Refusal
+from ..extraction.doubtful import with_doubtful
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
 
@@ -25,6 +27,12 @@ CONFIRMED_ANGLE = float(np.radians(1.5))
 CONFIRMED_DISTANCE = 0.05
 """The two LiDARs agree on the angle and the distance of two lines within this, rad and m, beyond
 two sigma of what their returns fix."""
+
+RESCUED = {
+    *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
+    "prior_contradicted",
+}
+"""Refusals after which doubtful poles are tried: other poles may give what these did not."""
 
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""
@@ -39,14 +47,57 @@ MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
 """ICP of the scenes moves the pose by no more, rad and m."""
 
 
-def with_doubtful_poles(scan: Scan, doubtful: Sequence[Pole]) -> Scan:
-    """Count doubtful poles among the poles of a scan, after the sure ones."""
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The pose that the poles and the scene agree on: every placement paired by it; or why none."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    paired: tuple[PairedPlacement, ...]
+    refusal: Refusal | None = None
+
+
+def choose_with_doubtful(
+    choose: Callable[[Sequence[Placement]], Chosen], placements: Sequence[Placement], radius: float
+) -> Chosen:
+    """Choose by the sure poles; where they give nothing, by the doubtful ones too.
+
+    Parameters
+    ----------
+    choose
+        Matches the poles of some placements, and lets the scene choose.
+    placements
+        With what was found in each of their clouds.
+    radius
+        Of the poles, metres.
+
+    Returns
+    -------
+    Chosen
+        With the first refusal where the doubtful poles are not confirmed.
+    """
+    chosen = choose(placements)
+    if chosen.refusal is None or chosen.refusal.code not in RESCUED:
+        return chosen
+    wider = choose(
+        [
+            replace(
+                each,
+                target=_with_doubtful(each.target, radius),
+                source=_with_doubtful(each.source, radius),
+            )
+            for each in placements
+        ]
+    )
+    is_better = wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius)
+    return wider if is_better else chosen
+
+
+def _with_doubtful(scan: Scan, radius: float) -> Scan:
+    """Count the doubtful poles among the poles of a scan, after the sure ones."""
     if scan.detection is None:
         return scan
-    detection = replace(
-        scan.detection, poles=(*scan.detection.poles, *doubtful), doubtful=tuple(doubtful)
-    )
-    return replace(scan, detection=detection)
+    found = with_doubtful(scan.cloud, scan.detection, radius)
+    return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
 
 
 def is_confirmed(

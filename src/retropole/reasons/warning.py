@@ -45,7 +45,7 @@ WARNINGS: dict[WarningCode, Explanation] = {
         "returns were tried, and both LiDARs and the scene confirm them. "
         "[How](detection.md#doubtful-poles).",
         (
-            "Look at the poles in the [report](report.md): are they yours?",
+            "Look in the [report](report.md) whether the poles are yours.",
             "Better: move the poles free of walls, vests and signs by 0.6 m, about 5 m away, and "
             "record again.",
         ),
