@@ -1,7 +1,7 @@
 """What makes a line that could be a pole a doubtful one: thick, interrupted, or seen end on.
 
-Such a line is no pole for what sure poles are used for, and is kept among the doubtful ones. What
-*Sensitivity* means beside a constant: docs/detection.md.
+Such a line is no pole for what sure poles are used for, and is kept among the doubtful ones. See
+docs/detection.md, Certain or doubtful.
 """
 
 from __future__ import annotations

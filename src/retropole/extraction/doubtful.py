@@ -2,7 +2,7 @@
 
 They stand near a wall, beside a vest or another bright thing, or have three to five returns. Most
 of them are none, so nothing rests on them until the other LiDAR and the scene confirm them
-(`matching.confirmation`). What *Sensitivity* means beside a constant: docs/detection.md.
+(`matching.confirmation`).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ MAX_DOUBTFUL_PER_PART = 4
 """Doubtful poles taken out of one group at most."""
 
 MAX_DOUBTFUL = 8
-"""Doubtful poles of a cloud that are kept, those with the most returns: each doubles the pairs."""
+"""Doubtful poles of a cloud that are kept, those with the most returns: pairs grow with its square."""
 
 
 def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Detection:
