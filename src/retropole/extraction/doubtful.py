@@ -49,7 +49,7 @@ MAX_DOUBTFUL_PER_PART = 4
 """Doubtful poles taken out of one group at most."""
 
 MAX_DOUBTFUL = 8
-"""Doubtful poles of a cloud that are kept, those with the most returns: pairs grow with its square."""
+"""Doubtful poles of a cloud that are kept, those with the most returns."""
 
 
 def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Detection:
