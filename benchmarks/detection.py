@@ -29,7 +29,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -48,7 +48,8 @@ from detection_cases import (
     simulated_case,
     staged,
 )
-from retropole.datatypes import IntArray
+from retropole.datatypes import DEFAULT_RADIUS, Detection, IntArray
+from retropole.extraction.doubtful import with_doubtful
 from retropole.extraction.poles import extract_poles
 from retropole.simulation import simulate_pair
 
@@ -141,23 +142,35 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def staged_scores(job: tuple[str, int]) -> list[tuple[str, bool, Score]]:
-    return [
-        (c.thing, c.cloud.ring is None, score(c, extract_poles(c.cloud, threshold=c.threshold)))
-        for c in staged(*job)
-    ]
+def staged_scores(job: tuple[str, int]) -> list[tuple[str, bool, Score, Score]]:
+    """Thing, whether it is forgotten, and the scores of the sure and of all poles."""
+    scores = []
+    for c in staged(*job):
+        sure = extract_poles(c.cloud, threshold=c.threshold)
+        wide = with_doubtful(c.cloud, sure, DEFAULT_RADIUS)
+        both = score(c, sure), score(c, with_all(wide))
+        scores.append((c.thing, c.cloud.ring is None, *both))
+    return scores
 
 
-def staged_table(scores: Sequence[tuple[str, bool, Score]]) -> str:
+def with_all(detection: Detection) -> Detection:
+    """Count the doubtful poles among the poles."""
+    return replace(detection, poles=(*detection.poles, *detection.doubtful))
+
+
+def staged_table(scores: Sequence[tuple[str, bool, Score, Score]]) -> str:
     heads = ["thing"]
     for kind in ("as recorded", "forgotten"):
-        heads += [f"{kind}: poles to be seen", "found", "false"]
-    lines = ["| " + " | ".join(heads) + " |", "| --- |" + " --- |" * 6]
+        heads += [f"{kind}: poles to be seen", "found", "false", "doubtful: found", "false"]
+    lines = ["| " + " | ".join(heads) + " |", "| --- |" + " --- |" * 10]
     for thing in dict.fromkeys(name for name, *_ in scores):
         cells = [thing]
         for kind in (False, True):
-            own = [s for name, is_forgotten, s in scores if (name, is_forgotten) == (thing, kind)]
-            cells += [str(sum(getattr(s, k) for s in own)) for k in ("visible", "found", "false")]
+            own = [s for name, is_forgotten, *s in scores if (name, is_forgotten) == (thing, kind)]
+            sure, both = ([s[k] for s in own] for k in (0, 1))
+            counts = [sum(getattr(s, k) for s in sure) for k in ("visible", "found", "false")]
+            wide = [sum(getattr(s, k) for s in both) for k in ("found", "false")]
+            cells += map(str, (*counts, wide[0] - counts[1], wide[1] - counts[2]))
         lines.append("| " + " | ".join(cells) + " |")
     return f"{len(scores)} clouds\n\n" + "\n".join(lines)
 
@@ -197,8 +210,8 @@ def changed(name: str, value: float) -> Iterator[None]:
 
 
 def counts_of(cases: Sequence[Case]) -> IntArray:
-    """Poles to be seen, poles found and false poles (3,) in some clouds."""
-    scores = [score(c, extract_poles(c.cloud, threshold=c.threshold)) for c in cases]
+    """Poles to be seen, poles found and false poles (3,) in some clouds, thick ones included."""
+    scores = [score(c, with_all(extract_poles(c.cloud, threshold=c.threshold))) for c in cases]
     counts = np.array([(s.visible, s.found, s.false) for s in scores], dtype=np.int64)
     return np.asarray(counts.sum(axis=0))
 

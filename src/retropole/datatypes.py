@@ -160,6 +160,8 @@ class Detection:
         Where it comes from: ``given``, ``VLP-16``, ``auto: …``.
     retro_points
         How many points passed it.
+    doubtful
+        Lines that may be poles; their points are among the rejected.
     """
 
     poles: tuple[Pole, ...]
@@ -167,6 +169,7 @@ class Detection:
     threshold: float
     threshold_source: str
     retro_points: int
+    doubtful: tuple[Pole, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

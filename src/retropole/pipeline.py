@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -25,7 +25,9 @@ from .datatypes import (
 )
 from .errors import Refusal
 from .extraction.poles import extract_poles
+from .io.rings import with_trusted_rings
 from .matching import correspondence
+from .matching.confirmation import Chosen, choose_with_doubtful
 from .matching.placements import (
     PairedPlacement,
     PlacementHypotheses,
@@ -105,15 +107,12 @@ def calibrate(
             placements = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
         try:
             check_poles(placements)
-            with step("match"):
-                matched = [match_poles(placement, poles, prior) for placement in placements]
-            with step("disambiguate"):
-                scored = [score_hypotheses(each) for each in matched]
-                hypotheses = scored[0].hypotheses
-                choices = recurring(scored)
-                hypotheses = rank_joint_hypotheses(choices, scored)
-                check_choice(hypotheses)
-                paired = choices[0].paired
+            choose_from = partial(choose, count=poles, prior=prior, step=step)
+            chosen = choose_with_doubtful(choose_from, placements, radius)
+            hypotheses = chosen.hypotheses
+            if chosen.refusal is not None:
+                raise chosen.refusal
+            paired = chosen.paired
             with step("align"):
                 aligned = align_poles(paired, hypotheses[0].match.T_target_source)
                 placements = leave_one_out(paired, aligned, align_poles)
@@ -132,7 +131,7 @@ def find_poles(
     Never raises a refusal: the scan holds it, and `check_poles` raises it, so that what was found
     elsewhere is not lost.
     """
-    static = remove_dynamic_points(cloud)
+    static = with_trusted_rings(remove_dynamic_points(cloud))
     try:
         detection = extract_poles(static, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
@@ -153,6 +152,31 @@ def check_poles(placements: Sequence[Placement]) -> None:
             if scan.refusal is not None:
                 raise scan.refusal
             check_static(name, scan.cloud, scan.poles)
+
+
+def choose(
+    placements: Sequence[Placement],
+    count: int | None,
+    prior: RotationPrior | None,
+    step: Callable[[str], AbstractContextManager[None]],
+) -> Chosen:
+    """Match the poles of every placement and let the scene choose; a refusal is kept."""
+    hypotheses: tuple[Hypothesis, ...] = ()
+    try:
+        with step("match"):
+            matched = [match_poles(placement, count, prior) for placement in placements]
+        with step("disambiguate"):
+            scored = [score_hypotheses(each) for each in matched]
+            hypotheses = scored[0].hypotheses
+            choices = recurring(scored)
+            hypotheses = rank_joint_hypotheses(choices, scored)
+            check_choice(hypotheses)
+            for each in choices[0].paired:
+                check_static("target", each.placement.target.cloud, each.target_poles)
+                check_static("source", each.placement.source.cloud, each.source_poles)
+    except Refusal as refusal:
+        return Chosen(hypotheses, (), refusal)
+    return Chosen(hypotheses, choices[0].paired)
 
 
 def match_poles(
@@ -291,4 +315,4 @@ def _timed(seconds: dict[str, float], progress: Callable[[str], None], name: str
     progress(name)
     start = time.perf_counter()
     yield
-    seconds[name] = time.perf_counter() - start
+    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start

@@ -9,6 +9,7 @@ import numpy as np
 from .alignment.adjustment import BeamAlignment
 from .datatypes import Hypothesis, Pole, Reason, Scan
 from .errors import Refusal
+from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
 from .matching.placements import PairedPlacement
 from .scene.refinement import Refinement
@@ -128,6 +129,7 @@ def weaknesses(
         The pose of poles and scene; None where the scene was not asked, or had nothing to say.
     """
     return [
+        *doubtful_reasons(paired, hypotheses),
         *_weak_choice(hypotheses),
         *_weak_poles(paired),
         *_noisy_poles(paired[0], aligned),

@@ -109,7 +109,7 @@ def test_the_share_of_few_points_is_of_all_of_them(others: int, code: str) -> No
     cloud, line = scene(pole, (around(others, 0.0, 0.2), BRIGHT))
     is_retro = np.ones(len(cloud), dtype=bool)
     seen = shared.surroundings_of(cloud, np.arange(len(cloud)), is_retro, line)
-    assert code_of(rules._crowded_by_retro(seen)) == code
+    assert code_of(rules.crowded_by_retro(seen)) == code
 
 
 @pytest.mark.parametrize(("angle", "code"), [(0.3, ""), (0.0, "part_of_a_surface")])

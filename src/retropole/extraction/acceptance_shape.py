@@ -105,7 +105,7 @@ class Failure:
     reason: str
 
 
-def shape_failure(cloud: PointCloud, line: Line) -> Failure | None:
+def shape_failure(cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS) -> Failure | None:
     """Say why a line does not have the shape of a pole; None where it has.
 
     Parameters
@@ -114,9 +114,11 @@ def shape_failure(cloud: PointCloud, line: Line) -> Failure | None:
         Where the line was found.
     line
         As `fit_line` gives it.
+    fewest
+        Returns that it needs.
     """
     return (
-        _too_few_points(line)
+        _too_few_points(line, fewest)
         or _too_short(line)
         or _too_long(line)
         or _too_few_rings(line)
@@ -127,11 +129,11 @@ def shape_failure(cloud: PointCloud, line: Line) -> Failure | None:
     )
 
 
-def _too_few_points(line: Line) -> Failure | None:
+def _too_few_points(line: Line, fewest: int) -> Failure | None:
     count = len(line.index)
-    if count >= MIN_POLE_POINTS:
+    if count >= fewest:
         return None
-    return Failure("too_few_points", f"{count} points in line, a pole needs {MIN_POLE_POINTS}")
+    return Failure("too_few_points", f"{count} points in line, a pole needs {fewest}")
 
 
 def _too_short(line: Line) -> Failure | None:

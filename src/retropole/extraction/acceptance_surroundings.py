@@ -90,11 +90,11 @@ def surroundings_failure(
     around = surroundings_of(cloud, near, is_retro, line)
     return (
         _surrounded_by_retro(around)
-        or _crowded_by_retro(around)
-        or _untaped_between(around)
+        or crowded_by_retro(around)
+        or untaped_between(around)
         or _crowded_by_any(around)
-        or _along_the_sweeps(around)
-        or _in_single_file(around)
+        or along_the_sweeps(around)
+        or in_single_file(around)
         or _goes_on_without_tape(around)
     )
 
@@ -116,7 +116,7 @@ def _surrounded_by_retro(around: Surroundings) -> Failure | None:
     )
 
 
-def _crowded_by_retro(around: Surroundings) -> Failure | None:
+def crowded_by_retro(around: Surroundings) -> Failure | None:
     """A pole is not crowded by retro-reflective returns, except by those of a pole that crosses."""
     line, beside = around.line, around.retro_beside
     share = crowded_share(line, around.along[beside], RETRO_CROWD)
@@ -131,7 +131,7 @@ def _crowded_by_retro(around: Surroundings) -> Failure | None:
     )
 
 
-def _untaped_between(around: Surroundings) -> Failure | None:
+def untaped_between(around: Surroundings) -> Failure | None:
     """A pole is taped all along: few returns without tape lie between its points."""
     between = (around.along > around.low) & (around.along < around.high)
     count = int(np.count_nonzero(around.untaped & around.on_line & between))
@@ -163,7 +163,7 @@ def _crowded_by_any(around: Surroundings) -> Failure | None:
     )
 
 
-def _along_the_sweeps(around: Surroundings) -> Failure | None:
+def along_the_sweeps(around: Surroundings) -> Failure | None:
     """A pole runs across the rings; rings themselves say so better, where the cloud has them."""
     cloud, line = around.cloud, around.line
     if cloud.ring is not None or not runs_along_sweep(cloud.xyz, around.near, line):
@@ -172,7 +172,7 @@ def _along_the_sweeps(around: Surroundings) -> Failure | None:
     return Failure("along_a_beam", reason)
 
 
-def _in_single_file(around: Surroundings) -> Failure | None:
+def in_single_file(around: Surroundings) -> Failure | None:
     """A short pole seen by rings this close together has several points on each."""
     line, count = around.line, len(around.line.index)
     if not around.is_short or around.cloud.ring is not None:

@@ -12,6 +12,8 @@ What *Sensitivity* means beside a constant: docs/detection.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..datatypes import (
@@ -25,6 +27,7 @@ from ..datatypes import (
     RejectedCluster,
 )
 from ..errors import Refusal
+from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
 from ..sensors import Sensor, threshold_for
 from .acceptance_shape import (
     FEW_POLE_POINTS,
@@ -36,6 +39,7 @@ from .acceptance_shape import (
     shape_failure,
 )
 from .acceptance_surroundings import surroundings_failure
+from .certainty import doubt_of
 from .clustering import LINK, clusters, on_surface
 from .lines import (
     MAX_PROPOSING_POINTS,
@@ -75,6 +79,10 @@ ENOUGH_SHARE = 0.9
 """A pole with so much of a group's points is taken without trying the other proposals. Sensitivity
 from 0.86 to 0.93: no effect."""
 
+WHOLE_SHARE = 0.8
+"""A line with so much of a group's points is the group; of a smaller one, words say what the group
+is. Words only: no effect on what is found."""
+
 
 def extract_poles(
     cloud: PointCloud,
@@ -94,13 +102,14 @@ def extract_poles(
     threshold
         Intensity from which a return counts as retro-reflective.
     radius
-        Of the poles, metres. Thicker posts are found too: to about 0.07 m, and to 0.1 m where they
+        Of the poles, metres. Thicker posts are doubtful: to about 0.07 m, and to 0.1 m where they
         are short.
 
     Returns
     -------
     Detection
-        Poles with the most returns first; none at all is an answer.
+        Poles with the most returns first; none at all is an answer. Its `doubtful` ones pass all
+        rules but those of `certainty`; `doubtful.with_doubtful` adds others.
 
     Raises
     ------
@@ -115,26 +124,35 @@ def extract_poles(
             {"points": len(cloud)},
         )
     chosen = threshold_for(cloud.intensity, sensor, threshold)
+    cloud = with_trusted_rings(cloud)
+    assert cloud.intensity is not None
+    knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
     free = cloud.intensity >= chosen.value
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
-    lines: list[Line] = []
+    sure: list[Line] = []
+    doubtful: list[tuple[Line, Failure]] = []
     failures: list[tuple[IntArray, Failure]] = []
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
         found, failure = _search(cloud, columns, cluster, free, radius)
         for line in found:
             free[line.index] = False
-        lines += found
+            doubt = doubt_of(cloud, line, radius, knows_origin)
+            if doubt is None:
+                sure.append(line)
+            else:
+                doubtful.append((line, doubt))
         failures.append((cluster, failure))
-    poles = [_pole(cloud, line) for line in lines]
-    poles.sort(key=lambda pole: (-len(pole.index), pole.rms))
+    rejected = _rejected(cloud, free, failures)
+    rejected += [_rejected_cluster(cloud, np.sort(line.index), why) for line, why in doubtful]
     return Detection(
-        tuple(poles),
-        tuple(_rejected(cloud, free, failures)),
+        _poles_on(cloud, sure),
+        tuple(sorted(rejected, key=lambda cluster: -len(cluster.index))),
         chosen.value,
         chosen.found,
         len(retro),
+        _poles_on(cloud, [line for line, _ in doubtful]),
     )
 
 
@@ -148,11 +166,11 @@ def _search(
     if len(cluster) < MIN_POLE_POINTS:
         reason = f"{len(cluster)} points, a pole needs {MIN_POLE_POINTS}"
         return [], Failure("too_few_points", reason)
-    near = _near(columns, cluster)
+    near = near_box(columns, cluster)
     parts: list[IntArray] = [cluster]
     failure: Failure | None = None
     if len(cluster) > MAX_PROPOSING_POINTS:
-        parts, failure = _off_surfaces(cloud, cluster)
+        parts, failure = off_surfaces(cloud, cluster)
     is_saturated = failure is not None
     free = free.copy()
     found: list[Line] = []
@@ -171,7 +189,7 @@ def _search(
     return found, failure or _left_over(free, parts)
 
 
-def _off_surfaces(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], Failure | None]:
+def off_surfaces(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], Failure | None]:
     """Split a large cluster without the bright surfaces in it; say where these are most of it."""
     flat = on_surface(cloud.xyz[cluster])
     rest = cluster[~flat]
@@ -193,7 +211,7 @@ def _left_over(free: BoolArray, parts: list[IntArray]) -> Failure:
     return Failure("too_few_points", reason)
 
 
-def _near(columns: Array, cluster: IntArray) -> IntArray:
+def near_box(columns: Array, cluster: IntArray) -> IntArray:
     """Index of all points in the box about a cluster and `NEAR_MARGIN` more; columns is (3, N)."""
     index: IntArray | None = None
     for column in columns:
@@ -216,7 +234,7 @@ def _best_line(
     """Find the best supported pole among the points ``left``; if there is none, why."""
     tube, shell = radius + SEARCH_ROOM, (radius + TUBE, MAX_BESIDE)
     best: Line | None = None
-    first: Failure | None = None
+    first: tuple[Line, Failure] | None = None
     for point, direction in propose_lines(cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell):
         line = fit_line(cloud, left, point, direction, radius)
         failure = shape_failure(cloud, line)
@@ -226,15 +244,27 @@ def _best_line(
         if failure is None and is_saturated:
             failure = _doubtful_in_brightness(line)
         if failure is not None:
-            first = first or failure
+            first = first or (line, failure)
         elif best is None or (len(line.index), -line.rms) > (len(best.index), -best.rms):
             best = line
             if len(line.index) >= ENOUGH_SHARE * len(left):
                 break
     if best is not None:
         return best
-    nothing = f"no {MIN_LINE_POINTS} of its points lie in line over {MIN_LENGTH:g} m"
-    return first or Failure("too_short", nothing)
+    if first is None:
+        nothing = f"no {MIN_LINE_POINTS} of its points lie in line over {MIN_LENGTH:g} m"
+        return Failure("too_short", nothing)
+    return _of_the_cluster(cloud, left, *first)
+
+
+def _of_the_cluster(cloud: PointCloud, left: IntArray, line: Line, failure: Failure) -> Failure:
+    """Say first what the points are of which only a part was tested as a line."""
+    if len(line.index) >= WHOLE_SHARE * len(left):
+        return failure
+    offset = cloud.xyz[left] - cloud.xyz[left].mean(axis=0)
+    extent = np.ptp(offset @ np.linalg.eigh(offset.T @ offset)[1], axis=0)
+    size = f"{len(left)} points, {extent[2]:.2f} × {extent[1]:.2f} m"
+    return Failure(failure.code, f"{size}; of {len(line.index)} of them in line: {failure.reason}")
 
 
 def _whole_line(cloud: PointCloud, free_near: IntArray, line: Line, radius: float) -> Line:
@@ -252,7 +282,13 @@ def _doubtful_in_brightness(line: Line) -> Failure | None:
     return Failure("part_of_a_surface", reason)
 
 
-def _pole(cloud: PointCloud, line: Line) -> Pole:
+def _poles_on(cloud: PointCloud, lines: Sequence[Line]) -> tuple[Pole, ...]:
+    poles = [pole_on(cloud, line) for line in lines]
+    return tuple(sorted(poles, key=lambda pole: (-len(pole.index), pole.rms)))
+
+
+def pole_on(cloud: PointCloud, line: Line) -> Pole:
+    """Make a pole of a line."""
     index = np.sort(line.index)
     xyz = cloud.xyz[index]
     return Pole(xyz.mean(axis=0), line.direction, xyz, line.length, line.rms, line.rings, index)
@@ -261,12 +297,15 @@ def _pole(cloud: PointCloud, line: Line) -> Pole:
 def _rejected(
     cloud: PointCloud, free: BoolArray, failures: list[tuple[IntArray, Failure]]
 ) -> list[RejectedCluster]:
-    """Give what no pole has claimed, cluster by cluster, with its reason; the largest first."""
+    """Give what no line has claimed, cluster by cluster, with its reason."""
     rejected = []
     for cluster, failure in failures:
         left = np.sort(cluster[free[cluster]])
         if len(left) == 0 or (len(left) < len(cluster) and len(left) < MIN_POLE_POINTS):
             continue  # nothing, or the stray returns about a pole
-        centre = cloud.xyz[left].mean(axis=0)
-        rejected.append(RejectedCluster(left, centre, failure.code, failure.reason))
-    return sorted(rejected, key=lambda cluster: -len(cluster.index))
+        rejected.append(_rejected_cluster(cloud, left, failure))
+    return rejected
+
+
+def _rejected_cluster(cloud: PointCloud, index: IntArray, why: Failure) -> RejectedCluster:
+    return RejectedCluster(index, cloud.xyz[index].mean(axis=0), why.code, why.reason)

@@ -11,6 +11,7 @@ import numpy as np
 from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import SENSORS, Sensor, auto_threshold
 from . import FrameHeader, ReadRecording, read_recording, topics_of
+from .rings import MAX_RING_SPREAD, rings_fault
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""
@@ -25,10 +26,6 @@ RING_TOLERANCE, RING_TOLERANCE_OF_STEP = np.radians(0.35), 0.3
 """How far a ring's elevation may be from that of the table, rad, or as a part of the step between
 rings, whichever is larger. Units of one model differ, and near returns show that beams do not
 start in one point."""
-
-MAX_RING_SPREAD = np.radians(0.5)
-"""Half of the points of a ring lie within this of its elevation, rad; otherwise the cloud was
-rotated out of its sensor's frame."""
 
 POINT_TOLERANCE, MIN_SEPARATION = np.radians(0.1), 4
 """Without rings: how far a point's elevation may be from that of a ring of the table, rad; for
@@ -63,7 +60,7 @@ class IntensityDoc(msgspec.Struct):
 
 
 class CloudDoc(msgspec.Struct):
-    """The frames of a file, or of one topic of a bag."""
+    """The frames of a file, or of one topic of a bag; why its rings are ignored, or nothing."""
 
     topic: str | None
     frame_id: str | None
@@ -76,6 +73,7 @@ class CloudDoc(msgspec.Struct):
     points: int
     dropped: int
     rings: int | None
+    rings_ignored: str
     range_m: list[float]
     intensity: IntensityDoc | None
     sensors: list[str]
@@ -135,6 +133,7 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         points=len(cloud),
         dropped=cloud.dropped,
         rings=None if cloud.ring is None else len(np.unique(cloud.ring)),
+        rings_ignored=rings_fault(cloud),
         range_m=[float(value) for value in np.quantile(ranges, [0, 0.5, 1])],
         intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
         sensors=guess_sensors(cloud),

@@ -134,7 +134,7 @@ def pair_starts(
     return starts
 
 
-def _direction_sigma(pole: Pole) -> float:
+def direction_sigma(pole: Pole) -> float:
     """Roughly how well the points of a pole fix its direction, 1 σ in radians."""
     return float(pole.rms * np.sqrt(12.0 / len(pole.xyz)) / max(pole.length, 1e-3))
 
@@ -158,7 +158,7 @@ def _all_pairs(poles: Sequence[Pole]) -> _Pairs:
         if _angle_between(first, second) < MIN_ANGLE:
             continue
         pair = line_pair(first.point, first.direction, second.point, second.direction)
-        sigma = float(np.hypot(_direction_sigma(first), _direction_sigma(second)))
+        sigma = float(np.hypot(direction_sigma(first), direction_sigma(second)))
         # The common perpendicular of leaning poles can lie metres beyond what is seen of them;
         # there an error of direction moves the feet by that lever.
         feet = np.linalg.norm(pair.frame[:3, 3] - np.stack([first.point, second.point]), axis=1)

@@ -14,6 +14,8 @@ ClusterCode = Literal[
     "along_a_beam",
     "part_of_a_surface",
     "goes_on_without_tape",
+    "interrupted",
+    "end_on",
 ]
 
 CLUSTER: dict[ClusterCode, Explanation] = {
@@ -25,10 +27,10 @@ CLUSTER: dict[ClusterCode, Explanation] = {
     "too_long": Explanation("Too long", "More than 4 m long: a rail, or a line on the road."),
     "too_wide": Explanation(
         "Too wide",
-        "Too thick for its length: a plate, or a vest.",
+        "Too thick for its length, or for the radius of the poles: a plate, a vest, or a post.",
         (
-            "If it is your pole, it moved while it was recorded, or the noise is large: record "
-            "again, or nearer.",
+            "If it is your pole, check `--radius`; or it moved while it was recorded, or the noise "
+            "is large: record again, or nearer.",
         ),
     ),
     "too_few_rows": Explanation(
@@ -50,5 +52,16 @@ CLUSTER: dict[ClusterCode, Explanation] = {
         "Continues without tape",
         "It continues without tape: a sign on its post.",
         ("If it is your pole, tape it from end to end, 0.8 m at least.",),
+    ),
+    "interrupted": Explanation(
+        "Two pieces with a gap",
+        "A gap takes up half of its length or more, and the rings do not explain it: two things in "
+        "line, or a pole that something hides.",
+        ("If it is your pole, move what hides its middle.",),
+    ),
+    "end_on": Explanation(
+        "Seen nearly end on",
+        "It runs within 15° of the line of sight: a line on the ground, or the edge of something.",
+        ("If it is your pole, lean it less towards the LiDAR.",),
     ),
 }

@@ -9,6 +9,7 @@ from .explanation import Explanation
 WarningCode = Literal[
     "not_converged",
     "small_margin",
+    "doubtful_poles",
     "nearly_parallel_poles",
     "few_points",
     "few_rings",
@@ -38,6 +39,17 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Look at the hypotheses in the [report](report.md). If walls and ground coincide in "
             "one only, use the answer.",
             "Better: a third pole, or `--up`.",
+        ),
+    ),
+    "doubtful_poles": Explanation(
+        "The answer rests on doubtful poles",
+        "The sure poles gave no answer. Lines near a wall, beside something bright or with 3 to 5 "
+        "returns were tried, and both LiDARs and the scene confirm them. "
+        "[How](detection.md#doubtful-poles).",
+        (
+            "Look in the [report](report.md) whether the poles are yours.",
+            "Better: move the poles free of walls, vests and signs by 0.6 m, about 5 m away, and "
+            "record again.",
         ),
     ),
     "nearly_parallel_poles": Explanation(

@@ -254,7 +254,8 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         f"fields     {fields}",
         f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
         f"{cloud.points / cloud.frames_read:,.0f} a frame",
-        f"rings      {'none' if cloud.rings is None else cloud.rings}",
+        f"rings      {'none' if cloud.rings is None else cloud.rings}"
+        + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
         f"range      {near:.2f} to {far:.2f} m, median {middle:.2f} m",
         f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
     ]

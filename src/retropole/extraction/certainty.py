@@ -1,0 +1,115 @@
+"""What makes a line that could be a pole a doubtful one: thick, interrupted, or seen end on.
+
+Such a line is no pole for what sure poles are used for, and is kept among the doubtful ones. See
+docs/detection.md, Certain or doubtful.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..datatypes import DEFAULT_RADIUS, PointCloud
+from .acceptance_shape import Failure
+from .lines import RING_GAP, Line, distance_and_place
+from .neighbours import NEGLIGIBLE
+from .surroundings import PIECES
+
+MAX_SURE_RMS = 0.03
+"""Largest scatter of the returns of a sure pole about their line, metres: 12 mm of a cylinder of 2
+cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
+
+RMS_PER_RADIUS = 0.62
+"""Beams evenly spaced across a cylinder scatter by so many radii about their line."""
+
+MAX_GAP_SHARE = 0.5
+"""A gap as long as so much of a line makes two things of it, unless its rings explain the gap."""
+
+MAX_RINGS_MISSED = 2
+"""Rings in a row without a return that are no gap: a return may be lost in each."""
+
+MAX_GAP_STEPS = 3.5
+"""The same where the cloud has no rings, in steps from ring to ring: two rings missed, and half a
+step of unevenness."""
+
+MIN_SIGHT_ANGLE = float(np.radians(15.0))
+"""A line that the sensor sees at a smaller angle, rad, lies on the ground or is the edge of
+something: a pole that stands 3 m away and leans by 35° towards a sensor 1.5 m above its middle is
+seen at 28°."""
+
+
+def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -> Failure | None:
+    """Say why a line that passes all other rules is no sure pole; None where it is.
+
+    Parameters
+    ----------
+    cloud, line
+        The cloud, and the line found in it.
+    radius
+        Of the poles, metres.
+    knows_origin
+        Whether the beams started at the cloud's origin. A cloud that another program has moved has
+        lost it.
+    """
+    return (
+        too_thick_for_radius(cloud, line, radius)
+        or _interrupted(cloud, line)
+        or (_end_on(cloud, line) if knows_origin else None)
+    )
+
+
+def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
+    """Say that a line is thicker than a pole of a radius, metres; None where it is not."""
+    limit = MAX_SURE_RMS + RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0)
+    scatter = _typical_scatter(cloud, line)
+    if scatter <= limit:
+        return None
+    return Failure(
+        "too_wide",
+        f"its returns scatter by {1000 * scatter:.0f} mm about their line, {1000 * limit:.0f} mm "
+        f"are the most for a pole of {1000 * radius:.0f} mm radius",
+    )
+
+
+def _typical_scatter(cloud: PointCloud, line: Line) -> float:
+    """Scatter of the middle one of the line's pieces, metres, or of all where that is less: a hand
+    or a pole that crosses widens a few pieces only.
+    """
+    distance, along = distance_and_place(cloud.xyz[line.index], line.point, line.direction)
+    edges = np.linspace(along.min(), along.max() + NEGLIGIBLE, PIECES + 1)
+    count = np.histogram(along, edges)[0]
+    square = np.histogram(along, edges, weights=distance**2)[0]
+    middle = float(np.median(square[count > 0] / count[count > 0]))
+    return min(line.rms, float(np.sqrt(middle)))
+
+
+def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
+    """A pole has no gap as long as half of it, except between rings that are far apart."""
+    order = np.argsort(line.along, kind="stable")
+    gaps = np.diff(line.along[order])
+    widest = int(np.argmax(gaps))
+    gap = float(gaps[widest])
+    if gap < MAX_GAP_SHARE * line.length:
+        return None
+    if cloud.ring is not None:
+        before, after = cloud.ring[line.index[order[[widest, widest + 1]]]]
+        is_explained = abs(int(after) - int(before)) <= MAX_RINGS_MISSED + 1
+    else:
+        others = np.delete(gaps, widest)
+        steps = others[others > RING_GAP]
+        is_explained = len(steps) == 0 or gap <= MAX_GAP_STEPS * float(np.median(steps))
+    if is_explained:
+        return None
+    reason = (
+        f"{line.length:.2f} m long with a gap of {gap:.2f} m: two things, or a pole half hidden"
+    )
+    return Failure("interrupted", reason)
+
+
+def _end_on(cloud: PointCloud, line: Line) -> Failure | None:
+    sight = line.point - cloud.origin
+    across = float(np.linalg.norm(np.cross(sight, line.direction)))
+    angle = float(np.arctan2(across, abs(sight @ line.direction)))
+    if angle >= MIN_SIGHT_ANGLE:
+        return None
+    reason = f"seen at {np.degrees(angle):.0f}° to its own direction, nearly end on"
+    return Failure("end_on", reason)

@@ -1,0 +1,161 @@
+"""Doubtful poles: lines that a strict rule rejects, but that look like a pole in a bad place.
+
+They stand near a wall, beside a vest or another bright thing, or have three to five returns. Most
+of them are none, so nothing rests on them until the other LiDAR and the scene confirm them
+(`matching.confirmation`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud
+from ..io.rings import with_trusted_rings
+from .acceptance_shape import (
+    FEW_POLE_POINTS,
+    MAX_LENGTH,
+    MIN_LENGTH,
+    MIN_POLE_POINTS,
+    shape_failure,
+)
+from .acceptance_surroundings import (
+    CROWD,
+    MAX_HUGGING,
+    along_the_sweeps,
+    crowded_by_retro,
+    in_single_file,
+    untaped_between,
+)
+from .certainty import too_thick_for_radius
+from .clustering import LINK, clusters
+from .lines import MAX_PROPOSING_POINTS, TUBE, Line, fit_line, in_canonical_order, propose_lines
+from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
+from .surroundings import MAX_BESIDE, Surroundings, crowded_share, surroundings_of
+
+MIN_DOUBTFUL_POINTS = 3
+"""Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
+
+CLINGING = 0.06
+"""Bright returns from the edge of the tube to so far outside it cling to a line, metres: a plate
+has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
+itself is nearer than `MAX_HUGGING`."""
+
+MAX_CLINGING_SHARE = 0.5
+"""Largest share of the line's pieces to which something clings. Two bands of a vest cover less."""
+
+MAX_DOUBTFUL_PER_PART = 4
+"""Doubtful poles taken out of one group at most."""
+
+MAX_DOUBTFUL = 8
+"""Doubtful poles of a cloud that are kept, those with the most returns."""
+
+
+def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Detection:
+    """Look once more at what a detection rejected, and add the doubtful poles in it.
+
+    Parameters
+    ----------
+    cloud
+        The cloud of the detection.
+    detection
+        As `extract_poles` gives it.
+    radius
+        Of the poles, metres.
+
+    Returns
+    -------
+    Detection
+        The same, with `doubtful` filled: those it has and those found now, at most `MAX_DOUBTFUL`.
+    """
+    cloud = with_trusted_rings(cloud)
+    assert cloud.intensity is not None
+    free = np.asarray(cloud.intensity >= detection.threshold)
+    for pole in (*detection.poles, *detection.doubtful):
+        free[pole.index] = False
+    retro = np.flatnonzero(free)
+    columns = np.ascontiguousarray(cloud.xyz.T)
+    found = list(detection.doubtful)
+    for group in clusters(cloud.xyz[retro], LINK):
+        cluster = retro[group]
+        if len(cluster) < MIN_DOUBTFUL_POINTS:
+            continue
+        near = near_box(columns, cluster)
+        parts, fewest = [cluster], MIN_DOUBTFUL_POINTS
+        if len(cluster) > MAX_PROPOSING_POINTS:
+            parts, failure = off_surfaces(cloud, cluster)
+            # Where most is bright, a line of few bright returns says nothing.
+            fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
+        for part in parts:
+            for line in _lines_in(cloud, near, part, free, radius, fewest):
+                free[line.index] = False
+                found.append(pole_on(cloud, line))
+    found.sort(key=lambda pole: (-len(pole.index), pole.rms))
+    return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
+
+
+def _lines_in(
+    cloud: PointCloud,
+    near: IntArray,
+    part: IntArray,
+    free: BoolArray,
+    radius: float,
+    fewest: int,
+) -> list[Line]:
+    """Find the doubtful poles of one group of bright points, the best supported first."""
+    free = free.copy()
+    found: list[Line] = []
+    for _ in range(MAX_DOUBTFUL_PER_PART):
+        left = part[free[part]]
+        if len(left) < MIN_DOUBTFUL_POINTS:
+            break
+        left = in_canonical_order(cloud.xyz, left)
+        tube, shell = radius + SEARCH_ROOM, (radius + TUBE, MAX_BESIDE)
+        lines = [
+            fit_line(cloud, left, point, direction, radius)
+            for point, direction in propose_lines(
+                cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell
+            )
+        ]
+        lines = [line for line in lines if len(line.index) >= fewest]
+        lines = [line for line in lines if _may_be_pole(cloud, near, free, line, radius)]
+        if not lines:
+            break
+        best = max(lines, key=lambda line: (len(line.index), -line.rms))
+        found.append(best)
+        free[best.index] = False
+    return found
+
+
+def _may_be_pole(
+    cloud: PointCloud, near: IntArray, free: BoolArray, line: Line, radius: float
+) -> bool:
+    if shape_failure(cloud, line, fewest=MIN_DOUBTFUL_POINTS) is not None:
+        return False
+    if too_thick_for_radius(cloud, line, radius) is not None:
+        return False
+    is_few = len(line.index) < MIN_POLE_POINTS
+    if is_few and _skips_rings(cloud, line):
+        return False
+    around = surroundings_of(cloud, near, free, line)
+    bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line
+    if _is_clung_to(around, bright, line.tube + CLINGING) or _is_clung_to(around, dim, MAX_HUGGING):
+        return False
+    if is_few and crowded_by_retro(around) is not None:
+        return False
+    return not (untaped_between(around) or along_the_sweeps(around) or in_single_file(around))
+
+
+def _skips_rings(cloud: PointCloud, line: Line) -> bool:
+    """Whether more than one ring between those that hit the line missed it."""
+    if cloud.ring is None:
+        return False
+    rings = np.unique(cloud.ring[line.index])
+    return bool(np.ptp(rings) > len(rings))
+
+
+def _is_clung_to(around: Surroundings, kind: BoolArray, within: float) -> bool:
+    """Whether returns of a kind lie close beside most of the line, within some metres."""
+    places: Array = around.along[kind & (around.distance < within)]
+    return crowded_share(around.line, places, CROWD) > MAX_CLINGING_SHARE

@@ -1,0 +1,207 @@
+"""Doubtful poles count only where the other LiDAR and the scene confirm them.
+
+A doubtful pole alone says nothing. Two lines that one LiDAR sees at the same angle and distance as
+the other, laid on each other by a pose under which the two scenes coincide, and by no other pose
+nearly as well: that does not happen by chance (docs/detection.md, Doubtful poles).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
+from ..errors import Refusal
+from ..extraction.doubtful import with_doubtful
+from .correspondence import direction_sigma, line_pair
+from .placements import PairedPlacement
+
+FACING_SIDES, SCATTER_PER_RADIUS, CONFIRMED_NOISE = float(np.pi / 2), 0.62, 0.01
+"""Residual of the poles under the pose, at most: the lines of facing sides lie π r/2 apart, returns
+scatter by 0.62 r about their line, and by noise, metres. That is 35 mm for r = 20 mm; wrong answers
+had 38 mm and more."""
+
+CONFIRMED_ANGLE = float(np.radians(1.5))
+CONFIRMED_DISTANCE = 0.05
+"""The two LiDARs agree on the angle and the distance of two lines within this, rad and m, beyond
+two sigma of what their returns fix."""
+
+RESCUED = {
+    *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
+    "prior_contradicted",
+}
+"""Refusals after which doubtful poles are tried: other poles may give what these did not."""
+
+MIN_CONFIRMED_OVERLAP = 0.4
+"""Share of the points that must find a neighbour; sure poles need 0.25."""
+
+MAX_CONFIRMED_VIOLATION = 0.05
+"""Largest share of the points that stand where the other LiDAR looked through."""
+
+MIN_CONFIRMED_LEAD = 0.3
+"""By so much the score leads that of every other hypothesis, the inexact ones included."""
+
+MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
+"""ICP of the scenes moves the pose by no more, rad and m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The pose that the poles and the scene agree on: every placement paired by it; or why none."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    paired: tuple[PairedPlacement, ...]
+    refusal: Refusal | None = None
+
+
+def choose_with_doubtful(
+    choose: Callable[[Sequence[Placement]], Chosen], placements: Sequence[Placement], radius: float
+) -> Chosen:
+    """Choose by the sure poles; where they give nothing, by the doubtful ones too.
+
+    Parameters
+    ----------
+    choose
+        Matches the poles of some placements, and lets the scene choose.
+    placements
+        With what was found in each of their clouds.
+    radius
+        Of the poles, metres.
+
+    Returns
+    -------
+    Chosen
+        With the first refusal where the doubtful poles are not confirmed.
+    """
+    chosen = choose(placements)
+    if chosen.refusal is None or chosen.refusal.code not in RESCUED:
+        return chosen
+    wider = choose(
+        [
+            replace(
+                each,
+                target=_with_doubtful(each.target, radius),
+                source=_with_doubtful(each.source, radius),
+            )
+            for each in placements
+        ]
+    )
+    is_better = wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius)
+    return wider if is_better else chosen
+
+
+def _with_doubtful(scan: Scan, radius: float) -> Scan:
+    """Count the doubtful poles among the poles of a scan, after the sure ones."""
+    if scan.detection is None:
+        return scan
+    found = with_doubtful(scan.cloud, scan.detection, radius)
+    return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
+
+
+def is_confirmed(
+    paired: Sequence[PairedPlacement], hypotheses: Sequence[Hypothesis], radius: float
+) -> bool:
+    """Whether both LiDARs and the scene confirm a choice that rests on doubtful poles.
+
+    Parameters
+    ----------
+    paired
+        Every placement, its poles paired by the choice.
+    hypotheses
+        All hypotheses, the chosen one first.
+    radius
+        Of the poles, metres.
+    """
+    limit = float(np.hypot(np.hypot(FACING_SIDES, SCATTER_PER_RADIUS) * radius, CONFIRMED_NOISE))
+    best, *others = hypotheses
+    is_clear = all(best.score - other.score >= MIN_CONFIRMED_LEAD for other in others)
+    return (
+        is_clear
+        and _scene_agrees(best)
+        and all(
+            each.hypothesis.match.exact
+            and each.hypothesis.match.pole_rms <= limit
+            and _lines_agree(each)
+            for each in paired
+        )
+    )
+
+
+def _scene_agrees(best: Hypothesis) -> bool:
+    if best.icp_rotation is None or best.icp_translation is None:
+        return False
+    return (
+        best.overlap >= MIN_CONFIRMED_OVERLAP
+        and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
+        and best.icp_rotation <= MAX_ICP_ROTATION
+        and best.icp_translation <= MAX_ICP_TRANSLATION
+    )
+
+
+def _lines_agree(each: PairedPlacement) -> bool:
+    """Whether any two of the paired poles lie to each other as the other LiDAR sees them."""
+    target, source = each.target_poles, each.source_poles
+    for i in range(len(target)):
+        for j in range(i):
+            four = (target[i], target[j], source[i], source[j])
+            one = line_pair(four[0].point, four[0].direction, four[1].point, four[1].direction)
+            other = line_pair(four[2].point, four[2].direction, four[3].point, four[3].direction)
+            sigma = float(np.linalg.norm([direction_sigma(pole) for pole in four]))
+            lever = max(
+                float(np.linalg.norm(pair.frame[:3, 3] - pole.point))
+                for pair, poles in ((one, four[:2]), (other, four[2:]))
+                for pole in poles
+            )
+            if abs(one.angle - other.angle) > CONFIRMED_ANGLE + 2 * sigma:
+                return False
+            if abs(one.distance - other.distance) > CONFIRMED_DISTANCE + 2 * sigma * lever:
+                return False
+    return True
+
+
+def doubtful_in(each: PairedPlacement) -> tuple[list[Pole], list[Pole]]:
+    """The paired poles of the target and of the source that are doubtful."""
+    sides = (
+        (each.placement.target, each.target_poles),
+        (each.placement.source, each.source_poles),
+    )
+    target, source = (
+        [
+            pole
+            for pole in poles
+            if scan.detection is not None and any(pole is own for own in scan.detection.doubtful)
+        ]
+        for scan, poles in sides
+    )
+    return target, source
+
+
+def doubtful_reasons(
+    paired: Sequence[PairedPlacement], hypotheses: Sequence[Hypothesis]
+) -> list[Reason]:
+    """Warn where an answer rests on doubtful poles; nothing where all paired poles are sure."""
+    target, source = 0, 0
+    for each in paired:
+        of_target, of_source = doubtful_in(each)
+        target, source = target + len(of_target), source + len(of_source)
+    if target + source == 0:
+        return []
+    best = hypotheses[0]
+    return [
+        Reason(
+            "doubtful_poles",
+            f"{target} of the target's poles and {source} of the source's are doubtful by "
+            f"themselves, near a wall, beside something bright or with few returns; both LiDARs "
+            f"agree on them to {1000 * best.match.pole_rms:.0f} mm, and {best.overlap:.0%} of the "
+            "points have a neighbour under this pose only",
+            {
+                "target": target,
+                "source": source,
+                "pole_rms_m": best.match.pole_rms,
+                "overlap": best.overlap,
+                "free_space": best.free_space_violation,
+            },
+        )
+    ]

@@ -1,0 +1,75 @@
+"""Poles in bad places are doubtful ones, other bright things are neither sure nor doubtful."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import IntArray, PointCloud
+from retropole.extraction.doubtful import MAX_DOUBTFUL, with_doubtful
+from retropole.extraction.poles import extract_poles
+from retropole.sensors import Sensor, find_sensor
+from retropole.simulation import Rectangle, Surface
+from tests.extraction.scenes import NO_POLES, PAINT, TAPE, Y, Z, labels_of, pole, seen
+
+WALL = Rectangle(np.array([5.2, 0, 0]), Y, Z, (4, 2), PAINT)
+SHORT_AT_A_WALL: list[Surface] = [pole((5, 0), length=0.7), WALL]
+
+
+def looked_at(
+    cloud: PointCloud, labels: IntArray, sensor: Sensor | None = None
+) -> tuple[list[int], list[int]]:
+    """Surfaces of the sure and of the doubtful poles."""
+    found = with_doubtful(cloud, extract_poles(cloud, sensor=sensor), 0.02)
+    return labels_of(found, labels), labels_of(replace(found, poles=found.doubtful), labels)
+
+
+@pytest.mark.parametrize("sensor", ["XT32", "HDL-32E"])
+def test_a_short_pole_near_a_wall_is_doubtful(sensor: str) -> None:
+    sure, doubtful = looked_at(*seen(SHORT_AT_A_WALL, sensor))
+    assert sure == []
+    assert doubtful == [0]
+
+
+@pytest.mark.parametrize("aside", [0.4, 0.6])
+def test_a_pole_beside_a_bright_plate_is_found(aside: float) -> None:
+    plate = Rectangle(np.array([4, 0.2 + aside, -0.2]), Y, Z, (0.2, 0.9), TAPE)
+    sure, doubtful = looked_at(*seen([pole((4, 0)), plate], "XT32"))
+    assert [*sure, *doubtful] == [0]
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_three_to_five_returns_on_neighbouring_rings_are_doubtful(count: int) -> None:
+    cloud, labels = seen([pole((6, 0))], "VLP-16", seed=3)
+    assert cloud.ring is not None
+    on_it = np.flatnonzero(labels == 0)
+    rings = np.unique(cloud.ring[on_it])
+    for kept_rings, is_kept in ((rings[:3], True), (rings[[0, 2, 4]], False)):
+        first = [on_it[cloud.ring[on_it] == ring][0] for ring in kept_rings]
+        more = [on_it[cloud.ring[on_it] == ring][1] for ring in kept_rings][: count - 3]
+        kept = np.sort(np.array([*np.flatnonzero(labels != 0), *first, *more]))
+        sure, doubtful = looked_at(cloud.select(kept), labels[kept], find_sensor("VLP-16"))
+        assert sure == []
+        assert doubtful == ([0] if is_kept else [])
+
+
+@pytest.mark.parametrize("sensor", ["VLP-16", "XT32", "OS1", "Pandar64"])
+@pytest.mark.parametrize(
+    "name",
+    ["vest", "sign seen obliquely", "stripe on a wall", "number plate", "bright ground", "cone"],
+)
+def test_other_bright_things_are_not_doubtful_poles(name: str, sensor: str) -> None:
+    assert looked_at(*seen(NO_POLES[name], sensor)) == ([], [])
+
+
+def test_sure_poles_stay_and_doubtful_ones_are_not_among_them() -> None:
+    cloud, labels = seen([*SHORT_AT_A_WALL, pole((3.4, -1.6), 0.25 * Y)], "XT32")
+    before = extract_poles(cloud)
+    after = with_doubtful(cloud, before, 0.02)
+    assert after.poles is before.poles
+    assert labels_of(after, labels) == [2]
+    assert len(after.doubtful) <= MAX_DOUBTFUL
+    index = np.concatenate([p.index for p in (*after.poles, *after.doubtful)])
+    assert len(np.unique(index)) == len(index)

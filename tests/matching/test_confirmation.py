@@ -1,0 +1,171 @@
+"""Doubtful poles count where both LiDARs and the scene confirm them, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.matching import confirmation
+from retropole.matching.confirmation import doubtful_in, doubtful_reasons, is_confirmed
+from retropole.matching.placements import PairedPlacement
+from retropole.pipeline import calibrate
+from retropole.sensors import find_sensor
+from retropole.simulation import Box, Rectangle, Surface, scan
+from tests.extraction.scenes import GROUND, PAINT, TAPE, X, Y, Z, pole
+
+SENSOR = find_sensor("XT32")
+T_TARGET = np.eye(4)
+T_SOURCE = se3.from_rt(se3.exp_so3(np.array([0.02, -0.03, 0.9])), np.array([0.8, -1.4, 0.2]))
+PLACE: list[Surface] = [
+    GROUND,
+    Rectangle(5.2 * X, Y, Z, (4, 2), PAINT),
+    Rectangle(np.array([0.0, 5.0, 0.5]), X, Z, (5.2, 2.5), PAINT),
+    Box(np.array([-3.0, -3.5, 0]), np.eye(3), np.array([0.6, 1.0, 1.2]), PAINT),
+    Box(np.array([1.5, 4.0, -0.6]), np.eye(3), np.array([0.4, 0.7, 0.6]), PAINT),
+]
+FREE = pole((3.6, 1.4), 0.35 * Y)
+AT_THE_WALL = pole((5.0, -0.8), length=0.7)
+"""A short pole 0.2 m from the wall."""
+
+
+def vest(at: tuple[float, float]) -> list[Surface]:
+    bands = [
+        Box(np.array([*at, z]), np.eye(3), np.array([0.14, 0.24, 0.025]), TAPE)
+        for z in (-0.15, 0.1)
+    ]
+    return [Box(np.array([*at, -0.35]), np.eye(3), np.array([0.12, 0.22, 0.85]), PAINT), *bands]
+
+
+def recorded(things: list[Surface], seed: int = 0) -> tuple[PointCloud, PointCloud]:
+    rng = np.random.default_rng(seed)
+    target, source = (scan([*PLACE, *things], SENSOR, T, rng).cloud for T in (T_TARGET, T_SOURCE))
+    return target, source
+
+
+def answer_of(clouds: tuple[PointCloud, PointCloud], radius: float = 0.02) -> Calibration:
+    return calibrate(*clouds, sensors=(SENSOR, SENSOR), radius=radius)
+
+
+def assert_right(T: Array | None) -> None:
+    assert T is not None
+    apart = se3.difference(se3.inverse(T_TARGET) @ T_SOURCE, T)
+    assert apart.rotation < np.radians(1.0)
+    assert apart.translation < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> None:
+    answer = answer_of(recorded([FREE, AT_THE_WALL], seed))
+    assert_right(answer.T_target_source)
+    assert answer.status == "warn"
+    (reason,) = [reason for reason in answer.reasons if reason.code == "doubtful_poles"]
+    assert reason.values["target"] == reason.values["source"] == 1
+    for scan_ in (answer.placements[0].target, answer.placements[0].source):
+        assert scan_.detection is not None
+        assert len(scan_.detection.doubtful) == 1
+        assert scan_.detection.doubtful[0] is scan_.poles[-1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sure_poles_need_no_doubtful_ones(seed: int) -> None:
+    answer = answer_of(recorded([FREE, pole((3.2, -1.2), -0.2 * X), AT_THE_WALL], seed))
+    assert_right(answer.T_target_source)
+    assert "doubtful_poles" not in {reason.code for reason in answer.reasons}
+    assert answer.placements[0].target.detection is not None
+    assert len(answer.placements[0].target.poles) == 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_bands_of_a_vest_are_no_second_pole(seed: int) -> None:
+    answer = answer_of(recorded([FREE, *vest((4.0, -1.0))], seed))
+    assert answer.status == "refused"
+    assert [reason.code for reason in answer.reasons] == ["too_few_poles"]
+    assert len(answer.placements[0].target.poles) == 1, "what was sure, and no more"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_doubtful_pole_of_one_lidar_alone_does_not_count(seed: int) -> None:
+    target, source = recorded([FREE, AT_THE_WALL], seed)
+    elsewhere = replace(AT_THE_WALL, centre=AT_THE_WALL.centre + np.array([0, 0.9, 0]))
+    for other in (recorded([FREE], seed)[1], recorded([FREE, elsewhere], seed)[1]):
+        assert answer_of((target, other)).status == "refused"
+    assert answer_of((target, source)).status == "warn"
+
+
+def test_a_constant_ring_gives_the_answer_of_none() -> None:
+    clouds = recorded([FREE, AT_THE_WALL])
+    none, constant = (
+        answer_of((replace(clouds[0], ring=r[0]), replace(clouds[1], ring=r[1])))
+        for r in ((None, None), tuple(np.full(len(c), 5, dtype=np.int64) for c in clouds))
+    )
+    assert none.status == constant.status
+    if none.T_target_source is not None:
+        assert constant.T_target_source is not None
+        np.testing.assert_array_equal(none.T_target_source, constant.T_target_source)
+
+
+@pytest.fixture(scope="module")
+def confirmed() -> tuple[Calibration, tuple[PairedPlacement, ...]]:
+    answer = answer_of(recorded([FREE, AT_THE_WALL]))
+    return answer, (PairedPlacement(answer.placements[0], answer.hypotheses[0]),)
+
+
+Confirmed = tuple[Calibration, tuple[PairedPlacement, ...]]
+
+
+def test_every_witness_is_needed(confirmed: Confirmed) -> None:
+    answer, paired = confirmed
+    best, *others = answer.hypotheses
+    assert is_confirmed(paired, answer.hypotheses, 0.02)
+    rival = replace(others[0], score=best.score - 0.99 * confirmation.MIN_CONFIRMED_LEAD)
+    assert not is_confirmed(paired, (best, rival), 0.02)
+    for worse in (
+        replace(best, overlap=0.99 * confirmation.MIN_CONFIRMED_OVERLAP),
+        replace(best, free_space_violation=1.01 * confirmation.MAX_CONFIRMED_VIOLATION),
+        replace(best, icp_rotation=1.01 * confirmation.MAX_ICP_ROTATION),
+        replace(best, icp_translation=1.01 * confirmation.MAX_ICP_TRANSLATION),
+        replace(best, icp_rotation=None, icp_translation=None),
+    ):
+        assert not is_confirmed(paired, (worse, *others), 0.02)
+    for rms, holds in ((0.0345, True), (0.0360, False)):
+        match = replace(best.match, pole_rms=rms)
+        again = (PairedPlacement(paired[0].placement, replace(best, match=match)),)
+        assert is_confirmed(again, answer.hypotheses, 0.02) is holds
+
+
+@pytest.mark.parametrize(("turn", "shift"), [(0.15, 0.0), (0.0, 1.5)])
+def test_lines_that_lie_otherwise_to_each_other_are_not_confirmed(
+    confirmed: Confirmed, turn: float, shift: float
+) -> None:
+    answer, (each,) = confirmed
+    source = each.placement.source
+    assert source.detection is not None
+    (_, j), *_ = each.hypothesis.match.pairs
+    moved = source.poles[j]
+    direction = moved.direction + turn * Y
+    moved = replace(
+        moved, direction=direction / np.linalg.norm(direction), point=moved.point + shift * X
+    )
+    poles = tuple(moved if k == j else own for k, own in enumerate(source.poles))
+    detection = replace(source.detection, poles=poles)
+    placement = replace(each.placement, source=replace(source, detection=detection))
+    assert not is_confirmed((PairedPlacement(placement, each.hypothesis),), answer.hypotheses, 0.02)
+
+
+def test_only_doubtful_poles_are_warned_of(confirmed: Confirmed) -> None:
+    answer, (each,) = confirmed
+    target, source = doubtful_in(each)
+    assert len(target) == len(source) == 1
+    assert len(doubtful_reasons((each,), answer.hypotheses)) == 1
+    assert each.placement.target.detection is not None
+    sides = [
+        replace(s, detection=replace(s.detection, doubtful=()))
+        for s in (each.placement.target, each.placement.source)
+        if s.detection is not None
+    ]
+    sure = replace(each.placement, target=sides[0], source=sides[1])
+    assert doubtful_reasons((replace(each, placement=sure),), answer.hypotheses) == []
