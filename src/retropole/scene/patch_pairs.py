@@ -7,7 +7,7 @@ limit would leave many: an answer must not depend on where the search started.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from .. import se3
 from ..datatypes import Array, IntArray
 from ..systematic import DEVICE, RADIUS, Layout
-from .patches import PATCH_NEIGHBOURS, Patches
+from .patches import PATCH_NEIGHBOURS, Patches, selected
 
 MAX_NORMAL_ANGLE = np.radians(35.0)
 """Two patches lie on one surface only if their normals agree so far, rad."""
@@ -119,6 +119,17 @@ def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSe
     clusters = labels_of(np.floor(source.centres / CLUSTER_SIDE))
     return PatchSets(
         target, source, cKDTree(target.centres), layout, (shares[0], shares[1]), clusters
+    )
+
+
+def thinned(sets: PatchSets, every: int) -> PatchSets:
+    """Give the same with every n-th patch of the source only."""
+    some = slice(None, None, every)
+    return replace(
+        sets,
+        source=selected(sets.source, some),
+        shares=(sets.shares[0], sets.shares[1][some]),
+        clusters=sets.clusters[some],
     )
 
 

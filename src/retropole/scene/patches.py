@@ -8,7 +8,7 @@ import numpy as np
 import small_gicp
 from scipy.spatial import cKDTree
 
-from ..datatypes import Array, IntArray, PointCloud
+from ..datatypes import Array, BoolArray, IntArray, PointCloud
 from ..systematic import DEVICE, band_of, by_error
 from .registration import voxel_downsample
 
@@ -34,7 +34,7 @@ MIN_THICKNESS = 0.001
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
-MAX_PATCHES = 2000
+MAX_PATCHES = 4000
 """Patches of each size and cloud: every n-th is taken so that about so many are left."""
 
 
@@ -86,7 +86,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
             finer = np.concatenate([part.centres for part in parts])
             if len(finer):
                 apart = cKDTree(finer).query(found.centres, distance_upper_bound=2 * voxel)[0]
-                found = _selected(found, np.isinf(apart))
+                found = selected(found, np.isinf(apart))
         parts.append(found)
     return Patches(
         *(
@@ -96,7 +96,8 @@ def surface_patches(cloud: PointCloud) -> Patches:
     )
 
 
-def _selected(patches: Patches, kept: Array) -> Patches:
+def selected(patches: Patches, kept: BoolArray | slice) -> Patches:
+    """Give some of the patches."""
     return Patches(*(getattr(patches, field.name)[kept] for field in fields(Patches)))
 
 

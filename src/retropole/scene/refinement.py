@@ -38,6 +38,7 @@ from .patch_pairs import (
     held_directions,
     pair_patches,
     prepare_patches,
+    thinned,
 )
 from .patches import surface_patches
 
@@ -59,6 +60,9 @@ MAX_REFINEMENT_ITERATIONS = 60
 STEP = 2e-7
 """Stop where a step is below this, rad and m: steps shrink by half or more each time, so that ends
 from other starts agree within 1e-6."""
+
+FEW, FEW_STEP = 4, 3e-4
+"""The first steps take every n-th patch of the source, until one is below this, rad and m."""
 
 NARROWING, INFORMATION_SHARE = 0.25, 4.0
 """Patches look for their partners as far as so many times the variance that independent residuals
@@ -144,9 +148,13 @@ class _Linear:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What stays the same from step to step: patches, poles, groups of errors, their sizes."""
+    """What stays the same from step to step: patches, poles, groups of errors, their sizes.
+
+    `few` has a part of the source's patches, for the first steps.
+    """
 
     sets: PatchSets
+    few: PatchSets
     factor: PoleFactor
     groups: Groups
     known: Array
@@ -205,7 +213,7 @@ def refine(
     groups = groups_of(layout)
     known = (ErrorModel() if model is None else model).sigmas(groups)
     sets = prepare_patches(patches[0], patches[1], layout)
-    problem = _Problem(sets, given.within(layout), groups, known, origins_known)
+    problem = _Problem(sets, thinned(sets, FEW), given.within(layout), groups, known, origins_known)
     end = _descend(problem, poles.T_target_source, poles.covariance)
     if end is None:
         return None
@@ -267,8 +275,13 @@ def _support(end: _End) -> float:
 def _descend(problem: _Problem, T: Array, covariance: Array) -> _End | None:
     """Gauss–Newton steps of the pose, the errors and their sizes, to a standstill."""
     groups, sigma, start = problem.groups, problem.known, covariance
+    sets = problem.few
     for iteration in range(1, MAX_REFINEMENT_ITERATIONS + 1):
-        pairs = pair_patches(problem.sets, T, covariance, problem.origins_known)
+        pairs = pair_patches(sets, T, covariance, problem.origins_known)
+        if pairs is None and sets is problem.few:
+            # A scene with little in it needs all of it.
+            sets = problem.sets
+            pairs = pair_patches(sets, T, covariance, problem.origins_known)
         if pairs is None:
             return None
         precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=False))
@@ -278,7 +291,9 @@ def _descend(problem: _Problem, T: Array, covariance: Array) -> _End | None:
         covariance = INFORMATION_SHARE * linear.inverse[:POSE, :POSE] + narrowed
         variance = np.diag(linear.inverse)[POSE:]
         sigma = group_scales(groups, problem.known, precision, linear.errors, variance)
-        if np.abs(linear.step).max() < STEP:
+        if sets is problem.few:
+            sets = problem.few if np.abs(linear.step).max() > FEW_STEP else problem.sets
+        elif np.abs(linear.step).max() < STEP:
             return _End(T, sigma, linear, True, iteration)
     return _End(T, sigma, linear, False, MAX_REFINEMENT_ITERATIONS)
 
