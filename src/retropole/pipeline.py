@@ -43,7 +43,7 @@ from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
 from .uncertainty import predicted_error, weakest_direction
-from .verdict import check_choice, margin_of, weaknesses
+from .verdict import check_axes, check_choice, check_contradiction, margin_of, weaknesses
 
 
 def calibrate(
@@ -115,9 +115,11 @@ def calibrate(
             paired = chosen.paired
             with step("align"):
                 aligned = align_poles(paired, hypotheses[0].match.T_target_source)
+                check_axes(aligned)
                 placements = leave_one_out(paired, aligned, align_poles)
             with step("refine"):
                 refined = refine_by_scene(placements, aligned, sensors) if scene else None
+                check_contradiction(refined)
         except Refusal as refusal:
             return refused(refusal, placements, hypotheses, seconds)
     return answered(paired, placements, hypotheses, aligned, refined, seconds)

@@ -11,7 +11,7 @@ eliminated (Schur complement). The prior of b is no part of it, so that the scen
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,10 @@ class PoleFactor:
     information: Array
     vector: Array
     redundancy: float
+
+    def weakened(self, share: float) -> PoleFactor:
+        """Give the same with a part of its information."""
+        return replace(self, information=share * self.information, vector=share * self.vector)
 
     def within(self, layout: Layout) -> PoleFactor:
         """Give the same in a layout that has more bands."""

@@ -15,28 +15,22 @@ the pose is still uncertain there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .. import se3
 from ..alignment.certainty import (
     Scatter,
-    group_scales,
-    prior_precision,
     stated,
-    working_sigma,
 )
 from ..alignment.factor import POSE, PoleFactor, gaussian_factor
 from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
-from ..systematic import ErrorModel, Groups, Layout, groups_of, joined
+from ..systematic import ErrorModel, Layout, groups_of, joined
 from ..uncertainty import Uncertainty
+from .descent import FEW, End, RefinementProblem, descend, support_of
 from .patch_pairs import (
     MIN_PATCHES,
-    PatchPairs,
-    PatchSets,
-    held_directions,
-    pair_patches,
     prepare_patches,
     thinned,
 )
@@ -46,29 +40,6 @@ PLACE_BIAS = 0.0008
 """1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the
 downsampling, which keeps more of the far tail of the noise than of the middle."""
 
-MIN_SIGMA = 1e-4
-"""Least scale of the residuals, in units of their own predicted standard deviation."""
-
-ROBUST_WIDTH = 2.0
-"""Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
-
-GEMAN_HALF, SCALE_BISECTIONS = 0.6120, 60
-"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and halvings that
-find a scale to rounding."""
-
-MAX_REFINEMENT_ITERATIONS = 60
-STEP = 2e-7
-"""Stop where a step is below this, rad and m: steps shrink by half or more each time, so that ends
-from other starts agree within 1e-6."""
-
-FEW, FEW_STEP = 4, 3e-4
-"""The first steps take every n-th patch of the source, until one is below this, rad and m."""
-
-NARROWING, INFORMATION_SHARE = 0.25, 4.0
-"""Patches look for their partners as far as so many times the variance that independent residuals
-would leave, and as this part, from step to step, of the variance that the poles left: narrowed at
-once, the search clings to whatever the first step found."""
-
 WIDE, START_SIGMAS = 0.1, 2.0
 """From which 1 σ of the poles at the middle of the cloud, metres, the search is also started from
 so many σ to either side."""
@@ -77,12 +48,9 @@ SEVERAL = 16.8
 """Squared Mahalanobis distance from which two ends are two minima: χ² with 6 degrees of freedom
 exceeds it once in a hundred times."""
 
-DISAGREE = 16.8
+DISAGREE = 12.6
 """Squared Mahalanobis distance of the poles' pose from which it is not taken for chance that the
 scene has another: the covariance then covers both."""
-
-SUPPORT_WIDTH = 0.01
-"""Residual that halves the support of a pair when minima are compared, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,59 +83,6 @@ class Refinement:
     mahalanobis_sq: float
     from_poles: se3.PoseDifference
     other_minima: tuple[Array, ...]
-    converged: bool
-    iterations: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """The problem about a pose, solved.
-
-    Attributes
-    ----------
-    pairs, weights
-        Patches that correspond, and the weights (P,) of their residuals, 1/m².
-    rows
-        (P, 6 + B) derivative of the residuals by the pose, held directions only, and the errors.
-    precision
-        (B,) of the prior of the errors.
-    step, errors
-        (6,) and (B,) the minimum.
-    inverse
-        (6 + B, 6 + B) of the information of both.
-    """
-
-    pairs: PatchPairs
-    weights: Array
-    rows: Array
-    precision: Array
-    step: Array
-    errors: Array
-    inverse: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What stays the same from step to step: patches, poles, groups of errors, their sizes.
-
-    `few` has a part of the source's patches, for the first steps.
-    """
-
-    sets: PatchSets
-    few: PatchSets
-    factor: PoleFactor
-    groups: Groups
-    known: Array
-    origins_known: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Where a descent ended: pose, 1 σ of each group of errors, and the last linear problem."""
-
-    T: Array
-    sigma: Array
-    linear: _Linear
     converged: bool
     iterations: int
 
@@ -213,23 +128,35 @@ def refine(
     groups = groups_of(layout)
     known = (ErrorModel() if model is None else model).sigmas(groups)
     sets = prepare_patches(patches[0], patches[1], layout)
-    problem = _Problem(sets, thinned(sets, FEW), given.within(layout), groups, known, origins_known)
-    end = _descend(problem, poles.T_target_source, poles.covariance)
+    problem = RefinementProblem(
+        sets, thinned(sets, FEW), given.within(layout), groups, known, origins_known
+    )
+    end = descend(problem, poles.T_target_source, poles.covariance)
     if end is None:
         return None
-    others = [_descend(problem, T, poles.covariance) for T in _other_starts(poles, source)]
+    others = [descend(problem, T, poles.covariance) for T in _other_starts(poles, source)]
     ends = [end, *(other for other in others if other is not None)]
-    best = max(ends, key=_support)
+    best = max(ends, key=support_of)
+    highest = best.T
     e = se3.local(poles.T_target_source, best.T)
     mahalanobis_sq = float(e @ np.linalg.solve(poles.covariance, e))
-    apart = (("poles and scene disagree", np.outer(e, e)),) if mahalanobis_sq > DISAGREE else ()
+    apart: tuple[tuple[str, Array], ...] = ()
+    if mahalanobis_sq > DISAGREE:
+        # One of both is wrong by more than it states (Birge 1932): the poles count
+        # for as much less, and what is stated reaches from one to the other.
+        share = POSE / mahalanobis_sq
+        problem = replace(problem, factor=problem.factor.weakened(share))
+        best = descend(problem, best.T, poles.covariance / share) or best
+        e = se3.local(poles.T_target_source, best.T)
+        mahalanobis_sq = max(mahalanobis_sq, float(e @ np.linalg.solve(poles.covariance, e)))
+        apart = (("poles and scene disagree", np.outer(e, e)),)
     uncertainty = _uncertainty(best, problem, apart)
     pairs, weights = best.linear.pairs, best.linear.weights
     rms = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     minima = [
-        se3.local(best.T, one.T)
+        se3.local(highest, one.T)
         for one in ends
-        if _distance_sq(uncertainty.covariance, best.T, one.T) > SEVERAL
+        if _distance_sq(uncertainty.covariance, highest, one.T) > SEVERAL
     ]
     return Refinement(
         PoseEstimate(best.T, uncertainty.covariance, rms),
@@ -265,86 +192,9 @@ def _other_starts(poles: PoseEstimate, source: PointCloud) -> list[Array]:
     return [se3.retract(poles.T_target_source, sign * step) for sign in (1.0, -1.0)]
 
 
-def _support(end: _End) -> float:
-    """How much of the scene agrees at an end: the sum of robust weights, each at most 1."""
-    pairs = end.linear.pairs
-    square = pairs.residuals**2 / (pairs.variance + SUPPORT_WIDTH**2)
-    return float(np.sum(pairs.agreement / (1.0 + square)))
-
-
-def _descend(problem: _Problem, T: Array, covariance: Array) -> _End | None:
-    """Gauss–Newton steps of the pose, the errors and their sizes, to a standstill."""
-    groups, sigma, start = problem.groups, problem.known, covariance
-    sets = problem.few
-    for iteration in range(1, MAX_REFINEMENT_ITERATIONS + 1):
-        pairs = pair_patches(sets, T, covariance, problem.origins_known)
-        if pairs is None and sets is problem.few:
-            # A scene with little in it needs all of it.
-            sets = problem.sets
-            pairs = pair_patches(sets, T, covariance, problem.origins_known)
-        if pairs is None:
-            return None
-        precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=False))
-        linear = _solve(pairs, problem.factor, T, covariance, precision)
-        T = se3.retract(T, linear.step)
-        narrowed = NARROWING**iteration * start
-        covariance = INFORMATION_SHARE * linear.inverse[:POSE, :POSE] + narrowed
-        variance = np.diag(linear.inverse)[POSE:]
-        sigma = group_scales(groups, problem.known, precision, linear.errors, variance)
-        if sets is problem.few:
-            sets = problem.few if np.abs(linear.step).max() > FEW_STEP else problem.sets
-        elif np.abs(linear.step).max() < STEP:
-            return _End(T, sigma, linear, True, iteration)
-    return _End(T, sigma, linear, False, MAX_REFINEMENT_ITERATIONS)
-
-
-def _solve(
-    pairs: PatchPairs, factor: PoleFactor, T: Array, covariance: Array, precision: Array
-) -> _Linear:
-    """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior.
-
-    What the pose may still be off by, `covariance`, is no reason to take a residual for an outlier:
-    a distant wall would be given up before the ground has let the pose turn towards it.
-    """
-    r = pairs.residuals
-    spread = np.sqrt(pairs.variance)
-    spread = spread * max(robust_scale(r / spread, pairs.agreement), MIN_SIGMA)
-    still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
-    outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
-    weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
-    held = held_directions(pairs, weights)
-    rows = np.concatenate([pairs.jacobian @ held, pairs.by_error], axis=1)
-    weighted = rows * weights[:, None]
-    information = weighted.T @ rows + factor.information
-    index = np.arange(POSE, len(information))
-    information[index, index] += precision
-    here = np.r_[se3.local(factor.T_target_source, T), np.zeros(len(precision))]
-    gradient = weighted.T @ r + factor.information @ here - factor.vector
-    inverse = np.linalg.inv(information)
-    step = -inverse @ gradient
-    return _Linear(pairs, weights, rows, precision, step[:POSE], step[POSE:], inverse)
-
-
-def robust_scale(values: Array, weights: Array) -> float:
-    """Estimate the standard deviation of values (N,) about 0, half of which may be outliers.
-
-    The s with ``Σ w x²/(x² + (cs)²) = ½ Σ w`` (an M-estimate of scale, Huber 1981, with the loss of
-    Geman and McClure); c makes it 1 for standard normal values. Unlike a median it has a derivative
-    everywhere: where it jumped, so would the pose.
-    """
-    square = values**2
-    low, high = 1e-30, float(square.max()) + 1e-30
-    half = 0.5 * float(weights.sum())
-    for _ in range(SCALE_BISECTIONS):
-        middle = np.sqrt(low * high)
-        if float(weights @ (square / (square + middle))) > half:
-            low = middle
-        else:
-            high = middle
-    return float((low * high) ** 0.25) / GEMAN_HALF
-
-
-def _uncertainty(end: _End, problem: _Problem, other: tuple[tuple[str, Array], ...]) -> Uncertainty:
+def _uncertainty(
+    end: End, problem: RefinementProblem, other: tuple[tuple[str, Array], ...]
+) -> Uncertainty:
     """State the uncertainty of the minimum, of residuals that are far from independent.
 
     ``Σ_c d_c d_cᵀ``: ``d_c = (S − S_c)⁻¹ g_c`` is how far the answer goes without all residuals at

@@ -1,0 +1,150 @@
+"""Up to the maximum of the posterior of shared cylinders, from lines fitted to the returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..datatypes import Array
+from ..errors import Refusal
+from ..systematic import ErrorModel
+from .certainty import WORKING_SHARE
+from .factor import Expansion, expand
+from .observations import Beams
+from .posterior import Posterior, Priors, State, beam_geometry, evaluate
+from .solver import Solution, Step, levenberg_marquardt
+
+MIN_NOISE = 2e-5
+"""Least noise of a return, metres."""
+
+MIN_LATERAL_NOISE = 1 / 5
+"""Least noise sideways, as a part of that in depth. With less, the edges of the pole are walls: the
+posterior is far from a parabola, its curvature promises too much, and the climb takes long."""
+
+MAX_LATERAL_NOISE = 2.0
+"""Most noise sideways, as a multiple of that in depth: returns sharp in depth and blurred sideways
+would fall between the nodes of the integral."""
+
+START_NOISE = (0.005, 0.5)
+"""Bounds of the noise that the search starts from, metres."""
+
+MAX_NOISE = 0.05
+"""Most noise of a return that still says anything of a pole, metres: more than its thickness."""
+
+MIN_INLIER_SHARE = 0.5
+"""Share of the returns that must lie on the common poles."""
+
+MAX_POLE_ITERATIONS = 60
+POLE_STEP, POLE_GAIN = 0.02, 0.01
+"""Step, in units of each parameter's own 1 σ, and gain of the logarithm of the posterior, below
+which the noise is kept and the geometry alone goes on."""
+
+POLISHED_STEP = 1e-3
+"""Step, in the same units, at which the geometry has converged."""
+
+POLE_DAMPING, MIN_POLE_DAMPING = 1e-4, 1e-9
+"""Of the solver, at the start and at least."""
+POLE_SLACK = 1e-9
+"""The cost may rise by this part of itself: it is a sum over hundreds of returns."""
+
+
+def maximise(
+    state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors
+) -> Solution[Posterior]:
+    """Climb to the nearest maximum of the posterior, noise and all (Levenberg–Marquardt).
+
+    First geometry and noise together, until a step is small, then the geometry alone. The first
+    part may end on a damped step, since at the bounds of the noise its own steps make the cost
+    rise; the second starts with little damping again.
+    """
+    floor = np.log(MIN_NOISE)
+
+    def with_noise(now: Posterior, step: Array, damping: float) -> Posterior:
+        noise = np.maximum(now.log_noise + now.noise_step / (1.0 + damping), floor)
+        noise[:, 0] = np.maximum(noise[:, 0], noise[:, 1] - np.log(MAX_LATERAL_NOISE))
+        noise[:, 1] = np.maximum(noise[:, 1], noise[:, 0] + np.log(MIN_LATERAL_NOISE))
+        return evaluate(now.state.moved(step), noise, beams, priors)
+
+    def geometry_alone(now: Posterior, step: Array, damping: float) -> Posterior:
+        return evaluate(now.state.moved(step), now.log_noise, beams, priors)
+
+    def small(step: Step) -> bool:
+        return bool(np.abs(step.scaled).max() < POLE_STEP and step.gain < POLE_GAIN)
+
+    start = evaluate(state, np.maximum(log_noise, floor), beams, priors)
+    found = levenberg_marquardt(
+        start,
+        with_noise,
+        small,
+        tolerance=POLE_STEP,
+        damping=POLE_DAMPING,
+        min_damping=MIN_POLE_DAMPING,
+        slack=POLE_SLACK,
+        max_iterations=MAX_POLE_ITERATIONS,
+    )
+    polished = levenberg_marquardt(
+        found.point,
+        geometry_alone,
+        lambda step: bool(np.abs(step.scaled).max() < POLISHED_STEP),
+        tolerance=POLISHED_STEP,
+        damping=POLE_DAMPING,
+        min_damping=MIN_POLE_DAMPING,
+        slack=POLE_SLACK,
+        max_iterations=MAX_POLE_ITERATIONS,
+    )
+    return Solution(
+        polished.point,
+        found.converged and polished.converged,
+        found.iterations + polished.iterations,
+        polished.damping,
+    )
+
+
+def climb(
+    state: State,
+    log_noise: Array,
+    beams: tuple[Beams, Beams],
+    model: ErrorModel,
+    radius: float,
+) -> tuple[Solution[Posterior], Expansion]:
+    """Climb from a state, refuse what no shared poles explain, and expand about the maximum."""
+    offsets = tuple(
+        WORKING_SHARE * float(np.hypot(size.zero, size.tape))
+        for size in (model.target, model.source)
+    )
+    priors = Priors((offsets[0], offsets[1]), radius, model.radius_sigma)
+    found = maximise(state, log_noise, beams, priors)
+    end = found.point
+    noise = float(np.exp(end.log_noise[:, 0].max()))
+    total = sum(len(one.pole) for one in beams)
+    if not np.isfinite(end.cost) or noise > MAX_NOISE or end.inliers < MIN_INLIER_SHARE * total:
+        raise Refusal(
+            "poor_fit",
+            f"the returns do not lie on shared poles: noise {100 * noise:.1f} cm, "
+            f"{end.inliers:.0f} of {total} returns fit; check the radius and what was taken for a "
+            "pole",
+            {"noise_m": noise, "inliers": end.inliers, "points": total},
+        )
+    return found, expand(end.state, end.log_noise, beams, radius)
+
+
+def start_of(target: Beams, source: Beams, T_start: Array, radius: float) -> tuple[State, Array]:
+    """Start from lines fitted to the target's returns, moved back from its facing side."""
+    centres, directions = [], []
+    returns = target.origin + target.ranges[:, None] * target.directions
+    for k in range(int(target.pole.max()) + 1):
+        xyz = returns[target.pole == k]
+        centre = xyz.mean(axis=0)
+        n = np.linalg.svd(xyz - centre, full_matrices=False)[2][0]
+        away = centre - target.origin
+        away = away - (away @ n) * n
+        centres.append(centre + np.pi / 4 * radius * away / max(np.linalg.norm(away), 1e-9))
+        directions.append(n)
+    state = State(np.asarray(T_start), np.zeros(2), radius, np.array(centres), np.array(directions))
+    noise = np.zeros((2, 2))
+    for lidar, one in enumerate((target, source)):
+        seen = beam_geometry(state, lidar, one.origin, one.directions, one.ranges, one.pole)
+        spread = np.sqrt(np.mean((seen.depth - radius) ** 2 + seen.lateral_offset**2))
+        noise[lidar] = np.log(np.clip(spread, *START_NOISE))
+    return state, noise
