@@ -32,7 +32,7 @@ STEP = 2e-7
 from other starts agree within 1e-6."""
 
 FEW, FEW_STEP = 4, 3e-4
-"""The first steps take every n-th patch of the source, until one is below this, rad and m."""
+"""The approach takes every n-th patch of the source, until a step is below this, rad and m."""
 
 NARROWING, INFORMATION_SHARE = 0.25, 4.0
 """Patches look for their partners as far as so many times the variance that independent residuals
@@ -87,9 +87,24 @@ class RefinementProblem:
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """Where a descent ended: pose, 1 σ of each group of errors, and the last linear problem."""
+    """Where a descent ended.
+
+    Attributes
+    ----------
+    T
+        (4, 4) the pose.
+    search
+        (6, 6) covariance as far as which patches look for their partners.
+    sigma
+        (G,) 1 σ of each group of errors.
+    linear
+        The last linear problem.
+    converged, iterations
+        Whether the last step was small enough, and how many were taken.
+    """
 
     T: Array
+    search: Array
     sigma: Array
     linear: LinearProblem
     converged: bool
@@ -103,30 +118,50 @@ def support_of(end: End) -> float:
     return float(np.sum(pairs.agreement / (1.0 + square)))
 
 
-def descend(problem: RefinementProblem, T: Array, covariance: Array) -> End | None:
-    """Gauss–Newton steps of the pose, the errors and their sizes, to a standstill."""
-    groups, sigma, start = problem.groups, problem.known, covariance
-    sets = problem.few
-    for iteration in range(1, MAX_REFINEMENT_ITERATIONS + 1):
-        pairs = pair_patches(sets, T, covariance, problem.origins_known)
-        if pairs is None and sets is problem.few:
-            # A scene with little in it needs all of it.
-            sets = problem.sets
-            pairs = pair_patches(sets, T, covariance, problem.origins_known)
+def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End | None:
+    """Descend with a part of the patches from a pose (4, 4), which may be off by a covariance."""
+    sigma = problem.known
+    return _descend(problem, problem.few, T, covariance, covariance, sigma, 0, FEW_STEP) or (
+        # A scene with little in it needs all of it.
+        _descend(problem, problem.sets, T, covariance, covariance, sigma, 0, FEW_STEP)
+    )
+
+
+def settle(problem: RefinementProblem, near: End, covariance: Array) -> End | None:
+    """Descend with all patches from where an approach ended, to a standstill."""
+    begun = near.iterations
+    return _descend(problem, problem.sets, near.T, near.search, covariance, near.sigma, begun, STEP)
+
+
+def _descend(
+    problem: RefinementProblem,
+    sets: PatchSets,
+    T: Array,
+    search: Array,
+    covariance: Array,
+    sigma: Array,
+    begun: int,
+    tolerance: float,
+) -> End | None:
+    """Gauss–Newton steps of the pose, the errors and their sizes, until one is small."""
+    end: End | None = None
+    for iteration in range(begun + 1, begun + MAX_REFINEMENT_ITERATIONS + 1):
+        pairs = pair_patches(sets, T, search, problem.origins_known)
         if pairs is None:
             return None
-        precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=False))
-        linear = _solve(pairs, problem.factor, T, covariance, precision)
+        working = working_sigma(problem.groups, sigma, poles_alone=False)
+        precision = prior_precision(problem.groups, working)
+        linear = _solve(pairs, problem.factor, T, search, precision)
         T = se3.retract(T, linear.step)
-        narrowed = NARROWING**iteration * start
-        covariance = INFORMATION_SHARE * linear.inverse[:POSE, :POSE] + narrowed
+        narrowed = NARROWING**iteration * covariance
+        search = INFORMATION_SHARE * linear.inverse[:POSE, :POSE] + narrowed
         variance = np.diag(linear.inverse)[POSE:]
-        sigma = group_scales(groups, problem.known, precision, linear.errors, variance)
-        if sets is problem.few:
-            sets = problem.few if np.abs(linear.step).max() > FEW_STEP else problem.sets
-        elif np.abs(linear.step).max() < STEP:
-            return End(T, sigma, linear, True, iteration)
-    return End(T, sigma, linear, False, MAX_REFINEMENT_ITERATIONS)
+        sigma = group_scales(problem.groups, problem.known, precision, linear.errors, variance)
+        small = bool(np.abs(linear.step).max() < tolerance)
+        end = End(T, search, sigma, linear, small, iteration)
+        if small:
+            break
+    return end
 
 
 def _solve(

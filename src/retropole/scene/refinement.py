@@ -28,7 +28,7 @@ from ..alignment.factor import POSE, PoleFactor, gaussian_factor
 from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
 from ..systematic import ErrorModel, Layout, groups_of, joined
 from ..uncertainty import Uncertainty
-from .descent import FEW, End, RefinementProblem, descend, support_of
+from .descent import FEW, End, RefinementProblem, approach, settle, support_of
 from .patch_pairs import (
     MIN_PATCHES,
     prepare_patches,
@@ -131,12 +131,15 @@ def refine(
     problem = RefinementProblem(
         sets, thinned(sets, FEW), given.within(layout), groups, known, origins_known
     )
-    end = descend(problem, poles.T_target_source, poles.covariance)
-    if end is None:
+    near = approach(problem, poles.T_target_source, poles.covariance)
+    if near is None:
         return None
-    others = [descend(problem, T, poles.covariance) for T in _other_starts(poles, source)]
-    ends = [end, *(other for other in others if other is not None)]
-    best = max(ends, key=support_of)
+    starts = [near, *_other_approaches(problem, near, poles, source)]
+    ends = [settle(problem, each, poles.covariance) for each in starts]
+    settled = [each for each in ends if each is not None]
+    if not settled:
+        return None
+    best = max(settled, key=support_of)
     highest = best.T
     e = se3.local(poles.T_target_source, best.T)
     mahalanobis_sq = float(e @ np.linalg.solve(poles.covariance, e))
@@ -146,7 +149,9 @@ def refine(
         # for as much less, and what is stated reaches from one to the other.
         share = POSE / mahalanobis_sq
         problem = replace(problem, factor=problem.factor.weakened(share))
-        best = descend(problem, best.T, poles.covariance / share) or best
+        wide = poles.covariance / share
+        again = approach(problem, best.T, wide)
+        best = (again and settle(problem, again, wide)) or best
         e = se3.local(poles.T_target_source, best.T)
         mahalanobis_sq = max(mahalanobis_sq, float(e @ np.linalg.solve(poles.covariance, e)))
         apart = (("poles and scene disagree", np.outer(e, e)),)
@@ -155,7 +160,7 @@ def refine(
     rms = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     minima = [
         se3.local(highest, one.T)
-        for one in ends
+        for one in settled
         if _distance_sq(uncertainty.covariance, highest, one.T) > SEVERAL
     ]
     return Refinement(
@@ -175,8 +180,10 @@ def _distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
     return float(step @ np.linalg.solve(covariance, step))
 
 
-def _other_starts(poles: PoseEstimate, source: PointCloud) -> list[Array]:
-    """Give the ends of the poles' uncertainty where surfaces may be mistaken for their neighbours.
+def _other_approaches(
+    problem: RefinementProblem, near: End, poles: PoseEstimate, source: PointCloud
+) -> list[End]:
+    """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
     Under a wide uncertainty patches correspond over decimetres, and what the search ends at may
     depend on where it started.
@@ -189,7 +196,15 @@ def _other_starts(poles: PoseEstimate, source: PointCloud) -> list[Array]:
     if widest < WIDE:
         return []
     step = START_SIGMAS * widest * vectors[:, -1] * scale
-    return [se3.retract(poles.T_target_source, sign * step) for sign in (1.0, -1.0)]
+    found = [
+        approach(problem, se3.retract(poles.T_target_source, sign * step), poles.covariance)
+        for sign in (1.0, -1.0)
+    ]
+    return [
+        end
+        for end in found
+        if end is not None and _distance_sq(near.search, near.T, end.T) > SEVERAL
+    ]
 
 
 def _uncertainty(
