@@ -31,10 +31,13 @@ STEP = 2e-7
 """Stop where a step is below this, rad and m: steps shrink by half or more each time, so that ends
 from other starts agree within 1e-6."""
 
+MAX_RATIO = 0.75
+"""Most that a step may be of the one before it, to be taken for the tail of a geometric series."""
+
 FEW, FEW_STEP = 4, 3e-4
 """The approach takes every n-th patch of the source, until a step is below this, rad and m."""
 
-NARROWING, INFORMATION_SHARE = 0.25, 4.0
+NARROWING, INFORMATION_SHARE = 0.06, 4.0
 """Patches look for their partners as far as so many times the variance that independent residuals
 would leave, and as this part, from step to step, of the variance that the poles left: narrowed at
 once, the search clings to whatever the first step found."""
@@ -145,6 +148,7 @@ def _descend(
 ) -> End | None:
     """Gauss–Newton steps of the pose, the errors and their sizes, until one is small."""
     end: End | None = None
+    before: Array | None = None
     for iteration in range(begun + 1, begun + MAX_REFINEMENT_ITERATIONS + 1):
         pairs = pair_patches(sets, T, search, problem.origins_known)
         if pairs is None:
@@ -152,7 +156,8 @@ def _descend(
         working = working_sigma(problem.groups, sigma, poles_alone=False)
         precision = prior_precision(problem.groups, working)
         linear = _solve(pairs, problem.factor, T, search, precision)
-        T = se3.retract(T, linear.step)
+        stride, before = _stride(linear, before)
+        T = se3.retract(T, stride * linear.step)
         narrowed = NARROWING**iteration * covariance
         search = INFORMATION_SHARE * linear.inverse[:POSE, :POSE] + narrowed
         variance = np.diag(linear.inverse)[POSE:]
@@ -162,6 +167,19 @@ def _descend(
         if small:
             break
     return end
+
+
+def _stride(linear: LinearProblem, before: Array | None) -> tuple[float, Array | None]:
+    """How much of a step to go, and what of it to remember for the next (Aitken 1926).
+
+    Weights and partners change with the pose, so that each step is followed by a smaller one in the
+    same direction. Of two steps the second tells the ratio, and thereby the sum of all to come.
+    """
+    scaled = linear.step / np.sqrt(np.diag(linear.inverse)[:POSE])
+    if before is None:
+        return 1.0, scaled
+    ratio = float(scaled @ before / (before @ before))
+    return 1.0 / (1.0 - min(max(ratio, 0.0), MAX_RATIO)), None
 
 
 def _solve(

@@ -19,6 +19,9 @@ where points are dense, wide ones that span the rings on ground seen at a slant.
 PATCH_NEIGHBOURS = 16
 """Downsampled points that a patch is fitted to."""
 
+FINER_REACH = 2.0
+"""Within so many of its own voxels a patch is left to finer ones."""
+
 MAX_THICKNESS = 0.03
 """RMS distance of a patch's points from its plane, metres, above which it is no surface."""
 
@@ -81,13 +84,12 @@ def surface_patches(cloud: PointCloud) -> Patches:
     for voxel in PATCH_VOXELS:
         # From fine to coarse, each starts from the one before: there are fewer points then.
         points = voxel_downsample(points, voxel)
-        found = _patches_of(points, cloud.origin)
-        if parts and len(found.centres):
-            finer = np.concatenate([part.centres for part in parts])
-            if len(finer):
-                apart = cKDTree(finer).query(found.centres, distance_upper_bound=2 * voxel)[0]
-                found = selected(found, np.isinf(apart))
-        parts.append(found)
+        at = points[:: 1 + len(points) // MAX_PATCHES]
+        finer = [part.centres for part in parts if len(part.centres)]
+        if finer:
+            tree = cKDTree(np.concatenate(finer))
+            at = at[np.isinf(tree.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
+        parts.append(_patches_of(points, at, cloud.origin))
     return Patches(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -101,13 +103,13 @@ def selected(patches: Patches, kept: BoolArray | slice) -> Patches:
     return Patches(*(getattr(patches, field.name)[kept] for field in fields(Patches)))
 
 
-def _patches_of(points: Array, origin: Array) -> Patches:
-    if len(points) < PATCH_NEIGHBOURS:
+def _patches_of(points: Array, at: Array, origin: Array) -> Patches:
+    """Fit patches about some (K, 3) of the points."""
+    if len(points) < PATCH_NEIGHBOURS or not len(at):
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, PATCH_NEIGHBOURS), dtype=np.int64)
         return Patches(none, none, none, nothing, nothing, bands, np.zeros((0, 3, DEVICE + 2)))
     tree = small_gicp.KdTree(points)
-    at = points[:: 1 + len(points) // MAX_PATCHES]
     index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
     index = np.asarray(index, dtype=np.intp)
     neighbours = points[index]
