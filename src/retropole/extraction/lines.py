@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..sensors import Sensor
 from ..uncertainty import MAD_TO_SIGMA
 
 MAX_PROPOSING_POINTS = 400
@@ -71,6 +72,26 @@ RING_GAPS_PER_RING = 2
 Sensitivity from 1 to 3: no effect."""
 
 
+RMS_PER_RADIUS = 0.62
+"""Beams evenly spaced across a cylinder scatter by so many radii about their line."""
+
+
+@dataclass(frozen=True)
+class Beams:
+    """What is known of the beams that met a line: full angle, and step of the sweep, rad.
+
+    Zero where it is not known: nothing is then granted for it.
+    """
+
+    divergence: float = 0.0
+    step: float = 0.0
+
+
+def beams_by(sensor: Sensor | None) -> Beams:
+    """The beams of a sensor; None where it is not known."""
+    return Beams() if sensor is None else Beams(sensor.divergence, sensor.azimuth_step)
+
+
 @dataclass(frozen=True, eq=False)
 class Line:
     """A line fitted to some points of a cloud.
@@ -89,6 +110,12 @@ class Line:
         How many rings of the LiDAR hit it.
     tube
         Radius about the line in which its points lie, metres.
+    beam_scatter
+        What the width of the beams adds to the scatter of the returns, metres.
+    returns_per_ring
+        How many returns each ring can leave on a pole there; infinite where it is not known.
+    sweep_step
+        Between two returns of one ring, as the sensor sees them, rad; zero where not known.
     """
 
     index: IntArray
@@ -99,6 +126,13 @@ class Line:
     rms: float
     rings: int
     tube: float
+    beam_scatter: float = 0.0
+    returns_per_ring: float = np.inf
+    sweep_step: float = 0.0
+
+    def with_beams(self, limit: float) -> float:
+        """Give the largest scatter, metres, that a line of so much has by beams of this width."""
+        return float(np.hypot(limit, self.beam_scatter))
 
     @property
     def step(self) -> float:
@@ -202,7 +236,12 @@ def principal_line(xyz: Array) -> PrincipalLine:
 
 
 def fit_line(
-    cloud: PointCloud, candidates: IntArray, point: Array, direction: Array, radius: float
+    cloud: PointCloud,
+    candidates: IntArray,
+    point: Array,
+    direction: Array,
+    radius: float,
+    beams: Beams = Beams(),  # noqa: B008 - a constant
 ) -> Line:
     """Fit a line to those of some candidate points that are about a first guess.
 
@@ -219,6 +258,8 @@ def fit_line(
         (3,) point and (3,) unit direction of the first guess.
     radius
         Of the pole, metres.
+    beams
+        That met it.
 
     Returns
     -------
@@ -244,7 +285,23 @@ def fit_line(
         return Line(index, along, point, direction, 0.0, 0.0, 0, tube)
     rms = float(np.sqrt(np.mean(distance**2)))
     rings = _rings_hit(cloud, index, along)
-    return Line(index, along, point, direction, float(np.ptp(along)), rms, rings, tube)
+    # A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one
+    # too: the pole looks wider by half a beam on either side.
+    distance = float(np.linalg.norm(point - cloud.origin))
+    seen = radius + distance * beams.divergence / 2
+    return Line(
+        index,
+        along,
+        point,
+        direction,
+        float(np.ptp(along)),
+        rms,
+        rings,
+        tube,
+        beam_scatter=float(RMS_PER_RADIUS * np.sqrt(seen**2 - radius**2)),
+        returns_per_ring=2 * seen / (distance * beams.step) if beams.step > 0 else np.inf,
+        sweep_step=beams.step,
+    )
 
 
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:

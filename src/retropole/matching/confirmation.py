@@ -96,7 +96,7 @@ def _with_doubtful(scan: Scan, radius: float) -> Scan:
     """Count the doubtful poles among the poles of a scan, after the sure ones."""
     if scan.detection is None:
         return scan
-    found = with_doubtful(scan.cloud, scan.detection, radius)
+    found = with_doubtful(scan.cloud, scan.detection, radius, scan.sensor)
     return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
 
 
