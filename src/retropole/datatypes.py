@@ -218,6 +218,9 @@ class Hypothesis:
         Share of the points that stand where the other LiDAR looked through, 0 to 1.
     score
         Overlap less free-space violation; the hypotheses are ranked by it.
+    covisible_overlap
+        Share of the points that both LiDARs could see with a neighbour in the other cloud; None
+        where it was not asked for.
     """
 
     match: Match
@@ -226,6 +229,7 @@ class Hypothesis:
     overlap: float
     free_space_violation: float
     score: float
+    covisible_overlap: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -241,7 +241,7 @@ def fit_line(
     point: Array,
     direction: Array,
     radius: float,
-    beams: Beams = Beams(),  # noqa: B008 - a constant
+    beams: Beams = Beams(),
 ) -> Line:
     """Fit a line to those of some candidate points that are about a first guess.
 

@@ -37,11 +37,15 @@ RESCUED = {
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""
 
+MIN_CONFIRMED_COVISIBLE, LEAST_CONFIRMED_OVERLAP = 0.45, 0.2
+"""Or so much of the points that both LiDARs could see, and of all; sure poles need 0.35, 0.15."""
+
 MAX_CONFIRMED_VIOLATION = 0.05
 """Largest share of the points that stand where the other LiDAR looked through."""
 
-MIN_CONFIRMED_LEAD = 0.3
-"""By so much the score leads that of every other hypothesis, the inexact ones included."""
+MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE = 0.3, 0.7
+"""By so much the score leads that of every other hypothesis, the inexact ones included; or by so
+much of itself, where the overlap is small."""
 
 MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
 """ICP of the scenes moves the pose by no more, rad and m."""
@@ -116,7 +120,8 @@ def is_confirmed(
     """
     limit = float(np.hypot(np.hypot(FACING_SIDES, SCATTER_PER_RADIUS) * radius, CONFIRMED_NOISE))
     best, *others = hypotheses
-    is_clear = all(best.score - other.score >= MIN_CONFIRMED_LEAD for other in others)
+    lead = min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
+    is_clear = all(best.score - other.score >= lead for other in others)
     return (
         is_clear
         and _scene_agrees(best)
@@ -132,8 +137,10 @@ def is_confirmed(
 def _scene_agrees(best: Hypothesis) -> bool:
     if best.icp_rotation is None or best.icp_translation is None:
         return False
+    covisible = best.covisible_overlap or 0.0
+    is_covisible = covisible >= MIN_CONFIRMED_COVISIBLE and best.overlap >= LEAST_CONFIRMED_OVERLAP
     return (
-        best.overlap >= MIN_CONFIRMED_OVERLAP
+        (best.overlap >= MIN_CONFIRMED_OVERLAP or is_covisible)
         and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
         and best.icp_rotation <= MAX_ICP_ROTATION
         and best.icp_translation <= MAX_ICP_TRANSLATION
