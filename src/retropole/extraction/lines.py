@@ -76,6 +76,10 @@ RMS_PER_RADIUS = 0.62
 """Beams evenly spaced across a cylinder scatter by so many radii about their line."""
 
 
+ORDINARY_DIVERGENCE = 0.003
+"""Full angle of most sensors' beams, rad."""
+
+
 @dataclass(frozen=True)
 class Beams:
     """What is known of the beams that met a line: full angle, and step of the sweep, rad.
@@ -111,7 +115,7 @@ class Line:
     tube
         Radius about the line in which its points lie, metres.
     beam_scatter
-        What the width of the beams adds to the scatter of the returns, metres.
+        What beams wider than ordinary ones add to the scatter of the returns, metres.
     returns_per_ring
         How many returns each ring can leave on a pole there; infinite where it is not known.
     sweep_step
@@ -285,10 +289,7 @@ def fit_line(
         return Line(index, along, point, direction, 0.0, 0.0, 0, tube)
     rms = float(np.sqrt(np.mean(distance**2)))
     rings = _rings_hit(cloud, index, along)
-    # A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one
-    # too: the pole looks wider by half a beam on either side.
-    distance = float(np.linalg.norm(point - cloud.origin))
-    seen = radius + distance * beams.divergence / 2
+    away = float(np.linalg.norm(point - cloud.origin))
     return Line(
         index,
         along,
@@ -298,10 +299,39 @@ def fit_line(
         rms,
         rings,
         tube,
-        beam_scatter=float(RMS_PER_RADIUS * np.sqrt(seen**2 - radius**2)),
-        returns_per_ring=2 * seen / (distance * beams.step) if beams.step > 0 else np.inf,
+        beam_scatter=beam_scatter(away, radius, beams),
+        returns_per_ring=_returns_per_ring(away, radius, beams),
         sweep_step=beams.step,
     )
+
+
+def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
+    """Scatter, metres, that wide beams add to that which returns on a pole have by ordinary ones.
+
+    A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one too:
+    the pole looks wider by half a beam on either side. The limits here hold for beams of
+    `ORDINARY_DIVERGENCE`, and for unknown ones.
+
+    Parameters
+    ----------
+    distance, radius
+        From where the beams start to the pole, and of the pole, metres.
+    beams
+        That met it.
+    """
+    seen = _seen_radius(distance, radius, beams.divergence)
+    ordinary = _seen_radius(distance, radius, ORDINARY_DIVERGENCE)
+    return float(RMS_PER_RADIUS * np.sqrt(max(seen**2 - ordinary**2, 0.0)))
+
+
+def _returns_per_ring(distance: float, radius: float, beams: Beams) -> float:
+    if beams.step == 0 or distance == 0:
+        return np.inf
+    return 2 * _seen_radius(distance, radius, beams.divergence) / (distance * beams.step)
+
+
+def _seen_radius(distance: float, radius: float, divergence: float) -> float:
+    return radius + distance * divergence / 2
 
 
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:

@@ -15,13 +15,14 @@ import numpy as np
 from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
 from ..errors import Refusal
 from ..extraction.doubtful import with_doubtful
+from ..extraction.lines import beam_scatter, beams_by
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
 
 FACING_SIDES, SCATTER_PER_RADIUS, CONFIRMED_NOISE = float(np.pi / 2), 0.62, 0.01
 """Residual of the poles under the pose, at most: the lines of facing sides lie π r/2 apart, returns
 scatter by 0.62 r about their line, and by noise, metres. That is 35 mm for r = 20 mm; wrong answers
-had 38 mm and more."""
+had 38 mm and more. Wide beams add their scatter."""
 
 CONFIRMED_ANGLE = float(np.radians(1.5))
 CONFIRMED_DISTANCE = 0.05
@@ -127,11 +128,22 @@ def is_confirmed(
         and _scene_agrees(best)
         and all(
             each.hypothesis.match.exact
-            and each.hypothesis.match.pole_rms <= limit
+            and each.hypothesis.match.pole_rms <= np.hypot(limit, _beam_scatter(each, radius))
             and _lines_agree(each)
             for each in paired
         )
     )
+
+
+def _beam_scatter(each: PairedPlacement, radius: float) -> float:
+    """What wide beams of the source add to the residual of its poles, metres."""
+    scan = each.placement.source
+    beams = beams_by(scan.sensor)
+    squares = [
+        beam_scatter(float(np.linalg.norm(pole.point - scan.cloud.origin)), radius, beams) ** 2
+        for pole in each.source_poles
+    ]
+    return float(np.sqrt(np.mean(squares)))
 
 
 def _scene_agrees(best: Hypothesis) -> bool:
