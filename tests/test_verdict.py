@@ -73,7 +73,7 @@ def test_overlap_may_be_small_where_that_of_what_both_see_is_not(
 ) -> None:
     best = replace(hypothesis(of_all, of_all), covisible_overlap=of_both)
     with pytest.raises(Refusal) if is_refused else nullcontext():
-        check_choice([best, hypothesis(-0.5)])
+        check_choice([best, hypothesis(-0.5, 0.0)])
 
 
 def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.01) -> BeamAlignment:
