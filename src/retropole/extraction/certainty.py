@@ -10,7 +10,8 @@ import numpy as np
 
 from ..datatypes import DEFAULT_RADIUS, PointCloud
 from .acceptance_shape import Failure
-from .lines import RING_GAP, RMS_PER_RADIUS, Line, distance_and_place
+from .beams import RMS_PER_RADIUS
+from .lines import RING_GAP, Line, distance_and_place
 from .neighbours import NEGLIGIBLE
 from .surroundings import PIECES
 

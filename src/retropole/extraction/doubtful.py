@@ -29,14 +29,13 @@ from .acceptance_surroundings import (
     in_single_file,
     untaped_between,
 )
+from .beams import Beams, beams_by
 from .certainty import too_thick_for_radius
 from .clustering import LINK, clusters
 from .lines import (
     MAX_PROPOSING_POINTS,
     TUBE,
-    Beams,
     Line,
-    beams_by,
     fit_line,
     in_canonical_order,
     propose_lines,

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
-from ..sensors import Sensor
 from ..uncertainty import MAD_TO_SIGMA
+from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
 
 MAX_PROPOSING_POINTS = 400
 """Largest number of points that a line is tried on: of more, every second, third … stands for all.
@@ -70,30 +70,6 @@ poles lost, 2 of them recorded posts; at 0.021: 1 more found, 1 fewer false."""
 RING_GAPS_PER_RING = 2
 """Rings that leave no gaps are counted by the length they fill: one ring for each so many gaps.
 Sensitivity from 1 to 3: no effect."""
-
-
-RMS_PER_RADIUS = 0.62
-"""Beams evenly spaced across a cylinder scatter by so many radii about their line."""
-
-
-ORDINARY_DIVERGENCE = 0.003
-"""Full angle of most sensors' beams, rad."""
-
-
-@dataclass(frozen=True)
-class Beams:
-    """What is known of the beams that met a line: full angle, and step of the sweep, rad.
-
-    Zero where it is not known: nothing is then granted for it.
-    """
-
-    divergence: float = 0.0
-    step: float = 0.0
-
-
-def beams_by(sensor: Sensor | None) -> Beams:
-    """The beams of a sensor; None where it is not known."""
-    return Beams() if sensor is None else Beams(sensor.divergence, sensor.azimuth_step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +221,7 @@ def fit_line(
     point: Array,
     direction: Array,
     radius: float,
-    beams: Beams = Beams(),
+    beams: Beams = UNKNOWN,
 ) -> Line:
     """Fit a line to those of some candidate points that are about a first guess.
 
@@ -300,38 +276,9 @@ def fit_line(
         rings,
         tube,
         beam_scatter=beam_scatter(away, radius, beams),
-        returns_per_ring=_returns_per_ring(away, radius, beams),
+        returns_per_ring=returns_per_ring(away, radius, beams),
         sweep_step=beams.step,
     )
-
-
-def beam_scatter(distance: float, radius: float, beams: Beams) -> float:
-    """Scatter, metres, that wide beams add to that which returns on a pole have by ordinary ones.
-
-    A return lies on the axis of its beam, and a beam whose edge alone meets the pole gives one too:
-    the pole looks wider by half a beam on either side. The limits here hold for beams of
-    `ORDINARY_DIVERGENCE`, and for unknown ones.
-
-    Parameters
-    ----------
-    distance, radius
-        From where the beams start to the pole, and of the pole, metres.
-    beams
-        That met it.
-    """
-    seen = _seen_radius(distance, radius, beams.divergence)
-    ordinary = _seen_radius(distance, radius, ORDINARY_DIVERGENCE)
-    return float(RMS_PER_RADIUS * np.sqrt(max(seen**2 - ordinary**2, 0.0)))
-
-
-def _returns_per_ring(distance: float, radius: float, beams: Beams) -> float:
-    if beams.step == 0 or distance == 0:
-        return np.inf
-    return 2 * _seen_radius(distance, radius, beams.divergence) / (distance * beams.step)
-
-
-def _seen_radius(distance: float, radius: float, divergence: float) -> float:
-    return radius + distance * divergence / 2
 
 
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:

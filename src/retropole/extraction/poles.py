@@ -39,15 +39,14 @@ from .acceptance_shape import (
     shape_failure,
 )
 from .acceptance_surroundings import surroundings_failure
+from .beams import Beams, beams_by
 from .certainty import doubt_of
 from .clustering import LINK, clusters, on_surface
 from .lines import (
     MAX_PROPOSING_POINTS,
     MIN_LINE_POINTS,
     TUBE,
-    Beams,
     Line,
-    beams_by,
     fit_line,
     in_canonical_order,
     propose_lines,

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
 from ..errors import Refusal
+from ..extraction.beams import beam_scatter, beams_by
 from ..extraction.doubtful import with_doubtful
-from ..extraction.lines import beam_scatter, beams_by
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
 
