@@ -1,3 +1,4 @@
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,14 @@ from retropole.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.sensors import SENSORS
 from retropole.uncertainty import WeakDirection
-from retropole.verdict import MIN_OVERLAP, check_choice, margin_of, weaknesses
+from retropole.verdict import (
+    LEAST_OVERLAP,
+    MIN_COVISIBLE_OVERLAP,
+    MIN_OVERLAP,
+    check_choice,
+    margin_of,
+    weaknesses,
+)
 from tests.conftest import PoleMaker
 
 
@@ -52,6 +60,20 @@ def test_scenes_that_do_not_overlap_are_refused() -> None:
     with pytest.raises(Refusal) as refusal:
         check_choice([hypothesis(0.1, MIN_OVERLAP / 2), hypothesis(-0.5)])
     assert refusal.value.code == "no_overlap"
+
+
+@pytest.mark.parametrize(("of_all", "of_both", "is_refused"), [
+    (1.01 * MIN_OVERLAP, 0.0, False),
+    (1.01 * LEAST_OVERLAP, 1.01 * MIN_COVISIBLE_OVERLAP, False),
+    (1.01 * LEAST_OVERLAP, 0.99 * MIN_COVISIBLE_OVERLAP, True),
+    (0.99 * LEAST_OVERLAP, 1.0, True),
+])  # fmt: skip
+def test_overlap_may_be_small_where_that_of_what_both_see_is_not(
+    of_all: float, of_both: float, is_refused: bool
+) -> None:
+    best = replace(hypothesis(of_all, of_all), covisible_overlap=of_both)
+    with pytest.raises(Refusal) if is_refused else nullcontext():
+        check_choice([best, hypothesis(-0.5, 0.0)])
 
 
 def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.01) -> BeamAlignment:

@@ -212,8 +212,8 @@ class Hypothesis:
     icp_rotation, icp_translation
         The paper's e_r, rad, and e_t, m: how far ICP moves from here; None where too few points
         lie near the target for ICP.
-    overlap
-        Share of the points with a neighbour in the other cloud, 0 to 1.
+    overlap, covisible_overlap
+        Share of all points, and of those that both could see, with a neighbour in the other cloud.
     free_space_violation
         Share of the points that stand where the other LiDAR looked through, 0 to 1.
     score
@@ -226,6 +226,7 @@ class Hypothesis:
     overlap: float
     free_space_violation: float
     score: float
+    covisible_overlap: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

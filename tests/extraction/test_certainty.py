@@ -21,7 +21,7 @@ from tests.extraction.synthetic import FOOT, UP, code_of, on_pole, scene, uprigh
 def test_a_pole_is_sure_where_it_is_as_thick_as_was_said(
     radius: float, given: float, is_sure: bool
 ) -> None:
-    cloud, _ = seen([pole((4, 0), radius=radius)], "OS1")
+    cloud, _ = seen([pole((4, 0), length=1.4, radius=radius)], "OS1")
     found = extract_poles(cloud, radius=given)
     assert (len(found.poles), len(found.doubtful)) == ((1, 0) if is_sure else (0, 1))
     if not is_sure:

@@ -11,6 +11,7 @@ from retropole import se3
 from retropole.datatypes import Array, Detection, IntArray, PointCloud
 from retropole.errors import Refusal
 from retropole.extraction import acceptance_shape, lines, neighbours, poles
+from retropole.extraction.beams import Beams
 from retropole.extraction.poles import extract_poles
 from retropole.io import read_cloud
 from retropole.sensors import find_sensor
@@ -288,7 +289,7 @@ def test_few_points_are_a_pole_only_off_bright_surfaces(is_saturated: bool) -> N
     cloud, line = scene(on_pole(rings=acceptance_shape.FEW_POLE_POINTS - 1, each=1))
     index = np.arange(len(cloud))
     free = np.ones(len(cloud), dtype=bool)
-    best = poles._best_line(cloud, index, index, free, 0.02, is_saturated)
+    best = poles._best_line(cloud, index, index, free, 0.02, Beams(), is_saturated)
     assert isinstance(best, lines.Line) is not is_saturated
     if isinstance(best, lines.Line):
         np.testing.assert_array_equal(np.sort(best.index), line.index)

@@ -123,8 +123,17 @@ def test_every_witness_is_needed(confirmed: Confirmed) -> None:
     assert is_confirmed(paired, answer.hypotheses, 0.02)
     rival = replace(others[0], score=best.score - 0.99 * confirmation.MIN_CONFIRMED_LEAD)
     assert not is_confirmed(paired, (best, rival), 0.02)
+    least, of_all = confirmation.MIN_CONFIRMED_COVISIBLE, confirmation.LEAST_CONFIRMED_OVERLAP
+    small = replace(best, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
+    assert is_confirmed(paired, (small, *others), 0.02)
     for worse in (
-        replace(best, overlap=0.99 * confirmation.MIN_CONFIRMED_OVERLAP),
+        replace(
+            best,
+            overlap=0.99 * confirmation.MIN_CONFIRMED_OVERLAP,
+            covisible_overlap=0.99 * least,
+        ),
+        replace(small, overlap=0.99 * of_all),
+        replace(small, covisible_overlap=0.99 * least),
         replace(best, free_space_violation=1.01 * confirmation.MAX_CONFIRMED_VIOLATION),
         replace(best, icp_rotation=1.01 * confirmation.MAX_ICP_ROTATION),
         replace(best, icp_translation=1.01 * confirmation.MAX_ICP_TRANSLATION),

@@ -84,6 +84,10 @@ SWEEP_STEP = 0.2
 are 0.2 m at 57 m. Where rings of a pole are so far apart, they have two points or more, or there
 are gaps. Sensitivity from 0.14 to 0.28: no effect."""
 
+SWEEP_STEPS = 2.0
+"""Points that the sensor sees this many steps of its sweep apart, or more, are not returns of one
+beam that follow each other: they are rings, which a PandarQT has 2.7 steps apart."""
+
 SWEEP_EVENNESS = 1.3
 """Largest ratio of two gaps, the quantiles below, that is even. Sensitivity from 0.91 to 1.82: no
 effect."""
@@ -164,7 +168,7 @@ def _too_wide_for_its_length(line: Line) -> Failure | None:
 
 
 def _too_thick(line: Line) -> Failure | None:
-    is_long_and_thick = line.rms > THICK_RMS and line.length > MAX_THICK_LENGTH
+    is_long_and_thick = line.rms > line.with_beams(THICK_RMS) and line.length > MAX_THICK_LENGTH
     if line.rms <= MAX_RMS and not is_long_and_thick:
         return None
     return Failure("too_wide", f"{_size(line)}, more than any post")
@@ -172,7 +176,7 @@ def _too_thick(line: Line) -> Failure | None:
 
 def _too_thick_for_few_points(line: Line) -> Failure | None:
     count = len(line.index)
-    if line.rms <= MAX_FEW_RMS or count >= FEW_POLE_POINTS:
+    if line.rms <= line.with_beams(MAX_FEW_RMS) or count >= FEW_POLE_POINTS:
         return None
     reason = f"{_size(line)} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
     return Failure("too_wide", reason)
@@ -182,7 +186,7 @@ def _along_one_sweep(cloud: PointCloud, line: Line) -> Failure | None:
     if cloud.ring is not None:
         along_sweep = _rings_run_along(cloud, line)
     else:
-        along_sweep = _on_one_elevation(cloud, line) or _evenly_spaced(line)
+        along_sweep = _on_one_elevation(cloud, line) or _evenly_spaced(cloud, line)
     if not along_sweep:
         return None
     reason = f"{len(line.index)} points that follow each other in a beam's sweep"
@@ -206,11 +210,19 @@ def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
     return bool(in_sight and np.ptp(elevation) < ONE_BEAM_ELEVATION)
 
 
-def _evenly_spaced(line: Line) -> bool:
+def _evenly_spaced(cloud: PointCloud, line: Line) -> bool:
     """Whether the points are single ones, far and evenly apart."""
-    gaps = np.diff(np.sort(line.along))
+    order = np.argsort(line.along, kind="stable")
+    gaps = np.diff(line.along[order])
     low, high = np.quantile(gaps, [SWEEP_LOW_QUANTILE, SWEEP_HIGH_QUANTILE])
-    return bool(low > SWEEP_STEP and high < SWEEP_EVENNESS * low)
+    if low <= SWEEP_STEP or high >= SWEEP_EVENNESS * low:
+        return False
+    if line.sweep_step == 0:
+        return True
+    rays = cloud.xyz[line.index[order]] - cloud.origin
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    turn = np.arccos(np.clip(np.einsum("ni,ni->n", rays[1:], rays[:-1]), -1.0, 1.0))
+    return bool(np.quantile(turn, SWEEP_LOW_QUANTILE) < SWEEP_STEPS * line.sweep_step)
 
 
 def _width(line: Line) -> float:

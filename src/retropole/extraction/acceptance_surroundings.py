@@ -58,6 +58,10 @@ SINGLE_FILE_STEP = 0.15
 """Rings of a short line that are nearer than this, metres, have several points each on a pole: 2°
 at 4.3 m, where a pole 4 cm thick spans 0.5°. Sensitivity from 0.105 to 0.21: no effect."""
 
+SEVERAL_ON_A_RING = 2.0
+"""Where the step and the width of the beams are known, and a ring can leave fewer returns than this
+on a pole, single file says nothing: a PandarQT does from 3 m on."""
+
 SINGLE_FILE_SHARE = 0.7
 """Rings for each point above which a line is in single file, as one beam leaves it on a plate.
 Sensitivity at 0.49: 7 poles lost, 6 of them recorded posts, 1 fewer false; at 0.98: no effect."""
@@ -176,6 +180,8 @@ def in_single_file(around: Surroundings) -> Failure | None:
     """A short pole seen by rings this close together has several points on each."""
     line, count = around.line, len(around.line.index)
     if not around.is_short or around.cloud.ring is not None:
+        return None
+    if line.returns_per_ring < SEVERAL_ON_A_RING:
         return None
     if line.step >= SINGLE_FILE_STEP or line.rings <= SINGLE_FILE_SHARE * count:
         return None

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..datatypes import DEFAULT_RADIUS, PointCloud
 from .acceptance_shape import Failure
+from .beams import RMS_PER_RADIUS
 from .lines import RING_GAP, Line, distance_and_place
 from .neighbours import NEGLIGIBLE
 from .surroundings import PIECES
@@ -17,9 +18,6 @@ from .surroundings import PIECES
 MAX_SURE_RMS = 0.03
 """Largest scatter of the returns of a sure pole about their line, metres: 12 mm of a cylinder of 2
 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
-
-RMS_PER_RADIUS = 0.62
-"""Beams evenly spaced across a cylinder scatter by so many radii about their line."""
 
 MAX_GAP_SHARE = 0.5
 """A gap as long as so much of a line makes two things of it, unless its rings explain the gap."""
@@ -60,6 +58,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
 def too_thick_for_radius(cloud: PointCloud, line: Line, radius: float) -> Failure | None:
     """Say that a line is thicker than a pole of a radius, metres; None where it is not."""
     limit = MAX_SURE_RMS + RMS_PER_RADIUS * max(radius - DEFAULT_RADIUS, 0.0)
+    limit = line.with_beams(limit)
     scatter = _typical_scatter(cloud, line)
     if scatter <= limit:
         return None

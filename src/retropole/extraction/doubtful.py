@@ -13,6 +13,7 @@ import numpy as np
 
 from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud
 from ..io.rings import with_trusted_rings
+from ..sensors import Sensor
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
@@ -28,9 +29,17 @@ from .acceptance_surroundings import (
     in_single_file,
     untaped_between,
 )
+from .beams import Beams, beams_by
 from .certainty import too_thick_for_radius
 from .clustering import LINK, clusters
-from .lines import MAX_PROPOSING_POINTS, TUBE, Line, fit_line, in_canonical_order, propose_lines
+from .lines import (
+    MAX_PROPOSING_POINTS,
+    TUBE,
+    Line,
+    fit_line,
+    in_canonical_order,
+    propose_lines,
+)
 from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
 from .surroundings import MAX_BESIDE, Surroundings, crowded_share, surroundings_of
 
@@ -52,7 +61,9 @@ MAX_DOUBTFUL = 8
 """Doubtful poles of a cloud that are kept, those with the most returns."""
 
 
-def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Detection:
+def with_doubtful(
+    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None = None
+) -> Detection:
     """Look once more at what a detection rejected, and add the doubtful poles in it.
 
     Parameters
@@ -63,6 +74,8 @@ def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Det
         As `extract_poles` gives it.
     radius
         Of the poles, metres.
+    sensor
+        What recorded it; None where it is not known.
 
     Returns
     -------
@@ -88,7 +101,7 @@ def with_doubtful(cloud: PointCloud, detection: Detection, radius: float) -> Det
             # Where most is bright, a line of few bright returns says nothing.
             fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
         for part in parts:
-            for line in _lines_in(cloud, near, part, free, radius, fewest):
+            for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), fewest):
                 free[line.index] = False
                 found.append(pole_on(cloud, line))
     found.sort(key=lambda pole: (-len(pole.index), pole.rms))
@@ -101,6 +114,7 @@ def _lines_in(
     part: IntArray,
     free: BoolArray,
     radius: float,
+    beams: Beams,
     fewest: int,
 ) -> list[Line]:
     """Find the doubtful poles of one group of bright points, the best supported first."""
@@ -113,7 +127,7 @@ def _lines_in(
         left = in_canonical_order(cloud.xyz, left)
         tube, shell = radius + SEARCH_ROOM, (radius + TUBE, MAX_BESIDE)
         lines = [
-            fit_line(cloud, left, point, direction, radius)
+            fit_line(cloud, left, point, direction, radius, beams)
             for point, direction in propose_lines(
                 cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell
             )

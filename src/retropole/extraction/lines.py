@@ -13,6 +13,7 @@ import numpy as np
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
 from ..uncertainty import MAD_TO_SIGMA
+from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
 
 MAX_PROPOSING_POINTS = 400
 """Largest number of points that a line is tried on: of more, every second, third … stands for all.
@@ -89,6 +90,12 @@ class Line:
         How many rings of the LiDAR hit it.
     tube
         Radius about the line in which its points lie, metres.
+    beam_scatter
+        What beams wider than ordinary ones add to the scatter of the returns, metres.
+    returns_per_ring
+        How many returns each ring can leave on a pole there; infinite where it is not known.
+    sweep_step
+        Between two returns of one ring, as the sensor sees them, rad; zero where not known.
     """
 
     index: IntArray
@@ -99,6 +106,13 @@ class Line:
     rms: float
     rings: int
     tube: float
+    beam_scatter: float = 0.0
+    returns_per_ring: float = np.inf
+    sweep_step: float = 0.0
+
+    def with_beams(self, limit: float) -> float:
+        """Give the largest scatter, metres, that a line of so much has by beams of this width."""
+        return float(np.hypot(limit, self.beam_scatter))
 
     @property
     def step(self) -> float:
@@ -202,7 +216,12 @@ def principal_line(xyz: Array) -> PrincipalLine:
 
 
 def fit_line(
-    cloud: PointCloud, candidates: IntArray, point: Array, direction: Array, radius: float
+    cloud: PointCloud,
+    candidates: IntArray,
+    point: Array,
+    direction: Array,
+    radius: float,
+    beams: Beams = UNKNOWN,
 ) -> Line:
     """Fit a line to those of some candidate points that are about a first guess.
 
@@ -219,6 +238,8 @@ def fit_line(
         (3,) point and (3,) unit direction of the first guess.
     radius
         Of the pole, metres.
+    beams
+        That met it.
 
     Returns
     -------
@@ -244,7 +265,20 @@ def fit_line(
         return Line(index, along, point, direction, 0.0, 0.0, 0, tube)
     rms = float(np.sqrt(np.mean(distance**2)))
     rings = _rings_hit(cloud, index, along)
-    return Line(index, along, point, direction, float(np.ptp(along)), rms, rings, tube)
+    away = float(np.linalg.norm(point - cloud.origin))
+    return Line(
+        index,
+        along,
+        point,
+        direction,
+        float(np.ptp(along)),
+        rms,
+        rings,
+        tube,
+        beam_scatter=beam_scatter(away, radius, beams),
+        returns_per_ring=returns_per_ring(away, radius, beams),
+        sweep_step=beams.step,
+    )
 
 
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:

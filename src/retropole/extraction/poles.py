@@ -39,6 +39,7 @@ from .acceptance_shape import (
     shape_failure,
 )
 from .acceptance_surroundings import surroundings_failure
+from .beams import Beams, beams_by
 from .certainty import doubt_of
 from .clustering import LINK, clusters, on_surface
 from .lines import (
@@ -135,7 +136,7 @@ def extract_poles(
     failures: list[tuple[IntArray, Failure]] = []
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
-        found, failure = _search(cloud, columns, cluster, free, radius)
+        found, failure = _search(cloud, columns, cluster, free, radius, beams_by(sensor))
         for line in found:
             free[line.index] = False
             doubt = doubt_of(cloud, line, radius, knows_origin)
@@ -157,7 +158,12 @@ def extract_poles(
 
 
 def _search(
-    cloud: PointCloud, columns: Array, cluster: IntArray, free: BoolArray, radius: float
+    cloud: PointCloud,
+    columns: Array,
+    cluster: IntArray,
+    free: BoolArray,
+    radius: float,
+    beams: Beams,
 ) -> tuple[list[Line], Failure]:
     """Find the poles of one cluster, line by line, and say why the rest is not one.
 
@@ -180,7 +186,7 @@ def _search(
             if len(left) < MIN_POLE_POINTS:
                 break
             left = in_canonical_order(cloud.xyz, left)
-            best = _best_line(cloud, near, left, free, radius, is_saturated)
+            best = _best_line(cloud, near, left, free, radius, beams, is_saturated)
             if isinstance(best, Failure):
                 failure = failure or best
                 break
@@ -229,6 +235,7 @@ def _best_line(
     left: IntArray,
     free: BoolArray,
     radius: float,
+    beams: Beams,
     is_saturated: bool,
 ) -> Line | Failure:
     """Find the best supported pole among the points ``left``; if there is none, why."""
@@ -236,10 +243,10 @@ def _best_line(
     best: Line | None = None
     first: tuple[Line, Failure] | None = None
     for point, direction in propose_lines(cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell):
-        line = fit_line(cloud, left, point, direction, radius)
+        line = fit_line(cloud, left, point, direction, radius, beams)
         failure = shape_failure(cloud, line)
         if failure is None:
-            line = _whole_line(cloud, near[free[near]], line, radius)
+            line = _whole_line(cloud, near[free[near]], line, radius, beams)
             failure = surroundings_failure(cloud, near, free, line)
         if failure is None and is_saturated:
             failure = _doubtful_in_brightness(line)
@@ -267,16 +274,18 @@ def _of_the_cluster(cloud: PointCloud, left: IntArray, line: Line, failure: Fail
     return Failure(failure.code, f"{size}; of {len(line.index)} of them in line: {failure.reason}")
 
 
-def _whole_line(cloud: PointCloud, free_near: IntArray, line: Line, radius: float) -> Line:
+def _whole_line(
+    cloud: PointCloud, free_near: IntArray, line: Line, radius: float, beams: Beams
+) -> Line:
     """Take all that lies on the line: a pole that something hides in part is two clusters."""
-    whole = fit_line(cloud, free_near, line.point, line.direction, radius)
+    whole = fit_line(cloud, free_near, line.point, line.direction, radius, beams)
     is_better = len(whole.index) > len(line.index) and shape_failure(cloud, whole) is None
     return whole if is_better else line
 
 
 def _doubtful_in_brightness(line: Line) -> Failure | None:
     """Where a bright surface is most of the cluster, only a slim line of many points is a pole."""
-    if line.rms <= THICK_RMS and len(line.index) >= FEW_POLE_POINTS:
+    if line.rms <= line.with_beams(THICK_RMS) and len(line.index) >= FEW_POLE_POINTS:
         return None
     reason = f"{len(line.index)} points in line inside a bright surface"
     return Failure("part_of_a_surface", reason)

@@ -129,7 +129,7 @@ def surroundings_of(
     beside = (distance > line.tube) & (distance < limit) & (along >= low) & (along <= high)
     retro = is_retro[near]
     dimmest = cloud.intensity[line.index].min()
-    is_thick = line.rms > THICK_RMS
+    is_thick = line.rms > line.with_beams(THICK_RMS)
     # Rings half a step beyond either end may just have missed it.
     is_short = line.length + line.step < SHORT_LENGTH
     has_few_points = len(line.index) < FEW_POLE_POINTS

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
 from ..errors import Refusal
+from ..extraction.beams import beam_scatter, beams_by
 from ..extraction.doubtful import with_doubtful
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
@@ -21,7 +22,7 @@ from .placements import PairedPlacement
 FACING_SIDES, SCATTER_PER_RADIUS, CONFIRMED_NOISE = float(np.pi / 2), 0.62, 0.01
 """Residual of the poles under the pose, at most: the lines of facing sides lie π r/2 apart, returns
 scatter by 0.62 r about their line, and by noise, metres. That is 35 mm for r = 20 mm; wrong answers
-had 38 mm and more."""
+had 38 mm and more. Wide beams add their scatter."""
 
 CONFIRMED_ANGLE = float(np.radians(1.5))
 CONFIRMED_DISTANCE = 0.05
@@ -37,11 +38,15 @@ RESCUED = {
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""
 
+MIN_CONFIRMED_COVISIBLE, LEAST_CONFIRMED_OVERLAP = 0.45, 0.2
+"""Or so much of the points that both LiDARs could see, and of all; sure poles need 0.35, 0.15."""
+
 MAX_CONFIRMED_VIOLATION = 0.05
 """Largest share of the points that stand where the other LiDAR looked through."""
 
-MIN_CONFIRMED_LEAD = 0.3
-"""By so much the score leads that of every other hypothesis, the inexact ones included."""
+MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE = 0.3, 0.7
+"""By so much the score leads that of every other hypothesis, the inexact ones included; or by so
+much of itself, where the overlap is small."""
 
 MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
 """ICP of the scenes moves the pose by no more, rad and m."""
@@ -96,7 +101,7 @@ def _with_doubtful(scan: Scan, radius: float) -> Scan:
     """Count the doubtful poles among the poles of a scan, after the sure ones."""
     if scan.detection is None:
         return scan
-    found = with_doubtful(scan.cloud, scan.detection, radius)
+    found = with_doubtful(scan.cloud, scan.detection, radius, scan.sensor)
     return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
 
 
@@ -116,24 +121,38 @@ def is_confirmed(
     """
     limit = float(np.hypot(np.hypot(FACING_SIDES, SCATTER_PER_RADIUS) * radius, CONFIRMED_NOISE))
     best, *others = hypotheses
-    is_clear = all(best.score - other.score >= MIN_CONFIRMED_LEAD for other in others)
+    lead = min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
+    is_clear = all(best.score - other.score >= lead for other in others)
     return (
         is_clear
         and _scene_agrees(best)
         and all(
             each.hypothesis.match.exact
-            and each.hypothesis.match.pole_rms <= limit
+            and each.hypothesis.match.pole_rms <= np.hypot(limit, _beam_scatter(each, radius))
             and _lines_agree(each)
             for each in paired
         )
     )
 
 
+def _beam_scatter(each: PairedPlacement, radius: float) -> float:
+    """What wide beams of the source add to the residual of its poles, metres."""
+    scan = each.placement.source
+    beams = beams_by(scan.sensor)
+    squares = [
+        beam_scatter(float(np.linalg.norm(pole.point - scan.cloud.origin)), radius, beams) ** 2
+        for pole in each.source_poles
+    ]
+    return float(np.sqrt(np.mean(squares)))
+
+
 def _scene_agrees(best: Hypothesis) -> bool:
     if best.icp_rotation is None or best.icp_translation is None:
         return False
+    covisible = best.covisible_overlap or 0.0
+    is_covisible = covisible >= MIN_CONFIRMED_COVISIBLE and best.overlap >= LEAST_CONFIRMED_OVERLAP
     return (
-        best.overlap >= MIN_CONFIRMED_OVERLAP
+        (best.overlap >= MIN_CONFIRMED_OVERLAP or is_covisible)
         and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
         and best.icp_rotation <= MAX_ICP_ROTATION
         and best.icp_translation <= MAX_ICP_TRANSLATION

@@ -124,8 +124,13 @@ def _joint(each: Sequence[Hypothesis]) -> Hypothesis:
     """Average what the scenes of all placements say; pose and pairs are the first one's."""
     overlap = float(np.mean([h.overlap for h in each]))
     violation = float(np.mean([h.free_space_violation for h in each]))
+    covisible = [h.covisible_overlap for h in each if h.covisible_overlap is not None]
     return replace(
-        each[0], overlap=overlap, free_space_violation=violation, score=overlap - violation
+        each[0],
+        overlap=overlap,
+        free_space_violation=violation,
+        score=overlap - violation,
+        covisible_overlap=float(np.mean(covisible)) if covisible else None,
     )
 
 

@@ -88,7 +88,15 @@ def score_hypotheses(
         e_r, e_t = icp_motion(surface, near, T)
         score = found.overlap - found.free_space_violation
         hypotheses.append(
-            Hypothesis(match, e_r, e_t, found.overlap, found.free_space_violation, score)
+            Hypothesis(
+                match,
+                e_r,
+                e_t,
+                found.overlap,
+                found.free_space_violation,
+                score,
+                found.covisible_overlap,
+            )
         )
     return tuple(sorted(hypotheses, key=lambda h: (not h.match.exact, -h.score)))
 

@@ -27,6 +27,12 @@ RANGE_MARGIN, RELATIVE_RANGE_MARGIN = 0.5, 0.1
 """A point must be this far, metres, and this part of its range in front of what the other LiDAR
 saw in its direction to violate free space: poles leave up to a degree of error in the pose."""
 
+OWN_VEHICLE = 1.5
+"""Returns nearer than this to where the beams start are on what carries the LiDAR, metres."""
+
+REACH_QUANTILE = 0.99
+"""A LiDAR reaches as far as this quantile of its ranges: single returns come from farther."""
+
 OVERLAP_DISTANCE = 0.5
 """A point with a neighbour of the other cloud within this distance overlaps it, metres: the poles'
 pose may be off by as much at the far end of a scan."""
@@ -144,11 +150,14 @@ class View:
         Of the whole downsampled cloud.
     image
         Of the cloud as it was recorded.
+    reach
+        How far the LiDAR sees, metres from where its beams start.
     """
 
     points: Array
     tree: cKDTree
     image: RangeImage
+    reach: float
 
     @property
     def size(self) -> int:
@@ -171,7 +180,10 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
     """
     points = voxel_downsample(cloud.xyz, voxel)
     step = 1 if sample is None else 1 + len(points) // sample
-    return View(points[::step], cKDTree(points), range_image(cloud))
+    image = range_image(cloud)
+    ranges = np.linalg.norm(points - image.origin, axis=1)
+    reach = float(np.quantile(ranges, REACH_QUANTILE)) if len(points) else 0.0
+    return View(points[::step], cKDTree(points), image, reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,12 +194,16 @@ class Agreement:
     ----------
     overlap, free_space_violation
         Shares of the points, mean of both directions.
+    covisible_overlap
+        Overlap of the points of both clouds that both LiDARs could see: not on the own vehicle,
+        where the other has returns in their direction, and no farther than it reaches.
     distances
         (S,) of the source's points from the target's cloud, metres; infinite beyond the limit.
     """
 
     overlap: float
     free_space_violation: float
+    covisible_overlap: float
     distances: Array
 
 
@@ -216,7 +232,20 @@ def compare_views(
     violation = np.mean(
         [free_space_violation(target.image, there), free_space_violation(source.image, back)]
     )
-    return Agreement(overlap(distances, within), float(violation), distances[0])
+    could_see = np.concatenate(
+        [_covisible(source, target, there), _covisible(target, source, back)]
+    )
+    near = np.concatenate(distances) <= within
+    covisible = float(np.mean(near[could_see])) if could_see.any() else 0.0
+    return Agreement(overlap(distances, within), float(violation), covisible, distances[0])
+
+
+def _covisible(view: View, other: View, moved: Array) -> BoolArray:
+    """Which points of a view the other LiDAR could see; ``moved`` (S, 3) are they in its frame."""
+    rays = moved - other.image.origin
+    is_own = np.linalg.norm(view.points - view.image.origin, axis=1) < OWN_VEHICLE
+    is_in_view = np.isfinite(other.image.nearest.ranges[cells_of(rays)])
+    return np.asarray(~is_own & is_in_view & (np.linalg.norm(rays, axis=1) <= other.reach))
 
 
 def overlap(distances: Sequence[Array], within: float) -> float:
