@@ -1,25 +1,47 @@
 """How often a moved LiDAR is found, an unmoved one suspected, and neither can be told.
 
-Each site is calibrated once, then recorded again: as it was, rotated by 0.3° about a random axis,
-translated by 3 cm in a random direction, rotated by 40°, or with the LiDARs exchanged; with the
-poles and without. Prints Markdown tables.
+Each simulated site is calibrated once, then recorded again by the same devices: as it was, rotated
+by 0.3° about a random axis, translated by 3 cm in a random direction, rotated by 40°, or with the
+LiDARs exchanged; with the poles where they were, elsewhere, and without. With `--data`, the same of
+PandaSet's standing vehicle, from one recording to another of its own, with poles ray-cast into
+them, and of surroundings alone. Prints Markdown tables. Seeds below 1000 are for tuning, those from
+1000 on for figures to state.
 
-    python benchmarks/check.py --sites 100
+    python benchmarks/check.py --sites 100 --first 1000 --data DATA
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import cache
+from itertools import permutations
 from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from retropole.datatypes import Array, PoseEstimate
-from retropole.monitoring.drift import check
+from retropole import se3
+from retropole.datatypes import Array, PointCloud, PoseEstimate
+from retropole.monitoring.drift import SEARCH_ROTATION, SEARCH_TRANSLATION, check
 from retropole.pipeline import calibrate
-from retropole.simulation import record_again, simulate_pair
+from retropole.scene.refinement import refine
+from retropole.sensors import Sensor
+from retropole.simulation import (
+    NOISE_MODELS,
+    SimulationError,
+    insert_poles,
+    place_again,
+    record_again,
+    simulate_pair,
+)
+from retropole.systematic import ErrorModel, sizes_of
+from retropole.uncertainty import Uncertainty
+from semireal import Loaded, load
 
 SCENES = ("corridor", "street", "harbor")
 SMALL = ("unmoved", "rotated 0.3°", "translated 3 cm")
@@ -27,82 +49,242 @@ GROSS = ("rotated 40°", "exchanged")
 GROSS_EVERY = 4
 """Gross movements, which are never near the line, are tried on every so many sites."""
 
-Row = tuple[str, int, str, bool, str, float, tuple[str, ...]]
-"""Scene, seed, what was done, with poles, status, χ² of the answer, codes."""
+POLES = ("there", "elsewhere", "gone")
+FRAMES = ("00", "01", "05")
+"""PandaSet's recordings of a standing vehicle."""
+
+MOVED = {"rotated 0.3°": (np.radians(0.3), 0.0), "rotated 40°": (np.radians(40.0), 0.0)}
+MOVED["translated 3 cm"] = (0.0, 0.03)
+
+
+class Row(NamedTuple):
+    """An answer: where, what was done, how the poles stood, what came of it."""
+
+    where: str
+    seed: int
+    kind: str
+    poles: str
+    status: str
+    chi2: float = np.nan
+    codes: tuple[str, ...] = ()
+
+
+class Site(NamedTuple):
+    """A stored calibration, and whose it is."""
+
+    pose: PoseEstimate
+    uncertainty: Uncertainty | None
+    sensors: tuple[Sensor | None, Sensor | None]
+
+
+class Simulated(NamedTuple):
+    """A site to simulate."""
+
+    noise: str
+    scene: str
+    seed: int
+
+
+class Real(NamedTuple):
+    """A recording to store, and one to check."""
+
+    data: Path
+    stored: str
+    new: str
+    seed: int
 
 
 def step(kind: str, rng: np.random.Generator) -> Array:
     """Draw the movement of a kind."""
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
-    angle = {"rotated 0.3°": np.radians(0.3), "rotated 40°": np.radians(40.0)}.get(kind, 0.0)
-    return np.r_[angle * direction, (0.03 if kind == "translated 3 cm" else 0.0) * direction]
+    angle, distance = MOVED.get(kind, (0.0, 0.0))
+    return np.asarray(np.r_[angle * direction, distance * direction])
 
 
-def run(job: tuple[str, int]) -> list[Row]:
-    scene, seed = job
-    rng = np.random.default_rng([7, seed])
-    pair = simulate_pair(scene, rng)
-    answer = calibrate(pair.target, pair.source)
+def calibrated(
+    target: PointCloud, source: PointCloud, sensors: tuple[Sensor | None, Sensor | None]
+) -> Site | None:
+    answer = calibrate(target, source, sensors=sensors)
     if answer.T_target_source is None:
-        return [(scene, seed, "no calibration", True, "refused", np.nan, ())]
-    stored = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
-    rows: list[Row] = []
-    for kind in (*SMALL, *(GROSS if seed % GROSS_EVERY == 0 else ())):
-        for poles in (True, False):
-            again = record_again(pair, rng, moved=step(kind, rng), poles=poles)
-            clouds = (again.target, again.source)
-            found = check(stored, *(clouds[::-1] if kind == "exchanged" else clouds))
-            codes = tuple(reason.code for reason in found.reasons)
-            chi2 = np.nan if found.chi2 is None else found.chi2
-            rows.append((scene, seed, kind, poles, found.status, chi2, codes))
-    return rows
+        return None
+    pose = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
+    return Site(pose, answer.uncertainty, sensors)
+
+
+def answered(site: Site, clouds: Iterable[PointCloud]) -> tuple[str, float, tuple[str, ...]]:
+    target, source = clouds
+    found = check(site.pose, target, source, uncertainty=site.uncertainty, sensors=site.sensors)
+    chi2 = np.nan if found.chi2 is None else found.chi2
+    return found.status, chi2, tuple(reason.code for reason in found.reasons)
+
+
+def run(job: Simulated | Real) -> list[Row]:
+    return list(simulated(job) if isinstance(job, Simulated) else real(job))
+
+
+def simulated(job: Simulated) -> Iterator[Row]:
+    rng = np.random.default_rng([7, job.seed])
+    pair = simulate_pair(job.scene, rng, noise=NOISE_MODELS[job.noise])
+    where = f"{job.noise} {job.scene}"
+    site = calibrated(pair.target, pair.source, pair.sensors)
+    if site is None:
+        yield Row(where, job.seed, "no calibration", "there", "refused")
+        return
+    for kind in (*SMALL, *(GROSS if job.seed % GROSS_EVERY == 0 else ())):
+        for poles in POLES:
+            at = pair
+            if poles == "elsewhere":
+                try:
+                    at = place_again(pair, rng)
+                except SimulationError:
+                    continue
+            again = record_again(at, rng, moved=step(kind, rng), poles=poles != "gone")
+            clouds = again.target, again.source
+            turned = clouds[::-1] if kind == "exchanged" else clouds
+            yield Row(where, job.seed, kind, poles, *answered(site, turned))
+
+
+def real(job: Real) -> Iterator[Row]:
+    """Store what one recording of the vehicle gives, and check another."""
+    first, second = (load(f"pandaset {frame}", job.data) for frame in (job.stored, job.new))
+    T = consensus(job.data)
+    rng = np.random.default_rng([job.seed, FRAMES.index(job.stored), FRAMES.index(job.new)])
+    try:
+        made = insert_poles(first.target, first.source, T, rng, sensors=first.sensors, up=first.up)
+    except SimulationError:
+        return
+    where = "pandaset"
+    sites = {
+        "poles": calibrated(made.target, made.source, first.sensors),
+        "no poles": by_scene(first),
+    }
+    for kind in SMALL:
+        moved = step(kind, rng)
+        for poles in POLES:
+            clouds = second.target, second.source
+            if poles != "gone":
+                standing = made.poles if poles == "there" else len(made.poles)
+                try:
+                    again = insert_poles(
+                        *clouds, T, rng, sensors=second.sensors, poles=standing, up=second.up
+                    )
+                except SimulationError:
+                    continue
+                clouds = again.target, again.source
+            back = se3.inverse(se3.retract(T, moved)) @ T
+            there = clouds[0], replace(clouds[1], xyz=se3.apply(back, clouds[1].xyz))
+            for name, site in sites.items():
+                if site is None:
+                    yield Row(f"{where}, stored with {name}", job.seed, kind, poles, "refused")
+                    continue
+                row = answered(site, there)
+                yield Row(f"{where}, stored with {name}", job.seed, kind, poles, *row)
+
+
+def by_scene(pair: Loaded) -> Site | None:
+    """Let the scene alone say what is stored, from about the reference."""
+    spread = np.repeat([SEARCH_ROTATION, SEARCH_TRANSLATION], 3) ** 2
+    model = ErrorModel(sizes_of(pair.sensors[0]), sizes_of(pair.sensors[1]))
+    start = PoseEstimate(pair.T, np.diag(spread), 0.0)
+    found = refine(pair.target, pair.source, start, model=model)
+    return None if found is None else Site(found.pose, found.uncertainty, pair.sensors)
+
+
+@cache
+def consensus(data: Path) -> Array:
+    """Give the mean pose that the scene has in all recordings: there the poles are put.
+
+    The reference is off from it by 0.2° and 2 cm: poles there would contradict their surroundings.
+    """
+    pairs = [load(f"pandaset {frame}", data) for frame in FRAMES]
+    sites = [by_scene(pair) for pair in pairs]
+    steps = [se3.local(pairs[0].T, site.pose.T_target_source) for site in sites if site is not None]
+    return np.asarray(se3.retract(pairs[0].T, np.mean(steps, axis=0)))
+
+
+def table(rows: list[Row], wheres: list[str]) -> None:
+    print("\n| recorded again | poles | where | runs | same | moved | cannot tell |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for kind in (*SMALL, *GROSS):
+        for poles in POLES:
+            for where in wheres:
+                group = [
+                    r
+                    for r in rows
+                    if (r.kind, r.poles) == (kind, poles)
+                    and r.where.startswith(where)
+                    and r.status != "refused"
+                ]
+                if not group:
+                    continue
+                count = Counter(r.status for r in group)
+                print(
+                    f"| {kind} | {poles} | {where} | {len(group)} | "
+                    f"{count['same']} | {count['moved']} | {count['cannot_tell']} |"
+                )
+
+
+def chi2_of_unmoved(rows: list[Row], where: str) -> None:
+    for poles in POLES:
+        chi2 = np.array(
+            [
+                r.chi2
+                for r in rows
+                if (r.kind, r.poles) == ("unmoved", poles)
+                and r.where.startswith(where)
+                and np.isfinite(r.chi2)
+            ]
+        )
+        if len(chi2):
+            print(
+                f"\nχ² of the unmoved, {where}, poles {poles}: median {np.median(chi2):.1f}, 95 % "
+                f"{np.quantile(chi2, 0.95):.1f}, largest {chi2.max():.1f} (χ² with 6 degrees of "
+                "freedom: 5.3, 12.6)"
+            )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sites", type=int, default=100)
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--sites", type=int, default=100, help="of each noise")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--noise", nargs="*", default=["typical", "field"])
+    parser.add_argument("--data", type=Path, help="folder with the recordings")
+    parser.add_argument("--draws", type=int, default=2, help="poles for each two recordings")
+    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument(
         "--verbose", action="store_true", help="print every wrong or missing answer"
     )
     arguments = parser.parse_args()
-    jobs = [(SCENES[seed % 3], seed) for seed in range(arguments.sites)]
+    seeds = range(arguments.first, arguments.first + arguments.sites)
+    jobs: list[Simulated | Real] = [
+        Simulated(noise, SCENES[seed % 3], seed) for noise in arguments.noise for seed in seeds
+    ]
+    if arguments.data is not None:
+        draws = range(arguments.first, arguments.first + arguments.draws)
+        jobs += [
+            Real(arguments.data, *frames, draw)
+            for draw in draws
+            for frames in permutations(FRAMES, 2)
+        ]
     rows: list[Row] = []
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         for found in pool.map(run, jobs):
             rows += found
             for row in found:
-                right = "same" if row[2] == "unmoved" else "moved"
-                if arguments.verbose and row[4] != right:
+                right = "same" if row.kind == "unmoved" else "moved"
+                if arguments.verbose and row.status != right:
                     print(*row, flush=True)
 
-    refused = sum(row[2] == "no calibration" for row in rows)
-    print(f"{arguments.sites} sites, {refused} of them not calibrated in the first place\n")
-    print("| recorded again | poles | scene | runs | same | moved | cannot tell |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
-    for kind in (*SMALL, *GROSS):
-        for poles in (True, False):
-            for scene in (*SCENES, "all"):
-                group = [
-                    r for r in rows if r[2] == kind and r[3] == poles and scene in (r[0], "all")
-                ]
-                if not group:
-                    continue
-                count = Counter(r[4] for r in group)
-                print(
-                    f"| {kind} | {'yes' if poles else 'no'} | {scene} | {len(group)} | "
-                    f"{count['same']} | {count['moved']} | {count['cannot_tell']} |"
-                )
-    for poles in (True, False):
-        chi2 = np.array([r[5] for r in rows if r[2] == "unmoved" and r[3] == poles])
-        chi2 = chi2[np.isfinite(chi2)]
-        print(
-            f"\nχ² of the unmoved, poles {'there' if poles else 'gone'}: "
-            f"median {np.median(chi2):.1f}, 95 % {np.quantile(chi2, 0.95):.1f}, "
-            f"largest {chi2.max():.1f} (χ² with 6 degrees of freedom: 5.3, 12.6)"
-        )
-    codes = Counter(code for r in rows if r[4] == "cannot_tell" for code in r[6])
+    refused = Counter(r.where for r in rows if r.status == "refused")
+    print("not calibrated in the first place:", dict(refused))
+    groups = [*arguments.noise, "pandaset, stored with poles", "pandaset, stored with no poles"]
+    wheres = [f"{noise} {scene}" for noise in arguments.noise for scene in SCENES]
+    table(rows, groups)
+    table(rows, wheres)
+    for group in groups:
+        chi2_of_unmoved(rows, group)
+    codes = Counter(code for r in rows if r.status == "cannot_tell" for code in r.codes)
     print("\ncannot tell:", ", ".join(f"{code} {n}" for code, n in codes.most_common()))
 
 

@@ -102,6 +102,20 @@ def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
     assert run(site, "r", "same", "--target-topic", "/front") == (2, "")
 
 
+def test_of_a_result_without_both_kinds_of_error_nothing_cancels(site: Path) -> None:
+    result = json.loads((site / "r" / "result.json").read_text())
+    assert result.pop("uncertainty") is not None
+    (site / "old.json").write_text(json.dumps(result))
+    new, old = (json.loads(run(site, name, "same", "--json")[1]) for name in ("r", "old.json"))
+    assert new["moved_m"] == pytest.approx(old["moved_m"])
+    assert new["sigma_m"] < 0.9 * old["sigma_m"]
+    assert new["chi2"] > old["chi2"]
+    # What is said of the stored pose by hand comes from elsewhere, and counts whole.
+    words = ("--sigma-deg", "0.02", "--sigma-m", "0.003", "--json")
+    given = json.loads(run(site, "r", "same", *words)[1])
+    assert given["sigma_m"] > 0.003
+
+
 def test_help_has_worked_examples(site: Path) -> None:
     done = retropole("check", "--help", cwd=site)
     assert done.returncode == 0

@@ -1,15 +1,18 @@
 """A site that is recorded again: moved, unmoved, elsewhere, or with too little in it."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Array, PointCloud, PoseEstimate
+from retropole.datatypes import Array, Calibration, PointCloud, PoseEstimate
 from retropole.errors import UsageError
+from retropole.monitoring import drift
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
+from retropole.scene.refinement import Refinement, refine
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
@@ -22,10 +25,14 @@ def street() -> SimulatedPair:
 
 
 @pytest.fixture(scope="module")
-def stored(street: SimulatedPair) -> PoseEstimate:
-    answer = calibrate(street.target, street.source)
-    assert answer.refined is not None
-    return answer.refined
+def calibration(street: SimulatedPair) -> Calibration:
+    return calibrate(street.target, street.source)
+
+
+@pytest.fixture(scope="module")
+def stored(calibration: Calibration) -> PoseEstimate:
+    assert calibration.refined is not None
+    return calibration.refined
 
 
 @pytest.mark.parametrize(
@@ -66,6 +73,69 @@ def test_clouds_without_intensity_are_checked_by_the_scene(
     answer = check(stored, *bare)
     assert (answer.status, answer.used) == ("same", "scene")
     assert "poles_no_intensity" in [reason.code for reason in answer.reasons]
+
+
+def test_errors_of_the_same_devices_cancel(
+    street: SimulatedPair, stored: PoseEstimate, calibration: Calibration
+) -> None:
+    again = record_again(street, np.random.default_rng(18))
+    same_devices = check(stored, again.target, again.source, uncertainty=calibration.uncertainty)
+    others = check(stored, again.target, again.source)
+    assert same_devices.covariance is not None
+    assert others.covariance is not None
+    assert same_devices.step is not None
+    assert others.step is not None
+    np.testing.assert_allclose(same_devices.step, others.step)
+    share = np.linalg.eigvals(np.linalg.solve(others.covariance, same_devices.covariance)).real
+    assert share.max() < 1.1
+    assert 0.02 < share.min() < 0.7
+    assert same_devices.status == "same"
+    assert same_devices.chi2 is not None
+    assert same_devices.chi2 < 16.8
+
+
+def test_poles_that_moved_between_the_recordings_do_not_make_a_movement(
+    street: SimulatedPair, stored: PoseEstimate, calibration: Calibration
+) -> None:
+    again = record_again(street, np.random.default_rng(19))
+    first = len(again.surfaces) - len(again.poles)
+    xyz = again.source.xyz.copy()
+    xyz[again.labels[1] >= first] += [0.05, 0.05, 0.0]
+    bumped = replace(again.source, xyz=xyz)
+    answer = check(stored, again.target, bumped, uncertainty=calibration.uncertainty)
+    assert answer.status in ("same", "cannot_tell")
+
+
+def test_several_minima_cannot_tell(
+    street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def two_ends(*args: Any, **options: Any) -> Refinement | None:
+        found = refine(*args, **options)
+        return found and replace(found, other_minima=(SMALL_TRANSLATION,))
+
+    again = record_again(street, np.random.default_rng(20), poles=False)
+    monkeypatch.setattr(drift, "refine", two_ends)
+    answer = check(stored, again.target, again.source)
+    assert answer.status == "cannot_tell"
+    assert "several_minima" in [reason.code for reason in answer.reasons]
+
+
+def test_a_pose_that_fits_no_better_than_the_stored_one_is_no_movement(
+    street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def elsewhere(*args: Any, **options: Any) -> Refinement | None:
+        found = refine(*args, **options)
+        assert found is not None
+        T = se3.retract(found.pose.T_target_source, np.r_[0, 0, 0, 0, 0, 0.05])
+        return replace(found, pose=replace(found.pose, T_target_source=T))
+
+    again = record_again(street, np.random.default_rng(21), poles=False)
+    monkeypatch.setattr(drift, "refine", elsewhere)
+    answer = check(stored, again.target, again.source)
+    assert answer.p_value is not None
+    assert answer.p_value < 1e-6
+    assert answer.status == "cannot_tell"
+    assert answer.reasons[-1].code == "stored_fits_as_well"
 
 
 def test_gross_movements_are_found_with_poles_and_never_called_same_without(

@@ -15,6 +15,8 @@ from retropole.monitoring.movement import (
     compare_poses,
     detection_power,
 )
+from retropole.monitoring.repeated import REPEATED
+from retropole.uncertainty import Uncertainty
 
 
 def covariance(
@@ -38,6 +40,28 @@ def test_equal_poses_are_the_same() -> None:
     assert answer.p_value == pytest.approx(1.0)
     assert answer.covariance is not None
     np.testing.assert_allclose(answer.covariance, 2 * spread)
+
+
+def test_the_false_alarm_rate_holds_for_errors_that_repeat() -> None:
+    """Systematic errors ten times the random ones, all of which both poses have, move nothing."""
+    rng = np.random.default_rng(9)
+    T, random, systematic = se3.random(rng), covariance(rng), 100 * covariance(rng)
+    parts = Uncertainty(random, systematic)
+    nothing, runs, alarms, squares = np.zeros(6), 1000, 0, []
+    for _ in range(runs):
+        repeated = rng.multivariate_normal(nothing, REPEATED * systematic)
+        one, other = (
+            PoseEstimate(se3.retract(T, repeated + own), parts.covariance, 0.0)
+            for own in rng.multivariate_normal(nothing, random + (1 - REPEATED) * systematic, 2)
+        )
+        answer = compare_poses(
+            one, other, "poles", Tolerance(1e-9, 1e-9), uncertainties=(parts, parts)
+        )
+        assert answer.chi2 is not None
+        squares.append(answer.chi2)
+        alarms += answer.status == "moved"
+    assert np.mean(squares) == pytest.approx(6.0, abs=0.6)
+    assert alarms / runs == pytest.approx(FALSE_ALARM, abs=4 * np.sqrt(FALSE_ALARM / runs))
 
 
 def test_stored_and_new_may_change_places() -> None:

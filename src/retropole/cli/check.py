@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..datatypes import Array, PoseEstimate, Reason
     from ..monitoring.movement import CheckResult, Movement
     from ..result import RunConfig
+    from ..uncertainty import Uncertainty
 
 EXIT_MOVED = 4
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
@@ -148,6 +149,7 @@ def check(
                 stored.pose,
                 of_target.cloud,
                 of_source.cloud,
+                uncertainty=stored.uncertainty,
                 tolerance=Tolerance(float(np.radians(tolerance_deg)), tolerance_m),
                 radius=config.radius_m,
                 radius_sigma=config.radius_sigma_m,
@@ -163,11 +165,15 @@ def check(
 
 
 class Stored(NamedTuple):
-    """What RESULT holds: the pose, the options of its run, and what it warned of."""
+    """What RESULT holds: the pose, the options of its run, and what it warned of.
+
+    `uncertainty` is of a result that tells random and systematic errors apart.
+    """
 
     pose: PoseEstimate
     config: RunConfig
     warnings: tuple[Reason, ...]
+    uncertainty: Uncertainty | None = None
 
 
 def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Stored:
@@ -185,6 +191,7 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     from ..export import inverted, read_transform
     from ..export.documents import is_result, read_result, result_file
     from ..reasons import prefixed
+    from ..result import uncertainty_of
 
     transform = read_transform(path)
     if transform.roles == ("source", "target"):
@@ -207,7 +214,9 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons
     )
-    return Stored(pose, document.config, warnings)
+    given = sigma_deg is not None
+    parts = None if given else uncertainty_of(document.uncertainty, document.budget)
+    return Stored(pose, document.config, warnings, parts)
 
 
 def _topic(path: Path, given: str | None, known: str | None) -> str | None:
@@ -253,20 +262,17 @@ def json_line(answer: CheckResult) -> str:
 
 def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
-    import numpy as np
-
     from ..monitoring.movement import FALSE_ALARM
+    from ..quantities import value_and_error
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     rotation, translation = answer.rotation, answer.translation
     if answer.step is not None and rotation is not None and translation is not None:
         how = "poles and scene" if answer.used == "poles" else "the scene alone"
         lines += [
-            f"  rotated by    {np.degrees(rotation.length):.4f}° ± "
-            f"{np.degrees(rotation.sigma):.4f}° (1 σ), "
+            f"  rotated by    {value_and_error(rotation.length, rotation.sigma, 'rad')} (1 σ), "
             f"{_direction(answer.step[:3], rotation, 'about', (' (roll)', ' (pitch)', ' (yaw)'))}",
-            f"  translated by {100 * translation.length:.2f} cm ± "
-            f"{100 * translation.sigma:.2f} cm (1 σ), "
+            f"  translated by {value_and_error(translation.length, translation.sigma)} (1 σ), "
             f"{_direction(answer.step[3:], translation, 'along', ('', '', ''))}",
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
             f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; as much where nothing moved: "

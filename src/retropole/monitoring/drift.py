@@ -8,25 +8,42 @@ new pose is the stored one is tested by `movement`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from .. import se3
 from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud, PoseEstimate, Reason
 from ..errors import UsageError
 from ..matching.prior import RotationPrior
 from ..pipeline import calibrate
+from ..quantities import error
 from ..reasons import prefixed
 from ..scene.disambiguation import SCORING_VOXEL
 from ..scene.refinement import refine
 from ..scene.registration import MIN_CLOUD_POINTS
-from ..scene.static import remove_dynamic_points
-from ..scene.visibility import OVERLAP_DISTANCE, compare_views, view_of
+from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
 from ..sensors import Sensor
+from ..systematic import ErrorModel, sizes_of
+from ..uncertainty import Uncertainty
 from ..verdict import MIN_OVERLAP
-from .movement import DEFAULT_TOLERANCE, CheckResult, Tolerance, compare_poses
+from .fit import preferences
+from .movement import (
+    DEFAULT_TOLERANCE,
+    ROTATION,
+    TRANSLATION,
+    CheckResult,
+    Method,
+    Tolerance,
+    compare_poses,
+)
+
+PARTS = ROTATION, TRANSLATION
+
+NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
+"""Warnings of a new calibration by poles that leave the scene alone to answer."""
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
 """1 σ about the stored pose from which the scene starts, rad and m: wide beside whatever the scene
@@ -42,12 +59,37 @@ right pose has up to 0.02 of them, at the edges of objects; wrong ones that clin
 0.02 and more, but are then as uncertain as the search was wide (benchmarks/check.py)."""
 
 
+PREFERRED = 2.0
+"""So many σ better the surfaces must fit under the new pose than under the stored one before it has
+moved. The new pose is fitted to them: chance alone makes up to ½ √16.8 = 2.05 of it, once in a
+hundred times (docs/check.md). Of 52 simulated recordings moved by the tolerance all have 2.8 and
+more, corridors of few places least (seeds 0 to 12)."""
+
+
 @dataclass(frozen=True, eq=False)
 class _NewPose:
-    """A pose found again, or None, and what there is to say of it."""
+    """A pose found again, or None, and what there is to say of it.
+
+    `unsure` says that it must not be taken for a movement, nor for none.
+    """
 
     pose: PoseEstimate | None
+    uncertainty: Uncertainty | None = None
     reasons: tuple[Reason, ...] = ()
+    unsure: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Clouds:
+    """The new recordings, without what moved, and both views where they are asked for."""
+
+    target: PointCloud
+    source: PointCloud
+
+    @cached_property
+    def views(self) -> tuple[View, View]:
+        """Both clouds, prepared to be compared."""
+        return view_of(self.target, SCORING_VOXEL), view_of(self.source, SCORING_VOXEL)
 
 
 def check(
@@ -55,6 +97,7 @@ def check(
     target: PointCloud,
     source: PointCloud,
     *,
+    uncertainty: Uncertainty | None = None,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
     radius: float = DEFAULT_RADIUS,
     radius_sigma: float = 0.0,
@@ -71,6 +114,9 @@ def check(
         New recordings of the same two LiDARs, each in its own frame. Poles are used where both
         see them, and need not stand where they stood; without, or without intensities, the scene
         must do.
+    uncertainty
+        The stored covariance in its two kinds, where these LiDARs were calibrated by this program;
+        None, as of a pose from elsewhere, shares no errors with the new one.
     tolerance
         The movement that matters.
     radius, radius_sigma, sensors, thresholds
@@ -83,7 +129,6 @@ def check(
     """
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
-    target, source = remove_dynamic_points(target), remove_dynamic_points(source)
     calibrate_again = partial(
         calibrate,
         radius=radius,
@@ -91,20 +136,45 @@ def check(
         sensors=sensors,
         thresholds=thresholds,
     )
-    by_poles = _by_poles(stored, target, source, calibrate_again)
+    again = calibrate_again(target, source)
+    clouds = _Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
+    by_poles = _by_poles(stored, clouds, again, calibrate_again)
+    reasons = by_poles.reasons
     if by_poles.pose is not None:
-        return compare_poses(stored, by_poles.pose, "poles", tolerance, by_poles.reasons)
-    by_scene = _by_scene(stored, target, source)
-    reasons = by_poles.reasons + by_scene.reasons
-    if by_scene.pose is not None:
-        return compare_poses(stored, by_scene.pose, "scene", tolerance, reasons)
-    return CheckResult("cannot_tell", reasons)
+        answer = _compared(stored, uncertainty, by_poles, "poles", tolerance, reasons)
+        denied = _denied_by_surfaces(stored, clouds, answer)
+        if denied is None:
+            return answer
+        reasons = (Reason("poles_not_trusted", denied.message, denied.values),)
+    model = ErrorModel(sizes_of(sensors[0]), sizes_of(sensors[1]))
+    by_scene = _by_scene(stored, clouds, model)
+    reasons += by_scene.reasons
+    if by_scene.pose is None:
+        return CheckResult("cannot_tell", reasons)
+    answer = _compared(stored, uncertainty, by_scene, "scene", tolerance, reasons)
+    denied = _denied_by_surfaces(stored, clouds, answer)
+    if denied is not None:
+        return replace(answer, status="cannot_tell", reasons=(*answer.reasons, denied))
+    return replace(answer, status="cannot_tell") if by_scene.unsure else answer
+
+
+def _compared(
+    stored: PoseEstimate,
+    uncertainty: Uncertainty | None,
+    new: _NewPose,
+    used: Method,
+    tolerance: Tolerance,
+    reasons: tuple[Reason, ...],
+) -> CheckResult:
+    assert new.pose is not None
+    both = uncertainty, new.uncertainty
+    return compare_poses(stored, new.pose, used, tolerance, reasons, both)
 
 
 def _by_poles(
     stored: PoseEstimate,
-    target: PointCloud,
-    source: PointCloud,
+    clouds: _Clouds,
+    again: Calibration,
     calibrate_again: Callable[..., Calibration],
 ) -> _NewPose:
     """Calibrate again, from all hypotheses: a LiDAR that was turned round must not seem unmoved.
@@ -112,32 +182,30 @@ def _by_poles(
     Only where the surroundings do not decide between them, those near the stored pose are
     preferred: no LiDAR comes loose to end up half a turn away in a place of that symmetry.
     """
-    answer = calibrate_again(target, source)
+    answer = again
     if [reason.code for reason in answer.reasons] == ["ambiguous"]:
         near = RotationPrior(stored.T_target_source[:3, :3], NEAR_STORED_ROTATION)
-        answer = calibrate_again(target, source, prior=near)
+        answer = calibrate_again(clouds.target, clouds.source, prior=near)
     pose = answer.refined or answer.poles
-    if pose is None or pose.covariance is None:
-        return _NewPose(
-            None,
-            tuple(Reason(prefixed("poles", r.code), r.message, r.values) for r in answer.reasons),
-        )
-    misfit = _misfit(target, source, pose.T_target_source)
+    if pose is None or pose.covariance is None or answer.T_target_source is None:
+        reasons = (Reason(prefixed("poles", r.code), r.message, r.values) for r in answer.reasons)
+        return _NewPose(None, reasons=tuple(reasons))
+    misfit = _misfit(clouds, pose.T_target_source)
     wrong = [misfit] if misfit is not None else []
-    wrong += [r for r in answer.reasons if r.code == "poles_and_scene_disagree"]
+    wrong += [r for r in answer.reasons if r.code in NOT_TRUSTED]
     if wrong:
-        return _NewPose(
-            None, tuple(Reason("poles_not_trusted", r.message, r.values) for r in wrong)
-        )
-    return _NewPose(pose, tuple(r for r in answer.reasons if r.code == "not_converged"))
+        reasons = (Reason("poles_not_trusted", r.message, r.values) for r in wrong)
+        return _NewPose(None, reasons=tuple(reasons))
+    said = tuple(r for r in answer.reasons if r.code == "not_converged")
+    return _NewPose(pose, answer.uncertainty, said)
 
 
-def _by_scene(stored: PoseEstimate, target: PointCloud, source: PointCloud) -> _NewPose:
+def _by_scene(stored: PoseEstimate, clouds: _Clouds, model: ErrorModel) -> _NewPose:
     """Lay the surfaces of both clouds on each other, from about the stored pose."""
     spread = np.r_[np.full(3, SEARCH_ROTATION), np.full(3, SEARCH_TRANSLATION)] ** 2
     start = PoseEstimate(stored.T_target_source, np.diag(spread), stored.rms)
     with threadpool_limits(1, user_api="blas"):
-        refined = refine(target, source, start)
+        refined = refine(clouds.target, clouds.source, start, model=model)
     if refined is None:
         reason = Reason(
             "no_common_surfaces",
@@ -146,23 +214,64 @@ def _by_scene(stored: PoseEstimate, target: PointCloud, source: PointCloud) -> _
             "the place has none; calibrate again",
             {},
         )
-        return _NewPose(None, (reason,))
-    misfit = _misfit(target, source, refined.pose.T_target_source)
+        return _NewPose(None, reasons=(reason,))
+    misfit = _misfit(clouds, refined.pose.T_target_source)
     if misfit is not None:
-        return _NewPose(None, (misfit,))
+        return _NewPose(None, reasons=(misfit,))
+    reasons: list[Reason] = []
     if not refined.converged:
-        reason = Reason(
-            "not_converged",
-            f"the registration of the scene still moved after {refined.iterations} iterations",
-            {"stage": "scene", "iterations": refined.iterations},
+        reasons.append(
+            Reason(
+                "not_converged",
+                f"the registration of the scene still moved after {refined.iterations} iterations",
+                {"stage": "scene", "iterations": refined.iterations},
+            )
         )
-        return _NewPose(refined.pose, (reason,))
-    return _NewPose(refined.pose)
+    if refined.other_minima:
+        furthest = max(refined.other_minima, key=lambda one: float(np.linalg.norm(one[3:])))
+        radians, metres = (float(np.linalg.norm(furthest[part])) for part in PARTS)
+        reasons.append(
+            Reason(
+                "several_minima",
+                "the surfaces of the new clouds fit each other at more than one pose near the "
+                f"stored one, {error(metres)} and {error(radians, 'rad')} apart; set up the poles",
+                {"apart_m": metres, "apart_rad": radians, "starts": 1 + len(refined.other_minima)},
+            )
+        )
+    return _NewPose(refined.pose, refined.uncertainty, tuple(reasons), bool(refined.other_minima))
 
 
-def _misfit(target: PointCloud, source: PointCloud, T: Array) -> Reason | None:
+def _denied_by_surfaces(
+    stored: PoseEstimate, clouds: _Clouds, answer: CheckResult
+) -> Reason | None:
+    """Say that the surfaces speak against a movement that was found; None where they do not.
+
+    They speak against one that makes them fit no better than the stored pose does, if they can see
+    such a movement at all: one of the same size the other way makes them fit worse. Where they
+    cannot, poles may know better.
+    """
+    if answer.status != "moved" or answer.T_target_source is None or answer.step is None:
+        return None
+    T = answer.T_target_source
+    beyond = se3.retract(T, answer.step)
+    by_new, by_beyond = preferences(
+        clouds.target, clouds.source, T, (stored.T_target_source, beyond)
+    )
+    seen = answer.used == "scene" or by_beyond >= PREFERRED or by_new <= -PREFERRED
+    if by_new >= PREFERRED or not seen:
+        return None
+    return Reason(
+        "stored_fits_as_well",
+        "the new clouds fit each other under the stored pose as well as under the one that was "
+        f"found, within their noise: the latter is better by {by_new:.1f} σ ({PREFERRED:g} are "
+        "needed)",
+        {"better_sigmas": by_new, "needed": PREFERRED},
+    )
+
+
+def _misfit(clouds: _Clouds, T: Array) -> Reason | None:
     """Say how far the clouds are from fitting together under a pose; None where they fit."""
-    views = view_of(target, SCORING_VOXEL), view_of(source, SCORING_VOXEL)
+    views = clouds.views
     sizes = {"target": views[0].size, "source": views[1].size}
     if min(sizes.values()) < MIN_CLOUD_POINTS:
         return Reason("too_few_points", "a cloud has too few points to compare", sizes)

@@ -1,9 +1,9 @@
 """Whether two poses, both with a covariance, are one: the test behind ``retropole check``.
 
-With ``d`` the step from the stored pose to the new one (`se3.local`) and ``S`` the sum of both
-covariances, ``dᵀ S⁻¹ d`` is χ² with 6 degrees of freedom where nothing moved. What both have in
-common, such as a range offset of the tape or of single rings, cancels in ``d`` but is counted twice
-in ``S``: the test errs towards *same*.
+With ``d`` the step from the stored pose to the new one (`se3.local`) and ``S`` its covariance,
+``dᵀ S⁻¹ d`` is χ² with 6 degrees of freedom where nothing moved. What both poses have in common,
+such as a range offset of the tape or of single rings, cancels in ``d`` and mostly in ``S``
+(`repeated`).
 
 A test that could not have seen a movement says nothing by not seeing one. So *same* is answered
 only where a movement of the size that matters would almost certainly have been found, about
@@ -21,6 +21,9 @@ from scipy.special import chdtrc, chdtri, chndtr
 
 from .. import se3
 from ..datatypes import Array, PoseEstimate, Reason
+from ..quantities import error
+from ..uncertainty import Uncertainty
+from .repeated import in_parts, step_covariance
 
 FALSE_ALARM = 0.01
 """How often the test may find a movement where there was none."""
@@ -78,7 +81,7 @@ class CheckResult:
         (6,) ``[φ, δ]`` from the stored pose to the new one, rad and m, target axes; δ is the
         translation of the source's origin.
     covariance
-        (6, 6) of the step: of the stored pose and of the new one together.
+        (6, 6) of the step: what of both poses' errors does not cancel.
     chi2, p_value
         The test, and how often so much comes about where nothing moved.
     power
@@ -132,24 +135,27 @@ def compare_poses(
     used: Method,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
     reasons: Sequence[Reason] = (),
+    uncertainties: tuple[Uncertainty | None, Uncertainty | None] = (None, None),
 ) -> CheckResult:
     """Test whether two poses are one.
 
     Parameters
     ----------
     stored, new
-        The poses, both with a covariance; their errors are taken as independent.
+        The poses, both with a covariance.
     used
         What the new one was found by.
     tolerance
         The movement that matters.
     reasons
         What is to be said beside.
+    uncertainties
+        Both covariances in their two kinds, where the same devices were used: their systematic
+        parts mostly cancel. None, as of a pose that something else found, cancels nothing.
     """
-    assert stored.covariance is not None
-    assert new.covariance is not None
+    parts = in_parts(stored, uncertainties[0]), in_parts(new, uncertainties[1])
     step = se3.local(stored.T_target_source, new.T_target_source)
-    covariance = np.asarray(stored.covariance + new.covariance)
+    covariance = step_covariance(*parts)
     chi2 = float(step @ np.linalg.solve(covariance, step))
     p_value = float(chdtrc(6, chi2))
     power = detection_power(covariance, tolerance)
@@ -157,7 +163,7 @@ def compare_poses(
     status: Status = "moved" if p_value < FALSE_ALARM else "same"
     if status == "same" and power < MIN_POWER:
         status = "cannot_tell"
-        said.append(_too_weak(stored.covariance, covariance, tolerance, power))
+        said.append(_too_weak(*parts, tolerance, power))
     elif status == "moved" and _certainly_below(step, covariance, tolerance):
         # Real LiDARs drift by more than their noise: an alarm each night would be switched off.
         status = "same"
@@ -203,8 +209,9 @@ def detection_power(covariance: Array, tolerance: Tolerance) -> float:
     return float(1.0 - chndtr(chdtri(6, FALSE_ALARM), 6, min(least, MAX_NONCENTRALITY)))
 
 
-def _too_weak(stored: Array, covariance: Array, tolerance: Tolerance, power: float) -> Reason:
+def _too_weak(stored: Uncertainty, new: Uncertainty, tolerance: Tolerance, power: float) -> Reason:
     """Say in which direction the step is least certain, and which of the two poses limits it."""
+    covariance = step_covariance(stored, new)
     rotation, translation = (
         least_certain(covariance, ROTATION),
         least_certain(covariance, TRANSLATION),
@@ -214,7 +221,9 @@ def _too_weak(stored: Array, covariance: Array, tolerance: Tolerance, power: flo
     part, worst = (
         (ROTATION, rotation.direction) if by_rotation else (TRANSLATION, translation.direction)
     )
-    share = float((worst @ stored[part, part] @ worst) / (worst @ covariance[part, part] @ worst))
+    # What does not cancel is blamed on the poses by what they would have had alone.
+    alone = [float(worst @ one.covariance[part, part] @ worst) for one in (stored, new)]
+    share = alone[0] / sum(alone)
     remedy = (
         "the stored calibration is the weaker part: calibrate again, with the scene or with more "
         "placements of the poles"
@@ -242,9 +251,9 @@ def _in_words(covariance: Array) -> str:
         least_certain(covariance, TRANSLATION),
     )
     return (
-        f"1 σ of the difference is {np.degrees(rotation.sigma):.2f}° about "
+        f"1 σ of the difference is {error(rotation.sigma, 'rad')} about "
         "({:+.2f} {:+.2f} {:+.2f}) ".format(*rotation.direction)
-        + f"and {100 * translation.sigma:.1f} cm along "
+        + f"and {error(translation.sigma)} along "
         + "({:+.2f} {:+.2f} {:+.2f}) of the target (the worst directions)".format(
             *translation.direction
         )

@@ -14,6 +14,7 @@ CheckCode = Literal[
     "too_weak",
     "within_tolerance",
     "size_unsure",
+    "stored_fits_as_well",
 ]
 
 CHECK: dict[CheckCode, Explanation] = {
@@ -58,6 +59,12 @@ CHECK: dict[CheckCode, Explanation] = {
         "It moved, by how much is uncertain",
         "That it moved is certain, by how much is not.",
         ("Calibrate again; after a gross movement, with poles.",),
+    ),
+    "stored_fits_as_well": Explanation(
+        "The stored pose fits as well as the one that was found",
+        "Another pose was found, but the surfaces of the new clouds fit each other no better under "
+        "it than under the stored one.",
+        ("Record again, more frames, or set up the poles.",),
     ),
 }
 
