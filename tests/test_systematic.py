@@ -1,0 +1,175 @@
+"""Systematic errors: their order, their groups, their sizes, and what they do to a return."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import Array
+from retropole.sensors import SENSORS
+from retropole.systematic import (
+    BAND,
+    DEVICE,
+    DEVICE_KINDS,
+    MAX_TANGENT,
+    MIN_ERROR_SIGMA,
+    MIN_ZERO,
+    NO_ERRORS,
+    RADIUS,
+    RANGE_TO_OFFSET,
+    SHARED_ERRORS,
+    ErrorModel,
+    Layout,
+    Sizes,
+    band_of,
+    by_error,
+    groups_of,
+    joined,
+    sizes_of,
+)
+from tests.numeric import numeric_jacobian
+
+SMALL = Layout((np.array([-3, 1]), np.array([4])))
+OTHER = Layout((np.array([-5, 1, 2]), np.array([3, 6])))
+
+
+def named(layout: Layout) -> list[object]:
+    """What stands at each place of a layout."""
+    names: list[object] = [f"shared {k}" for k in range(layout.size)]
+    for lidar in (0, 1):
+        for kind in (0, 1):
+            names[layout.rings(lidar, kind)] = [(lidar, kind, int(b)) for b in layout.bands[lidar]]
+    return names
+
+
+def test_every_error_has_a_place_of_its_own() -> None:
+    parts = [OTHER.device(0), OTHER.device(1), slice(RADIUS, RADIUS + 1)]
+    parts += [OTHER.rings(lidar, kind) for lidar in (0, 1) for kind in (0, 1)]
+    places = np.concatenate([np.arange(OTHER.size)[part] for part in parts])
+    np.testing.assert_array_equal(np.sort(places), np.arange(OTHER.size))
+
+
+def test_places_in_a_layout_with_more_bands() -> None:
+    whole = joined(SMALL, OTHER)
+    names = named(whole)
+    for layout in (SMALL, OTHER, whole):
+        found = [names[place] for place in layout.places_in(whole)]
+        assert found == named(layout)
+
+
+def test_joining_knows_no_order_and_adds_nothing() -> None:
+    for a, b in ((SMALL, OTHER), (OTHER, SMALL)):
+        whole = joined(a, b)
+        np.testing.assert_array_equal(whole.bands[0], [-5, -3, 1, 2])
+        np.testing.assert_array_equal(whole.bands[1], [3, 4, 6])
+    again = joined(SMALL, SMALL)
+    for lidar in (0, 1):
+        np.testing.assert_array_equal(again.bands[lidar], SMALL.bands[lidar])
+
+
+def test_groups_have_one_kind_of_one_lidar() -> None:
+    groups = groups_of(OTHER)
+    assert len(groups.label) == OTHER.size
+    np.testing.assert_array_equal(np.unique(groups.label), np.arange(len(groups.kinds)))
+    for lidar in (0, 1):
+        for k, kind in enumerate(DEVICE_KINDS):
+            group = groups.label[OTHER.device(lidar)][k]
+            assert (groups.kinds[group], groups.sensors[group]) == (kind, lidar)
+        for k, field in enumerate(("ring_range", "ring_elevation")):
+            group = np.unique(groups.label[OTHER.rings(lidar, k)])
+            assert len(group) == 1
+            assert groups.kinds[group[0]].field == field
+            assert groups.sensors[group[0]] == lidar
+    assert groups.sensors[groups.label[RADIUS]] is None
+    # Cosine and sine of one error have one size; nothing else of a LiDAR shares one.
+    assert len(groups.kinds) == 2 * (DEVICE - 2 + 2) + 1
+
+
+def test_sigmas_are_those_of_their_lidar() -> None:
+    sizes = [Sizes(*(scale * (k + 1) for k in range(8))) for scale in (1.0, 100.0)]
+    groups = groups_of(OTHER)
+    sigma = ErrorModel(sizes[0], sizes[1], 7.5).sigmas(groups)
+    for kind, lidar, value in zip(groups.kinds, groups.sensors, sigma, strict=True):
+        assert value == (7.5 if lidar is None else getattr(sizes[lidar], kind.field))
+    none = ErrorModel(NO_ERRORS, NO_ERRORS, 0.0).sigmas(groups)
+    np.testing.assert_array_equal(none, MIN_ERROR_SIGMA)
+
+
+def test_every_size_belongs_to_a_group() -> None:
+    found = {kind.field for kind in groups_of(OTHER).kinds} - {"radius"}
+    assert found == {field.name for field in fields(Sizes)}
+
+
+def test_sizes_follow_the_manufacturer() -> None:
+    assert sizes_of(None) == Sizes()
+    for sensor in SENSORS.values():
+        sizes = sizes_of(sensor)
+        assert sizes.zero >= MIN_ZERO
+        if sensor.range_accuracy is None:
+            assert sizes == Sizes()
+        else:
+            stated = sensor.range_accuracy / RANGE_TO_OFFSET
+            assert sizes.zero == pytest.approx(max(stated, MIN_ZERO))
+    assert sizes_of(SENSORS["OS1"]).tape > 3 * sizes_of(SENSORS["VLP-16"]).tape
+
+
+def test_bands_are_one_degree_of_elevation() -> None:
+    elevation = np.radians([-15.0, -0.2, 0.0, 0.99, 1.01, 90.0])
+    azimuth = np.linspace(0.0, 6.0, 6)
+    assert np.degrees(BAND) == pytest.approx(1.0)
+    np.testing.assert_array_equal(band_of(ray(azimuth, elevation + 1e-9)), [-15, -1, 0, 0, 1, 90])
+
+
+def ray(azimuth: Array, elevation: Array) -> Array:
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+
+
+@pytest.mark.parametrize("tape", [False, True])
+def test_derivative_by_the_errors(tape: bool) -> None:
+    """The true return is where the formulas at the head of `systematic` put it."""
+    rng = np.random.default_rng(0)
+    n = 40
+    azimuth, elevation = rng.uniform(-np.pi, np.pi, n), rng.uniform(-0.5, 0.5, n)
+    ranges, tangent = rng.uniform(1.0, 60.0, n), rng.uniform(0.0, 2 * MAX_TANGENT, n)
+
+    def true_return(b: Array) -> Array:
+        zero, scale, slant, encoder_c, encoder_s, wobble_c, wobble_s, on_tape = b[:DEVICE]
+        ring_range, ring_elevation = b[DEVICE:]
+        rho = ranges - zero - scale * ranges - slant * ranges * np.minimum(tangent, MAX_TANGENT)
+        rho = rho - (on_tape if tape else 0.0) - ring_range
+        turned = azimuth + encoder_c * np.cos(azimuth) + encoder_s * np.sin(azimuth)
+        raised = elevation + wobble_c * np.cos(azimuth) + wobble_s * np.sin(azimuth)
+        return np.asarray(rho[:, None] * ray(turned, raised + ring_elevation))
+
+    def along(direction: Array) -> Array:
+        return ranges[:, None] * direction
+
+    rays = ray(azimuth, elevation)
+    by_azimuth = along(np.stack([-rays[:, 1], rays[:, 0], 0 * azimuth], axis=1))
+    by_elevation = along(
+        np.stack(
+            [
+                -np.sin(elevation) * np.cos(azimuth),
+                -np.sin(elevation) * np.sin(azimuth),
+                np.cos(elevation),
+            ],
+            axis=1,
+        )
+    )
+    device, ring = by_error(rays, by_azimuth, by_elevation, rays, ranges, tangent, tape)
+    found = np.concatenate([device, ring], axis=2)
+    np.testing.assert_allclose(found, numeric_jacobian(true_return, DEVICE + 2), atol=1e-5)
+    # Of a scalar of each return, such as a residual, the shape has one axis less.
+    scalar = by_error(rays[:, 0], by_azimuth[:, 0], by_elevation[:, 0], rays, ranges, tangent, tape)
+    np.testing.assert_allclose(np.concatenate(scalar, axis=1), found[:, 0], atol=1e-12)
+
+
+def test_no_constant_error_of_the_azimuth() -> None:
+    """It would be a rotation of the LiDAR's own frame, which no scan can show."""
+    assert SHARED_ERRORS == 2 * DEVICE + 1
+    azimuth = np.linspace(-np.pi, np.pi, 361)[:-1]
+    rays, one = ray(azimuth, 0 * azimuth), np.ones(360)
+    device, ring = by_error(0 * one, one, 0 * one, rays, one, one, tape=True)
+    np.testing.assert_allclose(device.mean(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(ring, 0.0)
