@@ -38,12 +38,13 @@ from .matching.placements import (
 )
 from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation
+from .scene.agreement import check_axes, check_contradiction
 from .scene.refinement import Refinement, refine
 from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
 from .uncertainty import predicted_error, weakest_direction
-from .verdict import check_axes, check_choice, check_contradiction, margin_of, weaknesses
+from .verdict import check_choice, margin_of, weaknesses
 
 
 def calibrate(

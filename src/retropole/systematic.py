@@ -35,6 +35,10 @@ RANGE_TO_OFFSET = 3.0
 """A manufacturer's ± figure for the range is taken for so many σ of the offset that all returns
 share: the bound that hardly any device exceeds."""
 
+USUAL_TAPE = 0.007
+"""1 σ of the range offset on tape, metres, of a LiDAR that is known and whose manufacturer states
+nothing of retro-reflectors: an assumption."""
+
 MIN_ZERO = 0.005
 """Least 1 σ of the range offset, metres, whatever the manufacturer says."""
 
@@ -69,12 +73,12 @@ class Sizes:
         Of each ring, metres and rad.
     """
 
-    zero: float = 0.007
+    zero: float = 0.010
     scale: float = 2e-4
     slant: float = 3e-4
     encoder: float = float(np.radians(0.02))
     wobble: float = float(np.radians(0.006))
-    tape: float = 0.007
+    tape: float = 0.010
     ring_range: float = 0.004
     ring_elevation: float = float(np.radians(0.02))
 
@@ -84,7 +88,7 @@ def sizes_of(sensor: Sensor | None) -> Sizes:
     if sensor is None or sensor.range_accuracy is None:
         return Sizes()
     zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
-    tape = Sizes.tape if sensor.retro_accuracy is None else sensor.retro_accuracy / RANGE_TO_OFFSET
+    tape = USUAL_TAPE if sensor.retro_accuracy is None else sensor.retro_accuracy / RANGE_TO_OFFSET
     return replace(Sizes(), zero=zero, tape=tape)
 
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.special import chdtri
 
-from .alignment.adjustment import RADIUS_DENIED, BeamAlignment
+from .alignment.adjustment import BeamAlignment
 from .datatypes import Hypothesis, Pole, Reason, Scan
 from .errors import Refusal
 from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
 from .matching.placements import PairedPlacement
-from .quantities import error, value, value_and_error
+from .scene.agreement import check_agreement, check_minima, check_radius
 from .scene.refinement import Refinement
 from .uncertainty import WeakDirection
 
@@ -38,15 +37,6 @@ different places with the same poles the best has 0.30 (docs/hypotheses.md)."""
 
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""
-
-WARN_MAHALANOBIS_SQ, MAX_MAHALANOBIS_SQ = 22.5, 100.0
-"""Squared Mahalanobis distance of the refined pose from the poles' own above which it is said, and
-above which the answer is refused. χ² with 6 degrees of freedom exceeds the first once in a thousand
-times. In 56 simulated recordings between which a pole was moved by 3 to 15 cm, the refined pose was
-off by more than 0.1 m or 1° only beyond the second, or where the poles were found inconsistent."""
-
-AXES_CHANCE = 1e-3
-"""How often poles that stood still may be taken for inconsistent."""
 
 FEW_POINTS = 12
 """Returns on a pole below which its line is weak."""
@@ -151,9 +141,9 @@ def weaknesses(
         *_weak_poles(paired),
         *_noisy_poles(paired[0], aligned),
         *_weak_pose(aligned, weakest),
-        *_radius_denied(aligned),
+        *check_radius(aligned),
         *check_agreement(refined),
-        *_several_minima(refined),
+        *check_minima(refined),
         *_not_converged(aligned, refined),
     ]
 
@@ -246,100 +236,6 @@ def _weak_pose(aligned: BeamAlignment, weakest: WeakDirection) -> Iterator[Reaso
                 "different sides of the LiDARs",
                 {"sigma_m": with_offset, "sigma_if_known_m": without},
             )
-
-
-def check_axes(aligned: BeamAlignment) -> None:
-    """Refuse poles that did not stand to each other alike when each LiDAR recorded them.
-
-    Raises
-    ------
-    Refusal
-        ``poles_inconsistent``.
-    """
-    test = aligned.axes_test
-    limit = float(chdtri(test.freedom, AXES_CHANCE))
-    if test.chi2 > limit:
-        worst = int(np.argmax(test.by_pole))
-        raise Refusal(
-            "poles_inconsistent",
-            "the poles do not stand to each other alike in both recordings: χ² is "
-            f"{test.chi2:.0f} with {test.freedom} degrees of freedom, {limit:.0f} are allowed, and "
-            f"pole {worst} fits worst; did one move between the recordings, or is one another "
-            "object?",
-            {"chi2": test.chi2, "limit": limit, "dof": test.freedom, "pole": worst},
-        )
-
-
-def check_contradiction(refined: Refinement | None) -> None:
-    """Refuse poles and a scene that give poses further apart than both allow by far.
-
-    Raises
-    ------
-    Refusal
-        ``poles_scene_contradict``.
-    """
-    if refined is None or refined.mahalanobis_sq <= MAX_MAHALANOBIS_SQ:
-        return
-    apart = refined.from_poles
-    raise Refusal(
-        "poles_scene_contradict",
-        f"the scene has the LiDARs {error(apart.translation, 'm')} and "
-        f"{error(apart.rotation, 'rad')} from where the poles have them, "
-        f"{np.sqrt(refined.mahalanobis_sq / 6):.0f} times what their uncertainty allows: did a "
-        "pole move between the two recordings, or is one another object?",
-        {
-            "mahalanobis_sq": refined.mahalanobis_sq,
-            "moved_m": apart.translation,
-            "turned_rad": apart.rotation,
-        },
-    )
-
-
-def _radius_denied(aligned: BeamAlignment) -> Iterator[Reason]:
-    radius = aligned.radius
-    if aligned.radius_denied > RADIUS_DENIED:
-        yield Reason(
-            "radius_differs",
-            f"the returns deny the given radius, {value(radius.given, radius.sigma)}, by "
-            f"{aligned.radius_denied:.0f} σ and have "
-            f"{value_and_error(radius.estimated, radius.sigma)}: is --radius a diameter? The "
-            "answer uses what the returns have",
-            {"given_m": radius.given, "estimated_m": radius.estimated, "sigma_m": radius.sigma},
-        )
-
-
-def _several_minima(refined: Refinement | None) -> Iterator[Reason]:
-    if refined is not None and refined.other_minima:
-        furthest = max(refined.other_minima, key=lambda step: float(np.linalg.norm(step[3:])))
-        metres, radians = (float(np.linalg.norm(part)) for part in (furthest[3:], furthest[:3]))
-        yield Reason(
-            "several_minima",
-            "from other starts within the poles' uncertainty the scene leads to another pose, "
-            f"{error(metres, 'm')} and {error(radians, 'rad')} away; the one that more of the "
-            "scene agrees with is given",
-            {"apart_m": metres, "apart_rad": radians, "starts": 1 + len(refined.other_minima)},
-        )
-
-
-def check_agreement(refined: Refinement | None) -> list[Reason]:
-    """Warn where the scene moves the pose further away than the poles' uncertainty allows."""
-    if refined is None or refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ:
-        return []
-    apart = refined.from_poles
-    return [
-        Reason(
-            "poles_and_scene_disagree",
-            f"the scene moves the pose {1000 * apart.translation:.0f} mm and "
-            f"{np.degrees(apart.rotation):.2f}° away from the poles, "
-            f"{np.sqrt(refined.mahalanobis_sq / 6):.1f} times what their uncertainty allows: did "
-            "something move between the two recordings, or is --radius wrong?",
-            {
-                "pull": refined.mahalanobis_sq,
-                "moved_m": apart.translation,
-                "turned_rad": apart.rotation,
-            },
-        )
-    ]
 
 
 def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterator[Reason]:
