@@ -2,17 +2,17 @@ import json
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from retropole import se3
 from retropole.datatypes import Array, PointCloud, PoseEstimate
 from retropole.evaluation.metrics import e_rt
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
-from retropole.scene.patch_pairs import pair_patches
+from retropole.scene.patch_pairs import pair_patches, prepare_patches
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import refine
 from retropole.simulation import record_again, simulate_pair
+from retropole.systematic import Layout
 from retropole.verdict import check_agreement
 from tests.numeric import CHI2_6_95, mahalanobis_sq, numeric_jacobian
 from tests.paths import SHARED
@@ -34,19 +34,21 @@ def floor(rng: np.random.Generator, count: int = 30_000) -> PointCloud:
 
 def test_jacobian_equals_finite_differences() -> None:
     pair = simulate_pair("corridor", np.random.default_rng(4))
-    target, source = surface_patches(pair.target), surface_patches(pair.source)
-    tree, T, tight = cKDTree(target.centres), pair.T_target_source, 1e-12 * np.eye(6)
+    patches = surface_patches(pair.target), surface_patches(pair.source)
+    layout = Layout((np.unique(patches[0].bands), np.unique(patches[1].bands)))
+    sets = prepare_patches(patches[0], patches[1], layout)
+    T, tight = pair.T_target_source, 1e-12 * np.eye(6)
 
     def residuals(step: Array) -> Array:
-        found = pair_patches(target, source, tree, se3.retract(T, step), tight, False)
+        found = pair_patches(sets, se3.retract(T, step), tight, False)
         assert found is not None
         return found.residuals
 
-    here = pair_patches(target, source, tree, T, tight, False)
+    here = pair_patches(sets, T, tight, False)
     assert here is not None
     derivative = numeric_jacobian(residuals, 6, 1e-8)
-    # The normal is the mean of both patches', so it rotates with the pose; where they agree that
-    # changes the residual by nothing that counts.
+    # The normal and the blend of the target's patches change with the pose; where the patches agree
+    # that changes the residual by nothing that counts.
     small = np.abs(here.residuals) < 0.005
     error = np.abs(derivative - here.jacobian)[small]
     assert np.all(np.median(error, axis=0) < 1e-2 * np.abs(here.jacobian).max(axis=0).clip(1.0))
@@ -159,7 +161,7 @@ def test_a_refinement_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) 
     pair = simulate_pair("street", np.random.default_rng(21))
     start = off_pose(pair.T_target_source)
     whole = refine(pair.target, pair.source, start)
-    monkeypatch.setattr("retropole.scene.refinement.MAX_REFINEMENT_ITERATIONS", 2)
+    monkeypatch.setattr("retropole.scene.descent.MAX_REFINEMENT_ITERATIONS", 2)
     short = refine(pair.target, pair.source, start)
     assert whole is not None
     assert short is not None
