@@ -94,6 +94,7 @@ def refine(
     *,
     factor: PoleFactor | None = None,
     model: ErrorModel | None = None,
+    start: Array | None = None,
     origins_known: bool = False,
 ) -> Refinement | None:
     """Let the scene sharpen the pose that the poles give.
@@ -103,12 +104,14 @@ def refine(
     target, source
         Clouds, each in its own frame.
     poles
-        Pose and covariance of the poles, from which the search starts.
+        Pose and covariance of the poles.
     factor
         What the poles say of the pose and the errors; None takes `poles` for a normal distribution
         of the pose that says nothing of the errors.
     model
         Sizes of the errors; None takes those of unknown LiDARs.
+    start
+        (4, 4) where the search starts; None takes the poles' pose.
     origins_known
         Whether the beams of both clouds start where `PointCloud.origin` says; without, the front of
         an object and its back cannot be told apart by their normals.
@@ -131,7 +134,8 @@ def refine(
     problem = RefinementProblem(
         sets, thinned(sets, FEW), given.within(layout), groups, known, origins_known
     )
-    end = descend(problem, poles.T_target_source, poles.covariance)
+    first = poles.T_target_source if start is None else start
+    end = descend(problem, first, poles.covariance)
     if end is None:
         return None
     others = [descend(problem, T, poles.covariance) for T in _other_starts(poles, source)]
