@@ -19,7 +19,7 @@ from ..systematic import Groups
 from ..uncertainty import BudgetEntry, Uncertainty, predicted_error
 from .factor import POSE, PoleFactor
 
-FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.004)), 0.001
+FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
 """1 σ about and along each axis that no model names, rad and m: bent housings, temperature, grounds
 that are not flat, time between the recordings."""
 

@@ -36,7 +36,7 @@ from .patch_pairs import (
 )
 from .patches import surface_patches
 
-PLACE_BIAS = 0.0008
+PLACE_BIAS = 0.0005
 """1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the
 downsampling, which keeps more of the far tail of the noise than of the middle."""
 
