@@ -12,7 +12,8 @@ from tests.paths import PACKAGE
 
 LAYERS = (
     # Ground: what all share.
-    *("reasons", "se3", "errors", "files", "sensors", "quantities", "uncertainty", "datatypes"),
+    *("reasons", "se3", "errors", "files", "sensors", "quantities"),
+    *("uncertainty", "systematic", "datatypes"),
     # The steps: a match is solved by alignment, and the scene scores matches.
     *("io", "extraction", "alignment", "matching", "scene"),
     # The method and its answer.

@@ -67,6 +67,36 @@ def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None
     assert metres < 0.03
 
 
+def sigmas_apart(answer: Calibration, T: Array, stage: str) -> float:
+    """Distance of a pose from the answer's own, in what the answer states."""
+    pose = getattr(answer, stage)
+    step = se3.local(pose.T_target_source, T)
+    return float(np.sqrt(step @ np.linalg.solve(pose.covariance, step)))
+
+
+def test_frames_and_order_of_the_clouds_move_the_answer_by_less_than_its_uncertainty(
+    corridor: SimulatedPair,
+) -> None:
+    """The poles are one and the same; surfaces are sampled anew, by cells of another raster.
+
+    Frames keep their vertical, which the errors of rings and of the encoder refer to. Half of all
+    answers with an honest uncertainty lie further than 2.3 from the truth.
+    """
+    rng = np.random.default_rng(0)
+    A, B = (
+        se3.from_rt(se3.exp_so3(np.array([0, 0, rng.uniform(-3, 3)])), rng.uniform(-5, 5, 3))
+        for _ in range(2)
+    )
+    plain = calibrate(corridor.target, corridor.source)
+    moved = calibrate(corridor.target.transformed(A), corridor.source.transformed(B))
+    swapped = calibrate(corridor.source, corridor.target)
+    for stage, most in (("poles", 0.2), ("refined", 2.3)):
+        back = se3.inverse(A) @ getattr(moved, stage).T_target_source @ B
+        assert sigmas_apart(plain, back, stage) < most
+        inverse = se3.inverse(getattr(swapped, stage).T_target_source)
+        assert sigmas_apart(plain, inverse, stage) < most
+
+
 def test_the_order_of_the_points_does_not_matter(corridor: SimulatedPair) -> None:
     rng = np.random.default_rng(1)
     shuffled = [

@@ -1,11 +1,17 @@
+"""Ok, warn or refused: each rule on made-up answers, on both of its sides."""
+
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from retropole.alignment.adjustment import BeamAlignment
+from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment
+from retropole.alignment.factor import AxesTest, gaussian_factor
 from retropole.datatypes import (
+    Array,
     Detection,
     Hypothesis,
     Match,
@@ -13,12 +19,22 @@ from retropole.datatypes import (
     PointCloud,
     Pole,
     PoseEstimate,
+    Reason,
     Scan,
 )
 from retropole.errors import Refusal
 from retropole.matching.placements import PairedPlacement
+from retropole.scene.agreement import (
+    AXES_CHANCE,
+    MAX_MAHALANOBIS_SQ,
+    WARN_MAHALANOBIS_SQ,
+    check_axes,
+    check_contradiction,
+)
+from retropole.scene.refinement import Refinement
+from retropole.se3 import PoseDifference
 from retropole.sensors import SENSORS
-from retropole.uncertainty import WeakDirection
+from retropole.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
 from retropole.verdict import (
     LEAST_OVERLAP,
     MIN_COVISIBLE_OVERLAP,
@@ -28,6 +44,13 @@ from retropole.verdict import (
     weaknesses,
 )
 from tests.conftest import PoleMaker
+
+
+@pytest.fixture
+def good(make_pole: PoleMaker) -> list[Pole]:
+    """Two poles, one of which leans."""
+    lean = np.array([np.sin(0.5), 0, np.cos(0.5)])
+    return [make_pole([4.0, -1, 0], [0, 0, 1.0]), make_pole([4.0, 1, 0], lean)]
 
 
 def hypothesis(
@@ -76,17 +99,38 @@ def test_overlap_may_be_small_where_that_of_what_both_see_is_not(
         check_choice([best, hypothesis(-0.5, 0.0)])
 
 
+AXES = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.8]])
+
+
 def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.01) -> BeamAlignment:
-    points, axes = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.8]])
+    pose = PoseEstimate(np.eye(4), sigma**2 * np.eye(6), noise)
     return BeamAlignment(
-        PoseEstimate(np.eye(4), sigma**2 * np.eye(6), noise),
-        if_known**2 * np.eye(6),
-        points,
-        axes,
-        0.02,
-        0.0,
-        (noise, 0.01),
-        (0.005, 0.005),
+        pose=pose,
+        uncertainty=Uncertainty(sigma**2 * np.eye(6), np.zeros((6, 6))),
+        factor=gaussian_factor(pose),
+        covariance_if_known=if_known**2 * np.eye(6),
+        axis_points=AXES[0],
+        axis_directions=AXES[1],
+        radius=RadiusEstimate(0.02, 0.0004, 0.02, 0.0004),
+        radius_denied=0.0,
+        axes_test=AxesTest(1.5, 2, np.array([1.0, 0.5])),
+        noise=(noise, 0.01),
+        lateral_noise=(0.005, 0.005),
+    )
+
+
+def a_refinement(
+    mahalanobis_sq: float = 5.0, minima: Sequence[Array] = (), converged: bool = True
+) -> Refinement:
+    return Refinement(
+        pose=PoseEstimate(np.eye(4), 1e-6 * np.eye(6), 0.01),
+        uncertainty=Uncertainty(1e-6 * np.eye(6), np.zeros((6, 6))),
+        patches=500,
+        mahalanobis_sq=mahalanobis_sq,
+        from_poles=PoseDifference(float(np.radians(0.4)), 0.052),
+        other_minima=tuple(minima),
+        converged=converged,
+        iterations=40,
     )
 
 
@@ -106,18 +150,28 @@ def codes_of(
     aligned: BeamAlignment | None = None,
     hypotheses: tuple[Hypothesis, ...] = (hypothesis(0.9), hypothesis(0.3)),
     weak: float = 0.01,
+    refined: Refinement | None = None,
 ) -> list[str]:
-    weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
-    paired = paired_placement(target, source)
-    found = weaknesses([paired], hypotheses, aligned or an_alignment(), weakest, None)
+    found = reasons_of(target, source, aligned, hypotheses, weak, refined)
     return [reason.code for reason in found]
 
 
-def test_weak_poles_are_named(make_pole: PoleMaker) -> None:
-    up, lean = np.array([0.0, 0, 1]), np.array([np.sin(0.5), 0, np.cos(0.5)])
-    good = [make_pole([4.0, -1, 0], up), make_pole([4.0, 1, 0], lean)]
+def reasons_of(
+    target: list[Pole],
+    source: list[Pole],
+    aligned: BeamAlignment | None = None,
+    hypotheses: tuple[Hypothesis, ...] = (hypothesis(0.9), hypothesis(0.3)),
+    weak: float = 0.01,
+    refined: Refinement | None = None,
+) -> list[Reason]:
+    weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
+    paired = paired_placement(target, source)
+    return weaknesses([paired], hypotheses, aligned or an_alignment(), weakest, refined)
+
+
+def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
     assert codes_of(good, good) == []
-    few = [make_pole([4.0, -1, 0], up, count=7), good[1]]
+    few = [make_pole([4.0, -1, 0], [0, 0, 1.0], count=7), good[1]]
     assert codes_of(good, few) == ["few_points"]
     assert codes_of([replace(good[0], rings=3), good[1]], good) == ["few_rings"]
     slight = make_pole([4.0, 1, 0], [np.sin(0.15), 0, np.cos(0.15)])
@@ -126,10 +180,83 @@ def test_weak_poles_are_named(make_pole: PoleMaker) -> None:
     assert codes_of(good, good, hypotheses=close) == ["small_margin"]
 
 
-def test_weak_poses_are_named(make_pole: PoleMaker) -> None:
-    up, lean = np.array([0.0, 0, 1]), np.array([np.sin(0.5), 0, np.cos(0.5)])
-    good = [make_pole([4.0, -1, 0], up), make_pole([4.0, 1, 0], lean)]
+def test_weak_poses_are_named(good: list[Pole]) -> None:
     assert codes_of(good, good, an_alignment(noise=0.04)) == ["noisy_poles"]
     assert codes_of(good, good, weak=0.08) == ["weak_direction"]
     uncertain = an_alignment(sigma=0.08, if_known=0.01)
     assert codes_of(good, good, uncertain, weak=0.08) == ["weak_direction", "offset_not_separable"]
+
+
+def test_several_minima_are_told_with_the_furthest(good: list[Pole]) -> None:
+    near, far = np.array([0, 0, 0.001, 0.02, 0, 0]), np.array([0, 0, 0.01, 0, 0.3, 0.4])
+    assert codes_of(good, good, refined=a_refinement()) == []
+    (reason,) = reasons_of(good, good, refined=a_refinement(minima=[near, far]))
+    assert reason.code == "several_minima"
+    assert reason.values == pytest.approx({"apart_m": 0.5, "apart_rad": 0.01, "starts": 3})
+    assert "0.50 m" in reason.message
+    assert "0.57°" in reason.message
+
+
+def test_a_radius_that_the_returns_deny_is_told(good: list[Pole]) -> None:
+    radius = RadiusEstimate(0.04, 0.0008, 0.0203, 0.0011)
+    (reason,) = reasons_of(
+        good, good, replace(an_alignment(), radius=radius, radius_denied=RADIUS_DENIED + 4)
+    )
+    assert reason.code == "radius_differs"
+    assert reason.values == {"given_m": 0.04, "estimated_m": 0.0203, "sigma_m": 0.0011}
+    assert "40.0 mm" in reason.message
+    assert "20.3 ± 1.1 mm" in reason.message
+    hardly = replace(an_alignment(), radius=radius, radius_denied=RADIUS_DENIED - 0.1)
+    assert codes_of(good, good, hardly) == []
+
+
+def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
+    good: list[Pole],
+) -> None:
+    agree, disagree, contradict = (
+        a_refinement(square)
+        for square in (
+            0.9 * WARN_MAHALANOBIS_SQ,
+            1.1 * WARN_MAHALANOBIS_SQ,
+            1.1 * MAX_MAHALANOBIS_SQ,
+        )
+    )
+    for refined in (None, agree, disagree):
+        check_contradiction(refined)
+    assert codes_of(good, good, refined=agree) == []
+    (reason,) = reasons_of(good, good, refined=disagree)
+    assert reason.code == "poles_and_scene_disagree"
+    assert "52 mm" in reason.message
+    assert "0.40°" in reason.message
+    with pytest.raises(Refusal) as refusal:
+        check_contradiction(contradict)
+    assert refusal.value.code == "poles_scene_contradict"
+    assert "52 mm" in str(refusal.value)
+    assert refusal.value.values["mahalanobis_sq"] == contradict.mahalanobis_sq
+
+
+@pytest.mark.parametrize("freedom", [2, 6])
+def test_poles_that_do_not_stand_alike_are_refused(freedom: int) -> None:
+    """Of three poles the one that explains most is named; of two neither can be told."""
+    limit = float(chi2.isf(AXES_CHANCE, freedom))
+    by_pole = np.array([3.0, 9.0] if freedom == 2 else [3.0, 9.0, 4.0])
+    check_axes(replace(an_alignment(), axes_test=AxesTest(0.99 * limit, freedom, by_pole)))
+    with pytest.raises(Refusal) as refusal:
+        check_axes(replace(an_alignment(), axes_test=AxesTest(1.01 * limit, freedom, by_pole)))
+    assert refusal.value.code == "poles_inconsistent"
+    assert refusal.value.values["pole"] == (-1 if freedom == 2 else 1)
+    assert refusal.value.values["dof"] == freedom
+    assert ("freeing pole 1" in str(refusal.value)) == (freedom == 6)
+
+
+def test_what_still_moves_is_told_stage_by_stage(good: list[Pole]) -> None:
+    stages = [
+        reason.values["stage"]
+        for reason in reasons_of(
+            good,
+            good,
+            replace(an_alignment(), converged=False),
+            refined=a_refinement(converged=False),
+        )
+    ]
+    assert stages == ["poles", "refined"]

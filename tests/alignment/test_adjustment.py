@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.alignment.adjustment import BeamAlignment, align_beams
+from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment, align_beams
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import SHARED, Priors, State, beam_geometry, evaluate
 from retropole.datatypes import Array, PointCloud, Pole
@@ -14,11 +14,13 @@ from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.sensors import SENSORS
 from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
+from retropole.systematic import NO_ERRORS, Sizes
 from tests.conftest import PoleMaker
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
 
 THIN = replace(SENSORS["VLP-16"], divergence=0.0)
 NOISY = NoiseModel(0.6, 0.0, 0.0, False, 0.0, 0.0, 0.0)
+NONE = (NO_ERRORS, NO_ERRORS)
 
 
 def poles_of(pair: SimulatedPair, side: int, cloud: PointCloud | None = None) -> list[Pole]:
@@ -51,11 +53,11 @@ def align(
     *,
     radius: float = 0.02,
     radius_sigma: float = 0.0,
-    bias: float = 0.0,
+    sizes: tuple[Sizes, Sizes] = NONE,
 ) -> BeamAlignment:
     T = pair.T_target_source if start is None else start
     target, source = both_beams(pair)
-    return align_beams(target, source, T, radius=radius, radius_sigma=radius_sigma, bias=bias)
+    return align_beams(target, source, T, radius=radius, radius_sigma=radius_sigma, sizes=sizes)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -73,7 +75,7 @@ def test_lines_are_exact_to_numerical_precision(make_pole: PoleMaker) -> None:
     cloud = PointCloud(np.ones((1, 3)))
     beams = [beams_of([(pole, cloud) for pole in poles], THIN) for poles in (target, source)]
     start = se3.retract(T, np.full(6, 0.002))
-    found = align_beams(beams[0], beams[1], start, radius=0.0, bias=0.0)
+    found = align_beams(beams[0], beams[1], start, radius=0.0, sizes=NONE)
     assert np.abs(se3.local(found.pose.T_target_source, T)).max() < 1e-6
 
 
@@ -114,7 +116,7 @@ def test_gradient_of_the_posterior() -> None:
         se3.apply(T, np.array([pole.centre for pole in pair.poles])),
         np.array([pole.axis for pole in pair.poles]) @ T[:3, :3].T,
     )
-    noise, priors = np.log(np.full((2, 2), 0.008)), Priors(0.004, 0.02, 0.003)
+    noise, priors = np.log(np.full((2, 2), 0.008)), Priors((0.004, 0.006), 0.02, 0.003)
     fit = evaluate(state, noise, beams, priors)
 
     def cost(step: Array) -> Array:
@@ -143,7 +145,7 @@ def test_swapping_inverts() -> None:
     pair = paper(3)
     target, source = both_beams(pair)
     forth = align(pair).pose.T_target_source
-    back = align_beams(source, target, se3.inverse(pair.T_target_source), radius=0.02, bias=0.0)
+    back = align_beams(source, target, se3.inverse(pair.T_target_source), radius=0.02, sizes=NONE)
     gap = se3.local(se3.inverse(back.pose.T_target_source), forth)
     assert np.abs(gap).max() < 1e-3
 
@@ -158,7 +160,7 @@ def test_moving_the_frames_moves_the_answer() -> None:
         for side, cloud in enumerate(moved)
     ]
     start = A @ pair.T_target_source @ se3.inverse(B)
-    found = align_beams(beams[0], beams[1], start, radius=0.02, bias=0.0).pose
+    found = align_beams(beams[0], beams[1], start, radius=0.02, sizes=NONE).pose
     expected = A @ plain.T_target_source @ se3.inverse(B)
     at = se3.apply(B, np.eye(3))
     gap = se3.apply(found.T_target_source, at) - se3.apply(expected, at)
@@ -174,35 +176,42 @@ def test_the_order_of_the_returns_does_not_matter() -> None:
             order = rng.permutation(len(pole.xyz))
             poles.append(replace(pole, xyz=pole.xyz[order], index=pole.index[order]))
         shuffled.append(beams_of([(pole, cloud) for pole in poles], THIN))
-    other = align_beams(shuffled[0], shuffled[1], pair.T_target_source, radius=0.02, bias=0.0)
+    other = align_beams(shuffled[0], shuffled[1], pair.T_target_source, radius=0.02, sizes=NONE)
     gap = se3.local(other.pose.T_target_source, align(pair).pose.T_target_source)
     assert np.abs(gap).max() < 1e-4
 
 
 def test_a_radius_not_known_is_estimated() -> None:
     pair = simulate_pair("paper", np.random.default_rng(6), noise=NOISY, radius=0.05)
-    found = align(pair, radius=0.04, radius_sigma=0.02)
-    assert abs(found.radius - 0.05) < 4 * found.radius_sigma
-    assert found.radius_sigma < 0.01
-    known = align(pair, radius=0.05)
-    assert known.radius == pytest.approx(0.05, abs=1e-6)
+    found = align(pair, radius=0.04, radius_sigma=0.02).radius
+    assert (found.given, found.given_sigma) == (0.04, 0.02)
+    assert abs(found.estimated - 0.05) < 3 * found.sigma
+    assert found.sigma < 0.01
+    right = align(pair, radius=0.05)
+    assert abs(right.radius.estimated - 0.05) < 3 * right.radius.sigma
+    assert right.radius.sigma <= right.radius.given_sigma
+    assert right.radius_denied < RADIUS_DENIED
 
 
-def test_an_offset_that_may_be_widens_the_covariance() -> None:
+def test_errors_that_may_be_widen_the_covariance() -> None:
     pair = paper(7)
-    known, free = align(pair), align(pair, bias=0.02)
+    offset = replace(NO_ERRORS, tape=0.02)
+    known, free = align(pair), align(pair, sizes=(offset, offset))
     wide = np.trace(covariance_of(free.pose)[3:, 3:])
     assert wide > np.trace(covariance_of(known.pose)[3:, 3:])
     assert wide > np.trace(free.covariance_if_known[3:, 3:])
+    np.testing.assert_allclose(free.uncertainty.covariance, covariance_of(free.pose))
 
 
-def squared_distances(noise: NoiseModel, first: int, count: int) -> list[float]:
+def squared_distances(
+    noise: NoiseModel, first: int, count: int, sizes: tuple[Sizes, Sizes] = NONE
+) -> list[float]:
     """Squared distances of answers from the truth in their own covariance; refusals left out."""
     found = []
     for seed in range(first, first + count):
         pair = paper(seed, noise)
         try:
-            found.append(mahalanobis_sq(align(pair).pose, pair.T_target_source))
+            found.append(mahalanobis_sq(align(pair, sizes=sizes).pose, pair.T_target_source))
         except Refusal:
             continue
     assert len(found) > 0.9 * count
@@ -210,22 +219,26 @@ def squared_distances(noise: NoiseModel, first: int, count: int) -> list[float]:
 
 
 def test_the_covariance_tells_the_spread() -> None:
+    """The median is 4.1; half the σ would give 16, three times the σ 0.5."""
     squares = squared_distances(NOISY, 100, 60)
     assert np.mean(np.array(squares) < CHI2_6_95) > 0.88
     assert 2.0 < np.median(squares) < 8.0
 
 
 def test_the_covariance_counts_range_errors_of_single_rings() -> None:
-    """Rings off by 6 mm: plain I⁻¹ would give a median of 7.9, and half that σ one above 12."""
-    squares = squared_distances(replace(NOISY, ring_bias=0.006), 200, 40)
-    assert 3.0 < np.median(squares) < 7.0
+    """Rings off by 6 mm: stated without them the median is 8.3; half the σ would give 13, three
+    times the σ 0.4.
+    """
+    rings = replace(NO_ERRORS, ring_range=0.006)
+    squares = squared_distances(replace(NOISY, ring_bias=0.006), 200, 40, (rings, rings))
+    assert 2.0 < np.median(squares) < 8.0
 
 
 def test_an_alignment_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     pair = paper(8)
     whole = align(pair)
     assert whole.converged
-    monkeypatch.setattr("retropole.alignment.adjustment.MAX_POLE_ITERATIONS", 1)
+    monkeypatch.setattr("retropole.alignment.climb.MAX_POLE_ITERATIONS", 1)
     assert not align(pair).converged
 
 

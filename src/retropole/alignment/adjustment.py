@@ -17,7 +17,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, PoseEstimate
 from ..errors import Refusal
-from ..systematic import RADIUS, ErrorModel, Sizes, groups_of
+from ..systematic import MIN_ERROR_SIGMA, RADIUS, ErrorModel, Sizes, groups_of
 from ..uncertainty import RadiusEstimate, Uncertainty
 from .certainty import (
     Scatter,
@@ -138,7 +138,7 @@ def align_beams(
     """
     _check_counts(target, source)
     beams = (target, source)
-    given_sigma = max(radius_sigma, RADIUS_TOLERANCE * radius)
+    given_sigma = max(radius_sigma, RADIUS_TOLERANCE * radius, MIN_ERROR_SIGMA)
     model = ErrorModel(*sizes, given_sigma)
     state, log_noise = start_of(target, source, T_start, radius)
     found, expansion = climb(state, log_noise, beams, model, radius)
