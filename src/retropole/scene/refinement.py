@@ -55,9 +55,8 @@ scene has another: the covariance then covers both."""
 
 UNSURE = 0.01
 """Part of their information that poles keep when the scene is asked nearly alone: ten times their
-1 σ. Of 36 recordings between which a pole was moved by 15 cm two were answered, 11 and 28 cm off;
-asked so, the scene denies the poles by χ² of 2010 and 3378. In three of 36 recordings of the field
-where poles that stood still have a χ² beyond `DISAGREE`, it rises by 0.5 at most."""
+1 σ. Of 48 recordings between which a pole was moved by 15 cm three were answered, 11 cm and more
+off, two of them with a χ² below 17; asked so, the scene denies the poles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,16 +153,16 @@ def refine(
     highest = best.T
     e = se3.local(poles.T_target_source, best.T)
     mahalanobis_sq = float(e @ np.linalg.solve(poles.covariance, e))
+    # Poles that are sure of a wrong pose hold the search where the true surfaces are out of reach:
+    # the scene is asked again with the poles hardly counted.
+    alone = replace(problem, factor=problem.factor.weakened(UNSURE))
+    far = approach(alone, best.T, poles.covariance / UNSURE)
+    if far is not None:
+        # What the scene alone does not hold is no denial.
+        unsure = poles.covariance + far.search
+        mahalanobis_sq = max(mahalanobis_sq, _distance_sq(unsure, poles.T_target_source, far.T))
     apart: tuple[tuple[str, Array], ...] = ()
     if mahalanobis_sq > DISAGREE:
-        # Poles that are sure of a wrong pose hold the search where the true surfaces are out of
-        # reach; the scene is asked again with the poles hardly counted.
-        alone = replace(problem, factor=problem.factor.weakened(UNSURE))
-        near = approach(alone, best.T, poles.covariance / UNSURE)
-        far = near and settle(alone, near, poles.covariance / UNSURE)
-        if far is not None:
-            e = se3.local(poles.T_target_source, far.T)
-            mahalanobis_sq = max(mahalanobis_sq, float(e @ np.linalg.solve(poles.covariance, e)))
         # One of both is wrong by more than it states (Birge 1932): the poles count
         # for as much less, and what is stated reaches from one to the other.
         share = POSE / mahalanobis_sq
