@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from . import se3
+from .quantities import error
 from .se3 import Array
 
 MAD_TO_SIGMA = 1.4826
@@ -34,7 +35,8 @@ class BudgetEntry:
     sensor
         Whose error it is; None where it is no single LiDAR's.
     sigma, unit
-        1 σ of the error itself, and its unit: ``m``, ``rad`` or ``1``; not of the pose.
+        1 σ of the error itself, and its unit: ``m``, ``rad`` or ``1``; not of the pose. Of what is
+        no single quantity (scatter, surfaces, what no model names), of a point 30 m away, metres.
     estimated
         The error as this data has it, in the same unit, of which the answer is already free; None
         where it is not estimated or is not one number.
@@ -197,6 +199,4 @@ def weakest_direction(
         name = "aslant, along ({:+.2f} {:+.2f} {:+.2f}) of the target".format(*direction)
     scale = np.diag([LEVER, LEVER, LEVER, 1.0, 1.0, 1.0])
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(scale @ at @ scale), 1e-30))
-    return WeakDirection(
-        direction, sigma, f"{name}: {100 * sigma:.1f} cm", float(spread[-1] / spread[0])
-    )
+    return WeakDirection(direction, sigma, f"{name}: {error(sigma)}", float(spread[-1] / spread[0]))

@@ -55,7 +55,7 @@ def calibrate(
         a `PointCloud`. Each in its own sensor's frame. Or a list of these, one for each placement
         of the poles, target and source in the same order: one pose is found for all.
     radius, radius_sigma
-        Radius of the poles and its 1 σ, metres; above 0 the radius is estimated.
+        Radius of the poles and its 1 σ, metres, at least 2 % of it: the prior of an estimate.
     sensor_target, sensor_source
         Names of sensors, or ``auto``.
     threshold_target, threshold_source

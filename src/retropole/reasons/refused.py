@@ -91,8 +91,9 @@ REFUSED: dict[RefusedCode, Explanation] = {
     "no_overlap": Explanation(
         "The two clouds do not show the same place",
         "Under the best hypothesis fewer than 25 % of the points find a neighbour in the other "
-        "cloud. In `retropole compare`, of a rival: too few points end near the other cloud, its "
-        "start was too far off.",
+        "cloud; or fewer than 15 %, or of those that both LiDARs could see fewer than 35 %. In "
+        "`retropole compare`, of a rival: too few points end near the other cloud, its start was "
+        "too far off.",
         (
             "Check that both LiDARs see the same place, and that it was recorded at the same time.",
             "Check with `retropole detect` that signs or posts were not taken for the poles.",

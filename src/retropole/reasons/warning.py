@@ -93,7 +93,7 @@ WARNINGS: dict[WarningCode, Explanation] = {
         "pose.",
         (
             "Put poles on different sides of the LiDARs.",
-            "Measure the radius; leave `--radius-sigma` at 0 where it is known.",
+            "Measure the radius with a calliper.",
         ),
     ),
     "poles_and_scene_disagree": Explanation(
