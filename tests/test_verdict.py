@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment
 from retropole.alignment.factor import AxesTest, gaussian_factor
@@ -25,7 +24,7 @@ from retropole.datatypes import (
 from retropole.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.scene.agreement import (
-    AXES_CHANCE,
+    MAX_AXES_CHI2,
     MAX_MAHALANOBIS_SQ,
     WARN_MAHALANOBIS_SQ,
     check_axes,
@@ -238,7 +237,7 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
 @pytest.mark.parametrize("freedom", [2, 6])
 def test_poles_that_do_not_stand_alike_are_refused(freedom: int) -> None:
     """Of three poles the one that explains most is named; of two neither can be told."""
-    limit = float(chi2.isf(AXES_CHANCE, freedom))
+    limit = MAX_AXES_CHI2 * freedom
     by_pole = np.array([3.0, 9.0] if freedom == 2 else [3.0, 9.0, 4.0])
     check_axes(replace(an_alignment(), axes_test=AxesTest(0.99 * limit, freedom, by_pole)))
     with pytest.raises(Refusal) as refusal:
