@@ -1,7 +1,8 @@
-"""Refinement on one real frame without poles: where it comes to from starts around the reference.
+"""Refinement on real frames without poles: where it comes to from starts around the reference.
 
 Beside it, where ICP of other kinds comes to from the reference itself, and how the surfaces that
-both LiDARs see lie together under each pose. Prints a Markdown table.
+both LiDARs see lie together under each pose; and how far three frames of the standing vehicle are
+from each other, in units of what they state. Prints Markdown tables.
 
     python benchmarks/pandaset.py pandaset
 """
@@ -18,11 +19,61 @@ from retropole import se3
 from retropole.datatypes import Array, PoseEstimate
 from retropole.evaluation.metrics import evaluate
 from retropole.io import read_cloud
-from retropole.scene.refinement import refine
+from retropole.scene.refinement import Refinement, refine
 from retropole.scene.registration import prepare, register
+from retropole.sensors import find_sensor
+from retropole.systematic import ErrorModel, Sizes, sizes_of
 
 START_ROTATION, START_TRANSLATION = np.radians(3.0), 0.3
 """How far from the reference the refinement starts, rad and m."""
+
+FRAMES = ("00", "01", "05")
+"""Of one standing vehicle, 0.1 s and 0.5 s after the first."""
+
+REFERENCE_SIGMA = np.r_[np.full(3, np.radians(0.1)), np.full(3, 0.03)]
+"""1 σ of the reference, rad and m."""
+
+MODEL = ErrorModel(sizes_of(find_sensor("Pandar64")), Sizes())
+
+
+def distance(T: Array, other: Array, covariance: Array) -> float:
+    """Mahalanobis distance of two poses."""
+    step = se3.local(T, other)
+    return float(np.sqrt(step @ np.linalg.solve(covariance, step)))
+
+
+def compare_frames(folder: Path, reference: Array, wide: Array) -> None:
+    """Refine each frame from the reference, and print how they agree."""
+    found: dict[str, Refinement] = {}
+    for frame in FRAMES:
+        clouds = (
+            read_cloud(folder / f"pandaset002_{frame}_{name}.pcd")
+            for name in ("pandar64", "pandargt")
+        )
+        refined = refine(*clouds, PoseEstimate(reference, wide, 0.01), model=MODEL)
+        assert refined is not None
+        found[frame] = refined
+    print("\n| frames | apart deg | cm | in units of what both state | of the random parts alone |")
+    print("| --- | --- | --- | --- | --- |")
+    pairs = [(a, b) for i, a in enumerate(FRAMES) for b in FRAMES[i + 1 :]]
+    for a, b in pairs:
+        one, two = found[a], found[b]
+        T, other = one.pose.T_target_source, two.pose.T_target_source
+        off = se3.local(T, other)
+        print(
+            f"| {a} and {b} | {np.degrees(np.linalg.norm(off[:3])):.2f} | "
+            f"{100 * np.linalg.norm(off[3:]):.1f} | "
+            f"{distance(T, other, one.uncertainty.covariance + two.uncertainty.covariance):.1f} | "
+            f"{distance(T, other, one.uncertainty.random + two.uncertainty.random):.1f} |"
+        )
+    for frame, one in found.items():
+        T = one.pose.T_target_source
+        off = se3.local(T, reference)
+        both = one.uncertainty.covariance + np.diag(REFERENCE_SIGMA**2)
+        print(
+            f"| {frame} and the reference | {np.degrees(np.linalg.norm(off[:3])):.2f} | "
+            f"{100 * np.linalg.norm(off[3:]):.1f} | {distance(T, reference, both):.1f} | |"
+        )
 
 
 def main() -> None:
@@ -43,7 +94,7 @@ def main() -> None:
         axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         step = np.r_[START_ROTATION * axis, START_TRANSLATION * direction]
         start = se3.retract(reference, step)
-        refined = refine(target, source, PoseEstimate(start, wide, 0.01))
+        refined = refine(target, source, PoseEstimate(start, wide, 0.01), model=MODEL)
         assert refined is not None
         ends.append(refined.pose.T_target_source)
         stated = refined.pose.covariance
@@ -82,6 +133,7 @@ def main() -> None:
     sigma = np.degrees(np.sqrt(np.diag(stated)[:3]))
     words = ", ".join(f"{a:+.2f} ± {b:.2f}" for a, b in zip(rotation, sigma, strict=True))
     print(f"Rotation from the reference and stated 1 σ, about x, y, z of the target: {words} deg.")
+    compare_frames(arguments.folder, reference, wide)
 
 
 if __name__ == "__main__":
