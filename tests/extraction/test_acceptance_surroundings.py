@@ -131,11 +131,15 @@ def test_no_second_pole_excuses_a_stripe() -> None:
 
 @pytest.mark.parametrize(("extra", "code"), [(0, ""), (1, "part_of_a_surface")])
 def test_few_returns_without_tape_lie_between(extra: int, code: str) -> None:
+    """Between its rings they count; on its rings they are from the edges of the pole."""
     count = int(rules.MAX_UNTAPED * 32) + extra
-    between = upright_places(np.linspace(-0.7, 0.7, count))
+    rings = np.unique(np.round(pole_among()[1].along, 3))
+    between = upright_places(np.resize((rings[1:] + rings[:-1]) / 2, count))
     found, reason = failed(pole_among((between, DIM)))
     assert found == code
     assert not code or f"{count} returns without tape" in reason
+    beside = upright_places(np.resize(rings[1:-1], count))
+    assert failed(pole_among((beside, DIM))) == ("", "")
 
 
 def test_tape_seen_badly_may_lie_between() -> None:

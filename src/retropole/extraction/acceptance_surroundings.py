@@ -50,6 +50,11 @@ MAX_UNTAPED = 0.5
 """Largest number of returns without tape between the points of a line, for each of its own.
 Sensitivity at 0.35: 2 recorded posts lost; at 0.7: 1 more false."""
 
+SAME_HEIGHT, MIN_SAME_HEIGHT = 0.25, 0.02
+"""Returns within this part of the step from ring to ring, and within this, metres, lie at one
+height: on one ring. Where intensity falls with incidence, up to a third of a pole's returns, those
+from its edges, are dim."""
+
 MAX_HUGGING = 0.09
 """What crowds a line nearer than this, metres, is not a wall behind it. Sensitivity at 0.063: no
 effect; at 0.126: 2 fewer false."""
@@ -136,9 +141,17 @@ def crowded_by_retro(around: Surroundings) -> Failure | None:
 
 
 def untaped_between(around: Surroundings) -> Failure | None:
-    """A pole is taped all along: few returns without tape lie between its points."""
+    """A pole is taped all along: few returns without tape lie between its points.
+
+    A dim one at the height of a bright one is from the edge of the pole, where tape is met at a
+    grazing angle.
+    """
     between = (around.along > around.low) & (around.along < around.high)
-    count = int(np.count_nonzero(around.untaped & around.on_line & between))
+    candidates = around.along[around.untaped & around.on_line & between]
+    places = np.sort(around.line.along)
+    above = np.clip(np.searchsorted(places, candidates), 1, len(places) - 1)
+    apart = np.minimum(np.abs(places[above] - candidates), np.abs(candidates - places[above - 1]))
+    count = int(np.count_nonzero(apart > max(SAME_HEIGHT * around.line.step, MIN_SAME_HEIGHT)))
     own = len(around.line.index)
     if count <= MAX_UNTAPED * own:
         return None
