@@ -26,8 +26,9 @@ from ..uncertainty import Uncertainty
 REPEATED = 0.9
 """Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,
 warm-up and age change. With it and the floor, the 95 % quantile of χ² of unmoved simulated
-recordings is 5 at most with the poles where they were, 10 with poles elsewhere and 8 without (field and typical noise, 188 sites, seeds below 1000), where 12.6 is
-expected: the simulator's devices repeat all of their errors."""
+recordings is 5 at most with the poles where they were, 10 with poles elsewhere and 8 without (field
+and typical noise, 188 sites, seeds below 1000), where 12.6 is expected: the simulator's devices
+repeat all of their errors."""
 
 
 def step_covariance(stored: Uncertainty, new: Uncertainty) -> Array:
