@@ -155,8 +155,7 @@ def stated(
         widened = one.covariance * few_freedom(one.freedom)
         random = random + widened
         rows.append((one.name, None, _at(widened), "m", None, widened))
-    floor = np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
-    for name, part in (*other, ("what no model names", floor)):
+    for name, part in (*other, ("what no model names", floor())):
         rows.append((name, None, _at(part), "m", None, part))
     total = sum((row[5] for row in rows), np.zeros((POSE, POSE)))
     whole = _at(total) ** 2
@@ -173,6 +172,11 @@ def stated(
     ]
     budget.sort(key=lambda entry: -entry.share_at_30m)
     return Uncertainty(random, np.asarray(total - random), tuple(budget))
+
+
+def floor() -> Array:
+    """(6, 6) of what no model names."""
+    return np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
 
 
 def few_freedom(freedom: float) -> float:

@@ -19,7 +19,7 @@ from ..datatypes import Array, IntArray, PoseEstimate
 from ..systematic import DEVICE, RADIUS, TAPE, Layout, band_of, by_error
 from .likelihood import arc_likelihood, closest_approach, passed_beam_likelihood
 from .observations import Beams
-from .posterior import RETURN_CURVATURE, SHARED, State, beam_geometry
+from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, beam_geometry
 
 POSE = 6
 """Parameters of the pose."""
@@ -87,8 +87,8 @@ class Expansion:
     information, gradient
         For the target and the source, (P, P) and (P,) over pose, errors and axes; the gradient is
         that of the logarithm of the likelihood.
-    inliers, returns
-        (2, K) how many returns of each LiDAR lie on each pole, and of how many.
+    inliers
+        (2, K) how many returns of each LiDAR lie on each pole.
     """
 
     state: State
@@ -97,7 +97,6 @@ class Expansion:
     information: tuple[Array, Array]
     gradient: tuple[Array, Array]
     inliers: Array
-    returns: Array
 
 
 def expand(state: State, log_noise: Array, beams: Sequence[Beams], radius: float) -> Expansion:
@@ -114,7 +113,6 @@ def expand(state: State, log_noise: Array, beams: Sequence[Beams], radius: float
     """
     bands = [np.unique(band_of(one.directions)) for one in beams]
     layout = Layout((bands[0], bands[1]))
-    poles = len(state.points)
     errors = np.zeros(layout.size)
     errors[TAPE], errors[DEVICE + TAPE] = state.offsets
     errors[RADIUS] = state.radius - radius
@@ -129,7 +127,6 @@ def expand(state: State, log_noise: Array, beams: Sequence[Beams], radius: float
         (found[0][0], found[1][0]),
         (found[0][1], found[1][1]),
         np.array([found[lidar][2] for lidar in (0, 1)]),
-        np.array([np.bincount(one.pole, minlength=poles) for one in beams]),
     )
 
 
@@ -210,9 +207,9 @@ def _of_lidar(
     state: State, lidar: int, one: Beams, noise: Array, layout: Layout
 ) -> tuple[Array, Array, Array]:
     """Information, gradient, and inliers on each pole, of the beams of one LiDAR."""
-    J = _jacobian(state, lidar, one.directions, one.ranges, one, one.pole, layout)
-    size = J.shape[2]
     seen = beam_geometry(state, lidar, one.origin, one.directions, one.ranges, one.pole)
+    J = _jacobian(state, lidar, seen, one.directions, one.ranges, one, one.pole, layout)
+    size = J.shape[2]
     sigma = np.hypot(noise[0] * seen.sine, noise[1] * np.sqrt(1.0 - seen.sine**2))
     arc = arc_likelihood(
         seen.depth,
@@ -230,8 +227,9 @@ def _of_lidar(
     gradient = arc.score.reshape(-1) @ flat
     if len(one.passed_pole):
         far = np.zeros(len(one.passed_pole))
-        J = _jacobian(state, lidar, one.passed_directions, far, one, one.passed_pole, layout)[:, 1:]
-        seen = beam_geometry(state, lidar, one.origin, one.passed_directions, far, one.passed_pole)
+        own = one.passed_pole
+        seen = beam_geometry(state, lidar, one.origin, one.passed_directions, far, own)
+        J = _jacobian(state, lidar, seen, one.passed_directions, far, one, own, layout)[:, 1:]
         free = passed_beam_likelihood(
             seen.lateral_offset, np.full_like(far, noise[1]), state.radius, one.passed_half_width
         )
@@ -247,6 +245,7 @@ def _of_lidar(
 def _jacobian(
     state: State,
     lidar: int,
+    seen: BeamGeometry,
     directions: Array,
     ranges: Array,
     beams: Beams,
@@ -254,7 +253,6 @@ def _jacobian(
     layout: Layout,
 ) -> Array:
     """Derivative (N, 3, P) of depth, lateral offset and radius by pose, errors and axes."""
-    seen = beam_geometry(state, lidar, beams.origin, directions, ranges, own)
     T = state.T if lidar else np.eye(4)
     R, t = T[:3, :3], T[:3, 3]
     q, n = ((state.points - t) @ R)[own], (state.directions @ R)[own]
@@ -288,10 +286,10 @@ def _jacobian(
     J[:, :2, POSE:axes][:, :, layout.device(lidar)] = device
     J[:, 2, POSE + RADIUS] = 1.0
     J[:, :2, axes:] = seen.jacobian[:, :, SHARED:]
-    band = np.searchsorted(layout.bands[lidar], band_of(directions))
-    known = band < len(layout.bands[lidar])
-    known[known] = layout.bands[lidar][band[known]] == band_of(directions)[known]
-    rows = np.flatnonzero(known)
+    bands = band_of(directions)
+    # Beams that passed may lie in bands that no return is in.
+    rows = np.flatnonzero(np.isin(bands, layout.bands[lidar]))
+    band = np.searchsorted(layout.bands[lidar], bands)
     for kind in (0, 1):
         column = POSE + layout.rings(lidar, kind).start + band[rows]
         J[rows, :2, column] = ring[rows, :, kind]

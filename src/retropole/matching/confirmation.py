@@ -14,15 +14,15 @@ import numpy as np
 
 from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
 from ..errors import Refusal
-from ..extraction.beams import beam_scatter, beams_by
+from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
 from ..extraction.doubtful import with_doubtful
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
 
-FACING_SIDES, SCATTER_PER_RADIUS, CONFIRMED_NOISE = float(np.pi / 2), 0.62, 0.01
+FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
 """Residual of the poles under the pose, at most: the lines of facing sides lie π r/2 apart, returns
-scatter by 0.62 r about their line, and by noise, metres. That is 35 mm for r = 20 mm; wrong answers
-had 38 mm and more. Wide beams add their scatter."""
+scatter by `RMS_PER_RADIUS` about their line, and by noise, metres. That is 35 mm for r = 20 mm;
+wrong answers had 38 mm and more. Wide beams add their scatter."""
 
 CONFIRMED_ANGLE = float(np.radians(1.5))
 CONFIRMED_DISTANCE = 0.05
@@ -119,7 +119,7 @@ def is_confirmed(
     radius
         Of the poles, metres.
     """
-    limit = float(np.hypot(np.hypot(FACING_SIDES, SCATTER_PER_RADIUS) * radius, CONFIRMED_NOISE))
+    limit = float(np.hypot(np.hypot(FACING_SIDES, RMS_PER_RADIUS) * radius, CONFIRMED_NOISE))
     best, *others = hypotheses
     lead = min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
     is_clear = all(best.score - other.score >= lead for other in others)

@@ -9,14 +9,11 @@ from scipy.spatial import cKDTree
 
 from .. import se3
 from ..datatypes import Array, IntArray, PointCloud
-from ..scene.patch_pairs import CLUSTER_SIDE, labels_of
+from ..scene.patch_pairs import CLUSTER_SIDE, MAX_NORMAL_ANGLE, labels_of
 from ..scene.patches import Patches, surface_patches
 
 REACH = 0.5
 """A patch belongs to the surface of a patch of the other cloud so near, metres."""
-
-MIN_COSINE = float(np.cos(np.radians(35.0)))
-"""Of the angle between the normals of two patches of one surface."""
 
 WIDTH = 0.03
 """Distance across the surface at which a patch counts for half, metres: that of a movement that
@@ -62,7 +59,9 @@ def _losses(target: Patches, tree: cKDTree, source: Patches, T: Array) -> Array:
     at = np.where(met, near, 0)
     cosine = np.abs(np.einsum("mi,mi->m", source.normals @ T[:3, :3].T, target.normals[at]))
     across = np.einsum("mi,mi->m", moved - target.centres[at], target.normals[at])
-    return np.where(met & (cosine > MIN_COSINE), across**2 / (across**2 + WIDTH**2), 1.0)
+    return np.where(
+        met & (cosine > np.cos(MAX_NORMAL_ANGLE)), across**2 / (across**2 + WIDTH**2), 1.0
+    )
 
 
 def _studentised(gains: Array, places: IntArray) -> float:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh
 
-from ..alignment.certainty import FLOOR_ROTATION, FLOOR_TRANSLATION
+from ..alignment.certainty import floor
 from ..datatypes import Array, PoseEstimate
 from ..uncertainty import Uncertainty
 
@@ -51,8 +51,7 @@ def kept(stored: Array, new: Array) -> Array:
     share = np.clip(share, 0.0, 1.0)
     common = 2.0 * REPEATED * np.sqrt(share * (1.0 - share))
     axes = both @ vectors
-    floor = np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
-    return np.asarray((axes * (1.0 - common)) @ axes.T + 2.0 * floor)
+    return np.asarray((axes * (1.0 - common)) @ axes.T + 2.0 * floor())
 
 
 def in_parts(pose: PoseEstimate, uncertainty: Uncertainty | None) -> Uncertainty:

@@ -151,8 +151,7 @@ def refine(
         return None
     best = max(settled, key=support_of)
     highest = best.T
-    e = se3.local(poles.T_target_source, best.T)
-    mahalanobis_sq = float(e @ np.linalg.solve(poles.covariance, e))
+    mahalanobis_sq = _distance_sq(poles.covariance, poles.T_target_source, best.T)
     # Poles that are sure of a wrong pose hold the search where the true surfaces are out of reach:
     # the scene is asked again with the poles hardly counted.
     alone = replace(problem, factor=problem.factor.weakened(UNSURE))
@@ -170,8 +169,9 @@ def refine(
         wide = poles.covariance / share
         again = approach(problem, best.T, wide)
         best = (again and settle(problem, again, wide)) or best
+        moved = _distance_sq(poles.covariance, poles.T_target_source, best.T)
+        mahalanobis_sq = max(mahalanobis_sq, moved)
         e = se3.local(poles.T_target_source, best.T)
-        mahalanobis_sq = max(mahalanobis_sq, float(e @ np.linalg.solve(poles.covariance, e)))
         apart = (("poles and scene disagree", np.outer(e, e)),)
     uncertainty = _uncertainty(best, problem, apart)
     pairs, weights = best.linear.pairs, best.linear.weights

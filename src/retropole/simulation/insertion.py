@@ -14,6 +14,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import DEFAULT_RADIUS, PER_POINT, Array, IntArray, PointCloud
 from ..sensors import Sensor
+from .intensity import RETRO_GRAZING, RETRO_INCIDENCE, saturation
 from .raycast import Cylinder
 from .recorded import RecordedBeams, in_frame, met_by, recorded_beams
 from .scenes import UP
@@ -30,14 +31,11 @@ LEAST_OF_FULL_SCALE = 0.8
 """The weakest tape as a share of the top of the cloud's intensities, where the sensor is not known:
 8-bit sensors have it at 200 of 255 (Xue et al. 2019, Table I)."""
 
-SATURATION = 6.0
-"""The brightest tape, in thresholds, of a sensor whose full scale is higher (as in `scanning`)."""
-
 FULL_SCALE = 255.0
 """Of a cloud without intensity, whose own returns then get 0."""
 
-GRAZING, FLUCTUATION = 0.55, 0.15
-"""Strength of tape at grazing incidence and 1 σ of its fluctuation, of 1 (as in `scanning`)."""
+FLUCTUATION = 0.15
+"""1 σ of the fluctuation of the strength of tape, of 1 (as `NoiseModel.intensity_noise`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +208,8 @@ def _tape(
         if recorded is not None and top <= 1.0 < sensor.threshold:
             scale = 1.0 / sensor.intensity_max
         least = scale * sensor.threshold
-        top = scale * min(sensor.intensity_max, SATURATION * sensor.threshold)
+        top = scale * saturation(sensor)
     loss = FLUCTUATION * np.abs(rng.normal(size=len(cosine)))
-    strength = np.clip((GRAZING + (1 - GRAZING) * cosine) * (1 - loss), 0, 1)
+    strength = np.clip((RETRO_GRAZING + RETRO_INCIDENCE * cosine) * (1 - loss), 0, 1)
     bright = least + (top - least) * strength
     return np.asarray(np.round(bright) if top > 1.0 else bright)
