@@ -32,7 +32,7 @@ sigma = np.sqrt(np.diag(covariance))
 print("1 σ of the rotation, deg:", np.degrees(sigma[:3]).round(4))
 print("1 σ of the translation, m:", sigma[3:].round(4))
 for each in result.predicted_error:
-    print(f"a point {each.range_m:g} m away is off by {100 * each.sigma_m:.2f} cm (1 σ)")
+    print(f"a point {each.range_m:g} m away is off by {1000 * each.sigma_m:.2g} mm (1 σ)")
 if result.document.weakest is not None:
     print("least certain:", result.document.weakest.words)
 

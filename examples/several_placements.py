@@ -29,8 +29,8 @@ for used in (pairs[:1], pairs):
         raise SystemExit(f"refused: {result.reasons[0].message}")
     off, stated = e_rt(result.T_target_source, first.T_target_source), result.predicted_error[2]
     lines.append(
-        f"{len(used)} placements: off by {100 * off:.1f} cm (e_rt), "
-        f"predicted at {stated.range_m:g} m {100 * stated.sigma_m:.1f} cm"
+        f"{len(used)} placements: off by {1000 * off:.0f} mm (e_rt), "
+        f"predicted at {stated.range_m:g} m {1000 * stated.sigma_m:.2g} mm"
     )
 for k, placement in enumerate(result.placements or ()):
     if placement.left_out is not None:

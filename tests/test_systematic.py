@@ -113,11 +113,16 @@ def test_sizes_follow_the_manufacturer() -> None:
     assert sizes_of(SENSORS["OS1"]).tape > 3 * sizes_of(SENSORS["VLP-16"]).tape
 
 
+UP = np.array([0.0, 0.0, 1.0])
+
+
 def test_bands_are_one_degree_of_elevation() -> None:
     elevation = np.radians([-15.0, -0.2, 0.0, 0.99, 1.01, 90.0])
     azimuth = np.linspace(0.0, 6.0, 6)
     assert np.degrees(BAND) == pytest.approx(1.0)
-    np.testing.assert_array_equal(band_of(ray(azimuth, elevation + 1e-9)), [-15, -1, 0, 0, 1, 90])
+    np.testing.assert_array_equal(
+        band_of(ray(azimuth, elevation + 1e-9), UP), [-15, -1, 0, 0, 1, 90]
+    )
 
 
 def ray(azimuth: Array, elevation: Array) -> Array:
@@ -157,11 +162,13 @@ def test_derivative_by_the_errors(tape: bool) -> None:
             axis=1,
         )
     )
-    device, ring = by_error(rays, by_azimuth, by_elevation, rays, ranges, tangent, tape)
+    device, ring = by_error(rays, by_azimuth, by_elevation, rays, UP, ranges, tangent, tape)
     found = np.concatenate([device, ring], axis=2)
     np.testing.assert_allclose(found, numeric_jacobian(true_return, DEVICE + 2), atol=1e-5)
     # Of a scalar of each return, such as a residual, the shape has one axis less.
-    scalar = by_error(rays[:, 0], by_azimuth[:, 0], by_elevation[:, 0], rays, ranges, tangent, tape)
+    scalar = by_error(
+        rays[:, 0], by_azimuth[:, 0], by_elevation[:, 0], rays, UP, ranges, tangent, tape
+    )
     np.testing.assert_allclose(np.concatenate(scalar, axis=1), found[:, 0], atol=1e-12)
 
 
@@ -170,6 +177,6 @@ def test_no_constant_error_of_the_azimuth() -> None:
     assert SHARED_ERRORS == 2 * DEVICE + 1
     azimuth = np.linspace(-np.pi, np.pi, 361)[:-1]
     rays, one = ray(azimuth, 0 * azimuth), np.ones(360)
-    device, ring = by_error(0 * one, one, 0 * one, rays, one, one, tape=True)
+    device, ring = by_error(0 * one, one, 0 * one, rays, UP, one, one, tape=True)
     np.testing.assert_allclose(device.mean(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(ring, 0.0)

@@ -46,12 +46,11 @@ class PointCloud:
         (N,) float64 seconds, or None.
     frame
         (N,) int64 index of the sweep that the point came from, or None for a single sweep.
-    origin
-        (3,) where the beams start, in the same frame as `xyz`.
-    dropped
-        How many points the reader dropped (not finite, or at zero range).
-    source, fields
-        The file or folder it came from, and what that calls its values, with their types.
+    origin, axis
+        (3,) where the beams start, and the unit vector about which they turn.
+    dropped, source, fields
+        How many points the reader dropped (not finite, or at zero range), the file or folder it
+        came from, and what that calls its values, with their types.
     """
 
     xyz: Array
@@ -60,6 +59,7 @@ class PointCloud:
     time: Array | None = None
     frame: IntArray | None = None
     origin: Array = field(default_factory=lambda: np.zeros(3))
+    axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     dropped: int = 0
     source: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)
@@ -85,11 +85,12 @@ class PointCloud:
         return replace(self, **kept)
 
     def transformed(self, T_new_old: Array) -> PointCloud:
-        """Express the cloud, its beam origin included, in another frame."""
+        """Express the cloud, its beam origin and axis included, in another frame."""
         return replace(
             self,
             xyz=se3.apply(T_new_old, self.xyz),
             origin=se3.apply(T_new_old, self.origin[None])[0],
+            axis=T_new_old[:3, :3] @ self.axis,
         )
 
 
@@ -104,9 +105,8 @@ class Pole:
     direction
         (3,) unit vector; its sign means nothing.
     xyz
-        (N, 3) the returns on the pole. They lie on its surface, facing the sensor, so the line
-        fitted to them runs about π r/4 in front of the axis (docs/method.md, A line is not the
-        axis).
+        (N, 3) the returns on the pole. They lie on its surface, facing the sensor, so that the line
+        fitted to them runs in front of the axis (docs/method.md, A line is not the axis).
     length
         Extent of the points along the line, metres.
     rms

@@ -25,6 +25,7 @@ from .datatypes import (
 )
 from .errors import Refusal
 from .extraction.poles import extract_poles
+from .io.beam_origin import with_beam_origin
 from .io.rings import with_trusted_rings
 from .matching import correspondence
 from .matching.confirmation import Chosen, choose_with_doubtful
@@ -134,7 +135,7 @@ def find_poles(
     Never raises a refusal: the scan holds it, and `check_poles` raises it, so that what was found
     elsewhere is not lost.
     """
-    static = with_trusted_rings(remove_dynamic_points(cloud))
+    static = remove_dynamic_points(with_beam_origin(with_trusted_rings(cloud)))
     try:
         detection = extract_poles(static, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:

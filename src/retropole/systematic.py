@@ -213,9 +213,9 @@ def groups_of(layout: Layout) -> Groups:
     return Groups(label, tuple(kinds), tuple(sensors))
 
 
-def band_of(rays: Array) -> IntArray:
-    """(N,) band of elevation of each unit vector (N, 3)."""
-    elevation = np.arcsin(np.clip(rays[:, 2], -1.0, 1.0))
+def band_of(rays: Array, axis: Array) -> IntArray:
+    """(N,) band of elevation above the plane across an axis (3,) of each unit vector (N, 3)."""
+    elevation = np.arcsin(np.clip(rays @ axis, -1.0, 1.0))
     return np.asarray(np.floor(elevation / BAND), dtype=np.int64)
 
 
@@ -224,6 +224,7 @@ def by_error(
     by_azimuth: Array,
     by_elevation: Array,
     rays: Array,
+    axis: Array,
     ranges: Array,
     tangent: Array,
     tape: bool,
@@ -235,7 +236,9 @@ def by_error(
     by_range, by_azimuth, by_elevation
         (N, …) its derivative with respect to the true range, metres, azimuth and elevation, rad.
     rays, ranges
-        (N, 3) and (N,) unit vectors and ranges of the returns, frame of the LiDAR.
+        (N, 3) and (N,) unit vectors and ranges of the returns.
+    axis
+        (3,) that the LiDAR turns about.
     tangent
         (N,) of the angle of incidence.
     tape
@@ -246,8 +249,10 @@ def by_error(
     device, ring
         (N, …, 8) by the errors of the whole LiDAR, (N, …, 2) by those of the return's ring.
     """
-    level = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-9)
-    cosine, sine = rays[:, 0] / level, rays[:, 1] / level
+    # From where azimuths count makes no difference: their cosine and sine have one size.
+    start = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
+    level = np.stack([rays @ start, rays @ np.cross(axis, start)], axis=1)
+    cosine, sine = (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None]).T
     one = np.ones_like(ranges)
     stretch = ranges * np.minimum(tangent, MAX_TANGENT)
 

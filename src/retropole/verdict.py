@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from . import quantities
 from .alignment.adjustment import BeamAlignment
 from .datatypes import Hypothesis, Pole, Reason, Scan
 from .errors import Refusal
@@ -232,8 +233,8 @@ def _weak_pose(aligned: BeamAlignment, weakest: WeakDirection) -> Iterator[Reaso
                 "offset_not_separable",
                 "the returns cannot tell the pose from a range offset that the tape may cause, or "
                 f"from an error of the radius: with these known the poles' pose would have 1 σ of "
-                f"{100 * without:.1f} cm, without {100 * with_offset:.1f} cm; put poles on "
-                "different sides of the LiDARs",
+                f"{quantities.error(without)}, without {quantities.error(with_offset)}; put poles "
+                "on different sides of the LiDARs",
                 {"sigma_m": with_offset, "sigma_if_known_m": without},
             )
 

@@ -95,7 +95,7 @@ def corrected(
     by_band = np.zeros((2, len(directions)))
     for kind in (0, 1):
         for band, value in zip(layout.bands[lidar], b[layout.rings(lidar, kind)], strict=True):
-            by_band[kind, band_of(directions) == band] = value
+            by_band[kind, band_of(directions, np.array([0.0, 0.0, 1.0])) == band] = value
     ranges = ranges - zero - scale * ranges - tape - by_band[0]
     turned = azimuth + encoder_c * np.cos(azimuth) + encoder_s * np.sin(azimuth)
     raised = elevation + wobble_c * np.cos(azimuth) + wobble_s * np.sin(azimuth) + by_band[1]

@@ -105,8 +105,9 @@ def test_without_rings_only_beams_far_apart_tell(cloud: PointCloud) -> None:
 
 
 def test_unknown_rather_than_a_wild_guess(cloud: PointCloud) -> None:
-    rotated = cloud.transformed(se3.from_rt(se3.exp_so3(np.array([0.2, 0.1, 0.0])), np.zeros(3)))
-    assert guess_sensors(rotated) == []
+    turn = se3.from_rt(se3.exp_so3(np.array([0.2, 0.1, 0.0])), np.zeros(3))
+    rotated = replace(cloud, xyz=se3.apply(turn, cloud.xyz))
+    assert guess_sensors(rotated) == ["HDL-32E"], "the rings tell where the beams started"
     assert guess_sensors(replace(rotated, ring=None)) == []
     assert guess_sensors(scan_of("Mid-360")) == []
     rng = np.random.default_rng(0)

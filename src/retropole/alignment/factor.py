@@ -111,7 +111,7 @@ def expand(state: State, log_noise: Array, beams: Sequence[Beams], radius: float
     radius
         Of the poles as given, metres, from which its error counts.
     """
-    bands = [np.unique(band_of(one.directions)) for one in beams]
+    bands = [np.unique(band_of(one.directions, one.axis)) for one in beams]
     layout = Layout((bands[0], bands[1]))
     errors = np.zeros(layout.size)
     errors[TAPE], errors[DEVICE + TAPE] = state.offsets
@@ -268,14 +268,15 @@ def _jacobian(
     # Turning the beam about its origin is turning the axis the other way.
     arm = (q - beams.origin)[:, None, :]
     by_rotation = -np.cross(arm, by_axis[:, :, :3]) - np.cross(n[:, None, :], by_axis[:, :, 3:])
-    level = np.maximum(np.hypot(directions[:, 0], directions[:, 1]), 1e-9)
-    raising = np.stack([directions[:, 1], -directions[:, 0], 0.0 * level], axis=1) / level[:, None]
+    raising = np.cross(directions, beams.axis)
+    raising /= np.maximum(np.linalg.norm(raising, axis=1), 1e-9)[:, None]
     by_range = np.stack([-by.sine, 0.0 * by.sine], axis=1)
     device, ring = by_error(
         by_range,
-        by_rotation[:, :, 2],
+        by_rotation @ beams.axis,
         np.einsum("nki,ni->nk", by_rotation, raising),
         directions,
+        beams.axis,
         ranges,
         np.zeros(len(own)),
         tape=True,
@@ -286,7 +287,7 @@ def _jacobian(
     J[:, :2, POSE:axes][:, :, layout.device(lidar)] = device
     J[:, 2, POSE + RADIUS] = 1.0
     J[:, :2, axes:] = seen.jacobian[:, :, SHARED:]
-    bands = band_of(directions)
+    bands = band_of(directions, beams.axis)
     # Beams that passed may lie in bands that no return is in.
     rows = np.flatnonzero(np.isin(bands, layout.bands[lidar]))
     band = np.searchsorted(layout.bands[lidar], bands)

@@ -35,8 +35,8 @@ class Beams:
 
     Attributes
     ----------
-    origin
-        (3,) where they start.
+    origin, axis
+        (3,) where they start, and the direction about which they turn.
     directions, ranges
         (N, 3) and (N,) of the returns.
     pole
@@ -51,6 +51,7 @@ class Beams:
     """
 
     origin: Array
+    axis: Array
     directions: Array
     ranges: Array
     pole: IntArray
@@ -84,6 +85,7 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     away = np.array([np.linalg.norm(pole.point - origin) for pole, _ in seen])
     return Beams(
         origin=origin,
+        axis=seen[0][1].axis,
         directions=ray / ranges[:, None],
         ranges=ranges,
         pole=np.repeat(np.arange(len(seen)), [len(pole.xyz) for pole, _ in seen]),

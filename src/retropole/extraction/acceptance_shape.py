@@ -205,7 +205,7 @@ def _rings_run_along(cloud: PointCloud, line: Line) -> bool:
 def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
     """Whether one beam, seen from the cloud's origin, met all points of the line."""
     rays = cloud.xyz[line.index] - cloud.origin
-    elevation = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+    elevation = np.arcsin(np.clip(rays @ cloud.axis / np.linalg.norm(rays, axis=1), -1.0, 1.0))
     in_sight = np.linalg.norm(rays[0]) < MAX_SIGHT_DISTANCE
     return bool(in_sight and np.ptp(elevation) < ONE_BEAM_ELEVATION)
 

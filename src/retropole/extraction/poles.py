@@ -27,6 +27,7 @@ from ..datatypes import (
     RejectedCluster,
 )
 from ..errors import Refusal
+from ..io.beam_origin import with_beam_origin
 from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
 from ..sensors import Sensor, threshold_for
 from .acceptance_shape import (
@@ -125,7 +126,7 @@ def extract_poles(
             {"points": len(cloud)},
         )
     chosen = threshold_for(cloud.intensity, sensor, threshold)
-    cloud = with_trusted_rings(cloud)
+    cloud = with_beam_origin(with_trusted_rings(cloud))
     assert cloud.intensity is not None
     knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
     free = cloud.intensity >= chosen.value

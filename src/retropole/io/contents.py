@@ -11,7 +11,8 @@ import numpy as np
 from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import SENSORS, Sensor, auto_threshold
 from . import FrameHeader, ReadRecording, read_recording, topics_of
-from .rings import MAX_RING_SPREAD, rings_fault
+from .beam_origin import with_beam_origin
+from .rings import MAX_RING_SPREAD, rings_fault, with_trusted_rings
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""
@@ -60,7 +61,10 @@ class IntensityDoc(msgspec.Struct):
 
 
 class CloudDoc(msgspec.Struct):
-    """The frames of a file, or of one topic of a bag; why its rings are ignored, or nothing."""
+    """The frames of a file, or of one topic of a bag; why its rings are ignored, or nothing.
+
+    `beam_origin_m` is where the beams start, and `told_by_rings` whether that is not from the file.
+    """
 
     topic: str | None
     frame_id: str | None
@@ -74,6 +78,8 @@ class CloudDoc(msgspec.Struct):
     dropped: int
     rings: int | None
     rings_ignored: str
+    beam_origin_m: list[float]
+    told_by_rings: bool
     range_m: list[float]
     intensity: IntensityDoc | None
     sensors: list[str]
@@ -118,7 +124,8 @@ def describe(path: str | Path, *, topic: str | None = None, frames: slice | None
 
 
 def _cloud(read: ReadRecording) -> CloudDoc:
-    cloud, count = read.cloud, read.recording.count
+    given, count = read.cloud, read.recording.count
+    cloud = with_beam_origin(with_trusted_rings(given))
     rate = _rate(read.headers[0], read.headers[-1])
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     return CloudDoc(
@@ -132,8 +139,10 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         fields=dict(cloud.fields),
         points=len(cloud),
         dropped=cloud.dropped,
-        rings=None if cloud.ring is None else len(np.unique(cloud.ring)),
-        rings_ignored=rings_fault(cloud),
+        rings=None if given.ring is None else len(np.unique(given.ring)),
+        rings_ignored=rings_fault(given),
+        beam_origin_m=cloud.origin.tolist(),
+        told_by_rings=cloud is not given and cloud.ring is not None,
         range_m=[float(value) for value in np.quantile(ranges, [0, 0.5, 1])],
         intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
         sensors=guess_sensors(cloud),
@@ -170,17 +179,19 @@ def guess_sensors(cloud: PointCloud) -> list[str]:
 
     With rings, the elevation of each ring is compared with the table; without, the elevations of
     all points are, for sensors whose rings are far enough apart. Sensors with the same elevations
-    are all named. A cloud that was rotated out of its sensor's frame fits none.
+    are all named. A cloud that was rotated out of its sensor's frame fits none, unless its rings
+    tell where it was.
 
     Parameters
     ----------
     cloud
-        In the sensor's frame.
+        In the sensor's frame, or with the origin and the axis of its beams.
     """
+    cloud = with_beam_origin(cloud)
     part = cloud.select(np.arange(0, len(cloud), max(1, len(cloud) // SENSOR_GUESS_SAMPLE)))
     ray = part.xyz - part.origin
     ranges = np.linalg.norm(ray, axis=1)
-    elevation = np.arcsin(ray[:, 2] / ranges)
+    elevation = np.arcsin(np.clip(ray @ part.axis / ranges, -1.0, 1.0))
     spinning = [sensor for sensor in SENSORS.values() if len(sensor.elevations)]
     if part.ring is not None and np.ptp(part.ring):
         rings = _ring_elevations(elevation, ranges, part.ring)

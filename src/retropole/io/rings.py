@@ -71,7 +71,7 @@ def ring_spread(cloud: PointCloud) -> float:
         return float("inf")
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
     ray, ring = cloud.xyz[part] - cloud.origin, cloud.ring[part]
-    elevation = np.arctan2(ray[:, 2], np.hypot(ray[:, 0], ray[:, 1]))
+    elevation = np.arcsin(np.clip(ray @ cloud.axis / np.linalg.norm(ray, axis=1), -1.0, 1.0))
     order = np.argsort(ring, kind="stable")
     cuts = np.flatnonzero(np.diff(ring[order])) + 1
     groups: list[Array] = np.split(elevation[order], cuts)

@@ -138,4 +138,8 @@ def merged(clouds: Sequence[PointCloud]) -> PointCloud:
     """Put the clouds of one LiDAR together, for what stands still in all of them."""
     if len(clouds) == 1:
         return clouds[0]
-    return PointCloud(np.concatenate([cloud.xyz for cloud in clouds]), origin=clouds[0].origin)
+    return PointCloud(
+        np.concatenate([cloud.xyz for cloud in clouds]),
+        origin=clouds[0].origin,
+        axis=clouds[0].axis,
+    )

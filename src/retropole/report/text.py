@@ -256,12 +256,18 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         f"{cloud.points / cloud.frames_read:,.0f} a frame",
         f"rings      {'none' if cloud.rings is None else cloud.rings}"
         + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
+        *([_beams_line(cloud.beam_origin_m)] if cloud.told_by_rings else []),
         f"range      {near:.2f} to {far:.2f} m, median {middle:.2f} m",
         f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
     ]
     if cloud.intensity is None:
         return [*lines, "intensity  none: tape cannot be told from the rest"]
     return lines + _intensity_lines(cloud.intensity)
+
+
+def _beams_line(origin: list[float]) -> str:
+    x, y, z = origin
+    return f"beams      start at ({x:.3f}, {y:.3f}, {z:.3f}) m, as the rings tell"
 
 
 def _intensity_lines(intensity: IntensityDoc) -> list[str]:

@@ -89,7 +89,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
         if finer:
             tree = cKDTree(np.concatenate(finer))
             at = at[np.isinf(tree.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
-        parts.append(_patches_of(points, at, cloud.origin))
+        parts.append(_patches_of(points, at, cloud.origin, cloud.axis))
     return Patches(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -103,7 +103,7 @@ def selected(patches: Patches, kept: BoolArray | slice) -> Patches:
     return Patches(*(getattr(patches, field.name)[kept] for field in fields(Patches)))
 
 
-def _patches_of(points: Array, at: Array, origin: Array) -> Patches:
+def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches:
     """Fit patches about some (K, 3) of the points."""
     if len(points) < PATCH_NEIGHBOURS or not len(at):
         none, nothing = np.zeros((0, 3)), np.zeros(0)
@@ -134,13 +134,13 @@ def _patches_of(points: Array, at: Array, origin: Array) -> Patches:
     tilt = thickness / (PATCH_NEIGHBOURS * values[flat, 1])
     normals = np.where((cosine > 0)[:, None], -normals, normals)
     tangent = np.sqrt(1.0 - np.minimum(cosine**2, 1.0)) / np.maximum(np.abs(cosine), 1e-3)
-    x, y, z = rays.T
-    level = np.maximum(np.hypot(x, y), 1e-9)
-    by_azimuth = ranges[:, None] * np.stack([-y, x, 0 * x], axis=1)
-    by_elevation = ranges[:, None] * np.stack([-x * z / level, -y * z / level, level], axis=1)
-    device, ring = by_error(rays, by_azimuth, by_elevation, rays, ranges, tangent, tape=False)
+    around = np.cross(axis, rays)
+    level = np.maximum(np.linalg.norm(around, axis=1), 1e-9)
+    by_azimuth = ranges[:, None] * around
+    by_elevation = (ranges / level)[:, None] * np.cross(rays, around)
+    device, ring = by_error(rays, by_azimuth, by_elevation, rays, axis, ranges, tangent, tape=False)
     ray = points - origin
-    band = band_of(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+    band = band_of(ray / np.linalg.norm(ray, axis=1, keepdims=True), axis)
     return Patches(
         centres,
         normals,
