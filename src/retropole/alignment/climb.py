@@ -14,10 +14,7 @@ from .factor import Expansion, expand
 from .observations import Beams
 from .posterior import Posterior, Priors, State, beam_geometry, evaluate
 from .solver import Solution, Step, levenberg_marquardt
-from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, find_view
-
-MIN_NOISE = 2e-5
-"""Least noise of a return, metres."""
+from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
 
 START_NOISE = (0.005, 0.5)
 """Bounds of the noise that the search starts from, metres."""

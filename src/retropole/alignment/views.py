@@ -24,6 +24,9 @@ from .likelihood import arc_likelihood, passed_beam_likelihood
 from .observations import Beams
 from .posterior import RETURN_CURVATURE, SHARED, State, beam_geometry
 
+MIN_NOISE = 2e-5
+"""Least noise of a return, metres."""
+
 MIN_LATERAL_NOISE = 1 / 5
 """Least noise sideways, as a part of that in depth. With less, the edges of the pole are walls: the
 posterior is far from a parabola, its curvature promises too much, and the climb takes long."""
@@ -218,8 +221,9 @@ def lifted(information: Array, least: Array) -> Array:
 def _noise(noise: Array, on: Average) -> Array:
     """Noise (2,) that the averaged returns have, within the bounds of that sideways."""
     new = noise * np.sqrt(on.inlier @ on.noise / max(on.inlier.sum(), 1e-300))
-    depth = new[0]
-    return np.array([depth, np.clip(new[1], MIN_LATERAL_NOISE * depth, MAX_LATERAL_NOISE * depth)])
+    depth = max(new[0], MIN_NOISE)
+    lateral = np.clip(new[1], MIN_LATERAL_NOISE * depth, MAX_LATERAL_NOISE * depth)
+    return np.array([depth, max(lateral, MIN_NOISE)])
 
 
 def _by_axis(jacobian: Array, own: IntArray) -> Array:
