@@ -22,6 +22,7 @@ from retropole.alignment.factor import (
 from retropole.alignment.likelihood import arc_likelihood, passed_beam_likelihood
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import State, beam_geometry
+from retropole.alignment.views import View, exact_view
 from retropole.datatypes import Array, Pole, PoseEstimate
 from retropole.evaluation.paper.estimator import as_beams, poles_of
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
@@ -104,6 +105,11 @@ def corrected(
     return new, ranges
 
 
+def exact(log_noise: Array) -> list[View]:
+    """Views of two poles that leave nothing open, of LiDARs with this noise."""
+    return [exact_view(2, noise) for noise in np.exp(log_noise)]
+
+
 def log_likelihood(
     state: State, b: Array, beams: Beams, lidar: int, layout: Layout, sigma: Array
 ) -> Array:
@@ -135,7 +141,7 @@ def test_the_gradient_is_that_of_the_likelihood_of_corrected_beams(surroundings:
     for lidar in (0, 1):
         for pole in (0, 1):
             one = [only(each, pole) for each in beams]
-            found = expand(state, log_noise, one, pair.poles[0].radius)
+            found = expand(state, exact(log_noise), one, pair.poles[0].radius)
             layout = found.layout
             axes = POSE + layout.size
 
@@ -189,7 +195,8 @@ def only(beams: Beams, pole: int) -> Beams:
 @pytest.fixture(scope="module")
 def expansion() -> Expansion:
     pair, beams = beams_with_surroundings()
-    return expand(state_near(pair), np.log(np.full((2, 2), 0.008)), beams, pair.poles[0].radius)
+    views = exact(np.log(np.full((2, 2), 0.008)))
+    return expand(state_near(pair), views, beams, pair.poles[0].radius)
 
 
 def weighed(layout: Layout) -> Array:
@@ -255,7 +262,7 @@ def test_the_offsets_and_the_radius_that_a_state_has_count_from_zero() -> None:
     """Errors are told from what was given, wherever the expansion was made."""
     pair = paper(3)
     state = state_near(pair)
-    found = expand(state, np.log(np.full((2, 2), 0.006)), beams_at(pair), 0.017)
+    found = expand(state, exact(np.log(np.full((2, 2), 0.006))), beams_at(pair), 0.017)
     np.testing.assert_allclose(found.errors[[TAPE, DEVICE + TAPE]], state.offsets)
     assert found.errors[RADIUS] == pytest.approx(state.radius - 0.017)
     assert np.count_nonzero(found.errors) == 3

@@ -14,17 +14,7 @@ from .factor import Expansion, expand
 from .observations import Beams
 from .posterior import Posterior, Priors, State, beam_geometry, evaluate
 from .solver import Solution, Step, levenberg_marquardt
-
-MIN_NOISE = 2e-5
-"""Least noise of a return, metres."""
-
-MIN_LATERAL_NOISE = 1 / 5
-"""Least noise sideways, as a part of that in depth. With less, the edges of the pole are walls: the
-posterior is far from a parabola, its curvature promises too much, and the climb takes long."""
-
-MAX_LATERAL_NOISE = 2.0
-"""Most noise sideways, as a multiple of that in depth: returns sharp in depth and blurred sideways
-would fall between the nodes of the integral."""
+from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
 
 START_NOISE = (0.005, 0.5)
 """Bounds of the noise that the search starts from, metres."""
@@ -126,7 +116,11 @@ def climb(
             "pole",
             {"noise_m": noise, "inliers": end.inliers, "points": total},
         )
-    return found, expand(end.state, end.log_noise, beams, radius)
+    views = [
+        find_view(end.state, lidar, one, np.exp(end.log_noise[lidar]))
+        for lidar, one in enumerate(beams)
+    ]
+    return found, expand(end.state, views, beams, radius)
 
 
 def start_of(target: Beams, source: Beams, T_start: Array, radius: float) -> tuple[State, Array]:

@@ -17,9 +17,10 @@ import numpy as np
 
 from ..datatypes import Array, IntArray, PoseEstimate
 from ..systematic import DEVICE, RADIUS, TAPE, Layout, band_of, by_error
-from .likelihood import arc_likelihood, closest_approach, passed_beam_likelihood
+from .likelihood import closest_approach
 from .observations import Beams
-from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, beam_geometry
+from .posterior import SHARED, BeamGeometry, State, beam_geometry
+from .views import View, average_passed, average_returns
 
 POSE = 6
 """Parameters of the pose."""
@@ -99,13 +100,15 @@ class Expansion:
     inliers: Array
 
 
-def expand(state: State, log_noise: Array, beams: Sequence[Beams], radius: float) -> Expansion:
-    """Expand the likelihood of the returns about a state to second order.
+def expand(state: State, views: Sequence[View], beams: Sequence[Beams], radius: float) -> Expansion:
+    """Expand the likelihood of the returns, averaged over what each LiDAR's beams leave open.
 
     Parameters
     ----------
-    state, log_noise
-        The maximum of the posterior, and the noise there (`posterior.evaluate`).
+    state
+        The maximum of the posterior.
+    views
+        Of the target and of the source, about that state.
     beams
         Of the target and of the source.
     radius
@@ -116,10 +119,7 @@ def expand(state: State, log_noise: Array, beams: Sequence[Beams], radius: float
     errors = np.zeros(layout.size)
     errors[TAPE], errors[DEVICE + TAPE] = state.offsets
     errors[RADIUS] = state.radius - radius
-    found = [
-        _of_lidar(state, lidar, one, np.exp(log_noise[lidar]), layout)
-        for lidar, one in enumerate(beams)
-    ]
+    found = [_of_lidar(state, lidar, one, views[lidar], layout) for lidar, one in enumerate(beams)]
     return Expansion(
         state,
         layout,
@@ -204,42 +204,41 @@ def compare_axes(expansion: Expansion, precision: Array) -> AxesTest:
 
 
 def _of_lidar(
-    state: State, lidar: int, one: Beams, noise: Array, layout: Layout
+    state: State, lidar: int, one: Beams, view: View, layout: Layout
 ) -> tuple[Array, Array, Array]:
     """Information, gradient, and inliers on each pole, of the beams of one LiDAR."""
+    on, passed = (
+        average_returns(state, lidar, one, view),
+        average_passed(state, lidar, one, view),
+    )
     seen = beam_geometry(state, lidar, one.origin, one.directions, one.ranges, one.pole)
     J = _jacobian(state, lidar, seen, one.directions, one.ranges, one, one.pole, layout)
     size = J.shape[2]
-    sigma = np.hypot(noise[0] * seen.sine, noise[1] * np.sqrt(1.0 - seen.sine**2))
-    arc = arc_likelihood(
-        seen.depth,
-        seen.lateral_offset,
-        sigma,
-        np.full_like(sigma, noise[1]),
-        state.radius,
-        one.half_width,
-    )
-    least = np.linalg.eigvalsh(arc.information)[:, 0]
-    lift = np.maximum(RETURN_CURVATURE * arc.inlier / sigma**2 - least, 0.0)
-    curvature = arc.information + lift[:, None, None] * np.eye(3)
     flat = J.reshape(-1, size)
-    information = flat.T @ (curvature @ J).reshape(-1, size)
-    gradient = arc.score.reshape(-1) @ flat
+    information = flat.T @ (on.information @ J).reshape(-1, size)
+    gradient = on.score.reshape(-1) @ flat
     if len(one.passed_pole):
         far = np.zeros(len(one.passed_pole))
         own = one.passed_pole
         seen = beam_geometry(state, lidar, one.origin, one.passed_directions, far, own)
         J = _jacobian(state, lidar, seen, one.passed_directions, far, one, own, layout)[:, 1:]
-        free = passed_beam_likelihood(
-            seen.lateral_offset, np.full_like(far, noise[1]), state.radius, one.passed_half_width
-        )
-        lift = np.maximum(-np.linalg.eigvalsh(free.information)[:, 0], 0.0)
-        curvature = free.information + lift[:, None, None] * np.eye(2)
         flat = J.reshape(-1, size)
-        information = information + flat.T @ (curvature @ J).reshape(-1, size)
-        gradient = gradient + free.score.reshape(-1) @ flat
-    inliers = np.bincount(one.pole, arc.inlier, len(state.points)).astype(np.float64)
-    return np.asarray(information), np.asarray(gradient), inliers
+        information = information + flat.T @ (passed.information @ J).reshape(-1, size)
+        gradient = gradient + passed.score.reshape(-1) @ flat
+    inliers = np.bincount(one.pole, on.inlier, len(state.points)).astype(np.float64)
+    return _not_negative(information), np.asarray(gradient), inliers
+
+
+def _not_negative(information: Array) -> Array:
+    """Leave out of an information (P, P) the directions in which there is less than none."""
+    scale = np.sqrt(np.abs(np.diag(information)))
+    used = np.flatnonzero(scale > 0)
+    block = np.ix_(used, used)
+    by_scale = np.outer(scale[used], scale[used])
+    size, way = np.linalg.eigh(information[block] / by_scale)
+    left: Array = np.zeros_like(information)
+    left[block] = (way * np.maximum(size, 0.0)) @ way.T * by_scale
+    return left
 
 
 def _jacobian(
