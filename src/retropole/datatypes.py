@@ -181,7 +181,7 @@ class Match:
     pairs
         ``((i, j), …)``: target pole ``i`` is source pole ``j``.
     T_target_source
-        (4, 4) least-squares pose under these pairs (eq. 1–2).
+        (4, 4) least-squares pose under these pairs (eq. 1–2), unless `settled`.
     pole_rms
         Root mean square distance of source points from target lines, metres.
     exact
@@ -191,6 +191,8 @@ class Match:
         Whether the solver came to rest.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
+    settled
+        Whether the pose is where the scenes lie on each other, the poles still fitting.
     """
 
     pairs: tuple[tuple[int, int], ...]
@@ -199,6 +201,7 @@ class Match:
     exact: bool
     converged: bool
     information: Array
+    settled: bool = False
 
 
 @dataclass(frozen=True, eq=False)

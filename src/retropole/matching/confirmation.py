@@ -62,14 +62,19 @@ class Chosen:
 
 
 def choose_with_doubtful(
-    choose: Callable[[Sequence[Placement]], Chosen], placements: Sequence[Placement], radius: float
+    choose: Callable[[Sequence[Placement], bool], Chosen],
+    placements: Sequence[Placement],
+    radius: float,
 ) -> Chosen:
     """Choose by the sure poles; where they give nothing, by the doubtful ones too.
+
+    Where these are not confirmed either, the hypotheses first settle on the scene.
 
     Parameters
     ----------
     choose
-        Matches the poles of some placements, and lets the scene choose.
+        Matches the poles of some placements, lets the hypotheses settle if told so, and lets the
+        scene choose.
     placements
         With what was found in each of their clouds.
     radius
@@ -80,21 +85,22 @@ def choose_with_doubtful(
     Chosen
         With the first refusal where the doubtful poles are not confirmed.
     """
-    chosen = choose(placements)
+    chosen = choose(placements, False)
     if chosen.refusal is None or chosen.refusal.code not in RESCUED:
         return chosen
-    wider = choose(
-        [
-            replace(
-                each,
-                target=_with_doubtful(each.target, radius),
-                source=_with_doubtful(each.source, radius),
-            )
-            for each in placements
-        ]
-    )
-    is_better = wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius)
-    return wider if is_better else chosen
+    with_all = [
+        replace(
+            each,
+            target=_with_doubtful(each.target, radius),
+            source=_with_doubtful(each.source, radius),
+        )
+        for each in placements
+    ]
+    for settled in (False, True):
+        wider = choose(with_all, settled)
+        if wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius):
+            return wider
+    return chosen
 
 
 def _with_doubtful(scan: Scan, radius: float) -> Scan:
@@ -147,16 +153,20 @@ def _beam_scatter(each: PairedPlacement, radius: float) -> float:
 
 
 def _scene_agrees(best: Hypothesis) -> bool:
-    if best.icp_rotation is None or best.icp_translation is None:
-        return False
     covisible = best.covisible_overlap or 0.0
     is_covisible = covisible >= MIN_CONFIRMED_COVISIBLE and best.overlap >= LEAST_CONFIRMED_OVERLAP
     return (
         (best.overlap >= MIN_CONFIRMED_OVERLAP or is_covisible)
         and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
-        and best.icp_rotation <= MAX_ICP_ROTATION
-        and best.icp_translation <= MAX_ICP_TRANSLATION
+        and (best.match.settled or _icp_stays(best))
     )
+
+
+def _icp_stays(best: Hypothesis) -> bool:
+    """Whether ICP stays; a settled hypothesis is where a sharper registration ended."""
+    if best.icp_rotation is None or best.icp_translation is None:
+        return False
+    return best.icp_rotation <= MAX_ICP_ROTATION and best.icp_translation <= MAX_ICP_TRANSLATION
 
 
 def _lines_agree(each: PairedPlacement) -> bool:
