@@ -35,6 +35,11 @@ RESCUED = {
 }
 """Refusals after which doubtful poles are tried: other poles may give what these did not."""
 
+CONFIRMED_COUNT = 3
+"""So many poles need not meet the limits above where they fit under the pose that the scenes
+register to: two lines have two measures of their own, the angle and the distance, and by chance
+some agree in both. Of a third pole's four numbers none is left free."""
+
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""
 
@@ -125,7 +130,6 @@ def is_confirmed(
     radius
         Of the poles, metres.
     """
-    limit = float(np.hypot(np.hypot(FACING_SIDES, RMS_PER_RADIUS) * radius, CONFIRMED_NOISE))
     best, *others = hypotheses
     lead = min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
     is_clear = all(best.score - other.score >= lead for other in others)
@@ -133,12 +137,22 @@ def is_confirmed(
         is_clear
         and _scene_agrees(best)
         and all(
-            each.hypothesis.match.exact
-            and each.hypothesis.match.pole_rms <= np.hypot(limit, _beam_scatter(each, radius))
-            and _lines_agree(each)
+            each.hypothesis.match.exact and (_several_settled(each) or _two_agree(each, radius))
             for each in paired
         )
     )
+
+
+def _two_agree(each: PairedPlacement, radius: float) -> bool:
+    """Whether the poles fit each other as closely as two must."""
+    limit = np.hypot(np.hypot(FACING_SIDES, RMS_PER_RADIUS) * radius, CONFIRMED_NOISE)
+    is_near = each.hypothesis.match.pole_rms <= np.hypot(limit, _beam_scatter(each, radius))
+    return bool(is_near and _lines_agree(each))
+
+
+def _several_settled(each: PairedPlacement) -> bool:
+    match = each.hypothesis.match
+    return match.settled and len(match.pairs) >= CONFIRMED_COUNT
 
 
 def _beam_scatter(each: PairedPlacement, radius: float) -> float:
