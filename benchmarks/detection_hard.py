@@ -70,7 +70,7 @@ def _level(bearing: float) -> Array:
     return np.array([np.cos(bearing), np.sin(bearing), 0.0])
 
 
-def _beside(pole: Cylinder, what: str, eyes: Array, rng: np.random.Generator) -> list[Surface]:
+def beside(pole: Cylinder, what: str, eyes: Array, rng: np.random.Generator) -> list[Surface]:
     """What stands beside a pole, as LiDARs at ``eyes`` (2, 3) see it."""
     foot = np.r_[pole.centre[:2], 0.0]
     away = foot - np.r_[eyes.mean(axis=0)[:2], 0.0]
@@ -101,7 +101,7 @@ def _clutter(
     poles: Sequence[Cylinder], eyes: Array, clear: tuple[float, float], rng: np.random.Generator
 ) -> list[Surface]:
     """A vest and a plate where the poles are, and other bright things about the place."""
-    things = [*_beside(poles[1], "vest", eyes, rng), *_beside(poles[0], "plate", eyes, rng)]
+    things = [*beside(poles[1], "vest", eyes, rng), *beside(poles[0], "plate", eyes, rng)]
     for what in rng.choice(["vest", "plate", "strip", "bollard"], rng.integers(3, 9)):
         spot = np.r_[rng.uniform(-1.3, 1.3, 2) * clear, 0.0]
         if what == "strip":
@@ -111,7 +111,7 @@ def _clutter(
             height = rng.uniform(0.3, 0.6)
             things.append(Cylinder(spot + height * UP, UP, 0.08, 2 * height, TAPE))
         else:
-            things += _beside(replace(poles[0], centre=spot + UP), what, eyes, rng)
+            things += beside(replace(poles[0], centre=spot + UP), what, eyes, rng)
     return things
 
 
@@ -148,7 +148,7 @@ def outcome_of(job: tuple[str, int]) -> Outcome | None:
             for what in ("wall", "vest", "plate")
             if what in kind
             for pole in (poles if rng.uniform() < 0.5 else poles[:1])
-            for thing in _beside(pole, what, eyes, rng)
+            for thing in beside(pole, what, eyes, rng)
         ]
         missing = kind == "one pole missing"
         if missing:

@@ -181,14 +181,13 @@ class Match:
     pairs
         ``((i, j), …)``: target pole ``i`` is source pole ``j``.
     T_target_source
-        (4, 4) least-squares pose under these pairs (eq. 1–2).
+        (4, 4) least-squares pose under these pairs (eq. 1–2), unless `settled`.
     pole_rms
-        Root mean square distance of source points from target lines, metres.
-    exact
-        Whether the lines themselves fit: one of the four of the Klein group, or a match of three
-        or more poles.
-    converged
-        Whether the solver came to rest.
+        Root mean square distance of source points from target lines at that minimum, metres.
+    exact, converged, settled
+        Whether the lines themselves fit, one of the four of the Klein group, or three or more
+        poles; whether the solver came to rest; and whether the pose is no longer the poles' own,
+        but where the scenes lie on each other near it, the poles still fitting.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -199,6 +198,7 @@ class Match:
     exact: bool
     converged: bool
     information: Array
+    settled: bool = False
 
 
 @dataclass(frozen=True, eq=False)

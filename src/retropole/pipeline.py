@@ -38,7 +38,7 @@ from .matching.placements import (
     recurring,
 )
 from .matching.prior import RotationPrior, agreeing_with_prior
-from .scene import disambiguation
+from .scene import disambiguation, settling
 from .scene.agreement import check_axes, check_contradiction
 from .scene.refinement import Refinement, refine
 from .scene.static import check_static, remove_dynamic_points
@@ -160,17 +160,23 @@ def check_poles(placements: Sequence[Placement]) -> None:
 
 def choose(
     placements: Sequence[Placement],
+    settled: bool,
     count: int | None,
     prior: RotationPrior | None,
     step: Callable[[str], AbstractContextManager[None]],
 ) -> Chosen:
-    """Match the poles of every placement and let the scene choose; a refusal is kept."""
+    """Match the poles of every placement and let the scene choose; a refusal is kept.
+
+    The scene scores hypotheses as the poles have them, or, settled, where it moves them to.
+    """
     hypotheses: tuple[Hypothesis, ...] = ()
     try:
         with step("match"):
             matched = [match_poles(placement, count, prior) for placement in placements]
         with step("disambiguate"):
             scored = [score_hypotheses(each) for each in matched]
+            if settled:
+                scored = [score_hypotheses(settle(each)) for each in scored]
             hypotheses = scored[0].hypotheses
             choices = recurring(scored)
             hypotheses = rank_joint_hypotheses(choices, scored)
@@ -196,6 +202,13 @@ def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
     target, source = matched.placement.target.cloud, matched.placement.source.cloud
     hypotheses = disambiguation.score_hypotheses(target, source, matched.matches)
     return PlacementHypotheses(matched.placement, hypotheses)
+
+
+def settle(scored: PlacementHypotheses) -> PlacementMatches:
+    """Let the scene move the hypotheses of a placement as far as their poles allow."""
+    target, source = scored.placement.target, scored.placement.source
+    matches = settling.settle(target.cloud, source.cloud, scored.hypotheses, source.poles)
+    return PlacementMatches(scored.placement, matches)
 
 
 def align(

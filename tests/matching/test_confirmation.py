@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.datatypes import Array, Calibration, Hypothesis, PointCloud
+from retropole.errors import Refusal
 from retropole.matching import confirmation
-from retropole.matching.confirmation import doubtful_in, doubtful_reasons, is_confirmed
+from retropole.matching.confirmation import (
+    Chosen,
+    choose_with_doubtful,
+    doubtful_in,
+    doubtful_reasons,
+    is_confirmed,
+)
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
 from retropole.sensors import find_sensor
@@ -144,6 +153,62 @@ def test_every_witness_is_needed(confirmed: Confirmed) -> None:
         match = replace(best.match, pole_rms=rms)
         again = (PairedPlacement(paired[0].placement, replace(best, match=match)),)
         assert is_confirmed(again, answer.hypotheses, 0.02) is holds
+
+
+def settled(hypothesis: Hypothesis, **changes: Any) -> Hypothesis:
+    return replace(hypothesis, match=replace(hypothesis.match, settled=True, **changes))
+
+
+def test_a_settled_hypothesis_needs_no_icp_that_stays(confirmed: Confirmed) -> None:
+    answer, paired = confirmed
+    best, *others = answer.hypotheses
+    slid = replace(best, icp_translation=1.01 * confirmation.MAX_ICP_TRANSLATION)
+    assert not is_confirmed(paired, (slid, *others), 0.02)
+    assert is_confirmed(paired, (settled(slid), *others), 0.02)
+    seen_through = replace(slid, free_space_violation=1.01 * confirmation.MAX_CONFIRMED_VIOLATION)
+    assert not is_confirmed(paired, (settled(seen_through), *others), 0.02)
+
+
+def test_three_settled_poles_need_not_fit_as_closely_as_two(confirmed: Confirmed) -> None:
+    answer, (each,) = confirmed
+    best, *others = answer.hypotheses
+
+    def counts(hypothesis: Hypothesis) -> bool:
+        paired = (PairedPlacement(each.placement, hypothesis),)
+        return is_confirmed(paired, (hypothesis, *others), 0.02)
+
+    two, three = best.match.pairs, (*best.match.pairs, best.match.pairs[0])
+    assert counts(settled(best, pairs=three, pole_rms=0.045))
+    assert not counts(settled(best, pairs=two, pole_rms=0.045))
+    assert not counts(replace(best, match=replace(best.match, pairs=three, pole_rms=0.045)))
+    assert not counts(settled(best, pairs=three, pole_rms=0.045, exact=False))
+
+
+def test_hypotheses_settle_only_where_nothing_else_is_confirmed(confirmed: Confirmed) -> None:
+    answer, paired = confirmed
+    refusal = Refusal("too_few_poles", "", {})
+    nothing = Chosen((), (), refusal)
+    right = Chosen(answer.hypotheses, paired)
+    for answers, asked in (
+        ([right], [False]),
+        ([nothing, right], [False, False]),
+        ([nothing, nothing, right], [False, False, True]),
+        ([nothing, nothing, nothing], [False, False, True]),
+    ):
+        told: list[bool] = []
+        left = iter(answers)
+
+        def choose(
+            placements: object,
+            is_settled: bool,
+            told: list[bool] = told,
+            left: Iterator[Chosen] = left,
+        ) -> Chosen:
+            told.append(is_settled)
+            return next(left)
+
+        assert choose_with_doubtful(choose, answer.placements, 0.02) is answers[-1]
+        assert told == asked
 
 
 @pytest.mark.parametrize(("turn", "shift"), [(0.15, 0.0), (0.0, 1.5)])

@@ -35,6 +35,11 @@ RESCUED = {
 }
 """Refusals after which doubtful poles are tried: other poles may give what these did not."""
 
+CONFIRMED_COUNT = 3
+"""So many poles need not meet the limits above where they fit under the pose that the scenes
+register to: two lines have two measures of their own, the angle and the distance, and by chance
+some agree in both. Of a third pole's four numbers none is left free."""
+
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""
 
@@ -62,14 +67,19 @@ class Chosen:
 
 
 def choose_with_doubtful(
-    choose: Callable[[Sequence[Placement]], Chosen], placements: Sequence[Placement], radius: float
+    choose: Callable[[Sequence[Placement], bool], Chosen],
+    placements: Sequence[Placement],
+    radius: float,
 ) -> Chosen:
     """Choose by the sure poles; where they give nothing, by the doubtful ones too.
+
+    Where these are not confirmed either, the hypotheses first settle on the scene.
 
     Parameters
     ----------
     choose
-        Matches the poles of some placements, and lets the scene choose.
+        Matches the poles of some placements, lets the hypotheses settle if told so, and lets the
+        scene choose.
     placements
         With what was found in each of their clouds.
     radius
@@ -80,21 +90,22 @@ def choose_with_doubtful(
     Chosen
         With the first refusal where the doubtful poles are not confirmed.
     """
-    chosen = choose(placements)
+    chosen = choose(placements, False)
     if chosen.refusal is None or chosen.refusal.code not in RESCUED:
         return chosen
-    wider = choose(
-        [
-            replace(
-                each,
-                target=_with_doubtful(each.target, radius),
-                source=_with_doubtful(each.source, radius),
-            )
-            for each in placements
-        ]
-    )
-    is_better = wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius)
-    return wider if is_better else chosen
+    with_all = [
+        replace(
+            each,
+            target=_with_doubtful(each.target, radius),
+            source=_with_doubtful(each.source, radius),
+        )
+        for each in placements
+    ]
+    for settled in (False, True):
+        wider = choose(with_all, settled)
+        if wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius):
+            return wider
+    return chosen
 
 
 def _with_doubtful(scan: Scan, radius: float) -> Scan:
@@ -119,7 +130,6 @@ def is_confirmed(
     radius
         Of the poles, metres.
     """
-    limit = float(np.hypot(np.hypot(FACING_SIDES, RMS_PER_RADIUS) * radius, CONFIRMED_NOISE))
     best, *others = hypotheses
     lead = min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
     is_clear = all(best.score - other.score >= lead for other in others)
@@ -127,12 +137,22 @@ def is_confirmed(
         is_clear
         and _scene_agrees(best)
         and all(
-            each.hypothesis.match.exact
-            and each.hypothesis.match.pole_rms <= np.hypot(limit, _beam_scatter(each, radius))
-            and _lines_agree(each)
+            each.hypothesis.match.exact and (_several_settled(each) or _two_agree(each, radius))
             for each in paired
         )
     )
+
+
+def _two_agree(each: PairedPlacement, radius: float) -> bool:
+    """Whether the poles fit each other as closely as two must."""
+    limit = np.hypot(np.hypot(FACING_SIDES, RMS_PER_RADIUS) * radius, CONFIRMED_NOISE)
+    is_near = each.hypothesis.match.pole_rms <= np.hypot(limit, _beam_scatter(each, radius))
+    return bool(is_near and _lines_agree(each))
+
+
+def _several_settled(each: PairedPlacement) -> bool:
+    match = each.hypothesis.match
+    return match.settled and len(match.pairs) >= CONFIRMED_COUNT
 
 
 def _beam_scatter(each: PairedPlacement, radius: float) -> float:
@@ -147,16 +167,20 @@ def _beam_scatter(each: PairedPlacement, radius: float) -> float:
 
 
 def _scene_agrees(best: Hypothesis) -> bool:
-    if best.icp_rotation is None or best.icp_translation is None:
-        return False
     covisible = best.covisible_overlap or 0.0
     is_covisible = covisible >= MIN_CONFIRMED_COVISIBLE and best.overlap >= LEAST_CONFIRMED_OVERLAP
     return (
         (best.overlap >= MIN_CONFIRMED_OVERLAP or is_covisible)
         and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
-        and best.icp_rotation <= MAX_ICP_ROTATION
-        and best.icp_translation <= MAX_ICP_TRANSLATION
+        and (best.match.settled or _icp_stays(best))
     )
+
+
+def _icp_stays(best: Hypothesis) -> bool:
+    """Whether ICP stays; a settled hypothesis is where a sharper registration ended."""
+    if best.icp_rotation is None or best.icp_translation is None:
+        return False
+    return best.icp_rotation <= MAX_ICP_ROTATION and best.icp_translation <= MAX_ICP_TRANSLATION
 
 
 def _lines_agree(each: PairedPlacement) -> bool:

@@ -118,14 +118,16 @@ class Recorders(NamedTuple):
     frames: int
 
 
-def _is_seen(on_pole: BoolArray, rings: IntArray | None) -> bool:
+def _is_seen(on_pole: BoolArray, rings: IntArray | None, returns: int = MIN_RETURNS) -> bool:
     """Whether a pole's returns, a mask (N,) of those with rings (N,), are enough to find it."""
     count = int(np.count_nonzero(on_pole))
-    return count >= MIN_RETURNS and (rings is None or len(np.unique(rings[on_pole])) >= MIN_RINGS)
+    return count >= returns and (rings is None or len(np.unique(rings[on_pole])) >= MIN_RINGS)
 
 
-def are_in_view(at: Arrangement, recorders: Recorders, rng: np.random.Generator) -> bool:
-    """Whether both LiDARs see every pole along thin, exact beams.
+def are_in_view(
+    at: Arrangement, recorders: Recorders, rng: np.random.Generator, returns: int = MIN_RETURNS
+) -> bool:
+    """Whether both LiDARs see every pole along thin, exact beams, with so many returns or more.
 
     This is the demand on an arrangement, so that it is the same under every noise model. Only beams
     that may meet a pole are cast.
@@ -143,7 +145,7 @@ def are_in_view(at: Arrangement, recorders: Recorders, rng: np.random.Generator)
             rings.append(sweep.rings[toward])
         own = np.concatenate(rings) if sensor.pattern == "spinning" else None
         met = np.concatenate(surface)
-        if not all(_is_seen(met == first + k, own) for k in range(len(at.poles))):
+        if not all(_is_seen(met == first + k, own, returns) for k in range(len(at.poles))):
             return False
     return True
 
