@@ -39,6 +39,7 @@ def beams_at_pole(rng: np.random.Generator, rings: int, step: float, width: floa
     rows, rays = np.array(on), np.array(beside).reshape(-1, 3)
     return Beams(
         np.zeros(3),
+        np.array([0.0, 0.0, 1.0]),
         rows[:, :3],
         rows[:, 3],
         np.zeros(len(rows), dtype=np.int64),

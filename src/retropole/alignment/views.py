@@ -15,7 +15,6 @@ is averaged likewise: returns lie closer to an axis that was fitted to them than
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -51,6 +50,7 @@ information, at which the distribution is its own average."""
 
 _AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(NODES)
 _WEIGHT = _WEIGHT / _WEIGHT.sum()
+_SIDE = np.array([-1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,25 +103,24 @@ def average_returns(state: State, lidar: int, beams: Beams, view: View) -> Avera
     sideways = np.sqrt(spread[:, 1, 1])
     depthways = spread[:, 0, 1] / np.maximum(sideways, 1e-12)
     sigma = np.hypot(view.noise[0] * seen.sine, view.noise[1] * np.sqrt(1.0 - seen.sine**2))
-    count = len(beams.pole)
-    score, information = np.zeros((count, 3)), np.zeros((count, 3, 3))
-    inlier, noise = np.zeros(count), np.zeros((count, 2))
     rest = np.sqrt(np.maximum(spread[:, 0, 0] - depthways**2, 0.0))
-    for (at, weight), side in product(zip(_AT, 0.5 * _WEIGHT, strict=True), (-1.0, 1.0)):
-        arc = arc_likelihood(
-            seen.depth + moved[:, 0] + at * depthways + side * rest,
-            seen.lateral_offset + moved[:, 1] + at * sideways,
-            sigma,
-            np.full_like(sigma, view.noise[1]),
-            state.radius,
-            beams.half_width,
-        )
-        score += weight * arc.score
-        information += weight * arc.information
-        inlier += weight * arc.inlier
-        noise += weight * arc.inlier[:, None] * arc.noise
+    depth = seen.depth + moved[:, 0] + _AT[:, None] * depthways + _SIDE[:, None, None] * rest
+    lateral = seen.lateral_offset + moved[:, 1] + _AT[:, None] * sideways
+    # All nodes at once: the arrays are small, and calls cost more than what they compute.
+    nodes = 2 * NODES
+    arc = arc_likelihood(
+        depth.reshape(-1),
+        np.tile(lateral.reshape(-1), 2),
+        np.tile(sigma, nodes),
+        np.full(nodes * len(sigma), view.noise[1]),
+        state.radius,
+        np.tile(beams.half_width, nodes),
+    )
+    weight = np.tile(0.5 * _WEIGHT, 2)
+    information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
+    noise = _averaged(arc.inlier[:, None] * arc.noise, weight)
     noise /= np.maximum(inlier, 1e-300)[:, None]
-    score = score + np.einsum("nce,ne->nc", information[:, :, :2], moved)
+    score = _averaged(arc.score, weight) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
     return Average(score, information, inlier, noise)
 
 
@@ -133,18 +132,21 @@ def average_passed(state: State, lidar: int, beams: Beams, view: View) -> Averag
     J = _by_axis(seen.jacobian, own)[:, 1]
     moved = np.einsum("ni,ni->n", J, view.shift[own])
     sideways = np.sqrt(np.einsum("ni,nij,nj->n", J, view.covariance[own], J))
-    score, information = np.zeros((count, 2)), np.zeros((count, 2, 2))
-    for at, weight in zip(_AT, _WEIGHT, strict=True):
-        free = passed_beam_likelihood(
-            seen.lateral_offset + moved + at * sideways,
-            np.full(count, view.noise[1]),
-            state.radius,
-            beams.passed_half_width,
-        )
-        score += weight * free.score
-        information += weight * free.information
-    score = score + information[:, :, 0] * moved[:, None]
+    free = passed_beam_likelihood(
+        (seen.lateral_offset + moved + _AT[:, None] * sideways).reshape(-1),
+        np.full(NODES * count, view.noise[1]),
+        state.radius,
+        np.tile(beams.passed_half_width, NODES),
+    )
+    information = _averaged(free.information, _WEIGHT)
+    score = _averaged(free.score, _WEIGHT) + information[:, :, 0] * moved[:, None]
     return Average(score, information, np.zeros(0), np.zeros((0, 2)))
+
+
+def _averaged(values: Array, weight: Array) -> Array:
+    """Average (M·N, …) values at M nodes, one node after the other, to (N, …)."""
+    by_node = values.reshape(len(weight), -1, *values.shape[1:])
+    return np.asarray(np.tensordot(weight, by_node, axes=1))
 
 
 def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
