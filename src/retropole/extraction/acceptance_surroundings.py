@@ -175,12 +175,8 @@ def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
     place need not be known.
     """
     line, xyz = around.line, around.cloud.xyz
-    own, others = (
-        xyz[index]
-        - line.point
-        - np.outer((xyz[index] - line.point) @ line.direction, line.direction)
-        for index in (line.index, around.near[dim])
-    )
+    offsets = [xyz[index] - line.point for index in (line.index, around.near[dim])]
+    own, others = (each - np.outer(each @ line.direction, line.direction) for each in offsets)
     both = np.vstack([own, others])
     both -= both.mean(axis=0)
     side = np.linalg.eigh(both.T @ both)[1][:, 2]
