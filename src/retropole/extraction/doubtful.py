@@ -150,9 +150,9 @@ def _may_be_pole(
     if too_thick_for_radius(cloud, line, radius) is not None:
         return False
     is_few = len(line.index) < MIN_POLE_POINTS
-    if is_few and _skips_rings(cloud, line):
-        return False
     around = surroundings_of(cloud, near, free, line)
+    if is_few and _skips_rings(around):
+        return False
     bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line
     if _is_clung_to(around, bright, line.tube + CLINGING) or _is_clung_to(around, dim, MAX_HUGGING):
         return False
@@ -161,12 +161,19 @@ def _may_be_pole(
     return not (untaped_between(around) or along_the_sweeps(around) or in_single_file(around))
 
 
-def _skips_rings(cloud: PointCloud, line: Line) -> bool:
-    """Whether more than one ring between those that hit the line missed it."""
+def _skips_rings(around: Surroundings) -> bool:
+    """Whether more than one ring between those that hit the line missed it.
+
+    A dim return on the line is a hit: of a coarse sensor's rings, some meet only the edges of a
+    pole, where tape is dim.
+    """
+    cloud, line = around.cloud, around.line
     if cloud.ring is None:
         return False
     rings = np.unique(cloud.ring[line.index])
-    return bool(np.ptp(rings) > len(rings))
+    hit = np.unique(cloud.ring[around.near[around.on_line]])
+    hit = hit[(hit >= rings[0]) & (hit <= rings[-1])]
+    return bool(np.ptp(rings) > len(hit))
 
 
 def _is_clung_to(around: Surroundings, kind: BoolArray, within: float) -> bool:
