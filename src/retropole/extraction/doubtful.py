@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud
+from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
 from ..io.rings import with_trusted_rings
 from ..sensors import Sensor
 from .acceptance_shape import (
@@ -41,7 +41,7 @@ from .lines import (
     propose_lines,
 )
 from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
-from .surroundings import MAX_BESIDE, Surroundings, crowded_share, surroundings_of
+from .surroundings import RETRO_CROWD, Surroundings, crowded_share, surroundings_of
 
 MIN_DOUBTFUL_POINTS = 3
 """Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
@@ -54,8 +54,14 @@ itself is nearer than `MAX_HUGGING`."""
 MAX_CLINGING_SHARE = 0.5
 """Largest share of the line's pieces to which something clings. Two bands of a vest cover less."""
 
+MOST_PROPOSALS = 30
+"""Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""
+
 MAX_DOUBTFUL_PER_PART = 4
 """Doubtful poles taken out of one group at most."""
+
+MAX_FOUND_SHARE = 0.5
+"""A doubtful pole of the first search is kept where no more than half of it is found again."""
 
 MAX_DOUBTFUL = 8
 """Doubtful poles of a cloud that are kept, those with the most returns."""
@@ -85,11 +91,11 @@ def with_doubtful(
     cloud = with_trusted_rings(cloud)
     assert cloud.intensity is not None
     free = np.asarray(cloud.intensity >= detection.threshold)
-    for pole in (*detection.poles, *detection.doubtful):
+    for pole in detection.poles:
         free[pole.index] = False
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
-    found = list(detection.doubtful)
+    found: list[Pole] = []
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
         if len(cluster) < MIN_DOUBTFUL_POINTS:
@@ -104,6 +110,8 @@ def with_doubtful(
             for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), fewest):
                 free[line.index] = False
                 found.append(pole_on(cloud, line))
+    # Those that are found again are found without the bright things about them.
+    found += [pole for pole in detection.doubtful if np.mean(free[pole.index]) > MAX_FOUND_SHARE]
     found.sort(key=lambda pole: (-len(pole.index), pole.rms))
     return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
 
@@ -125,21 +133,42 @@ def _lines_in(
         if len(left) < MIN_DOUBTFUL_POINTS:
             break
         left = in_canonical_order(cloud.xyz, left)
-        tube, shell = radius + SEARCH_ROOM, (radius + TUBE, MAX_BESIDE)
+        tube = radius + SEARCH_ROOM
+        shell = tube, radius + TUBE + CLINGING
         lines = [
-            fit_line(cloud, left, point, direction, radius, beams)
+            line
             for point, direction in propose_lines(
-                cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell
+                cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell, MOST_PROPOSALS
             )
+            for line in _slim_or_wide(cloud, near, left, free, (point, direction), radius, beams)
+            if len(line.index) >= fewest
         ]
-        lines = [line for line in lines if len(line.index) >= fewest]
-        lines = [line for line in lines if _may_be_pole(cloud, near, free, line, radius)]
         if not lines:
             break
         best = max(lines, key=lambda line: (len(line.index), -line.rms))
         found.append(best)
         free[best.index] = False
     return found
+
+
+def _slim_or_wide(
+    cloud: PointCloud,
+    near: IntArray,
+    left: IntArray,
+    free: BoolArray,
+    guess: tuple[Array, Array],
+    radius: float,
+    beams: Beams,
+) -> list[Line]:
+    """Fit a line in a slim tube, and where that is no pole, in a wide one; none where neither is.
+
+    A plate or a vest reaches into the wide one, and turns the line.
+    """
+    for room in (SEARCH_ROOM, TUBE):
+        line = fit_line(cloud, left, *guess, radius, beams, room)
+        if _may_be_pole(cloud, near, free, line, radius):
+            return [line]
+    return []
 
 
 def _may_be_pole(
@@ -154,7 +183,9 @@ def _may_be_pole(
     if is_few and _skips_rings(around):
         return False
     bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line
-    if _is_clung_to(around, bright, line.tube + CLINGING) or _is_clung_to(around, dim, MAX_HUGGING):
+    reach = radius + TUBE + CLINGING
+    is_clung_to = _is_clung_to(around, bright, reach, RETRO_CROWD)
+    if is_clung_to or _is_clung_to(around, dim, MAX_HUGGING, CROWD):
         return False
     if is_few and crowded_by_retro(around) is not None:
         return False
@@ -176,7 +207,10 @@ def _skips_rings(around: Surroundings) -> bool:
     return bool(np.ptp(rings) > len(hit))
 
 
-def _is_clung_to(around: Surroundings, kind: BoolArray, within: float) -> bool:
-    """Whether returns of a kind lie close beside most of the line, within some metres."""
+def _is_clung_to(around: Surroundings, kind: BoolArray, within: float, crowd: float) -> bool:
+    """Whether returns of a kind lie close beside most of the line, within some metres.
+
+    ``crowd`` is how many for each of the line's own make a piece of it clung to.
+    """
     places: Array = around.along[kind & (around.distance < within)]
-    return crowded_share(around.line, places, CROWD) > MAX_CLINGING_SHARE
+    return crowded_share(around.line, places, crowd) > MAX_CLINGING_SHARE
