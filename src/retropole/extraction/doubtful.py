@@ -8,12 +8,13 @@ of them are none, so nothing rests on them until the other LiDAR and the scene c
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
 from ..io.rings import with_trusted_rings
-from ..sensors import Sensor
+from ..sensors import Sensor, Threshold, lower_thresholds
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
@@ -30,7 +31,7 @@ from .acceptance_surroundings import (
     untaped_between,
 )
 from .beams import Beams, beams_by
-from .certainty import too_thick_for_radius
+from .certainty import MAX_SURE_RMS, too_thick_for_radius
 from .clustering import LINK, clusters
 from .lines import (
     MAX_PROPOSING_POINTS,
@@ -40,7 +41,7 @@ from .lines import (
     in_canonical_order,
     propose_lines,
 )
-from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
+from .poles import SEARCH_ROOM, extract_poles, near_box, off_surfaces, pole_on
 from .surroundings import RETRO_CROWD, Surroundings, crowded_share, surroundings_of
 
 MIN_DOUBTFUL_POINTS = 3
@@ -60,11 +61,15 @@ MOST_PROPOSALS = 30
 MAX_DOUBTFUL_PER_PART = 4
 """Doubtful poles taken out of one group at most."""
 
-MAX_FOUND_SHARE = 0.5
-"""A doubtful pole of the first search is kept where no more than half of it is found again."""
-
 MAX_DOUBTFUL = 8
 """Doubtful poles of a cloud that are kept, those with the most returns."""
+
+
+class Fitted(NamedTuple):
+    """A line that may be a pole, and how many bright returns are close beside it."""
+
+    line: Line
+    beside: int
 
 
 def with_doubtful(
@@ -110,10 +115,47 @@ def with_doubtful(
             for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), fewest):
                 free[line.index] = False
                 found.append(pole_on(cloud, line))
-    # Those that are found again are found without the bright things about them.
-    found += [pole for pole in detection.doubtful if np.mean(free[pole.index]) > MAX_FOUND_SHARE]
-    found.sort(key=lambda pole: (-len(pole.index), pole.rms))
+    found += _at_lower_thresholds(cloud, detection, radius, sensor)
+    found = _without_repeats([*found, *detection.doubtful], len(cloud))
     return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
+
+
+def _without_repeats(found: list[Pole], count: int) -> list[Pole]:
+    """Keep of poles that share returns the slim one, of these the one with the most returns.
+
+    A wide one holds bright things about it, and one with few returns is a part of another.
+    """
+    taken = np.zeros(count, dtype=bool)
+    kept = []
+    for pole in sorted(
+        found, key=lambda pole: (pole.rms > MAX_SURE_RMS, -len(pole.index), pole.rms)
+    ):
+        if not taken[pole.index].any():
+            kept.append(pole)
+            taken[pole.index] = True
+    return sorted(kept, key=lambda pole: (-len(pole.index), pole.rms))
+
+
+def _at_lower_thresholds(
+    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None
+) -> list[Pole]:
+    """Find the poles whose tape is too dim for the threshold, each at the highest that shows it.
+
+    They are doubtful: by a low threshold much else is bright.
+    """
+    assert cloud.intensity is not None
+    chosen = Threshold(detection.threshold, detection.threshold_source)
+    taken = np.zeros(len(cloud), dtype=bool)
+    for pole in detection.poles:
+        taken[pole.index] = True
+    poles = []
+    for lower in lower_thresholds(cloud.intensity, chosen):
+        there = extract_poles(cloud, sensor=sensor, threshold=lower.value, radius=radius)
+        for pole in there.poles:
+            if not taken[pole.index].any():
+                poles.append(pole)
+                taken[pole.index] = True
+    return poles
 
 
 def _lines_in(
@@ -134,18 +176,21 @@ def _lines_in(
             break
         left = in_canonical_order(cloud.xyz, left)
         tube = radius + SEARCH_ROOM
-        shell = tube, radius + TUBE + CLINGING
-        lines = [
-            line
+        shell = tube, _reach(radius)
+        candidates = [
+            fitted
             for point, direction in propose_lines(
                 cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell, MOST_PROPOSALS
             )
-            for line in _slim_or_wide(cloud, near, left, free, (point, direction), radius, beams)
-            if len(line.index) >= fewest
+            for fitted in _slim_or_wide(cloud, near, left, free, (point, direction), radius, beams)
+            if len(fitted.line.index) >= fewest
         ]
-        if not lines:
+        if not candidates:
             break
-        best = max(lines, key=lambda line: (len(line.index), -line.rms))
+        # As proposals are: a line of a vest and of half the pole has more returns than the pole.
+        best = max(
+            candidates, key=lambda each: (len(each.line.index) - each.beside, -each.line.rms)
+        ).line
         found.append(best)
         free[best.index] = False
     return found
@@ -159,32 +204,36 @@ def _slim_or_wide(
     guess: tuple[Array, Array],
     radius: float,
     beams: Beams,
-) -> list[Line]:
+) -> list[Fitted]:
     """Fit a line in a slim tube, and where that is no pole, in a wide one; none where neither is.
 
     A plate or a vest reaches into the wide one, and turns the line.
     """
     for room in (SEARCH_ROOM, TUBE):
         line = fit_line(cloud, left, *guess, radius, beams, room)
-        if _may_be_pole(cloud, near, free, line, radius):
-            return [line]
+        if shape_failure(cloud, line, fewest=MIN_DOUBTFUL_POINTS) is not None:
+            continue
+        around = surroundings_of(cloud, near, free, line)
+        if _may_be_pole(around, radius):
+            bright = around.is_retro & around.beside & (around.distance < _reach(radius))
+            return [Fitted(line, int(np.count_nonzero(bright)))]
     return []
 
 
-def _may_be_pole(
-    cloud: PointCloud, near: IntArray, free: BoolArray, line: Line, radius: float
-) -> bool:
-    if shape_failure(cloud, line, fewest=MIN_DOUBTFUL_POINTS) is not None:
-        return False
-    if too_thick_for_radius(cloud, line, radius) is not None:
+def _reach(radius: float) -> float:
+    """How far from a line bright things cling to it, metres."""
+    return radius + TUBE + CLINGING
+
+
+def _may_be_pole(around: Surroundings, radius: float) -> bool:
+    line = around.line
+    if too_thick_for_radius(around.cloud, line, radius) is not None:
         return False
     is_few = len(line.index) < MIN_POLE_POINTS
-    around = surroundings_of(cloud, near, free, line)
     if is_few and _skips_rings(around):
         return False
     bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line
-    reach = radius + TUBE + CLINGING
-    is_clung_to = _is_clung_to(around, bright, reach, RETRO_CROWD)
+    is_clung_to = _is_clung_to(around, bright, _reach(radius), RETRO_CROWD)
     if is_clung_to or _is_clung_to(around, dim, MAX_HUGGING, CROWD):
         return False
     if is_few and crowded_by_retro(around) is not None:

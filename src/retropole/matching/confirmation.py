@@ -48,11 +48,15 @@ MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE = 0.3, 0.7
 """By so much the score leads that of every other hypothesis, the inexact ones included; or by so
 much of itself, where the overlap is small."""
 
+CERTAIN_LEAD, MIN_CONTRADICTED = 0.15, 0.03
+"""By so much it leads, in score, a hypothesis with so much that stands where the other LiDAR looked
+through, where the scene is certain of the first."""
+
 MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
 """ICP of the scenes moves the pose by no more, rad and m, …"""
 
 MIN_CERTAIN_COVISIBLE, MAX_CERTAIN_VIOLATION = 0.75, 0.005
-"""… unless so much of what both LiDARs could see coincides, and so little contradicts it: ICP of two
+"""… unless so much of what both LiDARs could see coincides, and so little contradicts it: ICP of
 coarse scans wanders along floors and walls. Wrong hypotheses contradicted 1.3 % and more."""
 
 
@@ -125,10 +129,8 @@ def is_confirmed(
     """
     limit = float(np.hypot(np.hypot(FACING_SIDES, RMS_PER_RADIUS) * radius, CONFIRMED_NOISE))
     best, *others = hypotheses
-    lead = min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
-    is_clear = all(best.score - other.score >= lead for other in others)
     return (
-        is_clear
+        all(best.score - other.score >= _lead_needed(best, other) for other in others)
         and _scene_agrees(best)
         and all(
             each.hypothesis.match.exact
@@ -150,19 +152,32 @@ def _beam_scatter(each: PairedPlacement, radius: float) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+def _lead_needed(best: Hypothesis, other: Hypothesis) -> float:
+    """By how much the score of a choice must lead another's."""
+    if _is_certain(best) and other.free_space_violation >= MIN_CONTRADICTED:
+        return CERTAIN_LEAD
+    return min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
+
+
+def _is_certain(best: Hypothesis) -> bool:
+    """Whether nearly all that both LiDARs could see coincides, and next to nothing contradicts."""
+    return (
+        best.covisible_overlap is not None
+        and best.covisible_overlap >= MIN_CERTAIN_COVISIBLE
+        and best.free_space_violation <= MAX_CERTAIN_VIOLATION
+    )
+
+
 def _scene_agrees(best: Hypothesis) -> bool:
     if best.icp_rotation is None or best.icp_translation is None:
         return False
     covisible = best.covisible_overlap or 0.0
     stays = best.icp_rotation <= MAX_ICP_ROTATION and best.icp_translation <= MAX_ICP_TRANSLATION
-    is_certain = (
-        covisible >= MIN_CERTAIN_COVISIBLE and best.free_space_violation <= MAX_CERTAIN_VIOLATION
-    )
     is_covisible = covisible >= MIN_CONFIRMED_COVISIBLE and best.overlap >= LEAST_CONFIRMED_OVERLAP
     return (
         (best.overlap >= MIN_CONFIRMED_OVERLAP or is_covisible)
         and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
-        and (stays or is_certain)
+        and (stays or _is_certain(best))
     )
 
 
