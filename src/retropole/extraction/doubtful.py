@@ -7,6 +7,7 @@ of them are none, so nothing rests on them until the other LiDAR and the scene c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -115,9 +116,52 @@ def with_doubtful(
             for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), fewest):
                 free[line.index] = False
                 found.append(pole_on(cloud, line))
-    found += _at_lower_thresholds(cloud, detection, radius, sensor)
     found = _without_repeats([*found, *detection.doubtful], len(cloud))
     return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
+
+
+def with_dimmer(
+    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None = None
+) -> Detection:
+    """Add the poles whose tape is too dim for the threshold, each at the highest that shows it.
+
+    By a low threshold much else is bright, so that these are doubtful too.
+
+    Parameters
+    ----------
+    cloud
+        The cloud of the detection.
+    detection
+        As `extract_poles` or `with_doubtful` gives it.
+    radius
+        Of the poles, metres.
+    sensor
+        What recorded it; None where it is not known.
+
+    Returns
+    -------
+    Detection
+        The same, with more `doubtful` ones, those it has first; at most `MAX_DOUBTFUL`. Itself
+        where its threshold was given.
+    """
+    assert cloud.intensity is not None
+    chosen = Threshold(detection.threshold, detection.threshold_source)
+    found: list[Pole] = []
+    for lower in lower_thresholds(cloud.intensity, chosen):
+        there = extract_poles(cloud, sensor=sensor, threshold=lower.value, radius=radius)
+        found += _apart_from((*detection.poles, *found), there.poles, len(cloud))
+    # Of one that is doubtful at the threshold too, a lower one shows more.
+    kept = _apart_from(found, detection.doubtful, len(cloud))
+    doubtful = _without_repeats(kept, len(cloud)) + _without_repeats(found, len(cloud))
+    return replace(detection, doubtful=tuple(doubtful[:MAX_DOUBTFUL]))
+
+
+def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> list[Pole]:
+    """Those of some poles that share no return with the known ones."""
+    taken = np.zeros(count, dtype=bool)
+    for pole in known:
+        taken[pole.index] = True
+    return [pole for pole in poles if not taken[pole.index].any()]
 
 
 def _without_repeats(found: list[Pole], count: int) -> list[Pole]:
@@ -134,28 +178,6 @@ def _without_repeats(found: list[Pole], count: int) -> list[Pole]:
             kept.append(pole)
             taken[pole.index] = True
     return sorted(kept, key=lambda pole: (-len(pole.index), pole.rms))
-
-
-def _at_lower_thresholds(
-    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None
-) -> list[Pole]:
-    """Find the poles whose tape is too dim for the threshold, each at the highest that shows it.
-
-    They are doubtful: by a low threshold much else is bright.
-    """
-    assert cloud.intensity is not None
-    chosen = Threshold(detection.threshold, detection.threshold_source)
-    taken = np.zeros(len(cloud), dtype=bool)
-    for pole in detection.poles:
-        taken[pole.index] = True
-    poles = []
-    for lower in lower_thresholds(cloud.intensity, chosen):
-        there = extract_poles(cloud, sensor=sensor, threshold=lower.value, radius=radius)
-        for pole in there.poles:
-            if not taken[pole.index].any():
-                poles.append(pole)
-                taken[pole.index] = True
-    return poles
 
 
 def _lines_in(

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
+from ..datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Reason, Scan
 from ..errors import Refusal
 from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
-from ..extraction.doubtful import with_doubtful
+from ..extraction.doubtful import with_dimmer, with_doubtful
+from ..sensors import Sensor
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
 
@@ -34,6 +35,9 @@ RESCUED = {
     "prior_contradicted",
 }
 """Refusals after which doubtful poles are tried: other poles may give what these did not."""
+
+ENOUGH_SURE = 2
+"""With so many sure poles in a cloud its threshold is right, and lower ones are not tried."""
 
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""
@@ -91,26 +95,64 @@ def choose_with_doubtful(
     chosen = choose(placements)
     if chosen.refusal is None or chosen.refusal.code not in RESCUED:
         return chosen
-    wider = choose(
-        [
+    tried = 0
+    for look in (with_doubtful, _with_dimmer_where_few):
+        found = [
             replace(
                 each,
-                target=_with_doubtful(each.target, radius),
-                source=_with_doubtful(each.source, radius),
+                target=_looked_at(each.target, radius, look),
+                source=_looked_at(each.source, radius, look),
             )
             for each in placements
         ]
-    )
-    is_better = wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius)
-    return wider if is_better else chosen
+        placements, before, tried = found, tried, _doubtful_returns(found)
+        if tried == before:
+            continue
+        wider = choose([_counting_doubtful(each) for each in placements])
+        if wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius):
+            return wider
+    return chosen
 
 
-def _with_doubtful(scan: Scan, radius: float) -> Scan:
-    """Count the doubtful poles among the poles of a scan, after the sure ones."""
+def _with_dimmer_where_few(
+    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None
+) -> Detection:
+    if len(detection.poles) >= ENOUGH_SURE:
+        return detection
+    return with_dimmer(cloud, detection, radius, sensor)
+
+
+def _looked_at(
+    scan: Scan,
+    radius: float,
+    look: Callable[[PointCloud, Detection, float, Sensor | None], Detection],
+) -> Scan:
     if scan.detection is None:
         return scan
-    found = with_doubtful(scan.cloud, scan.detection, radius, scan.sensor)
-    return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
+    return replace(scan, detection=look(scan.cloud, scan.detection, radius, scan.sensor))
+
+
+def _doubtful_returns(placements: Sequence[Placement]) -> int:
+    """How many returns the doubtful poles of all clouds have: a lower threshold shows more."""
+    scans = [scan for each in placements for scan in (each.target, each.source)]
+    found = [scan.detection for scan in scans if scan.detection is not None]
+    return sum(len(pole.index) for detection in found for pole in detection.doubtful)
+
+
+def _counting_doubtful(placement: Placement) -> Placement:
+    """Count the doubtful poles of both clouds among the poles, after the sure ones."""
+    target, source = (
+        scan
+        if scan.detection is None
+        else replace(
+            scan,
+            detection=replace(
+                scan.detection, poles=(*scan.detection.poles, *scan.detection.doubtful)
+            ),
+        )
+        for scan in (placement.target, placement.source)
+    )
+    return replace(placement, target=target, source=source)
 
 
 def is_confirmed(
