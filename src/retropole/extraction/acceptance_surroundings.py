@@ -171,15 +171,14 @@ def untaped_between(around: Surroundings) -> Failure | None:
 def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
     """Which of the dim returns (K of M) lie farther to the side than the line's own.
 
-    The side is the direction across the line in which the returns spread most. So the sensor's
-    place need not be known.
+    The side is the direction across the line in which the dim returns spread most beyond the
+    others: noise along the beam is in both. So the sensor's place need not be known.
     """
     line, xyz = around.line, around.cloud.xyz
     offsets = [xyz[index] - line.point for index in (line.index, around.near[dim])]
     own, others = (each - np.outer(each @ line.direction, line.direction) for each in offsets)
-    both = np.vstack([own, others])
-    both -= both.mean(axis=0)
-    side = np.linalg.eigh(both.T @ both)[1][:, 2]
+    spread = others.T @ others / max(len(others), 1) - own.T @ own / len(own)
+    side = np.linalg.eigh(spread)[1][:, 2]
     places, dim_places = own @ side, others @ side
     middle = np.median(places)
     reach = np.quantile(np.abs(places - middle), EDGE_QUANTILE)
