@@ -276,9 +276,9 @@ def doubtful_reasons(
         Reason(
             "doubtful_poles",
             f"{target} of the target's poles and {source} of the source's are doubtful by "
-            f"themselves, near a wall, beside something bright or with few returns; both LiDARs "
-            f"agree on them to {1000 * best.match.pole_rms:.0f} mm, and {best.overlap:.0%} of the "
-            "points have a neighbour under this pose only",
+            f"themselves, near a wall, beside something bright, with few returns or dim tape; both "
+            f"LiDARs agree on them to {1000 * best.match.pole_rms:.0f} mm, and {best.overlap:.0%} "
+            "of the points have a neighbour under this pose only",
             {
                 "target": target,
                 "source": source,
