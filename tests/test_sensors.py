@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retropole.errors import UsageError
-from retropole.sensors import SENSORS, auto_threshold, find_sensor, threshold_for
+from retropole.sensors import (
+    SENSORS,
+    auto_threshold,
+    find_sensor,
+    lower_thresholds,
+    threshold_for,
+)
 from retropole.simulation import simulate_pair
 
 NAMES = (
@@ -77,3 +83,16 @@ def test_given_beats_sensor_beats_cloud() -> None:
     assert threshold_for(intensity, sensor, None).value == 230.0
     assert threshold_for(intensity / 255, sensor, None).value == pytest.approx(230 / 255)
     assert threshold_for(intensity, None, None) == auto_threshold(intensity)
+
+
+@pytest.mark.parametrize("glints", [0, 20])
+def test_lower_thresholds_descend_to_where_dim_tape_stands_out(glints: int) -> None:
+    rng = np.random.default_rng(0)
+    dim, diffuse = rng.uniform(100, 130, 60), rng.uniform(0, 40, 5000)
+    intensity = np.concatenate([diffuse, dim, np.full(glints, 255.0)])
+    chosen = threshold_for(intensity, SENSORS["VLP-16"], None)
+    values = [each.value for each in lower_thresholds(intensity, chosen)]
+    assert values == sorted(values, reverse=True)
+    assert max(values) < chosen.value
+    assert 40 < min(values) < 100, "above the diffuse returns, below the tape"
+    assert lower_thresholds(intensity, threshold_for(intensity, None, 230.0)) == ()

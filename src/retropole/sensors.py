@@ -242,6 +242,9 @@ class Threshold:
     found: str
 
 
+GIVEN = "given"
+"""How a threshold was found that the user gave."""
+
 BRIGHT_TAIL = 2.5
 """The threshold lies so many times the spread of the diffuse returns above their median, …"""
 
@@ -264,8 +267,7 @@ def auto_threshold(intensity: Array) -> Threshold:
     intensity
         (N,) on a scale of 0–1, 8 bit, 16 bit or any other from zero up.
     """
-    median, high = np.quantile(intensity, [0.5, 0.95])
-    tail = float(median + BRIGHT_TAIL * (high - median))
+    tail = _end_of_diffuse(intensity)
     rank = min(BRIGHTEST, len(intensity))
     top = float(np.partition(intensity, -rank)[-rank])
     low, high = (part * top for part in OF_BRIGHTEST)
@@ -276,6 +278,39 @@ def auto_threshold(intensity: Array) -> Threshold:
     return Threshold(tail, "auto: well above the diffuse returns")
 
 
+def lower_thresholds(intensity: Array, chosen: Threshold) -> tuple[Threshold, ...]:
+    """What to try where a threshold shows too few poles: the cloud's own, and the end of diffuse.
+
+    A sensor's figure is for fresh tape at about 5 m. Old or far tape returns less, and a glint may
+    hold the cloud's own threshold above it as well. What was given stays as it is.
+
+    Parameters
+    ----------
+    intensity
+        (N,) of the cloud.
+    chosen
+        As `threshold_for` gives it.
+
+    Returns
+    -------
+    tuple of Threshold
+        The highest first, all below the chosen one; none for one that was given.
+    """
+    if chosen.found == GIVEN:
+        return ()
+    end = Threshold(_end_of_diffuse(intensity), "auto: well above the diffuse returns")
+    below: list[Threshold] = []
+    for each in (auto_threshold(intensity), end):
+        if each.value < (below[-1] if below else chosen).value:
+            below.append(each)
+    return tuple(below)
+
+
+def _end_of_diffuse(intensity: Array) -> float:
+    median, high = np.quantile(intensity, [0.5, 0.95])
+    return float(median + BRIGHT_TAIL * (high - median))
+
+
 def threshold_for(intensity: Array, sensor: Sensor | None, given: float | None) -> Threshold:
     """Choose the threshold: the one given, else the sensor's, else the cloud's own.
 
@@ -283,7 +318,7 @@ def threshold_for(intensity: Array, sensor: Sensor | None, given: float | None) 
     scale leaves no intensity above 1.
     """
     if given is not None:
-        return Threshold(float(given), "given")
+        return Threshold(float(given), GIVEN)
     if sensor is None:
         return auto_threshold(intensity)
     if float(intensity.max()) <= 1.0 < sensor.threshold:

@@ -351,3 +351,18 @@ def test_posts_along_the_road_are_found_and_no_car(threshold: float | None, leas
         assert 4.5 < abs(post.point[0]) < 6.5
         assert abs(post.direction[2]) > np.cos(np.radians(20))
         assert post.length < 0.6
+
+
+@pytest.mark.parametrize("sensor", ["PandarQT", "OS1", "VLP-16"])
+@pytest.mark.parametrize("is_edge", [True, False])
+def test_dim_edges_are_no_gap_in_the_tape_but_dim_stretches_are(sensor: str, is_edge: bool) -> None:
+    cloud, labels = seen([pole((4.5, 0))], sensor)
+    assert cloud.intensity is not None
+    on_it = np.flatnonzero(labels == 0)
+    aside = np.abs(np.arctan2(cloud.xyz[on_it, 1], cloud.xyz[on_it, 0]))
+    bands = cloud.xyz[on_it, 2] % 0.5 < 0.33
+    dim = on_it[aside > np.quantile(aside, 0.4) if is_edge else bands]
+    intensity = cloud.intensity.copy()
+    intensity[dim] = 20.0
+    found = extract_poles(replace(cloud, intensity=intensity), sensor=find_sensor(sensor))
+    assert len(found.poles) == (1 if is_edge else 0)

@@ -243,3 +243,60 @@ def test_only_doubtful_poles_are_warned_of(confirmed: Confirmed) -> None:
     ]
     sure = replace(each.placement, target=sides[0], source=sides[1])
     assert doubtful_reasons((replace(each, placement=sure),), answer.hypotheses) == []
+
+
+def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
+    confirmed: Confirmed,
+) -> None:
+    answer, paired = confirmed
+    best, *others = answer.hypotheses
+    behind = best.score - 1.01 * confirmation.CERTAIN_LEAD
+    contradicted = confirmation.MIN_CONTRADICTED
+    for covisible, violation, is_certain in (
+        (1.01, 0.99, True),
+        (0.99, 0.99, False),
+        (1.01, 1.01, False),
+    ):
+        seen = replace(
+            best,
+            covisible_overlap=covisible * confirmation.MIN_CERTAIN_COVISIBLE,
+            free_space_violation=violation * confirmation.MAX_CERTAIN_VIOLATION,
+        )
+        moved = replace(seen, icp_translation=2 * confirmation.MAX_ICP_TRANSLATION)
+        assert is_confirmed(paired, (moved, *others), 0.02) is is_certain
+        rival = replace(others[0], score=behind, free_space_violation=1.01 * contradicted)
+        assert is_confirmed(paired, (seen, rival), 0.02) is is_certain
+        rival = replace(rival, free_space_violation=0.99 * contradicted)
+        assert not is_confirmed(paired, (seen, rival), 0.02)
+        rival = replace(
+            rival,
+            score=best.score - 0.99 * confirmation.CERTAIN_LEAD,
+            free_space_violation=1.01 * contradicted,
+        )
+        assert not is_confirmed(paired, (seen, rival), 0.02)
+
+
+def dimmed(cloud: PointCloud) -> PointCloud:
+    """The same cloud by a sensor that sees half of the light."""
+    assert cloud.intensity is not None
+    return replace(cloud, intensity=0.5 * cloud.intensity)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_dim_tape_is_found_below_the_threshold_of_the_sensor_but_not_of_the_user(
+    seed: int,
+) -> None:
+    target, source = map(dimmed, recorded([FREE, pole((3.2, -1.2), -0.2 * X)], seed))
+    answer = calibrate(target, source, sensors=(SENSOR, SENSOR))
+    assert_right(answer.T_target_source)
+    assert answer.status == "warn"
+    assert "doubtful_poles" in {reason.code for reason in answer.reasons}
+    thresholds = (SENSOR.threshold, SENSOR.threshold)
+    given = calibrate(target, source, sensors=(SENSOR, SENSOR), thresholds=thresholds)
+    assert [reason.code for reason in given.reasons] == ["too_few_poles"]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_dim_clouds_with_one_pole_are_refused(seed: int) -> None:
+    target, source = map(dimmed, recorded([FREE, *vest((4.0, -1.0))], seed))
+    assert calibrate(target, source, sensors=(SENSOR, SENSOR)).status == "refused"

@@ -52,8 +52,13 @@ Sensitivity at 0.35: 2 recorded posts lost; at 0.7: 1 more false."""
 
 SAME_HEIGHT, MIN_SAME_HEIGHT = 0.25, 0.02
 """Returns within this part of the step from ring to ring, and within this, metres, lie at one
-height: on one ring. Where intensity falls with incidence, up to a third of a pole's returns, those
-from its edges, are dim."""
+height: on one ring. Where intensity falls with incidence, a third to a half of a pole's returns,
+those from its edges, are dim."""
+
+EDGE_QUANTILE = 0.9
+"""A dim return is from the edge of a pole where it lies farther to the side than so many of the
+bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
+post without tape one in ten does by chance."""
 
 MAX_HUGGING = 0.09
 """What crowds a line nearer than this, metres, is not a wall behind it. Sensitivity at 0.063: no
@@ -143,20 +148,41 @@ def crowded_by_retro(around: Surroundings) -> Failure | None:
 def untaped_between(around: Surroundings) -> Failure | None:
     """A pole is taped all along: few returns without tape lie between its points.
 
-    A dim one at the height of a bright one is from the edge of the pole, where tape is met at a
-    grazing angle.
+    A dim one at the height of a bright one, or farther to the side, is from the edge of the pole,
+    where tape is met at a grazing angle.
     """
     between = (around.along > around.low) & (around.along < around.high)
-    candidates = around.along[around.untaped & around.on_line & between]
+    dim = around.untaped & around.on_line & between
+    candidates = around.along[dim]
     places = np.sort(around.line.along)
     above = np.clip(np.searchsorted(places, candidates), 1, len(places) - 1)
     apart = np.minimum(np.abs(places[above] - candidates), np.abs(candidates - places[above - 1]))
-    count = int(np.count_nonzero(apart > max(SAME_HEIGHT * around.line.step, MIN_SAME_HEIGHT)))
+    alone = apart > max(SAME_HEIGHT * around.line.step, MIN_SAME_HEIGHT)
     own = len(around.line.index)
+    if np.count_nonzero(alone) <= MAX_UNTAPED * own:
+        return None
+    count = int(np.count_nonzero(alone & ~_at_the_edges(around, dim)))
     if count <= MAX_UNTAPED * own:
         return None
     reason = f"{count} returns without tape lie between its {own} points"
     return Failure("part_of_a_surface", reason)
+
+
+def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
+    """Which of the dim returns (K of M) lie farther to the side than the line's own.
+
+    The side is the direction across the line in which the dim returns spread most beyond the
+    others: noise along the beam is in both. So the sensor's place need not be known.
+    """
+    line, xyz = around.line, around.cloud.xyz
+    offsets = [xyz[index] - line.point for index in (line.index, around.near[dim])]
+    own, others = (each - np.outer(each @ line.direction, line.direction) for each in offsets)
+    spread = others.T @ others / max(len(others), 1) - own.T @ own / len(own)
+    side = np.linalg.eigh(spread)[1][:, 2]
+    places, dim_places = own @ side, others @ side
+    middle = np.median(places)
+    reach = np.quantile(np.abs(places - middle), EDGE_QUANTILE)
+    return np.asarray(np.abs(dim_places - middle) > reach)
 
 
 def _crowded_by_any(around: Surroundings) -> Failure | None:

@@ -7,13 +7,15 @@ of them are none, so nothing rests on them until the other LiDAR and the scene c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud
+from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
 from ..io.rings import with_trusted_rings
-from ..sensors import Sensor
+from ..sensors import Sensor, Threshold, lower_thresholds
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
@@ -30,7 +32,7 @@ from .acceptance_surroundings import (
     untaped_between,
 )
 from .beams import Beams, beams_by
-from .certainty import too_thick_for_radius
+from .certainty import MAX_SURE_RMS, too_thick_for_radius
 from .clustering import LINK, clusters
 from .lines import (
     MAX_PROPOSING_POINTS,
@@ -40,8 +42,8 @@ from .lines import (
     in_canonical_order,
     propose_lines,
 )
-from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
-from .surroundings import MAX_BESIDE, Surroundings, crowded_share, surroundings_of
+from .poles import SEARCH_ROOM, extract_poles, near_box, off_surfaces, pole_on
+from .surroundings import RETRO_CROWD, Surroundings, crowded_share, surroundings_of
 
 MIN_DOUBTFUL_POINTS = 3
 """Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
@@ -54,11 +56,21 @@ itself is nearer than `MAX_HUGGING`."""
 MAX_CLINGING_SHARE = 0.5
 """Largest share of the line's pieces to which something clings. Two bands of a vest cover less."""
 
+MOST_PROPOSALS = 30
+"""Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""
+
 MAX_DOUBTFUL_PER_PART = 4
 """Doubtful poles taken out of one group at most."""
 
 MAX_DOUBTFUL = 8
 """Doubtful poles of a cloud that are kept, those with the most returns."""
+
+
+class Fitted(NamedTuple):
+    """A line that may be a pole, and how many bright returns are close beside it."""
+
+    line: Line
+    beside: int
 
 
 def with_doubtful(
@@ -85,11 +97,11 @@ def with_doubtful(
     cloud = with_trusted_rings(cloud)
     assert cloud.intensity is not None
     free = np.asarray(cloud.intensity >= detection.threshold)
-    for pole in (*detection.poles, *detection.doubtful):
+    for pole in detection.poles:
         free[pole.index] = False
     retro = np.flatnonzero(free)
     columns = np.ascontiguousarray(cloud.xyz.T)
-    found = list(detection.doubtful)
+    found: list[Pole] = []
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
         if len(cluster) < MIN_DOUBTFUL_POINTS:
@@ -104,8 +116,68 @@ def with_doubtful(
             for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), fewest):
                 free[line.index] = False
                 found.append(pole_on(cloud, line))
-    found.sort(key=lambda pole: (-len(pole.index), pole.rms))
+    found = _without_repeats([*found, *detection.doubtful], len(cloud))
     return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
+
+
+def with_dimmer(
+    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None = None
+) -> Detection:
+    """Add the poles whose tape is too dim for the threshold, each at the highest that shows it.
+
+    By a low threshold much else is bright, so that these are doubtful too.
+
+    Parameters
+    ----------
+    cloud
+        The cloud of the detection.
+    detection
+        As `extract_poles` or `with_doubtful` gives it.
+    radius
+        Of the poles, metres.
+    sensor
+        What recorded it; None where it is not known.
+
+    Returns
+    -------
+    Detection
+        The same, with more `doubtful` ones, those it has first; at most `MAX_DOUBTFUL`. Itself
+        where its threshold was given.
+    """
+    assert cloud.intensity is not None
+    chosen = Threshold(detection.threshold, detection.threshold_source)
+    found: list[Pole] = []
+    for lower in lower_thresholds(cloud.intensity, chosen):
+        there = extract_poles(cloud, sensor=sensor, threshold=lower.value, radius=radius)
+        found += _apart_from((*detection.poles, *found), there.poles, len(cloud))
+    # Of one that is doubtful at the threshold too, a lower one shows more.
+    kept = _apart_from(found, detection.doubtful, len(cloud))
+    doubtful = _without_repeats(kept, len(cloud)) + _without_repeats(found, len(cloud))
+    return replace(detection, doubtful=tuple(doubtful[:MAX_DOUBTFUL]))
+
+
+def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> list[Pole]:
+    """Those of some poles that share no return with the known ones."""
+    taken = np.zeros(count, dtype=bool)
+    for pole in known:
+        taken[pole.index] = True
+    return [pole for pole in poles if not taken[pole.index].any()]
+
+
+def _without_repeats(found: list[Pole], count: int) -> list[Pole]:
+    """Keep of poles that share returns the slim one, of these the one with the most returns.
+
+    A wide one holds bright things about it, and one with few returns is a part of another.
+    """
+    taken = np.zeros(count, dtype=bool)
+    kept = []
+    for pole in sorted(
+        found, key=lambda pole: (pole.rms > MAX_SURE_RMS, -len(pole.index), pole.rms)
+    ):
+        if not taken[pole.index].any():
+            kept.append(pole)
+            taken[pole.index] = True
+    return sorted(kept, key=lambda pole: (-len(pole.index), pole.rms))
 
 
 def _lines_in(
@@ -125,51 +197,91 @@ def _lines_in(
         if len(left) < MIN_DOUBTFUL_POINTS:
             break
         left = in_canonical_order(cloud.xyz, left)
-        tube, shell = radius + SEARCH_ROOM, (radius + TUBE, MAX_BESIDE)
-        lines = [
-            fit_line(cloud, left, point, direction, radius, beams)
+        tube = radius + SEARCH_ROOM
+        shell = tube, _reach(radius)
+        candidates = [
+            fitted
             for point, direction in propose_lines(
-                cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell
+                cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell, MOST_PROPOSALS
             )
+            for fitted in _slim_or_wide(cloud, near, left, free, (point, direction), radius, beams)
+            if len(fitted.line.index) >= fewest
         ]
-        lines = [line for line in lines if len(line.index) >= fewest]
-        lines = [line for line in lines if _may_be_pole(cloud, near, free, line, radius)]
-        if not lines:
+        if not candidates:
             break
-        best = max(lines, key=lambda line: (len(line.index), -line.rms))
+        # As proposals are: a line of a vest and of half the pole has more returns than the pole.
+        best = max(
+            candidates, key=lambda each: (len(each.line.index) - each.beside, -each.line.rms)
+        ).line
         found.append(best)
         free[best.index] = False
     return found
 
 
-def _may_be_pole(
-    cloud: PointCloud, near: IntArray, free: BoolArray, line: Line, radius: float
-) -> bool:
-    if shape_failure(cloud, line, fewest=MIN_DOUBTFUL_POINTS) is not None:
-        return False
-    if too_thick_for_radius(cloud, line, radius) is not None:
+def _slim_or_wide(
+    cloud: PointCloud,
+    near: IntArray,
+    left: IntArray,
+    free: BoolArray,
+    guess: tuple[Array, Array],
+    radius: float,
+    beams: Beams,
+) -> list[Fitted]:
+    """Fit a line in a slim tube, and where that is no pole, in a wide one; none where neither is.
+
+    A plate or a vest reaches into the wide one, and turns the line.
+    """
+    for room in (SEARCH_ROOM, TUBE):
+        line = fit_line(cloud, left, *guess, radius, beams, room)
+        if shape_failure(cloud, line, fewest=MIN_DOUBTFUL_POINTS) is not None:
+            continue
+        around = surroundings_of(cloud, near, free, line)
+        if _may_be_pole(around, radius):
+            bright = around.is_retro & around.beside & (around.distance < _reach(radius))
+            return [Fitted(line, int(np.count_nonzero(bright)))]
+    return []
+
+
+def _reach(radius: float) -> float:
+    """How far from a line bright things cling to it, metres."""
+    return radius + TUBE + CLINGING
+
+
+def _may_be_pole(around: Surroundings, radius: float) -> bool:
+    line = around.line
+    if too_thick_for_radius(around.cloud, line, radius) is not None:
         return False
     is_few = len(line.index) < MIN_POLE_POINTS
-    if is_few and _skips_rings(cloud, line):
+    if is_few and _skips_rings(around):
         return False
-    around = surroundings_of(cloud, near, free, line)
     bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line
-    if _is_clung_to(around, bright, line.tube + CLINGING) or _is_clung_to(around, dim, MAX_HUGGING):
+    is_clung_to = _is_clung_to(around, bright, _reach(radius), RETRO_CROWD)
+    if is_clung_to or _is_clung_to(around, dim, MAX_HUGGING, CROWD):
         return False
     if is_few and crowded_by_retro(around) is not None:
         return False
     return not (untaped_between(around) or along_the_sweeps(around) or in_single_file(around))
 
 
-def _skips_rings(cloud: PointCloud, line: Line) -> bool:
-    """Whether more than one ring between those that hit the line missed it."""
+def _skips_rings(around: Surroundings) -> bool:
+    """Whether more than one ring between those that hit the line missed it.
+
+    A dim return on the line is a hit: of a coarse sensor's rings, some meet only the edges of a
+    pole, where tape is dim.
+    """
+    cloud, line = around.cloud, around.line
     if cloud.ring is None:
         return False
     rings = np.unique(cloud.ring[line.index])
-    return bool(np.ptp(rings) > len(rings))
+    hit = np.unique(cloud.ring[around.near[around.on_line]])
+    hit = hit[(hit >= rings[0]) & (hit <= rings[-1])]
+    return bool(np.ptp(rings) > len(hit))
 
 
-def _is_clung_to(around: Surroundings, kind: BoolArray, within: float) -> bool:
-    """Whether returns of a kind lie close beside most of the line, within some metres."""
+def _is_clung_to(around: Surroundings, kind: BoolArray, within: float, crowd: float) -> bool:
+    """Whether returns of a kind lie close beside most of the line, within some metres.
+
+    ``crowd`` is how many for each of the line's own make a piece of it clung to.
+    """
     places: Array = around.along[kind & (around.distance < within)]
-    return crowded_share(around.line, places, CROWD) > MAX_CLINGING_SHARE
+    return crowded_share(around.line, places, crowd) > MAX_CLINGING_SHARE

@@ -127,7 +127,12 @@ def in_canonical_order(xyz: Array, index: IntArray) -> IntArray:
 
 
 def propose_lines(
-    xyz: Array, shortest: float, longest: float, tube: float, shell: tuple[float, float]
+    xyz: Array,
+    shortest: float,
+    longest: float,
+    tube: float,
+    shell: tuple[float, float],
+    most: int = PROPOSALS,
 ) -> list[tuple[Array, Array]]:
     """Propose lines through pairs of points, the best first and each only once.
 
@@ -144,6 +149,8 @@ def propose_lines(
         Radius about a line, metres.
     shell
         Inner and outer radius about a line, metres.
+    most
+        Lines that are proposed at most.
 
     Returns
     -------
@@ -177,7 +184,7 @@ def propose_lines(
     score = (size - np.count_nonzero(beside, axis=1)).astype(float)
     inside = inside.astype(np.float32)
     lines = []
-    for _ in range(PROPOSALS):
+    for _ in range(most):
         best = int(np.argmax(score))
         if score[best] == -np.inf or size[best] < MIN_LINE_POINTS:
             break
@@ -222,6 +229,7 @@ def fit_line(
     direction: Array,
     radius: float,
     beams: Beams = UNKNOWN,
+    room: float = TUBE,
 ) -> Line:
     """Fit a line to those of some candidate points that are about a first guess.
 
@@ -240,6 +248,8 @@ def fit_line(
         Of the pole, metres.
     beams
         That met it.
+    room
+        About the pole's radius, in which its points may lie, metres.
 
     Returns
     -------
@@ -247,7 +257,7 @@ def fit_line(
         Without points where none is near the guess.
     """
     xyz = cloud.xyz[candidates]
-    tube = radius + TUBE
+    tube = radius + room
     inside = np.zeros(len(candidates), dtype=bool)
     for _ in range(FIT_ROUNDS):
         distance, along = distance_and_place(xyz, point, direction)
@@ -256,7 +266,7 @@ def fit_line(
             break
         # Neighbours that touch the pole are many near it but few along it: the median holds.
         sigma = MAD_TO_SIGMA * float(np.median(distance[inside]))
-        tube = min(radius + TUBE, radius + FIT_ROOM + FIT_SIGMAS * sigma)
+        tube = radius + min(room, FIT_ROOM + FIT_SIGMAS * sigma)
         point, direction = principal_line(xyz[inside])
     distance, along = distance_and_place(xyz, point, direction)
     inside = _in_one_piece(distance <= tube, along)

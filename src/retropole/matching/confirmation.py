@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Hypothesis, Placement, Pole, Reason, Scan
+from ..datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Reason, Scan
 from ..errors import Refusal
 from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
-from ..extraction.doubtful import with_doubtful
+from ..extraction.doubtful import with_dimmer, with_doubtful
+from ..sensors import Sensor
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
 
@@ -40,6 +41,9 @@ CONFIRMED_COUNT = 3
 register to: two lines have two measures of their own, the angle and the distance, and by chance
 some agree in both. Of a third pole's four numbers none is left free."""
 
+ENOUGH_SURE = 2
+"""With so many sure poles in a cloud its threshold is right, and lower ones are not tried."""
+
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""
 
@@ -53,8 +57,16 @@ MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE = 0.3, 0.7
 """By so much the score leads that of every other hypothesis, the inexact ones included; or by so
 much of itself, where the overlap is small."""
 
+CERTAIN_LEAD, MIN_CONTRADICTED = 0.15, 0.03
+"""By so much it leads, in score, a hypothesis with so much that stands where the other LiDAR looked
+through, where the scene is certain of the first."""
+
 MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
-"""ICP of the scenes moves the pose by no more, rad and m."""
+"""ICP of the scenes moves the pose by no more, rad and m, …"""
+
+MIN_CERTAIN_COVISIBLE, MAX_CERTAIN_VIOLATION = 0.75, 0.005
+"""… unless so much of what both LiDARs could see coincides, and so little contradicts it: ICP of
+coarse scans wanders along floors and walls. Wrong hypotheses contradicted 1.3 % and more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,27 +105,67 @@ def choose_with_doubtful(
     chosen = choose(placements, False)
     if chosen.refusal is None or chosen.refusal.code not in RESCUED:
         return chosen
-    with_all = [
-        replace(
-            each,
-            target=_with_doubtful(each.target, radius),
-            source=_with_doubtful(each.source, radius),
-        )
-        for each in placements
-    ]
-    for settled in (False, True):
-        wider = choose(with_all, settled)
-        if wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius):
-            return wider
+    # Without any doubtful pole the sure ones may still settle.
+    tried = -1
+    for look in (with_doubtful, _with_dimmer_where_few):
+        found = [
+            replace(
+                each,
+                target=_looked_at(each.target, radius, look),
+                source=_looked_at(each.source, radius, look),
+            )
+            for each in placements
+        ]
+        placements, before, tried = found, tried, _doubtful_returns(found)
+        if tried == before:
+            continue
+        counting = [_counting_doubtful(each) for each in placements]
+        for settled in (False, True):
+            wider = choose(counting, settled)
+            if wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius):
+                return wider
     return chosen
 
 
-def _with_doubtful(scan: Scan, radius: float) -> Scan:
-    """Count the doubtful poles among the poles of a scan, after the sure ones."""
+def _with_dimmer_where_few(
+    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None
+) -> Detection:
+    if len(detection.poles) >= ENOUGH_SURE:
+        return detection
+    return with_dimmer(cloud, detection, radius, sensor)
+
+
+def _looked_at(
+    scan: Scan,
+    radius: float,
+    look: Callable[[PointCloud, Detection, float, Sensor | None], Detection],
+) -> Scan:
     if scan.detection is None:
         return scan
-    found = with_doubtful(scan.cloud, scan.detection, radius, scan.sensor)
-    return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
+    return replace(scan, detection=look(scan.cloud, scan.detection, radius, scan.sensor))
+
+
+def _doubtful_returns(placements: Sequence[Placement]) -> int:
+    """How many returns the doubtful poles of all clouds have: a lower threshold shows more."""
+    scans = [scan for each in placements for scan in (each.target, each.source)]
+    found = [scan.detection for scan in scans if scan.detection is not None]
+    return sum(len(pole.index) for detection in found for pole in detection.doubtful)
+
+
+def _counting_doubtful(placement: Placement) -> Placement:
+    """Count the doubtful poles of both clouds among the poles, after the sure ones."""
+    target, source = (
+        scan
+        if scan.detection is None
+        else replace(
+            scan,
+            detection=replace(
+                scan.detection, poles=(*scan.detection.poles, *scan.detection.doubtful)
+            ),
+        )
+        for scan in (placement.target, placement.source)
+    )
+    return replace(placement, target=target, source=source)
 
 
 def is_confirmed(
@@ -131,10 +183,8 @@ def is_confirmed(
         Of the poles, metres.
     """
     best, *others = hypotheses
-    lead = min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
-    is_clear = all(best.score - other.score >= lead for other in others)
     return (
-        is_clear
+        all(best.score - other.score >= _lead_needed(best, other) for other in others)
         and _scene_agrees(best)
         and all(
             each.hypothesis.match.exact and (_several_settled(each) or _two_agree(each, radius))
@@ -166,13 +216,29 @@ def _beam_scatter(each: PairedPlacement, radius: float) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+def _lead_needed(best: Hypothesis, other: Hypothesis) -> float:
+    """By how much the score of a choice must lead another's."""
+    if _is_certain(best) and other.free_space_violation >= MIN_CONTRADICTED:
+        return CERTAIN_LEAD
+    return min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
+
+
+def _is_certain(best: Hypothesis) -> bool:
+    """Whether nearly all that both LiDARs could see coincides, and next to nothing contradicts."""
+    return (
+        best.covisible_overlap is not None
+        and best.covisible_overlap >= MIN_CERTAIN_COVISIBLE
+        and best.free_space_violation <= MAX_CERTAIN_VIOLATION
+    )
+
+
 def _scene_agrees(best: Hypothesis) -> bool:
     covisible = best.covisible_overlap or 0.0
     is_covisible = covisible >= MIN_CONFIRMED_COVISIBLE and best.overlap >= LEAST_CONFIRMED_OVERLAP
     return (
         (best.overlap >= MIN_CONFIRMED_OVERLAP or is_covisible)
         and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
-        and (best.match.settled or _icp_stays(best))
+        and (best.match.settled or _is_certain(best) or _icp_stays(best))
     )
 
 
@@ -236,9 +302,9 @@ def doubtful_reasons(
         Reason(
             "doubtful_poles",
             f"{target} of the target's poles and {source} of the source's are doubtful by "
-            f"themselves, near a wall, beside something bright or with few returns; both LiDARs "
-            f"agree on them to {1000 * best.match.pole_rms:.0f} mm, and {best.overlap:.0%} of the "
-            "points have a neighbour under this pose only",
+            f"themselves, near a wall, beside something bright, with few returns or dim tape; both "
+            f"LiDARs agree on them to {1000 * best.match.pole_rms:.0f} mm, and {best.overlap:.0%} "
+            "of the points have a neighbour under this pose only",
             {
                 "target": target,
                 "source": source,

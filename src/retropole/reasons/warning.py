@@ -43,8 +43,8 @@ WARNINGS: dict[WarningCode, Explanation] = {
     ),
     "doubtful_poles": Explanation(
         "The answer rests on doubtful poles",
-        "The sure poles gave no answer. Lines near a wall, beside something bright or with 3 to 5 "
-        "returns were tried, and both LiDARs and the scene confirm them. "
+        "The sure poles gave no answer. Lines near a wall, beside something bright, with 3 to 5 "
+        "returns or with dim tape were tried, and both LiDARs and the scene confirm them. "
         "[How](detection.md#doubtful-poles).",
         (
             "Look in the [report](report.md) whether the poles are yours.",
