@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud
+from .rings import RING_SAMPLE, off_ring
 
 SAMPLE = 20_000
 """Points, evenly taken, that the cones are fitted to: 150 on each of 128 rings."""
@@ -57,9 +58,12 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     """
     if cloud.ring is None or len(cloud) < MAX_FIT_STEPS:
         return cloud
+    part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
+    if _spread(cloud.xyz[part], cloud.ring[part], cloud.origin, cloud.axis) <= CONE_SPREAD:
+        return cloud
     part = slice(None, None, 1 + (len(cloud) - 1) // SAMPLE)
     points, ring = cloud.xyz[part], np.unique(cloud.ring[part], return_inverse=True)[1]
-    if ring.max() == 0 or _spread(points, ring, cloud.origin, cloud.axis) <= CONE_SPREAD:
+    if ring.max() == 0:
         return cloud
     for start in (cloud.origin, _densest(points), np.median(points, axis=0)):
         found = fit_cones(points, ring, start)
@@ -152,6 +156,4 @@ def _spread(points: Array, ring: IntArray, apex: Array, axis: Array) -> float:
     """Angle within which `MOST` of the points lie about the median elevation of their ring, rad."""
     ray = points - apex
     elevation = np.arcsin(np.clip(ray @ axis / np.linalg.norm(ray, axis=1), -1.0, 1.0))
-    order = np.argsort(ring, kind="stable")
-    groups = np.split(elevation[order], np.flatnonzero(np.diff(ring[order])) + 1)
-    return float(np.quantile(np.concatenate([np.abs(e - np.median(e)) for e in groups]), MOST))
+    return float(np.quantile(off_ring(elevation, ring), MOST))

@@ -15,8 +15,8 @@ from ..datatypes import Array, IntArray, PointCloud
 MAX_RINGS = 256
 """No LiDAR of the table of sensors has more than 128 rings; more numbers are columns or packets."""
 
-RING_SAMPLE = 20_000
-"""Points, evenly taken, whose elevations are compared: 150 on each of 128 rings."""
+RING_SAMPLE = 5_000
+"""Points, evenly taken, whose elevations are compared: 40 on each of 128 rings."""
 
 MAX_RING_SPREAD = float(np.radians(0.5))
 """Half of the points of a ring lie within this of its elevation, rad, where the cloud is in its
@@ -72,11 +72,16 @@ def ring_spread(cloud: PointCloud) -> float:
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
     ray, ring = cloud.xyz[part] - cloud.origin, cloud.ring[part]
     elevation = np.arcsin(np.clip(ray @ cloud.axis / np.linalg.norm(ray, axis=1), -1.0, 1.0))
-    order = np.argsort(ring, kind="stable")
-    cuts = np.flatnonzero(np.diff(ring[order])) + 1
-    groups: list[Array] = np.split(elevation[order], cuts)
-    off = np.concatenate([np.abs(group - np.median(group)) for group in groups])
-    return float(np.median(off))
+    return float(np.median(off_ring(elevation, ring)))
+
+
+def off_ring(elevation: Array, ring: IntArray) -> Array:
+    """How far elevations (N,) are from the median of their rings (N,), in order of the rings."""
+    order = np.lexsort((elevation, ring))
+    elevation, ring = elevation[order], ring[order]
+    first = np.flatnonzero(np.r_[True, ring[1:] != ring[:-1]])
+    count = np.diff(np.r_[first, len(ring)])
+    return np.asarray(np.abs(elevation - np.repeat(elevation[first + count // 2], count)))
 
 
 def _rings_cohere(xyz: Array, ring: IntArray) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 
 from .. import se3
 from ..alignment.certainty import group_scales, prior_precision, working_sigma
@@ -198,15 +199,27 @@ def _solve(
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
     held = held_directions(pairs, weights)
     rows = np.concatenate([pairs.jacobian @ held, pairs.by_error], axis=1)
-    weighted = rows * weights[:, None]
-    information = weighted.T @ rows + factor.information
+    # As the square of one array: BLAS then computes one half of it.
+    root = np.sqrt(weights)
+    weighted = rows * root[:, None]
+    information = weighted.T @ weighted + factor.information
     index = np.arange(POSE, len(information))
     information[index, index] += precision
     here = np.r_[se3.local(factor.T_target_source, T), np.zeros(len(precision))]
-    gradient = weighted.T @ r + factor.information @ here - factor.vector
-    inverse = np.linalg.inv(information)
+    gradient = weighted.T @ (root * r) + factor.information @ here - factor.vector
+    inverse = _inverse(information)
     step = -inverse @ gradient
     return LinearProblem(pairs, weights, rows, precision, step[:POSE], step[POSE:], inverse)
+
+
+def _inverse(information: Array) -> Array:
+    """Invert a positive definite matrix, in a third of the time that a general one takes."""
+    root, failed = lapack.dpotrf(information)
+    half, _ = lapack.dpotri(root)
+    upper = np.triu(half)
+    if failed or not np.isfinite(upper).all():
+        return np.asarray(np.linalg.inv(information))
+    return np.asarray(upper + np.triu(upper, 1).T)
 
 
 def robust_scale(values: Array, weights: Array) -> float:
