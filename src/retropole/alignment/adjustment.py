@@ -51,9 +51,9 @@ which returns from the edge of a pole are bright enough is not known. In 24 simu
 returns alone gave 0.6 to 1.7 mm too little; where intensity falls with incidence, a quarter of them
 is missed."""
 
-RADIUS_ROUNDS, MIN_RADIUS_SHARE = 4, 0.2
-"""So often a radius is put in the place of the one given, until the returns agree with it, and no
-less than this part of the one before."""
+RADIUS_ROUNDS, MAX_RADIUS_CHANGE = 6, 0.5
+"""So often a radius is put in the place of the one given, until the returns agree with it, and by
+no larger a part of the one before: far off, the returns overshoot."""
 
 MIN_RADIUS_PRECISION = 1e-2
 """Of a prior of the radius that says nothing, 1/m²."""
@@ -149,12 +149,15 @@ def align_beams(
         # What was given has no say any more; the returns' own radius takes its place.
         assumed = radius
         for _ in range(RADIUS_ROUNDS):
-            assumed = max(by_returns.value, MIN_RADIUS_SHARE * assumed)
+            change = np.clip(
+                by_returns.value / assumed - 1.0, -MAX_RADIUS_CHANGE, MAX_RADIUS_CHANGE
+            )
+            assumed = float(assumed * (1.0 + change))
             model = replace(model, radius_sigma=by_returns.sigma)
             start = replace(found.point.state, radius=assumed)
             found, expansion = climb(start, found.point.log_noise, beams, model, assumed)
             by_returns = _radius_of_returns(expansion, model, assumed)
-            if by_returns.sigmas_below(assumed, 0.0) < 1.0:
+            if abs(by_returns.value - assumed) < by_returns.sigma:
                 break
         estimate = RadiusEstimate(radius, given_sigma, assumed, model.radius_sigma)
     else:
