@@ -129,8 +129,18 @@ def with_doubtful(
         near = near_box(columns, cluster)
         for part, sought in _searches(cloud, cluster, radius):
             for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), sought):
-                free[line.index] = False
-                found.append(pole_on(cloud, line))
+                # Of a pole beside a plate, a part may count as surface.
+                left, guess = cluster[free[cluster]], (line.point, line.direction)
+                whole = [
+                    fitted.line
+                    for fitted in _slim_or_wide(
+                        cloud, near, left, free, guess, radius, beams_by(sensor), sought
+                    )
+                    if len(fitted.line.index) > len(line.index)
+                ]
+                best = whole[0] if whole and len(part) < len(cluster) else line
+                free[best.index] = False
+                found.append(pole_on(cloud, best))
     found = _without_repeats([*found, *detection.doubtful], len(cloud))
     return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
 
@@ -139,23 +149,22 @@ def _searches(
     cloud: PointCloud, cluster: IntArray, radius: float
 ) -> Iterator[tuple[IntArray, Sought]]:
     """In which points of a group to look for what, one search after the other."""
-    tube = radius + SEARCH_ROOM
+    shell = radius + SEARCH_ROOM, _reach(radius)
+    gap = radius + SEARCH_ROOM, radius + TUBE
+    is_large = len(cluster) > MAX_PROPOSING_POINTS
     parts, fewest = [cluster], MIN_DOUBTFUL_POINTS
-    if len(cluster) > MAX_PROPOSING_POINTS:
+    if is_large:
         parts, failure = off_surfaces(cloud, cluster)
         # Where most is bright, a line of few bright returns says nothing.
         fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
     for part in parts:
-        yield part, Sought(MIN_LENGTH, fewest, (tube, _reach(radius)))
-    if len(cluster) > MAX_PROPOSING_POINTS:
-        # A pole close beside a large plate counts as a part of its surface, and most of its own
-        # reach is bright. Between the two there is a gap.
-        yield cluster, Sought(MIN_LENGTH, FEW_POLE_POINTS, (tube, radius + TUBE))
+        yield part, Sought(MIN_LENGTH, fewest, shell)
+    if is_large:
+        # A pole close beside a large plate is taken for a part of its surface, or has so much of it
+        # in the shell that nothing speaks for it. Between the two there is a gap.
+        yield cluster, Sought(MIN_LENGTH, FEW_POLE_POINTS, gap)
     for part in parts:
-        yield (
-            part,
-            Sought(MIN_DOUBTFUL_LENGTH, max(fewest, MIN_POLE_POINTS), (tube, _reach(radius))),
-        )
+        yield part, Sought(MIN_DOUBTFUL_LENGTH, max(fewest, MIN_POLE_POINTS), shell)
 
 
 def with_dimmer(
@@ -205,17 +214,20 @@ def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> lis
 def _without_repeats(found: list[Pole], count: int) -> list[Pole]:
     """Keep of poles that share returns the slim one, of these the one with the most returns.
 
-    A wide one holds bright things about it, and one with few returns is a part of another.
+    A wide one holds bright things about it, and one with few returns is a part of another. Short
+    ones come last.
     """
     taken = np.zeros(count, dtype=bool)
     kept = []
-    for pole in sorted(
-        found, key=lambda pole: (pole.rms > MAX_SURE_RMS, -len(pole.index), pole.rms)
-    ):
+    for pole in sorted(found, key=lambda pole: (pole.rms > MAX_SURE_RMS, *_rank(pole))):
         if not taken[pole.index].any():
             kept.append(pole)
             taken[pole.index] = True
-    return sorted(kept, key=lambda pole: (-len(pole.index), pole.rms))
+    return sorted(kept, key=_rank)
+
+
+def _rank(pole: Pole) -> tuple[bool, int, float]:
+    return pole.length < MIN_LENGTH, -len(pole.index), pole.rms
 
 
 def _lines_in(
