@@ -55,6 +55,40 @@ def test_three_to_five_returns_on_neighbouring_rings_are_doubtful(count: int) ->
         assert doubtful == ([0] if is_kept else [])
 
 
+@pytest.mark.parametrize(("rings", "is_kept"), [(3, True), (2, False)])
+def test_three_rings_of_a_near_pole_are_doubtful(rings: int, is_kept: bool) -> None:
+    cloud, labels = seen([pole((3, 0))], "VLP-16", seed=3)
+    assert cloud.ring is not None
+    on_it = labels == 0
+    middle = np.sort(np.unique(cloud.ring[on_it]))[2 : 2 + rings]
+    kept = np.flatnonzero(~on_it | np.isin(cloud.ring, middle))
+    sure, doubtful = looked_at(cloud.select(kept), labels[kept], find_sensor("VLP-16"))
+    assert sure == []
+    assert doubtful == ([0] if is_kept else [])
+
+
+@pytest.mark.parametrize(("aside", "is_kept"), [(0.3, True), (0.07, False)])
+def test_a_few_returns_with_air_close_about_them_are_doubtful(aside: float, is_kept: bool) -> None:
+    plate = Rectangle(np.array([6, 0.1 + aside, 0.0]), Y, Z, (0.1, 0.8), TAPE)
+    cloud, labels = seen([pole((6, 0)), plate], "VLP-16", seed=3)
+    assert cloud.ring is not None
+    on_it = np.flatnonzero(labels == 0)
+    rings = np.unique(cloud.ring[on_it])[2:6]
+    few = [on_it[cloud.ring[on_it] == ring][0] for ring in rings]
+    kept = np.sort(np.array([*np.flatnonzero(labels != 0), *few]))
+    sure, doubtful = looked_at(cloud.select(kept), labels[kept], find_sensor("VLP-16"))
+    assert sure == []
+    assert (0 in doubtful) == is_kept
+
+
+def test_a_pole_close_to_a_large_bright_plate_is_doubtful() -> None:
+    plate = Rectangle(np.array([3, 0.5, -0.3]), Y, Z, (0.3, 0.6), TAPE)
+    cloud, labels = seen([pole((3, 0), length=1.6), plate], "Pandar64")
+    assert np.count_nonzero(labels == 1) > 1000
+    sure, doubtful = looked_at(cloud, labels, find_sensor("Pandar64"))
+    assert [*sure, *doubtful] == [0]
+
+
 @pytest.mark.parametrize("sensor", ["VLP-16", "XT32", "OS1", "Pandar64"])
 @pytest.mark.parametrize(
     "name",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Array, Calibration, Hypothesis, PointCloud
+from retropole.datatypes import Array, Calibration, Hypothesis, Placement, PointCloud
 from retropole.errors import Refusal
 from retropole.matching import confirmation
 from retropole.matching.confirmation import (
@@ -209,6 +209,33 @@ def test_hypotheses_settle_only_where_nothing_else_is_confirmed(confirmed: Confi
 
         assert choose_with_doubtful(choose, answer.placements, 0.02) is answers[-1]
         assert told == asked
+
+
+@pytest.mark.parametrize("is_third", [True, False])
+def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
+    confirmed: Confirmed, is_third: bool
+) -> None:
+    answer, paired = confirmed
+    best = answer.hypotheses[0]
+    nothing = Chosen((), (), Refusal("too_few_poles", "", {}))
+    right = Chosen(answer.hypotheses, paired)
+    pairs = (*best.match.pairs, best.match.pairs[-1]) if is_third else best.match.pairs
+    loose = replace(best, match=replace(best.match, pairs=pairs, pole_rms=0.1))
+    asked: list[int] = []
+
+    def choose(placements: Sequence[Placement], is_settled: bool) -> Chosen:
+        detection = placements[0].target.detection
+        assert detection is not None
+        asked.append(len(detection.doubtful))
+        if len(asked) == 1:
+            return nothing
+        if detection.doubtful:
+            return Chosen((loose,), (PairedPlacement(placements[0], loose),))
+        return right
+
+    chosen = choose_with_doubtful(choose, answer.placements, 0.02)
+    assert (chosen is right) == is_third
+    assert asked == ([1, 1, 1, 0] if is_third else [1, 1, 1])
 
 
 @pytest.mark.parametrize(("turn", "shift"), [(0.15, 0.0), (0.0, 1.5)])

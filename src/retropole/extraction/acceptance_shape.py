@@ -109,7 +109,9 @@ class Failure:
     reason: str
 
 
-def shape_failure(cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS) -> Failure | None:
+def shape_failure(
+    cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS, shortest: float = MIN_LENGTH
+) -> Failure | None:
     """Say why a line does not have the shape of a pole; None where it has.
 
     Parameters
@@ -120,10 +122,12 @@ def shape_failure(cloud: PointCloud, line: Line, fewest: int = MIN_POLE_POINTS) 
         As `fit_line` gives it.
     fewest
         Returns that it needs.
+    shortest
+        Extent along it that it needs, metres.
     """
     return (
         _too_few_points(line, fewest)
-        or _too_short(line)
+        or _too_short(line, shortest)
         or _too_long(line)
         or _too_few_rings(line)
         or _too_wide_for_its_length(line)
@@ -140,10 +144,10 @@ def _too_few_points(line: Line, fewest: int) -> Failure | None:
     return Failure("too_few_points", f"{count} points in line, a pole needs {fewest}")
 
 
-def _too_short(line: Line) -> Failure | None:
-    if line.length >= MIN_LENGTH:
+def _too_short(line: Line, shortest: float) -> Failure | None:
+    if line.length >= shortest:
         return None
-    return Failure("too_short", f"{line.length:.2f} m long, a pole needs {MIN_LENGTH:g} m")
+    return Failure("too_short", f"{line.length:.2f} m long, a pole needs {shortest:g} m")
 
 
 def _too_long(line: Line) -> Failure | None:

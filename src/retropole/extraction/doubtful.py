@@ -7,7 +7,7 @@ of them are none, so nothing rests on them until the other LiDAR and the scene c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,7 +27,6 @@ from .acceptance_surroundings import (
     CROWD,
     MAX_HUGGING,
     along_the_sweeps,
-    crowded_by_retro,
     in_single_file,
     untaped_between,
 )
@@ -48,10 +47,19 @@ from .surroundings import RETRO_CROWD, Surroundings, crowded_share, surroundings
 MIN_DOUBTFUL_POINTS = 3
 """Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
 
+MIN_DOUBTFUL_LENGTH = 0.16
+"""Smallest extent of a doubtful pole along its line, metres: three rings of a 16-beam sensor, 2°
+apart, at 2.3 m. A shorter one than `MIN_LENGTH` needs `MIN_POLE_POINTS`, and is looked for only in
+what the longer ones leave."""
+
 CLINGING = 0.06
 """Bright returns from the edge of the tube to so far outside it cling to a line, metres: a plate
 has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
 itself is nearer than `MAX_HUGGING`."""
+
+MAX_FEW_CLINGING = 0.25
+"""So many bright returns cling to a line with few returns at most, for each of its own. What is
+farther off, a vest for one, says nothing of it."""
 
 MAX_CLINGING_SHARE = 0.5
 """Largest share of the line's pieces to which something clings. Two bands of a vest cover less."""
@@ -64,6 +72,18 @@ MAX_DOUBTFUL_PER_PART = 4
 
 MAX_DOUBTFUL = 8
 """Doubtful poles of a cloud that are kept, those with the most returns."""
+
+
+class Sought(NamedTuple):
+    """What lines are looked for: their least extent, metres, and returns, and where to look.
+
+    ``shell`` is the inner and outer radius about a proposed line in which other bright returns
+    speak against it, metres.
+    """
+
+    shortest: float
+    fewest: int
+    shell: tuple[float, float]
 
 
 class Fitted(NamedTuple):
@@ -107,17 +127,44 @@ def with_doubtful(
         if len(cluster) < MIN_DOUBTFUL_POINTS:
             continue
         near = near_box(columns, cluster)
-        parts, fewest = [cluster], MIN_DOUBTFUL_POINTS
-        if len(cluster) > MAX_PROPOSING_POINTS:
-            parts, failure = off_surfaces(cloud, cluster)
-            # Where most is bright, a line of few bright returns says nothing.
-            fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
-        for part in parts:
-            for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), fewest):
-                free[line.index] = False
-                found.append(pole_on(cloud, line))
+        for part, sought in _searches(cloud, cluster, radius):
+            for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), sought):
+                # Of a pole beside a plate, a part may count as surface.
+                left, guess = cluster[free[cluster]], (line.point, line.direction)
+                whole = [
+                    fitted.line
+                    for fitted in _slim_or_wide(
+                        cloud, near, left, free, guess, radius, beams_by(sensor), sought
+                    )
+                    if len(fitted.line.index) > len(line.index)
+                ]
+                best = whole[0] if whole and len(part) < len(cluster) else line
+                free[best.index] = False
+                found.append(pole_on(cloud, best))
     found = _without_repeats([*found, *detection.doubtful], len(cloud))
     return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
+
+
+def _searches(
+    cloud: PointCloud, cluster: IntArray, radius: float
+) -> Iterator[tuple[IntArray, Sought]]:
+    """In which points of a group to look for what, one search after the other."""
+    shell = radius + SEARCH_ROOM, _reach(radius)
+    gap = radius + SEARCH_ROOM, radius + TUBE
+    is_large = len(cluster) > MAX_PROPOSING_POINTS
+    parts, fewest = [cluster], MIN_DOUBTFUL_POINTS
+    if is_large:
+        parts, failure = off_surfaces(cloud, cluster)
+        # Where most is bright, a line of few bright returns says nothing.
+        fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
+    for part in parts:
+        yield part, Sought(MIN_LENGTH, fewest, shell)
+    if is_large:
+        # A pole close beside a large plate is taken for a part of its surface, or has so much of it
+        # in the shell that nothing speaks for it. Between the two there is a gap.
+        yield cluster, Sought(MIN_LENGTH, FEW_POLE_POINTS, gap)
+    for part in parts:
+        yield part, Sought(MIN_DOUBTFUL_LENGTH, max(fewest, MIN_POLE_POINTS), shell)
 
 
 def with_dimmer(
@@ -167,17 +214,20 @@ def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> lis
 def _without_repeats(found: list[Pole], count: int) -> list[Pole]:
     """Keep of poles that share returns the slim one, of these the one with the most returns.
 
-    A wide one holds bright things about it, and one with few returns is a part of another.
+    A wide one holds bright things about it, and one with few returns is a part of another. Short
+    ones come last.
     """
     taken = np.zeros(count, dtype=bool)
     kept = []
-    for pole in sorted(
-        found, key=lambda pole: (pole.rms > MAX_SURE_RMS, -len(pole.index), pole.rms)
-    ):
+    for pole in sorted(found, key=lambda pole: (pole.rms > MAX_SURE_RMS, *_rank(pole))):
         if not taken[pole.index].any():
             kept.append(pole)
             taken[pole.index] = True
-    return sorted(kept, key=lambda pole: (-len(pole.index), pole.rms))
+    return sorted(kept, key=_rank)
+
+
+def _rank(pole: Pole) -> tuple[bool, int, float]:
+    return pole.length < MIN_LENGTH, -len(pole.index), pole.rms
 
 
 def _lines_in(
@@ -187,7 +237,7 @@ def _lines_in(
     free: BoolArray,
     radius: float,
     beams: Beams,
-    fewest: int,
+    sought: Sought,
 ) -> list[Line]:
     """Find the doubtful poles of one group of bright points, the best supported first."""
     free = free.copy()
@@ -198,14 +248,12 @@ def _lines_in(
             break
         left = in_canonical_order(cloud.xyz, left)
         tube = radius + SEARCH_ROOM
-        shell = tube, _reach(radius)
         candidates = [
             fitted
-            for point, direction in propose_lines(
-                cloud.xyz[left], MIN_LENGTH, MAX_LENGTH, tube, shell, MOST_PROPOSALS
+            for guess in propose_lines(
+                cloud.xyz[left], sought.shortest, MAX_LENGTH, tube, sought.shell, MOST_PROPOSALS
             )
-            for fitted in _slim_or_wide(cloud, near, left, free, (point, direction), radius, beams)
-            if len(fitted.line.index) >= fewest
+            for fitted in _slim_or_wide(cloud, near, left, free, guess, radius, beams, sought)
         ]
         if not candidates:
             break
@@ -226,6 +274,7 @@ def _slim_or_wide(
     guess: tuple[Array, Array],
     radius: float,
     beams: Beams,
+    sought: Sought,
 ) -> list[Fitted]:
     """Fit a line in a slim tube, and where that is no pole, in a wide one; none where neither is.
 
@@ -233,7 +282,7 @@ def _slim_or_wide(
     """
     for room in (SEARCH_ROOM, TUBE):
         line = fit_line(cloud, left, *guess, radius, beams, room)
-        if shape_failure(cloud, line, fewest=MIN_DOUBTFUL_POINTS) is not None:
+        if shape_failure(cloud, line, sought.fewest, sought.shortest) is not None:
             continue
         around = surroundings_of(cloud, near, free, line)
         if _may_be_pole(around, radius):
@@ -258,7 +307,8 @@ def _may_be_pole(around: Surroundings, radius: float) -> bool:
     is_clung_to = _is_clung_to(around, bright, _reach(radius), RETRO_CROWD)
     if is_clung_to or _is_clung_to(around, dim, MAX_HUGGING, CROWD):
         return False
-    if is_few and crowded_by_retro(around) is not None:
+    clinging = np.count_nonzero(bright & (around.distance < _reach(radius)))
+    if is_few and clinging > MAX_FEW_CLINGING * len(line.index):
         return False
     return not (untaped_between(around) or along_the_sweeps(around) or in_single_file(around))
 

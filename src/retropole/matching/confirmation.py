@@ -7,7 +7,7 @@ nearly as well: that does not happen by chance (docs/detection.md, Doubtful pole
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -124,7 +124,36 @@ def choose_with_doubtful(
             wider = choose(counting, settled)
             if wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius):
                 return wider
+        # A third line that fits by chance turns the pose of two poles, and keeps it from settling.
+        for fewer in _without_one(placements, wider.paired):
+            other = choose([_counting_doubtful(each) for each in fewer], True)
+            if other.refusal is None and is_confirmed(other.paired, other.hypotheses, radius):
+                return other
     return chosen
+
+
+def _without_one(
+    placements: Sequence[Placement], paired: Sequence[PairedPlacement]
+) -> Iterator[Sequence[Placement]]:
+    """A placement without one pair's doubtful poles; of several none, where no chance recurs."""
+    if len(paired) != 1 or len(paired[0].hypothesis.match.pairs) < CONFIRMED_COUNT:
+        return
+    for pair in zip(paired[0].target_poles, paired[0].source_poles, strict=True):
+        target, source = (
+            _without(scan, pole)
+            for scan, pole in zip((placements[0].target, placements[0].source), pair, strict=True)
+        )
+        if target is not placements[0].target or source is not placements[0].source:
+            yield [replace(placements[0], target=target, source=source)]
+
+
+def _without(scan: Scan, pole: Pole) -> Scan:
+    """A scan without one of its doubtful poles; itself where it is none of them."""
+    assert scan.detection is not None
+    left = tuple(own for own in scan.detection.doubtful if own is not pole)
+    if len(left) == len(scan.detection.doubtful):
+        return scan
+    return replace(scan, detection=replace(scan.detection, doubtful=left))
 
 
 def _with_dimmer_where_few(
