@@ -129,16 +129,15 @@ def with_doubtful(
         near = near_box(columns, cluster)
         for part, sought in _searches(cloud, cluster, radius):
             for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), sought):
-                # Of a pole beside a plate, a part may count as surface.
-                left, guess = cluster[free[cluster]], (line.point, line.direction)
-                whole = [
-                    fitted.line
-                    for fitted in _slim_or_wide(
+                best = line
+                if len(part) < len(cluster):
+                    # Of a pole beside a plate, a part may count as surface.
+                    left, guess = cluster[free[cluster]], (line.point, line.direction)
+                    whole = _slim_or_wide(
                         cloud, near, left, free, guess, radius, beams_by(sensor), sought
                     )
-                    if len(fitted.line.index) > len(line.index)
-                ]
-                best = whole[0] if whole and len(part) < len(cluster) else line
+                    if whole is not None and len(whole.line.index) > len(line.index):
+                        best = whole.line
                 free[best.index] = False
                 found.append(pole_on(cloud, best))
     found = _without_repeats([*found, *detection.doubtful], len(cloud))
@@ -248,13 +247,13 @@ def _lines_in(
             break
         left = in_canonical_order(cloud.xyz, left)
         tube = radius + SEARCH_ROOM
-        candidates = [
-            fitted
+        fits = (
+            _slim_or_wide(cloud, near, left, free, guess, radius, beams, sought)
             for guess in propose_lines(
                 cloud.xyz[left], sought.shortest, MAX_LENGTH, tube, sought.shell, MOST_PROPOSALS
             )
-            for fitted in _slim_or_wide(cloud, near, left, free, guess, radius, beams, sought)
-        ]
+        )
+        candidates = [fitted for fitted in fits if fitted is not None]
         if not candidates:
             break
         # As proposals are: a line of a vest and of half the pole has more returns than the pole.
@@ -275,8 +274,8 @@ def _slim_or_wide(
     radius: float,
     beams: Beams,
     sought: Sought,
-) -> list[Fitted]:
-    """Fit a line in a slim tube, and where that is no pole, in a wide one; none where neither is.
+) -> Fitted | None:
+    """Fit a line in a slim tube, and where that is no pole, in a wide one; None if neither is.
 
     A plate or a vest reaches into the wide one, and turns the line.
     """
@@ -285,10 +284,10 @@ def _slim_or_wide(
         if shape_failure(cloud, line, sought.fewest, sought.shortest) is not None:
             continue
         around = surroundings_of(cloud, near, free, line)
-        if _may_be_pole(around, radius):
-            bright = around.is_retro & around.beside & (around.distance < _reach(radius))
-            return [Fitted(line, int(np.count_nonzero(bright)))]
-    return []
+        clinging = around.is_retro & around.beside & (around.distance < _reach(radius))
+        if _may_be_pole(around, clinging, radius):
+            return Fitted(line, int(np.count_nonzero(clinging)))
+    return None
 
 
 def _reach(radius: float) -> float:
@@ -296,19 +295,18 @@ def _reach(radius: float) -> float:
     return radius + TUBE + CLINGING
 
 
-def _may_be_pole(around: Surroundings, radius: float) -> bool:
+def _may_be_pole(around: Surroundings, clinging: BoolArray, radius: float) -> bool:
+    """Whether a line may be a pole, given the bright returns that cling to it."""
     line = around.line
     if too_thick_for_radius(around.cloud, line, radius) is not None:
         return False
     is_few = len(line.index) < MIN_POLE_POINTS
     if is_few and _skips_rings(around):
         return False
-    bright, dim = around.is_retro & around.beside, ~around.is_retro & ~around.on_line
-    is_clung_to = _is_clung_to(around, bright, _reach(radius), RETRO_CROWD)
-    if is_clung_to or _is_clung_to(around, dim, MAX_HUGGING, CROWD):
+    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
+    if _is_crowded(around, clinging, RETRO_CROWD) or _is_crowded(around, hugging, CROWD):
         return False
-    clinging = np.count_nonzero(bright & (around.distance < _reach(radius)))
-    if is_few and clinging > MAX_FEW_CLINGING * len(line.index):
+    if is_few and np.count_nonzero(clinging) > MAX_FEW_CLINGING * len(line.index):
         return False
     return not (untaped_between(around) or along_the_sweeps(around) or in_single_file(around))
 
@@ -328,10 +326,10 @@ def _skips_rings(around: Surroundings) -> bool:
     return bool(np.ptp(rings) > len(hit))
 
 
-def _is_clung_to(around: Surroundings, kind: BoolArray, within: float, crowd: float) -> bool:
-    """Whether returns of a kind lie close beside most of the line, within some metres.
+def _is_crowded(around: Surroundings, close: BoolArray, crowd: float) -> bool:
+    """Whether close returns lie beside most of the line.
 
-    ``crowd`` is how many for each of the line's own make a piece of it clung to.
+    ``crowd`` is how many for each of the line's own make a piece of it crowded.
     """
-    places: Array = around.along[kind & (around.distance < within)]
+    places: Array = around.along[close]
     return crowded_share(around.line, places, crowd) > MAX_CLINGING_SHARE
