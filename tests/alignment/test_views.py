@@ -6,7 +6,7 @@ import numpy as np
 
 from retropole.alignment.likelihood import arc_likelihood
 from retropole.alignment.observations import Beams
-from retropole.alignment.posterior import SHARED, State, beam_geometry
+from retropole.alignment.posterior import SHARED, State, own_geometry
 from retropole.alignment.views import (
     View,
     average_passed,
@@ -52,8 +52,8 @@ def beams_at_pole(rng: np.random.Generator, rings: int, step: float, width: floa
 
 def test_an_exact_view_is_the_likelihood_at_the_state() -> None:
     beams = beams_at_pole(np.random.default_rng(0), 8, 0.01, 0.008)
-    found = average_returns(STATE, 0, beams, exact_view(1, NOISE))
-    seen = beam_geometry(STATE, 0, beams.origin, beams.directions, beams.ranges, beams.pole)
+    seen, _ = own_geometry(STATE, 0, beams)
+    found = average_returns(seen, beams, RADIUS, exact_view(1, NOISE))
     sigma = np.hypot(NOISE[0] * seen.sine, NOISE[1] * np.sqrt(1 - seen.sine**2))
     lateral = np.full_like(sigma, NOISE[1])
     arc = arc_likelihood(seen.depth, seen.lateral_offset, sigma, lateral, RADIUS, beams.half_width)
@@ -69,15 +69,15 @@ def test_an_exact_view_is_the_likelihood_at_the_state() -> None:
 def own_information(beams: Beams, view: View) -> Array:
     """Information (4, 4) of the axis that averages over a view have."""
     total = np.zeros((4, 4))
-    far = np.zeros(len(beams.passed_pole))
-    for directions, ranges, own, average, rows in (
-        (beams.directions, beams.ranges, beams.pole, average_returns, slice(0, 2)),
-        (beams.passed_directions, far, beams.passed_pole, average_passed, slice(1, 2)),
+    for seen, average, rows in zip(
+        own_geometry(STATE, 0, beams),
+        (average_returns, average_passed),
+        (slice(0, 2), slice(1, 2)),
+        strict=True,
     ):
-        seen = beam_geometry(STATE, 0, beams.origin, directions, ranges, own)
         J = seen.jacobian[:, rows, -4:]
         count = J.shape[1]
-        of_each = average(STATE, 0, beams, view).information[:, :count, :count]
+        of_each = average(seen, beams, RADIUS, view).information[:, :count, :count]
         total += np.einsum("nci,nce,nej->ij", J, of_each, J)
     return total
 

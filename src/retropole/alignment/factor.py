@@ -19,7 +19,7 @@ from ..datatypes import Array, IntArray, PoseEstimate
 from ..systematic import DEVICE, RADIUS, TAPE, Layout, band_of, by_error
 from .likelihood import closest_approach
 from .observations import Beams
-from .posterior import SHARED, BeamGeometry, State, beam_geometry
+from .posterior import SHARED, BeamGeometry, State, own_geometry
 from .views import View, average_passed, average_returns
 
 POSE = 6
@@ -207,11 +207,9 @@ def _of_lidar(
     state: State, lidar: int, one: Beams, view: View, layout: Layout
 ) -> tuple[Array, Array, Array]:
     """Information, gradient, and inliers on each pole, of the beams of one LiDAR."""
-    on, passed = (
-        average_returns(state, lidar, one, view),
-        average_passed(state, lidar, one, view),
-    )
-    seen = beam_geometry(state, lidar, one.origin, one.directions, one.ranges, one.pole)
+    seen, beside = own_geometry(state, lidar, one)
+    on = average_returns(seen, one, state.radius, view)
+    passed = average_passed(beside, one, state.radius, view)
     J = _jacobian(state, lidar, seen, one.directions, one.ranges, one, one.pole, layout)
     size = J.shape[2]
     flat = J.reshape(-1, size)
@@ -220,8 +218,7 @@ def _of_lidar(
     if len(one.passed_pole):
         far = np.zeros(len(one.passed_pole))
         own = one.passed_pole
-        seen = beam_geometry(state, lidar, one.origin, one.passed_directions, far, own)
-        J = _jacobian(state, lidar, seen, one.passed_directions, far, one, own, layout)[:, 1:]
+        J = _jacobian(state, lidar, beside, one.passed_directions, far, one, own, layout)[:, 1:]
         flat = J.reshape(-1, size)
         information = information + flat.T @ (passed.information @ J).reshape(-1, size)
         gradient = gradient + passed.score.reshape(-1) @ flat

@@ -127,6 +127,17 @@ def beam_geometry(
     return BeamGeometry(ahead * by.sine, by.lateral_offset, by.sine, J)
 
 
+def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
+    """Geometry of a LiDAR's beams that met poles, and of those that passed beside them."""
+    any_range = np.zeros(len(beams.passed_pole))
+    return (
+        beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole),
+        beam_geometry(
+            state, lidar, beams.origin, beams.passed_directions, any_range, beams.passed_pole
+        ),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Terms:
     """What the beams of one LiDAR add to the cost and its derivatives."""

@@ -21,7 +21,7 @@ import numpy as np
 from ..datatypes import Array, IntArray
 from .likelihood import arc_likelihood, passed_beam_likelihood
 from .observations import Beams
-from .posterior import RETURN_CURVATURE, SHARED, State, beam_geometry
+from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, own_geometry
 
 MIN_NOISE = 2e-5
 """Least noise of a return, metres."""
@@ -94,9 +94,20 @@ def exact_view(poles: int, noise: Array) -> View:
     return View(np.zeros((poles, 4)), np.zeros((poles, 4, 4)), noise)
 
 
-def average_returns(state: State, lidar: int, beams: Beams, view: View) -> Average:
-    """Average the likelihood of returns on poles over what a view leaves open."""
-    seen = beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole)
+def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
+    """Average the likelihood of returns on poles over what a view leaves open.
+
+    Parameters
+    ----------
+    seen
+        Where they are at the state, by `own_geometry`.
+    beams
+        Of the LiDAR of the view.
+    radius
+        Of the poles, metres.
+    view
+        About the state.
+    """
     J = _by_axis(seen.jacobian, beams.pole)
     moved = np.einsum("nci,ni->nc", J, view.shift[beams.pole])
     spread = np.einsum("nci,nij,nej->nce", J, view.covariance[beams.pole], J)
@@ -114,7 +125,7 @@ def average_returns(state: State, lidar: int, beams: Beams, view: View) -> Avera
         np.tile(lateral.reshape(-1), 2),
         np.tile(sigma, nodes),
         np.full(nodes * len(sigma), view.noise[1]),
-        state.radius,
+        radius,
         np.tile(beams.half_width, nodes),
     )
     weight = np.tile(0.5 * _WEIGHT, 2)
@@ -125,18 +136,16 @@ def average_returns(state: State, lidar: int, beams: Beams, view: View) -> Avera
     return Average(score, information, inlier, noise)
 
 
-def average_passed(state: State, lidar: int, beams: Beams, view: View) -> Average:
-    """Average the likelihood of beams that passed beside poles over what a view leaves open."""
+def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
+    """Average as in `average_returns` for beams that passed beside poles."""
     own, count = beams.passed_pole, len(beams.passed_pole)
-    far = np.zeros(count)
-    seen = beam_geometry(state, lidar, beams.origin, beams.passed_directions, far, own)
     J = _by_axis(seen.jacobian, own)[:, 1]
     moved = np.einsum("ni,ni->n", J, view.shift[own])
     sideways = np.sqrt(np.einsum("ni,nij,nj->n", J, view.covariance[own], J))
     free = passed_beam_likelihood(
         (seen.lateral_offset + moved + _AT[:, None] * sideways).reshape(-1),
         np.full(NODES * count, view.noise[1]),
-        state.radius,
+        radius,
         np.tile(beams.passed_half_width, NODES),
     )
     information = _averaged(free.information, _WEIGHT)
@@ -165,22 +174,14 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
         (2,) there, in depth and sideways, metres.
     """
     poles = len(state.points)
-    no_range = np.zeros(len(beams.passed_pole))
-    seen, beside = (
-        beam_geometry(state, lidar, beams.origin, directions, ranges, own).jacobian
-        for directions, ranges, own in (
-            (beams.directions, beams.ranges, beams.pole),
-            (beams.passed_directions, no_range, beams.passed_pole),
-        )
-    )
-    J, J_passed = _by_axis(seen, beams.pole), _by_axis(beside, beams.passed_pole)[:, 1:]
+    seen, beside = own_geometry(state, lidar, beams)
+    J = _by_axis(seen.jacobian, beams.pole)
+    J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
     view = exact_view(poles, np.asarray(noise, dtype=np.float64))
     precision: Array | None = None
     for _ in range(MAX_ROUNDS):
-        on, passed = (
-            average_returns(state, lidar, beams, view),
-            average_passed(state, lidar, beams, view),
-        )
+        on = average_returns(seen, beams, state.radius, view)
+        passed = average_passed(beside, beams, state.radius, view)
         bent = on.information[:, :2, :2]
         now, slope = np.zeros((poles, 4, 4)), np.zeros((poles, 4))
         for jacobian, information, score, own in (

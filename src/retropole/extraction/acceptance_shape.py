@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..datatypes import PointCloud
+from ..io.rings import elevations
 from ..reasons import Code
 from .lines import Line
 
@@ -209,9 +210,8 @@ def _rings_run_along(cloud: PointCloud, line: Line) -> bool:
 def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
     """Whether one beam, seen from the cloud's origin, met all points of the line."""
     rays = cloud.xyz[line.index] - cloud.origin
-    elevation = np.arcsin(np.clip(rays @ cloud.axis / np.linalg.norm(rays, axis=1), -1.0, 1.0))
     in_sight = np.linalg.norm(rays[0]) < MAX_SIGHT_DISTANCE
-    return bool(in_sight and np.ptp(elevation) < ONE_BEAM_ELEVATION)
+    return bool(in_sight and np.ptp(elevations(rays, cloud.axis)) < ONE_BEAM_ELEVATION)
 
 
 def _evenly_spaced(cloud: PointCloud, line: Line) -> bool:

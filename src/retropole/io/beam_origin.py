@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud
-from .rings import RING_SAMPLE, off_ring
+from .rings import RING_SAMPLE, elevations, off_ring
 
 SAMPLE = 20_000
 """Points, evenly taken, that the cones are fitted to: 150 on each of 128 rings."""
@@ -154,6 +154,4 @@ def _densest(points: Array) -> Array:
 
 def _spread(points: Array, ring: IntArray, apex: Array, axis: Array) -> float:
     """Angle within which `MOST` of the points lie about the median elevation of their ring, rad."""
-    ray = points - apex
-    elevation = np.arcsin(np.clip(ray @ axis / np.linalg.norm(ray, axis=1), -1.0, 1.0))
-    return float(np.quantile(off_ring(elevation, ring), MOST))
+    return float(np.quantile(off_ring(elevations(points - apex, axis), ring), MOST))

@@ -12,7 +12,7 @@ from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import SENSORS, Sensor, auto_threshold
 from . import FrameHeader, ReadRecording, read_recording, topics_of
 from .beam_origin import with_beam_origin
-from .rings import MAX_RING_SPREAD, rings_fault, with_trusted_rings
+from .rings import MAX_RING_SPREAD, elevations, rings_fault, with_trusted_rings
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""
@@ -190,8 +190,7 @@ def guess_sensors(cloud: PointCloud) -> list[str]:
     cloud = with_beam_origin(cloud)
     part = cloud.select(np.arange(0, len(cloud), max(1, len(cloud) // SENSOR_GUESS_SAMPLE)))
     ray = part.xyz - part.origin
-    ranges = np.linalg.norm(ray, axis=1)
-    elevation = np.arcsin(np.clip(ray @ part.axis / ranges, -1.0, 1.0))
+    ranges, elevation = np.linalg.norm(ray, axis=1), elevations(ray, part.axis)
     spinning = [sensor for sensor in SENSORS.values() if len(sensor.elevations)]
     if part.ring is not None and np.ptp(part.ring):
         rings = _ring_elevations(elevation, ranges, part.ring)

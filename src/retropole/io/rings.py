@@ -70,9 +70,13 @@ def ring_spread(cloud: PointCloud) -> float:
     if cloud.ring is None or len(cloud) == 0:
         return float("inf")
     part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
-    ray, ring = cloud.xyz[part] - cloud.origin, cloud.ring[part]
-    elevation = np.arcsin(np.clip(ray @ cloud.axis / np.linalg.norm(ray, axis=1), -1.0, 1.0))
-    return float(np.median(off_ring(elevation, ring)))
+    elevation = elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
+    return float(np.median(off_ring(elevation, cloud.ring[part])))
+
+
+def elevations(rays: Array, axis: Array) -> Array:
+    """Elevations (N,) of rays (N, 3) above the plane across a unit axis (3,), rad."""
+    return np.asarray(np.arcsin(np.clip(rays @ axis / np.linalg.norm(rays, axis=1), -1.0, 1.0)))
 
 
 def off_ring(elevation: Array, ring: IntArray) -> Array:
