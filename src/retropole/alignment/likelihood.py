@@ -219,30 +219,27 @@ def arc_likelihood(
     log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_RADIUS**2)))
     inlier = np.exp(log_pole - log)
     # Derivatives of a node's exponent with respect to g, m, r, and the mean of what they leave.
-    u = np.stack(
-        [off_depth * inverse_depth, off_lateral * inverse_lateral, np.zeros_like(part)], axis=2
-    )
-    u[:, :, 2] = log_weight_gradient - (u[:, :, 0] * cosine + u[:, :, 1] * sine)
-    score = inlier[:, None] * np.einsum("nk,nki->ni", part, u)
-    second = -np.matmul((part[:, :, None] * u).transpose(0, 2, 1), u)
-    mean = np.stack([part, part * cosine, part * sine, part * cosine**2], axis=2).sum(axis=1)
+    u = np.empty((len(part), 3, part.shape[1]))
+    u[:, 0], u[:, 1] = off_depth * inverse_depth, off_lateral * inverse_lateral
+    u[:, 2] = log_weight_gradient - (u[:, 0] * cosine + u[:, 1] * sine)
+    weighted = part[:, None, :] * u
+    score = inlier[:, None] * weighted.sum(axis=2)
+    second = -np.matmul(weighted, u.transpose(0, 2, 1))
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.einsum("nk,nk->n", part, values))
+
     square = inverse_depth[:, 0] ** 2, inverse_lateral[:, 0] ** 2
     second[:, 0, 0] += square[0]
     second[:, 1, 1] += square[1]
-    second[:, 0, 2] -= mean[:, 1] * square[0]
-    second[:, 1, 2] -= mean[:, 2] * square[1]
+    second[:, 0, 2] -= mean(cosine) * square[0]
+    second[:, 1, 2] -= mean(sine) * square[1]
     second[:, 2, :2] = second[:, :2, 2]
-    second[:, 2, 2] += mean[:, 3] * square[0]
-    second[:, 2, 2] += (part * sine**2).sum(axis=1) * square[1] - (part * log_weight_curvature).sum(
-        axis=1
-    )
+    second[:, 2, 2] += mean(cosine**2) * square[0] + mean(sine**2) * square[1]
+    second[:, 2, 2] -= mean(log_weight_curvature)
     information = inlier[:, None, None] * second + score[:, :, None] * score[:, None, :]
-    noise = np.stack(
-        [(part * square_depth).sum(axis=1), (part * square_lateral).sum(axis=1)], axis=1
-    )
-    fourth = np.stack(
-        [(part * square_depth**2).sum(axis=1), (part * square_lateral**2).sum(axis=1)], axis=1
-    )
+    noise = np.stack([mean(square_depth), mean(square_lateral)], axis=1)
+    fourth = np.stack([mean(square_depth**2), mean(square_lateral**2)], axis=1)
     return ArcLikelihood(log, score, information, inlier, noise, fourth - noise**2)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.optimize import brentq
 
 from .. import se3
 from ..alignment.certainty import group_scales, prior_precision, working_sigma
@@ -23,9 +24,9 @@ MIN_SIGMA = 1e-4
 ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
 
-GEMAN_HALF, SCALE_BISECTIONS = 0.6120, 60
-"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and halvings that
-find a scale to rounding."""
+GEMAN_HALF, SCALE_TOLERANCE = 0.6120, 1e-13
+"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and how exactly the
+logarithm of a scale is found."""
 
 MAX_REFINEMENT_ITERATIONS = 60
 STEP = 2e-7
@@ -230,12 +231,14 @@ def robust_scale(values: Array, weights: Array) -> float:
     everywhere: where it jumped, so would the pose.
     """
     square = values**2
-    low, high = 1e-30, float(square.max()) + 1e-30
     half = 0.5 * float(weights.sum())
-    for _ in range(SCALE_BISECTIONS):
-        middle = np.sqrt(low * high)
-        if float(weights @ (square / (square + middle))) > half:
-            low = middle
-        else:
-            high = middle
-    return float((low * high) ** 0.25) / GEMAN_HALF
+
+    def excess(log_square: float) -> float:
+        return float(weights @ (square / (square + np.exp(log_square)))) - half
+
+    low, high = np.log(1e-30), np.log(float(square.max()) + 1e-30)
+    if excess(low) <= 0:
+        # Half of the values or more are zero.
+        return float(np.exp(0.5 * low)) / GEMAN_HALF
+    found = brentq(excess, low, high + 1e-9, xtol=SCALE_TOLERANCE)
+    return float(np.exp(0.5 * found)) / GEMAN_HALF

@@ -255,9 +255,10 @@ def held_directions(pairs: PatchPairs, weights: Array) -> Array:
     ``H_s v = λ H_n v``, those with λ below `MIN_HOLD` are left to the poles, those far above it to
     the scene, and what lies between to both, by ``λ²/(λ² + MIN_HOLD²)``.
     """
-    across = np.eye(3) - pairs.normal[:, :, None] * pairs.normal[:, None, :]
-    tangents = across @ pairs.levers
-    noise = np.einsum("m,mij,mik->jk", weights * pairs.tilt, tangents, tangents)
+    tangents = pairs.levers - pairs.normal[:, :, None] * pairs.jacobian[:, None, :]
+    tangents *= np.sqrt(weights * pairs.tilt)[:, None, None]
+    rows = tangents.reshape(-1, 6)
+    noise = rows.T @ rows
     scene = (pairs.jacobian.T * weights) @ pairs.jacobian
     scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
     noise = noise * np.outer(scale, scale) + 1e-9 * np.eye(6)
