@@ -79,14 +79,15 @@ def returns(rng: np.random.Generator, width: float, count: int = 200) -> Array:
     return np.stack([depth, x + SIGMA_MISS * rng.normal(size=count), np.full(count, RADIUS)], 1)
 
 
+@pytest.mark.parametrize("beside", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("width", [0.0, 0.008])
-def test_arc_derivatives(width: float) -> None:
+def test_arc_derivatives(width: float, beside: float) -> None:
     values = returns(np.random.default_rng(3), width)
 
     def at(v: Array) -> ArcLikelihood:
         ones = np.ones(len(v))
         return arc_likelihood(
-            v[:, 0], v[:, 1], SIGMA_DEPTH * ones, SIGMA_MISS * ones, float(v[0, 2]), width
+            v[:, 0], v[:, 1], SIGMA_DEPTH * ones, SIGMA_MISS * ones, float(v[0, 2]), width, beside
         )
 
     # The integral is cut where it does not count, except for returns far off the pole.
@@ -144,3 +145,34 @@ def test_pass_derivatives_and_limits() -> None:
     far, on = passed_beam_likelihood(np.array([0.06, 0.0]), sigma[:2], RADIUS).log
     assert far == pytest.approx(0.0, abs=1e-6)
     assert on == pytest.approx(np.log(0.05), abs=1e-3)
+
+
+def score_of_radius(noise: float, beside: float, *, passed: bool) -> tuple[float, float]:
+    """Score of the true radius by beams 0.1 mm apart with that noise sideways, and its 1 σ."""
+    rng, width = np.random.default_rng(5), 0.008
+    x = np.arange(-0.06, 0.06, 1e-4)
+    m = x + noise * rng.normal(size=len(x))
+    on, ones = np.abs(x) < RADIUS + width, np.ones(len(x))
+    depth = np.sqrt(np.maximum(RADIUS**2 - x**2, 0)) + SIGMA_DEPTH * rng.normal(size=len(x))
+    arc = arc_likelihood(
+        depth[on], m[on], SIGMA_DEPTH * ones[on], SIGMA_MISS * ones[on], RADIUS, width, beside
+    )
+    free = passed_beam_likelihood(m[~on], SIGMA_MISS * ones[~on], RADIUS, width)
+    score = arc.score[:, 2].sum() + passed * free.score[:, 1].sum()
+    information = arc.information[:, 2, 2].sum() + passed * free.information[:, 1, 1].sum()
+    return float(score), float(np.sqrt(information))
+
+
+@pytest.mark.parametrize("noise", [0.0, SIGMA_MISS])
+def test_returns_and_beams_beside_them_have_the_radius_right_together(noise: float) -> None:
+    score, sigma = score_of_radius(noise, 1.0, passed=True)
+    assert abs(score) < 2 * sigma
+    # Shared out over the pole as if nothing were known beside it, it would be too slim; and too
+    # thick if the beams beside it had no say.
+    assert score_of_radius(noise, 0.0, passed=True)[0] < -4 * sigma
+    assert score_of_radius(noise, 1.0, passed=False)[0] > 4 * sigma
+
+
+def test_returns_alone_have_the_radius_right() -> None:
+    score, sigma = score_of_radius(SIGMA_MISS, 0.0, passed=False)
+    assert abs(score) < 2 * sigma

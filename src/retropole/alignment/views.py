@@ -116,6 +116,7 @@ def average_returns(state: State, lidar: int, beams: Beams, view: View) -> Avera
         np.full(nodes * len(sigma), view.noise[1]),
         state.radius,
         np.tile(beams.half_width, nodes),
+        np.tile(beams.beside, nodes),
     )
     weight = np.tile(0.5 * _WEIGHT, 2)
     information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
