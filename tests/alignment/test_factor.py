@@ -188,6 +188,7 @@ def only(beams: Beams, pole: int) -> Beams:
         ranges=beams.ranges[on],
         pole=beams.pole[on],
         half_width=beams.half_width[on],
+        beside=beams.beside[on],
         passed_directions=beams.passed_directions[beside],
         passed_pole=beams.passed_pole[beside],
         passed_half_width=beams.passed_half_width[beside],

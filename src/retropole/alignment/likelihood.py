@@ -36,8 +36,8 @@ OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
 """Share of returns that may be no part of a pole, and how far from it they may lie, metres."""
 
 USUAL_RADIUS = 0.02
-"""Of the pole whose beams are outliers by that share where the beams beside it are recorded, metres:
-half the diameter of the tubes that poles are made of."""
+"""Of the pole whose beams are outliers by that share where the beams beside it are recorded,
+metres: that of the tubes which poles are made of."""
 
 LOST = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
@@ -180,8 +180,8 @@ def arc_likelihood(
     half_width
         (N,) w, metres: half of the beam's width at the pole.
     beside
-        (N,) share of the beams beside the pole that were recorded there, 0 to 1: the factor 1/2(r+w)
-        counts with the rest.
+        (N,) share of the beams beside the pole that were recorded there, 0 to 1: the factor
+        1/2(r+w) counts with the rest.
     """
     alone = np.broadcast_to(1.0 - np.asarray(beside, dtype=np.float64), depth.shape)
     w = np.broadcast_to(np.asarray(half_width, dtype=np.float64), depth.shape)

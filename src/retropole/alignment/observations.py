@@ -48,8 +48,8 @@ class Beams:
     half_width
         (N,) half of the beam's width at the return, metres.
     beside
-        (N,) share of the beams beside the pole, at each return, that are recorded: 1 where something
-        stands behind on both sides, ½ on one, 0 before the sky.
+        (N,) share of the beams beside the pole, at each return, that are recorded: 1 where
+        something stands behind on both sides, ½ on one, 0 before the sky.
     passed_directions, passed_pole
         (M, 3) directions of beams that went on behind a pole, and (M,) which pole; none where the
         sensor is not known.
@@ -111,7 +111,7 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
 def _passed(pole: Pole, cloud: PointCloud, divergence: float) -> tuple[Array, Array]:
     """Directions (M, 3) of the beams that passed close beside a pole and returned from behind.
 
-    And for each return (N,) on the pole, at how many of its two sides there are such beams.
+    And for each return (N,) on the pole, the share of its two sides that have such beams.
     """
     ray = cloud.xyz - cloud.origin
     ranges = np.linalg.norm(ray, axis=1)
@@ -126,17 +126,19 @@ def _passed(pole: Pole, cloud: PointCloud, divergence: float) -> tuple[Array, Ar
     along = (cloud.origin + by.ranges[:, None] * directions - pole.point) @ pole.direction
     own = (pole.xyz - pole.point) @ pole.direction
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
-    behind = (
-        (along > own.min()) & (along < own.max()) & (ranges[nearby] > by.ranges + PASSED_BEHIND)
-    )
-    stretches = int((own.max() - own.min()) / STRETCH) + 1
-    at, stretch = (((each - own.min()) / STRETCH).astype(np.int64) for each in (own, along[behind]))
-    aside = by.lateral_offset[behind]
-    seen = [
-        np.bincount(
-            stretch[(side * aside > 0) & (np.abs(aside) < room + BESIDE)], minlength=stretches
-        )
-        for side in (-1, 1)
-    ]
-    beside = 0.5 * ((seen[0] > 0)[at] + 1.0 * (seen[1] > 0)[at])
-    return directions[behind][np.abs(aside) < room], beside
+    behind = ranges[nearby] > by.ranges + PASSED_BEHIND
+    within = (along > own.min()) & (along < own.max())
+    passed = directions[behind & within & (np.abs(by.lateral_offset) < room)]
+    stretches = max(int(np.ptp(own) / STRETCH), 1)
+    length = max(float(np.ptp(own)) / stretches, STRETCH)
+
+    def stretch(along: Array) -> IntArray:
+        return np.clip((along - own.min()) / length, 0, stretches - 1).astype(np.int64)
+
+    near = behind & (np.abs(by.lateral_offset) < room + BESIDE)
+    near &= (along > own.min() - STRETCH) & (along < own.max() + STRETCH)
+    beside = np.zeros(len(own))
+    for side in (near & (by.lateral_offset < 0), near & (by.lateral_offset > 0)):
+        seen = np.bincount(stretch(along[side]), minlength=stretches) > 0
+        beside += 0.5 * seen[stretch(own)]
+    return passed, beside
