@@ -133,7 +133,8 @@ def _passed(pole: Pole, cloud: PointCloud, divergence: float) -> tuple[Array, Ar
     length = max(float(np.ptp(own)) / stretches, STRETCH)
 
     def stretch(along: Array) -> IntArray:
-        return np.clip((along - own.min()) / length, 0, stretches - 1).astype(np.int64)
+        place = np.clip((along - own.min()) / length, 0, stretches - 1)
+        return np.asarray(place, dtype=np.int64)
 
     near = behind & (np.abs(by.lateral_offset) < room + BESIDE)
     near &= (along > own.min() - STRETCH) & (along < own.max() + STRETCH)
