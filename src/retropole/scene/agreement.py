@@ -21,9 +21,9 @@ off by more than 0.1 m or 1° only beyond the second, or where the poles were fo
 MAX_AXES_CHI2 = 7.0
 """Most χ² of the poles' test for each degree of freedom: with two, what is exceeded once in 1,100
 times. Poles that stood still came up to 2.9 in 166 recordings (benchmarks/coverage.py, tuning
-families, seeds 0 to 20), and to 5.2 in 191 of four pairs of sensors (its ordinary noise and its
+families, seeds 0 to 20), and to 5.2 in 189 of four pairs of sensors (its ordinary noise and its
 field, seeds 0 to 23 for each pair), there with a PandarQT, and to 3.1 in 45 with inserted poles
-(benchmarks/semireal.py, seeds below 8)."""
+(benchmarks/semireal.py, its first seeds)."""
 
 
 def check_axes(aligned: BeamAlignment) -> None:
