@@ -118,7 +118,9 @@ def log_likelihood(
     seen = beam_geometry(state, lidar, beams.origin, directions, ranges, beams.pole)
     radius = state.radius
     lateral = np.full_like(sigma, 0.003)
-    arc = arc_likelihood(seen.depth, seen.lateral_offset, sigma, lateral, radius, beams.half_width)
+    arc = arc_likelihood(
+        seen.depth, seen.lateral_offset, sigma, lateral, radius, beams.half_width, beams.beside
+    )
     far = np.zeros(len(beams.passed_pole))
     directions, _ = corrected(beams.passed_directions, far, b, lidar, layout)
     beside = beam_geometry(state, lidar, beams.origin, directions, far, beams.passed_pole)
@@ -186,6 +188,7 @@ def only(beams: Beams, pole: int) -> Beams:
         ranges=beams.ranges[on],
         pole=beams.pole[on],
         half_width=beams.half_width[on],
+        beside=beams.beside[on],
         passed_directions=beams.passed_directions[beside],
         passed_pole=beams.passed_pole[beside],
         passed_half_width=beams.passed_half_width[beside],

@@ -44,6 +44,7 @@ def beams_at_pole(rng: np.random.Generator, rings: int, step: float, width: floa
         rows[:, 3],
         np.zeros(len(rows), dtype=np.int64),
         0.5 * width * rows[:, 3],
+        np.ones(len(rows)),
         rays,
         np.zeros(len(rays), dtype=np.int64),
         np.full(len(rays), 0.5 * width * 6.0),
@@ -56,7 +57,9 @@ def test_an_exact_view_is_the_likelihood_at_the_state() -> None:
     found = average_returns(seen, beams, RADIUS, exact_view(1, NOISE))
     sigma = np.hypot(NOISE[0] * seen.sine, NOISE[1] * np.sqrt(1 - seen.sine**2))
     lateral = np.full_like(sigma, NOISE[1])
-    arc = arc_likelihood(seen.depth, seen.lateral_offset, sigma, lateral, RADIUS, beams.half_width)
+    arc = arc_likelihood(
+        seen.depth, seen.lateral_offset, sigma, lateral, RADIUS, beams.half_width, beams.beside
+    )
     for one, other in (
         (found.score, arc.score),
         (found.information, arc.information),

@@ -16,6 +16,11 @@ measured range from that at which the beam meets the pole; a return whose beam w
 is penalised smoothly in σ_m. A beam that went on to something behind the pole has the likelihood
 
     P(passed) = 1 − Φ((r + w − m)/σ_m) + Φ((−r − w − m)/σ_m).
+
+The factor 1/2(r+w) says that all beams of which anything is known met the pole: a wider one must
+then share them out further. Where the beams beside the pole are recorded as well, it is known where
+beams went, and each counts with what became of it: p(g, m) without that factor, or P(passed). With
+both, the pole would be found too slim, by the more of its 1 σ the more returns there are.
 """
 
 from __future__ import annotations
@@ -29,6 +34,10 @@ from ..datatypes import Array
 
 OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
 """Share of returns that may be no part of a pole, and how far from it they may lie, metres."""
+
+USUAL_RADIUS = 0.02
+"""Of the pole whose beams are outliers by that share where the beams beside it are recorded,
+metres: that of the tubes which poles are made of."""
 
 LOST = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
@@ -156,6 +165,7 @@ def arc_likelihood(
     sigma_lateral: Array,
     radius: float,
     half_width: Array | float = 0.0,
+    beside: Array | float = 0.0,
 ) -> ArcLikelihood:
     """Likelihood of returns that beams made on a pole; see the head of this module.
 
@@ -169,7 +179,11 @@ def arc_likelihood(
         Of the pole, metres; zero is a line.
     half_width
         (N,) w, metres: half of the beam's width at the pole.
+    beside
+        (N,) share of the beams beside the pole that were recorded there, 0 to 1: the factor
+        1/2(r+w) counts with the rest.
     """
+    alone = np.broadcast_to(1.0 - np.asarray(beside, dtype=np.float64), depth.shape)
     w = np.broadcast_to(np.asarray(half_width, dtype=np.float64), depth.shape)
     span = MAX_SIDEWAYS_SIGMAS * sigma_lateral
     # Nodes over the arc, x = r sin θ, cut to what lies within span of each return.
@@ -183,27 +197,31 @@ def arc_likelihood(
     # A node's place is (r c, r s + offset): on the edges beside the arc c = 0, s = ±1. Weights
     # depend on r too: the gradient and the curvature of their logarithm are kept beside them.
     offset = np.zeros_like(theta)
-    weight = weight * (radius / (2 * (safe + w)))[:, None]
+    # Half of what the beams are shared out over, to the power of those beside which none are known.
+    room = USUAL_RADIUS + w
+    room = room * ((safe + w) / room) ** alone
+    weight = weight * (radius / (2 * room))[:, None]
     whole = 1.0 / (safe + w)[:, None]
+    whole_gradient, whole_curvature = alone[:, None] * whole, alone[:, None] * whole**2
     log_weight_gradient, log_weight_curvature = (
-        offset + (1 / safe - whole),
-        offset - (1 / safe**2 - whole**2),
+        offset + (1 / safe - whole_gradient),
+        offset - (1 / safe**2 - whole_curvature),
     )
     if radius <= 1e-9:
         weight = np.full_like(theta, 1.0 / NODES)
     elif np.any(w > 0):
         beyond = 0.5 * w[:, None] * (1 + _EDGE)
-        edge = 0.5 * _EDGE_WEIGHT * (w / (2 * (radius + w)))[:, None]
+        edge = 0.5 * _EDGE_WEIGHT * (w / (2 * room))[:, None]
         flat = np.zeros_like(beyond)
         cosine = np.concatenate([cosine, flat, flat], axis=1)
         sine = np.concatenate([sine, flat + 1.0, flat - 1.0], axis=1)
         offset = np.concatenate([offset, beyond, -beyond], axis=1)
         weight = np.concatenate([weight, edge, edge], axis=1)
         log_weight_gradient = np.concatenate(
-            [log_weight_gradient, flat - whole, flat - whole], axis=1
+            [log_weight_gradient, flat - whole_gradient, flat - whole_gradient], axis=1
         )
         log_weight_curvature = np.concatenate(
-            [log_weight_curvature, flat + whole**2, flat + whole**2], axis=1
+            [log_weight_curvature, flat + whole_curvature, flat + whole_curvature], axis=1
         )
     inverse_depth, inverse_lateral = 1.0 / sigma_depth[:, None], 1.0 / sigma_lateral[:, None]
     off_depth = (radius * cosine - depth[:, None]) * inverse_depth

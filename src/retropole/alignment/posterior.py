@@ -246,7 +246,13 @@ def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
     sigma_depth = np.hypot(noise[0] * seen.sine, noise[1] * np.sqrt(1.0 - seen.sine**2))
     sigma_lateral = np.full_like(sigma_depth, noise[1])
     arc = arc_likelihood(
-        seen.depth, seen.lateral_offset, sigma_depth, sigma_lateral, state.radius, beams.half_width
+        seen.depth,
+        seen.lateral_offset,
+        sigma_depth,
+        sigma_lateral,
+        state.radius,
+        beams.half_width,
+        beams.beside,
     )
     J = np.concatenate([seen.jacobian, np.zeros((len(beams.pole), 1, size))], axis=1)
     J[:, 2, 8] = 1.0

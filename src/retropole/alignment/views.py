@@ -127,6 +127,7 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
         np.full(nodes * len(sigma), view.noise[1]),
         radius,
         np.tile(beams.half_width, nodes),
+        np.tile(beams.beside, nodes),
     )
     weight = np.tile(0.5 * _WEIGHT, 2)
     information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
