@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.optimize import brentq
 
 from .. import se3
 from ..alignment.certainty import group_scales, prior_precision, working_sigma
@@ -230,6 +229,8 @@ def robust_scale(values: Array, weights: Array) -> float:
     Geman and McClure); c makes it 1 for standard normal values. Unlike a median it has a derivative
     everywhere: where it jumped, so would the pose.
     """
+    from scipy.optimize import brentq
+
     square = values**2
     half = 0.5 * float(weights.sum())
 
