@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
-from ..io.rings import with_trusted_rings
+from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
 from ..sensors import Sensor
 from .acceptance_shape import (
     FEW_POLE_POINTS,
@@ -42,7 +42,13 @@ from .lines import (
     propose_lines,
 )
 from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
-from .surroundings import RETRO_CROWD, Surroundings, crowded_share, surroundings_of
+from .surroundings import (
+    RETRO_CROWD,
+    Surroundings,
+    crowded_share,
+    stands_behind,
+    surroundings_of,
+)
 
 MIN_DOUBTFUL_POINTS = 3
 """Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
@@ -259,8 +265,7 @@ def _may_be_pole(around: Surroundings, clinging: BoolArray, radius: float) -> bo
     is_few = len(line.index) < MIN_POLE_POINTS
     if is_few and _skips_rings(around):
         return False
-    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
-    if _is_crowded(around, clinging, RETRO_CROWD) or _is_crowded(around, hugging, CROWD):
+    if _is_crowded(around, clinging, RETRO_CROWD) or _is_hugged(around):
         return False
     if is_few and np.count_nonzero(clinging) > MAX_FEW_CLINGING * len(line.index):
         return False
@@ -280,6 +285,16 @@ def _skips_rings(around: Surroundings) -> bool:
     hit = np.unique(cloud.ring[around.near[around.on_line]])
     hit = hit[(hit >= rings[0]) & (hit <= rings[-1])]
     return bool(np.ptp(rings) > len(hit))
+
+
+def _is_hugged(around: Surroundings) -> bool:
+    """Whether other returns lie close beside most of the line, and not only behind it."""
+    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
+    if not _is_crowded(around, hugging, CROWD):
+        return False
+    if ring_spread(around.cloud) > MAX_RING_SPREAD:
+        return True  # moved since it was recorded: nobody knows what is behind
+    return _is_crowded(around, hugging & ~stands_behind(around), CROWD)
 
 
 def _is_crowded(around: Surroundings, close: BoolArray, crowd: float) -> bool:

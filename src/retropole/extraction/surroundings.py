@@ -65,6 +65,11 @@ MAX_CROSSING_REST = 0.15
 left. Sensitivity at 0.105: 2 fewer false; at 0.21: no effect."""
 
 
+MIN_BEHIND = 0.04
+"""What stands behind a line is so far behind it or more, metres: 4 σ of 10 mm, the range noise of
+most sensors of the table."""
+
+
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """A line, and the points of its cloud about it, as the rules see them.
@@ -154,6 +159,22 @@ def surroundings_of(
         is_short=is_short,
         has_few_points=has_few_points,
     )
+
+
+def stands_behind(around: Surroundings) -> BoolArray:
+    """Which points (M,) lie behind a line rather than beside it, as the sensor sees it.
+
+    The surface of a stripe goes on to its sides, and where it falls back on one side it comes
+    forward on the other. What is farther behind than to the side, on both, is a wall behind a pole,
+    or a return that has a share of each (mixed pixels, at the edges of a pole).
+    """
+    line, cloud = around.line, around.cloud
+    sight = line.point - cloud.origin
+    sight = sight - (sight @ line.direction) * line.direction
+    sight /= max(float(np.linalg.norm(sight)), NEGLIGIBLE)
+    behind = (cloud.xyz[around.near] - line.point) @ sight
+    aside = np.sqrt(np.maximum(around.distance**2 - behind**2, 0.0))
+    return np.asarray((behind >= MIN_BEHIND) & (behind > aside))
 
 
 def _without_crossing_pole(
