@@ -293,8 +293,8 @@ def _is_hugged(around: Surroundings) -> bool:
     if not _is_crowded(around, hugging, CROWD):
         return False
     if ring_spread(around.cloud) > MAX_RING_SPREAD:
-        return True  # moved since it was recorded: nobody knows what is behind
-    return _is_crowded(around, hugging & ~stands_behind(around), CROWD)
+        return True  # where the sensor stood is not known, nor what is behind
+    return _is_crowded(around, hugging & ~stands_behind(around, hugging), CROWD)
 
 
 def _is_crowded(around: Surroundings, close: BoolArray, crowd: float) -> bool:
