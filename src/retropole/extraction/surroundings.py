@@ -66,8 +66,8 @@ left. Sensitivity at 0.105: 2 fewer false; at 0.21: no effect."""
 
 
 MIN_BEHIND = 0.04
-"""What stands behind a line, or in front, is so far from it or more, metres: 4 σ of 10 mm, the range noise of
-most sensors of the table."""
+"""What stands behind a line, or in front, is so far from it or more, metres: 4 σ of 10 mm, the
+range noise of most sensors of the table."""
 
 MAX_IN_FRONT = 0.2
 """With more in front, for each behind, a line lies on a surface that is seen obliquely."""
@@ -168,7 +168,8 @@ def stands_behind(around: Surroundings, close: BoolArray) -> BoolArray:
     """Which of the points close to a line (M,) lie behind it rather than beside it, as seen.
 
     The surface of a stripe goes on to its sides, and where it falls back on one side it comes
-    forward on the other. What is farther behind than to the side, with next to nothing in front, is a wall behind a pole, or a return from the edge of the pole that has a share of each.
+    forward on the other. What is farther behind than to the side, with next to nothing in front,
+    is a wall behind a pole, or a return from the edge of the pole that has a share of each.
     """
     line, cloud = around.line, around.cloud
     sight = line.point - cloud.origin
