@@ -28,7 +28,7 @@ from .extraction.poles import extract_poles
 from .io.beam_origin import with_beam_origin
 from .io.rings import with_trusted_rings
 from .matching import correspondence
-from .matching.confirmation import Chosen, choose_with_doubtful
+from .matching.confirmation import Chosen, choose_with_doubtful, counts_doubtful
 from .matching.placements import (
     PairedPlacement,
     PlacementHypotheses,
@@ -193,7 +193,9 @@ def match_poles(
     placement: Placement, count: int | None, prior: RotationPrior | None
 ) -> PlacementMatches:
     """Find every way of laying the source poles on the target poles that the prior allows."""
-    found = correspondence.match_poles(placement.target.poles, placement.source.poles, count)
+    found = correspondence.match_poles(
+        placement.target.poles, placement.source.poles, count, part=counts_doubtful(placement)
+    )
     return PlacementMatches(placement, agreeing_with_prior(found, prior))
 
 

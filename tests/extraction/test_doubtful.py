@@ -12,7 +12,18 @@ from retropole.extraction.doubtful import MAX_DOUBTFUL, with_doubtful
 from retropole.extraction.poles import extract_poles
 from retropole.sensors import Sensor, find_sensor
 from retropole.simulation import Rectangle, Surface
-from tests.extraction.scenes import NO_POLES, PAINT, TAPE, Y, Z, labels_of, pole, seen
+from tests.extraction.scenes import (
+    NO_POLES,
+    PAINT,
+    TAPE,
+    Y,
+    Z,
+    across,
+    labels_of,
+    pole,
+    seen,
+    without_rings,
+)
 
 WALL = Rectangle(np.array([5.2, 0, 0]), Y, Z, (4, 2), PAINT)
 SHORT_AT_A_WALL: list[Surface] = [pole((5, 0), length=0.7), WALL]
@@ -107,3 +118,22 @@ def test_sure_poles_stay_and_doubtful_ones_are_not_among_them() -> None:
     assert len(after.doubtful) <= MAX_DOUBTFUL
     index = np.concatenate([p.index for p in (*after.poles, *after.doubtful)])
     assert len(np.unique(index)) == len(index)
+
+
+@pytest.mark.parametrize("sensor", ["XT32", "Pandar64"])
+@pytest.mark.parametrize(("gap", "turn"), [(0.06, 0.0), (0.07, 0.5)])
+def test_a_wall_close_behind_a_pole_does_not_hug_it(gap: float, turn: float, sensor: str) -> None:
+    wall = Rectangle(np.array([4 + gap, 0, 0]), across(np.pi / 2 - turn), Z, (3, 2), PAINT)
+    cloud, labels = seen([pole((4, 0)), wall], sensor)
+    assert looked_at(cloud, labels, find_sensor(sensor)) == ([], [0])
+    # Without rings nobody knows where the sensor stood, nor what is behind.
+    assert looked_at(without_rings(cloud), labels, find_sensor(sensor)) == ([], [])
+
+
+@pytest.mark.parametrize("sensor", ["XT32", "Pandar64"])
+@pytest.mark.parametrize("turn", [0.0, 0.5, 0.8, 1.0, 1.2])
+def test_the_wall_of_a_stripe_hugs_it_however_it_is_turned(turn: float, sensor: str) -> None:
+    along, toward = across(np.pi / 2 - turn), across(-turn)
+    wall = Rectangle(np.array([4.0, 0, 0]), along, Z, (3, 2), PAINT)
+    stripe = Rectangle(wall.centre - 0.01 * toward, along, Z, (0.025, 0.9), TAPE)
+    assert looked_at(*seen([stripe, wall], sensor), find_sensor(sensor)) == ([], [])

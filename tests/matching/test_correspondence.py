@@ -142,3 +142,18 @@ def test_poles_of_another_shape_do_not_match(make_pole: PoleMaker) -> None:
     with pytest.raises(Refusal) as refusal:
         match_poles(target, source)
     assert refusal.value.code == "no_match"
+
+
+def test_a_pole_that_the_others_deny_is_left_out_where_it_may_be(make_pole: PoleMaker) -> None:
+    T_true = se3.random(np.random.default_rng(8), 3.0)
+    lines = [*AXES, THIRD, (np.array([3.5, 0.2, 0.0]), np.array([-0.35, 0.3, 1.0]))]
+    beside = [*lines[:3], (lines[3][0] + np.array([0.0, 0.14, 0.0]), lines[3][1])]
+    target = [make_pole(p, n) for p, n in lines]
+    source = [make_pole(p, n, T=se3.inverse(T_true)) for p, n in beside]
+    best = match_poles(target, source, part=True)[0]
+    assert best.pairs == ((0, 0), (1, 1), (2, 2))
+    assert same(best.T_target_source, T_true)
+    assert not any(
+        same(match.T_target_source, T_true) and len(match.pairs) > 2
+        for match in match_poles(target, source)
+    )

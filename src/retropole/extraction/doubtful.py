@@ -7,15 +7,15 @@ of them are none, so nothing rests on them until the other LiDAR and the scene c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
-from ..io.rings import with_trusted_rings
-from ..sensors import Sensor, Threshold, lower_thresholds
+from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
+from ..sensors import Sensor
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
@@ -41,8 +41,14 @@ from .lines import (
     in_canonical_order,
     propose_lines,
 )
-from .poles import SEARCH_ROOM, extract_poles, near_box, off_surfaces, pole_on
-from .surroundings import RETRO_CROWD, Surroundings, crowded_share, surroundings_of
+from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
+from .surroundings import (
+    RETRO_CROWD,
+    Surroundings,
+    crowded_share,
+    stands_behind,
+    surroundings_of,
+)
 
 MIN_DOUBTFUL_POINTS = 3
 """Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
@@ -140,7 +146,7 @@ def with_doubtful(
                         best = whole.line
                 free[best.index] = False
                 found.append(pole_on(cloud, best))
-    found = _without_repeats([*found, *detection.doubtful], len(cloud))
+    found = without_repeats([*found, *detection.doubtful], len(cloud))
     return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
 
 
@@ -166,51 +172,7 @@ def _searches(
         yield part, Sought(MIN_DOUBTFUL_LENGTH, max(fewest, MIN_POLE_POINTS), shell)
 
 
-def with_dimmer(
-    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None = None
-) -> Detection:
-    """Add the poles whose tape is too dim for the threshold, each at the highest that shows it.
-
-    By a low threshold much else is bright, so that these are doubtful too.
-
-    Parameters
-    ----------
-    cloud
-        The cloud of the detection.
-    detection
-        As `extract_poles` or `with_doubtful` gives it.
-    radius
-        Of the poles, metres.
-    sensor
-        What recorded it; None where it is not known.
-
-    Returns
-    -------
-    Detection
-        The same, with more `doubtful` ones, those it has first; at most `MAX_DOUBTFUL`. Itself
-        where its threshold was given.
-    """
-    assert cloud.intensity is not None
-    chosen = Threshold(detection.threshold, detection.threshold_source)
-    found: list[Pole] = []
-    for lower in lower_thresholds(cloud.intensity, chosen):
-        there = extract_poles(cloud, sensor=sensor, threshold=lower.value, radius=radius)
-        found += _apart_from((*detection.poles, *found), there.poles, len(cloud))
-    # Of one that is doubtful at the threshold too, a lower one shows more.
-    kept = _apart_from(found, detection.doubtful, len(cloud))
-    doubtful = _without_repeats(kept, len(cloud)) + _without_repeats(found, len(cloud))
-    return replace(detection, doubtful=tuple(doubtful[:MAX_DOUBTFUL]))
-
-
-def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> list[Pole]:
-    """Those of some poles that share no return with the known ones."""
-    taken = np.zeros(count, dtype=bool)
-    for pole in known:
-        taken[pole.index] = True
-    return [pole for pole in poles if not taken[pole.index].any()]
-
-
-def _without_repeats(found: list[Pole], count: int) -> list[Pole]:
+def without_repeats(found: list[Pole], count: int) -> list[Pole]:
     """Keep of poles that share returns the slim one, of these the one with the most returns.
 
     A wide one holds bright things about it, and one with few returns is a part of another. Short
@@ -303,8 +265,7 @@ def _may_be_pole(around: Surroundings, clinging: BoolArray, radius: float) -> bo
     is_few = len(line.index) < MIN_POLE_POINTS
     if is_few and _skips_rings(around):
         return False
-    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
-    if _is_crowded(around, clinging, RETRO_CROWD) or _is_crowded(around, hugging, CROWD):
+    if _is_crowded(around, clinging, RETRO_CROWD) or _is_hugged(around):
         return False
     if is_few and np.count_nonzero(clinging) > MAX_FEW_CLINGING * len(line.index):
         return False
@@ -324,6 +285,16 @@ def _skips_rings(around: Surroundings) -> bool:
     hit = np.unique(cloud.ring[around.near[around.on_line]])
     hit = hit[(hit >= rings[0]) & (hit <= rings[-1])]
     return bool(np.ptp(rings) > len(hit))
+
+
+def _is_hugged(around: Surroundings) -> bool:
+    """Whether other returns lie close beside most of the line, and not only behind it."""
+    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
+    if not _is_crowded(around, hugging, CROWD):
+        return False
+    if ring_spread(around.cloud) > MAX_RING_SPREAD:
+        return True  # where the sensor stood is not known, nor what is behind
+    return _is_crowded(around, hugging & ~stands_behind(around, hugging), CROWD)
 
 
 def _is_crowded(around: Surroundings, close: BoolArray, crowd: float) -> bool:

@@ -65,6 +65,14 @@ MAX_CROSSING_REST = 0.15
 left. Sensitivity at 0.105: 2 fewer false; at 0.21: no effect."""
 
 
+MIN_BEHIND = 0.04
+"""What stands behind a line, or in front, is so far from it or more, metres: 4 σ of 10 mm, the
+range noise of most sensors of the table."""
+
+MAX_IN_FRONT = 0.2
+"""With more in front, for each behind, a line lies on a surface that is seen obliquely."""
+
+
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """A line, and the points of its cloud about it, as the rules see them.
@@ -154,6 +162,26 @@ def surroundings_of(
         is_short=is_short,
         has_few_points=has_few_points,
     )
+
+
+def stands_behind(around: Surroundings, close: BoolArray) -> BoolArray:
+    """Which of the points close to a line (M,) lie behind it rather than beside it, as seen.
+
+    The surface of a stripe goes on to its sides, and where it falls back on one side it comes
+    forward on the other. What is farther behind than to the side, with next to nothing in front,
+    is a wall behind a pole, or a return from the edge of the pole that has a share of each.
+    """
+    line, cloud = around.line, around.cloud
+    sight = line.point - cloud.origin
+    sight = sight - (sight @ line.direction) * line.direction
+    sight /= max(float(np.linalg.norm(sight)), NEGLIGIBLE)
+    depth = (cloud.xyz[around.near] - line.point) @ sight
+    aside = np.sqrt(np.maximum(around.distance**2 - depth**2, 0.0))
+    behind = close & (depth > np.maximum(aside, MIN_BEHIND))
+    in_front = close & (-depth > MIN_BEHIND)
+    if np.count_nonzero(in_front) > MAX_IN_FRONT * np.count_nonzero(behind):
+        return np.zeros_like(close)
+    return behind
 
 
 def _without_crossing_pole(

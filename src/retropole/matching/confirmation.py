@@ -15,10 +15,12 @@ import numpy as np
 from ..datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Reason, Scan
 from ..errors import Refusal
 from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
-from ..extraction.doubtful import with_dimmer, with_doubtful
+from ..extraction.dimmer import with_dimmer
+from ..extraction.doubtful import with_doubtful
 from ..sensors import Sensor
 from .correspondence import direction_sigma, line_pair
 from .placements import PairedPlacement
+from .scene_support import lead_needed, scene_agrees
 
 FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
 """Residual of the poles under the pose, at most: the lines of facing sides lie π r/2 apart, returns
@@ -43,30 +45,6 @@ some agree in both. Of a third pole's four numbers none is left free."""
 
 ENOUGH_SURE = 2
 """With so many sure poles in a cloud its threshold is right, and lower ones are not tried."""
-
-MIN_CONFIRMED_OVERLAP = 0.4
-"""Share of the points that must find a neighbour; sure poles need 0.25."""
-
-MIN_CONFIRMED_COVISIBLE, LEAST_CONFIRMED_OVERLAP = 0.45, 0.2
-"""Or so much of the points that both LiDARs could see, and of all; sure poles need 0.35, 0.15."""
-
-MAX_CONFIRMED_VIOLATION = 0.05
-"""Largest share of the points that stand where the other LiDAR looked through."""
-
-MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE = 0.3, 0.7
-"""By so much the score leads that of every other hypothesis, the inexact ones included; or by so
-much of itself, where the overlap is small."""
-
-CERTAIN_LEAD, MIN_CONTRADICTED = 0.15, 0.03
-"""By so much it leads, in score, a hypothesis with so much that stands where the other LiDAR looked
-through, where the scene is certain of the first."""
-
-MAX_ICP_ROTATION, MAX_ICP_TRANSLATION = float(np.radians(7.0)), 0.4
-"""ICP of the scenes moves the pose by no more, rad and m, …"""
-
-MIN_CERTAIN_COVISIBLE, MAX_CERTAIN_VIOLATION = 0.75, 0.005
-"""… unless so much of what both LiDARs could see coincides, and so little contradicts it: ICP of
-coarse scans wanders along floors and walls. Wrong hypotheses contradicted 1.3 % and more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +175,17 @@ def _counting_doubtful(placement: Placement) -> Placement:
     return replace(placement, target=target, source=source)
 
 
+def counts_doubtful(placement: Placement) -> bool:
+    """Whether doubtful poles are among those of a placement."""
+    found = [scan.detection for scan in (placement.target, placement.source)]
+    return any(
+        any(pole is own for own in each.doubtful)
+        for each in found
+        if each is not None
+        for pole in each.poles
+    )
+
+
 def is_confirmed(
     paired: Sequence[PairedPlacement], hypotheses: Sequence[Hypothesis], radius: float
 ) -> bool:
@@ -213,8 +202,8 @@ def is_confirmed(
     """
     best, *others = hypotheses
     return (
-        all(best.score - other.score >= _lead_needed(best, other) for other in others)
-        and _scene_agrees(best)
+        all(best.score - other.score >= lead_needed(best, other) for other in others)
+        and scene_agrees(best)
         and all(
             each.hypothesis.match.exact and (_several_settled(each) or _two_agree(each, radius))
             for each in paired
@@ -243,39 +232,6 @@ def _beam_scatter(each: PairedPlacement, radius: float) -> float:
         for pole in each.source_poles
     ]
     return float(np.sqrt(np.mean(squares)))
-
-
-def _lead_needed(best: Hypothesis, other: Hypothesis) -> float:
-    """By how much the score of a choice must lead another's."""
-    if _is_certain(best) and other.free_space_violation >= MIN_CONTRADICTED:
-        return CERTAIN_LEAD
-    return min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
-
-
-def _is_certain(best: Hypothesis) -> bool:
-    """Whether nearly all that both LiDARs could see coincides, and next to nothing contradicts."""
-    return (
-        best.covisible_overlap is not None
-        and best.covisible_overlap >= MIN_CERTAIN_COVISIBLE
-        and best.free_space_violation <= MAX_CERTAIN_VIOLATION
-    )
-
-
-def _scene_agrees(best: Hypothesis) -> bool:
-    covisible = best.covisible_overlap or 0.0
-    is_covisible = covisible >= MIN_CONFIRMED_COVISIBLE and best.overlap >= LEAST_CONFIRMED_OVERLAP
-    return (
-        (best.overlap >= MIN_CONFIRMED_OVERLAP or is_covisible)
-        and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
-        and (best.match.settled or _is_certain(best) or _icp_stays(best))
-    )
-
-
-def _icp_stays(best: Hypothesis) -> bool:
-    """Whether ICP stays; a settled hypothesis is where a sharper registration ended."""
-    if best.icp_rotation is None or best.icp_translation is None:
-        return False
-    return best.icp_rotation <= MAX_ICP_ROTATION and best.icp_translation <= MAX_ICP_TRANSLATION
 
 
 def _lines_agree(each: PairedPlacement) -> bool:

@@ -21,6 +21,7 @@ from .. import se3
 from ..alignment.point_to_line import align_poles
 from ..datatypes import Array, Match, Pole
 from ..errors import Refusal
+from .distinct import distinct
 
 MIN_ANGLE = np.radians(5.0)
 """Pairs of poles nearer to parallel than this start no hypothesis: along their common direction a
@@ -43,9 +44,6 @@ EXTENSION_RMS = 3 * EXACT_RMS
 MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
 """Two poles of a match are one only if they lean against each other by less, rad, and if less lies
 between them along the line, metres: two lines far apart along themselves are two posts."""
-
-SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
-"""Matches nearer to each other than this, rad and m, are one."""
 
 MAX_PAIR_MATCHES = 200
 """How many pairs of pole pairs are tried, the most alike first."""
@@ -238,8 +236,23 @@ def _extend(
     )
 
 
+def _exact_part(
+    target: Sequence[Pole], source: Sequence[Pole], first: Match, whole: Match
+) -> Match:
+    """Leave out of an inexact match, one by one, the pairs without which the others fit best."""
+    while not whole.exact and len(whole.pairs) > len(first.pairs) + 1:
+        rest = (
+            tuple(pair for pair in whole.pairs if pair != other)
+            for other in whole.pairs
+            if other not in first.pairs
+        )
+        fits = [_solve(target, source, pairs, first.T_target_source) for pairs in rest]
+        whole = min(fits, key=lambda match: match.pole_rms)
+    return whole if whole.exact else first
+
+
 def match_poles(
-    target: Sequence[Pole], source: Sequence[Pole], count: int | None = None
+    target: Sequence[Pole], source: Sequence[Pole], count: int | None = None, part: bool = False
 ) -> list[Match]:
     """Find every rigid match of the source poles onto the target poles.
 
@@ -253,6 +266,10 @@ def match_poles(
         Poles of the two LiDARs, each in its own frame.
     count
         How many poles both LiDARs see, where that is known: only matches of so many are kept.
+    part
+        Whether pairs that others do not fit are left out of a match, as where poles are doubtful:
+        a thing near a pole lies near another, too, under the right pose. Otherwise such a match
+        is inexact.
 
     Returns
     -------
@@ -280,9 +297,10 @@ def match_poles(
             elif match.exact:
                 pairs = _extend(target, source, match.T_target_source, EXTENSION_RMS)
                 if len(pairs) > 2 and set(match.pairs) <= set(pairs):
-                    match = _solve(target, source, pairs, match.T_target_source)
+                    whole = _solve(target, source, pairs, match.T_target_source)
+                    match = _exact_part(target, source, match, whole) if part else whole
                 matches.append(match)
-    matches = _distinct(matches, np.array([pole.point for pole in source]))
+    matches = distinct(matches, np.array([pole.point for pole in source]))
     if not any(match.exact for match in matches):
         raise Refusal(
             "no_match",
@@ -321,29 +339,3 @@ def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) ->
                 "by 15° or more against the other",
                 {"lidar": name, "angle_deg": float(np.degrees(angle))},
             )
-
-
-def _expected_error(match: Match) -> float:
-    """Roughly how far a match may put a point 10 m away, metres: residual times lever."""
-    variance = np.diag(np.linalg.inv(match.information))
-    lever = np.array([10.0, 10.0, 10.0, 1.0, 1.0, 1.0])
-    return float(max(match.pole_rms, 1e-6) * np.sqrt(np.sum(lever**2 * variance)))
-
-
-def _distinct(matches: list[Match], source_points: Array) -> list[Match]:
-    """Sort matches, most poles and least expected error first, and keep one of each pose.
-
-    The right pose and the wrong ones lie half a turn apart; what lies nearer is the same pose by
-    other poles.
-    """
-    kept: list[Match] = []
-    for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), _expected_error(m))):
-        if not any(same_pose(match, other, source_points) for other in kept):
-            kept.append(match)
-    return kept
-
-
-def same_pose(one: Match, other: Match, source_points: Array) -> bool:
-    """Whether two matches put the source, and points (N, 3) of it, in nearly the same place."""
-    apart = se3.difference_at(one.T_target_source, other.T_target_source, source_points)
-    return apart.rotation < SAME_POSE_ANGLE and apart.translation < SAME_POSE_DISTANCE
