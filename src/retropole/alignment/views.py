@@ -51,7 +51,6 @@ the limit in all but one of 24 simulated pairs, with a quarter of the rounds."""
 
 _AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(NODES)
 _WEIGHT = _WEIGHT / _WEIGHT.sum()
-_SIDE = np.array([-1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,29 +110,27 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     J = _by_axis(seen.jacobian, beams.pole)
     moved = np.einsum("nci,ni->nc", J, view.shift[beams.pole])
     spread = np.einsum("nci,nij,nej->nce", J, view.covariance[beams.pole], J)
-    # The depth goes with the lateral offset, and by what is left of it to either side.
+    # The depth goes with the lateral offset. What is left of it adds to the noise alone: in depth
+    # the logarithm is all but a parabola.
     sideways = np.sqrt(spread[:, 1, 1])
     depthways = spread[:, 0, 1] / np.maximum(sideways, 1e-12)
     sigma = np.hypot(view.noise[0] * seen.sine, view.noise[1] * np.sqrt(1.0 - seen.sine**2))
-    rest = np.sqrt(np.maximum(spread[:, 0, 0] - depthways**2, 0.0))
-    depth = seen.depth + moved[:, 0] + _AT[:, None] * depthways + _SIDE[:, None, None] * rest
-    lateral = seen.lateral_offset + moved[:, 1] + _AT[:, None] * sideways
+    rest = np.maximum(spread[:, 0, 0] - depthways**2, 0.0) / sigma**2
     # All nodes at once: the arrays are small, and calls cost more than what they compute.
-    nodes = 2 * NODES
     arc = arc_likelihood(
-        depth.reshape(-1),
-        np.tile(lateral.reshape(-1), 2),
-        np.tile(sigma, nodes),
-        np.full(nodes * len(sigma), view.noise[1]),
+        (seen.depth + moved[:, 0] + _AT[:, None] * depthways).reshape(-1),
+        (seen.lateral_offset + moved[:, 1] + _AT[:, None] * sideways).reshape(-1),
+        np.tile(sigma, NODES),
+        np.full(NODES * len(sigma), view.noise[1]),
         radius,
-        np.tile(beams.half_width, nodes),
-        np.tile(beams.beside, nodes),
+        np.tile(beams.half_width, NODES),
+        np.tile(beams.beside, NODES),
     )
-    weight = np.tile(0.5 * _WEIGHT, 2)
-    information, inlier = _averaged(arc.information, weight), _averaged(arc.inlier, weight)
-    noise = _averaged(arc.inlier[:, None] * arc.noise, weight)
+    information, inlier = _averaged(arc.information, _WEIGHT), _averaged(arc.inlier, _WEIGHT)
+    noise = _averaged(arc.inlier[:, None] * arc.noise, _WEIGHT)
     noise /= np.maximum(inlier, 1e-300)[:, None]
-    score = _averaged(arc.score, weight) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
+    noise[:, 0] += rest
+    score = _averaged(arc.score, _WEIGHT) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
     return Average(score, information, inlier, noise)
 
 
