@@ -257,14 +257,12 @@ def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
     J = np.concatenate([seen.jacobian, np.zeros((len(beams.pole), 1, size))], axis=1)
     J[:, 2, 8] = 1.0
     flat = J.reshape(-1, size)
-    weighted = arc.information @ J
-    least = np.linalg.eigvalsh(arc.information)[:, 0]
-    lift = np.maximum(RETURN_CURVATURE * arc.inlier / sigma_depth**2 - least, 0.0)
+    least = RETURN_CURVATURE * arc.inlier / sigma_depth**2
     terms = _Terms(
         float(arc.log.sum()),
         arc.score.reshape(-1) @ flat,
-        flat.T @ weighted.reshape(-1, size),
-        flat.T @ (weighted + lift[:, None, None] * J).reshape(-1, size),
+        flat.T @ (arc.information @ J).reshape(-1, size),
+        flat.T @ (lifted(arc.information, least) @ J).reshape(-1, size),
     )
     # Newton in the logarithm of the noise; expectation-maximisation where that is not concave.
     gradient = arc.inlier @ (arc.noise - 1.0)
@@ -277,15 +275,15 @@ def _passed(state: State, lidar: int, beams: Beams, noise: Array) -> _Terms:
     """What the beams that passed beside the poles say."""
     size = SHARED + 4 * len(state.points)
     if not len(beams.passed_pole):
-        zero = np.zeros((size, size))
-        return _Terms(0.0, np.zeros(size), zero, zero)
-    any_range = np.zeros(len(beams.passed_pole))
+        nothing = np.zeros((size, size))
+        return _Terms(0.0, np.zeros(size), nothing, nothing)
+    zero = np.zeros(len(beams.passed_pole))
     seen = beam_geometry(
-        state, lidar, beams.origin, beams.passed_directions, any_range, beams.passed_pole
+        state, lidar, beams.origin, beams.passed_directions, zero, beams.passed_pole
     )
     free = passed_beam_likelihood(
         seen.lateral_offset,
-        np.full_like(any_range, noise[1]),
+        np.full_like(zero, noise[1]),
         state.radius,
         beams.passed_half_width,
     )
@@ -293,11 +291,15 @@ def _passed(state: State, lidar: int, beams: Beams, noise: Array) -> _Terms:
     J[:, 0] = seen.jacobian[:, 1]
     J[:, 1, 8] = 1.0
     flat = J.reshape(-1, size)
-    lift = np.maximum(-np.linalg.eigvalsh(free.information)[:, 0], 0.0)
-    lifted = (free.information + lift[:, None, None] * np.eye(2)) @ J
     return _Terms(
         float(free.log.sum()),
         free.score.reshape(-1) @ flat,
         flat.T @ (free.information @ J).reshape(-1, size),
-        flat.T @ lifted.reshape(-1, size),
+        flat.T @ (lifted(free.information, zero) @ J).reshape(-1, size),
     )
+
+
+def lifted(information: Array, least: Array) -> Array:
+    """Raise all eigenvalues of each (N, C, C) by so much that none is below the least (N,)."""
+    lift = np.maximum(least - np.linalg.eigvalsh(information)[:, 0], 0.0)
+    return np.asarray(information + lift[:, None, None] * np.eye(information.shape[1]))

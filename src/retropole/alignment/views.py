@@ -21,7 +21,7 @@ import numpy as np
 from ..datatypes import Array, IntArray
 from .likelihood import arc_likelihood, passed_beam_likelihood
 from .observations import Beams
-from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, own_geometry
+from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lifted, own_geometry
 
 MIN_NOISE = 2e-5
 """Least noise of a return, metres."""
@@ -212,12 +212,6 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
         if settled:
             break
     return view
-
-
-def lifted(information: Array, least: Array) -> Array:
-    """Raise all eigenvalues of each (N, C, C) by so much that none is below the least (N,)."""
-    lift = np.maximum(least - np.linalg.eigvalsh(information)[:, 0], 0.0)
-    return np.asarray(information + lift[:, None, None] * np.eye(information.shape[1]))
 
 
 def _noise(noise: Array, on: Average) -> Array:
