@@ -30,6 +30,15 @@ from retropole.scene.agreement import (
     check_axes,
     check_contradiction,
 )
+from retropole.scene.consistency import (
+    DENIED,
+    MAX_CONTRADICTED,
+    MIN_AGREEING,
+    MIN_TOTAL,
+    Consistency,
+    check_consistency,
+    unconfirmed,
+)
 from retropole.scene.refinement import Refinement
 from retropole.se3 import PoseDifference
 from retropole.sensors import SENSORS
@@ -165,7 +174,8 @@ def reasons_of(
 ) -> list[Reason]:
     weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
     paired = paired_placement(target, source)
-    return weaknesses([paired], hypotheses, aligned or an_alignment(), weakest, refined)
+    aligned = aligned or an_alignment()
+    return weaknesses([paired], hypotheses, aligned, weakest, refined, Consistency(500, 2))
 
 
 def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
@@ -232,6 +242,26 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
     assert refusal.value.code == "poles_scene_contradict"
     assert "52 mm" in str(refusal.value)
     assert refusal.value.values["mahalanobis_sq"] == contradict.mahalanobis_sq
+
+
+def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
+    def codes(found: Consistency, poles: int = 2, placements: int = 1) -> list[str]:
+        check_consistency(found)
+        return [reason.code for reason in unconfirmed(found, poles, placements)]
+
+    assert codes(Consistency(MIN_AGREEING, 0)) == []
+    assert codes(Consistency(MIN_AGREEING - 1, 0)) == ["not_confirmed"]
+    # More poles or placements confirm each other where the scene has too little to say …
+    assert codes(Consistency(0, 0), poles=3) == []
+    assert codes(Consistency(0, 0), placements=2) == []
+    # … but not against it.
+    some = Consistency(1000, round(1000 * 0.5 * (MAX_CONTRADICTED + DENIED)))
+    assert codes(some, poles=3) == ["not_confirmed"]
+    assert codes(Consistency(0, MIN_TOTAL - 1)) == ["not_confirmed"]
+    with pytest.raises(Refusal) as refusal:
+        codes(Consistency(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED))), poles=3)
+    assert refusal.value.code == "scene_contradicts"
+    assert refusal.value.values["agreeing"] == 1000
 
 
 @pytest.mark.parametrize("freedom", [2, 6])

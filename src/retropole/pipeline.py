@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from . import se3
@@ -40,6 +41,7 @@ from .matching.placements import (
 from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import check_axes, check_contradiction
+from .scene.consistency import Consistency, check_consistency, consistency_of
 from .scene.refinement import Refinement, refine
 from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
@@ -122,9 +124,14 @@ def calibrate(
             with step("refine"):
                 refined = refine_by_scene(placements, aligned, sensors) if scene else None
                 check_contradiction(refined)
+            with step("confirm"):
+                pose = (aligned if refined is None else refined).pose.T_target_source
+                # The same recordings give the same answer.
+                consistent = consistency_of(placements, pose, np.random.default_rng(0))
+                check_consistency(consistent)
         except Refusal as refusal:
             return refused(refusal, placements, hypotheses, seconds)
-    return answered(paired, placements, hypotheses, aligned, refined, seconds)
+    return answered(paired, placements, hypotheses, aligned, refined, consistent, seconds)
 
 
 def find_poles(
@@ -274,6 +281,7 @@ def answered(
     hypotheses: tuple[Hypothesis, ...],
     aligned: BeamAlignment,
     refined: Refinement | None,
+    consistent: Consistency,
     seconds: dict[str, float],
 ) -> Calibration:
     """State the answer: its pose, what error to expect, and what makes it weak."""
@@ -282,7 +290,7 @@ def answered(
     weakest = weakest_direction(
         pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
     )
-    reasons = tuple(weaknesses(paired, hypotheses, aligned, weakest, refined))
+    reasons = tuple(weaknesses(paired, hypotheses, aligned, weakest, refined, consistent))
     return Calibration(
         status="warn" if reasons else "ok",
         reasons=reasons,

@@ -14,6 +14,7 @@ from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
 from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
+from .scene.consistency import Consistency, unconfirmed
 from .scene.refinement import Refinement
 from .uncertainty import WeakDirection
 
@@ -120,6 +121,7 @@ def weaknesses(
     aligned: BeamAlignment,
     weakest: WeakDirection,
     refined: Refinement | None,
+    consistent: Consistency,
 ) -> list[Reason]:
     """Say what makes an answer weak that is good enough to give.
 
@@ -135,8 +137,12 @@ def weaknesses(
         The direction in which the answer is least certain.
     refined
         The pose of poles and scene; None where the scene was not asked, or had nothing to say.
+    consistent
+        How far what stands in the scene agrees with the answer.
     """
+    most = max(len(each.target_poles) for each in paired)
     return [
+        *unconfirmed(consistent, most, len(paired)),
         *doubtful_reasons(paired, hypotheses),
         *_weak_choice(hypotheses),
         *_weak_poles(paired),

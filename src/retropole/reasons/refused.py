@@ -22,6 +22,7 @@ RefusedCode = Literal[
     "poles_inconsistent",
     "degenerate_poles",
     "poles_scene_contradict",
+    "scene_contradicts",
     "registration_failed",
     "refused",
 ]
@@ -177,6 +178,18 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "Check with `retropole detect` that both see the same poles, and `--radius` with a "
             "calliper.",
             "If you know that the poles stood still, `--no-refine` keeps to them.",
+        ),
+    ),
+    "scene_contradicts": Explanation(
+        "The scene denies what the poles say",
+        "Under the pose that the poles give, much of what stands in the scene is where the other "
+        "LiDAR looked through. The poles fit each other, but not the place. "
+        "[How it is told](certainty.md#what-stands-in-the-scene).",
+        (
+            "Both LiDARs must record the same poles in the same place: check that the two files "
+            "are of one placement, and that nobody carried or turned a pole in between.",
+            "Check with `retropole detect` that both LiDARs found the same poles.",
+            "If much of the scene itself moved, record again, both LiDARs at the same time.",
         ),
     ),
     "registration_failed": Explanation(

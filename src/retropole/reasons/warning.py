@@ -7,6 +7,7 @@ from typing import Literal
 from .explanation import Explanation
 
 WarningCode = Literal[
+    "not_confirmed",
     "not_converged",
     "small_margin",
     "doubtful_poles",
@@ -22,6 +23,18 @@ WarningCode = Literal[
 ]
 
 WARNINGS: dict[WarningCode, Explanation] = {
+    "not_confirmed": Explanation(
+        "The scene does not confirm the answer",
+        "Too little stands in view of both LiDARs to confirm what two poles say, or a part of it "
+        "denies the pose. Two poles cannot vouch for themselves: had both been carried between the "
+        "recordings, they would fit as well. "
+        "[How it is told](certainty.md#what-stands-in-the-scene).",
+        (
+            "Add a third pole, or a second placement.",
+            "Or stand boxes or a car where both LiDARs see them, and record again, both LiDARs at "
+            "the same time.",
+        ),
+    ),
     "not_converged": Explanation(
         "The solution still moved when the iterations ran out",
         "A least-squares step was still larger than its tolerance after the last iteration: of "
