@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from multiprocessing import get_context
@@ -79,17 +79,13 @@ def scene_table(outcomes: Sequence[Outcome], names: Sequence[str]) -> str:
         "| answers | | number | overlap | covisible overlap | violation | in the way | χ² |",
         "| --- |" + " --- |" * 7,
     ]
-    counted: dict[str, Callable[[Outcome], bool]] = {
-        **{name: lambda o, name=name: o.kind == name for name in names},
-        "all on bare ground": lambda o: o.scene == "bare",
-        "all elsewhere": lambda o: o.scene != "bare",
-    }
-    for name, is_counted in counted.items():
+    groups = {name: [o for o in outcomes if o.kind == name] for name in names}
+    groups["all on bare ground"] = [o for o in outcomes if o.scene == "bare"]
+    groups["all elsewhere"] = [o for o in outcomes if o.scene != "bare"]
+    for name, group in groups.items():
         for is_wrong in (False, True):
             own = [
-                (o.scenery, o.chi2)
-                for o in outcomes
-                if o.scenery is not None and o.wrong == is_wrong and is_counted(o)
+                (o.scenery, o.chi2) for o in group if o.scenery is not None and o.wrong == is_wrong
             ]
             if own:
                 values = [

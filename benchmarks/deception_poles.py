@@ -90,7 +90,8 @@ def _turn_about_first(site: Site, rng: np.random.Generator) -> Array:
 def walker_with_band(site: Site, rng: np.random.Generator) -> Drawn | None:
     """The band walks by 0.3 to 1.5 m; in half of the draws along the pole's lean.
 
-    The lines then keep their distance, so that the wrong pose fits them.
+    The lines then keep their distance, so that a wrong pose fits them. The band is worn, or held up
+    to 0.5 m off the body: worn close it is part of a surface, and no pole.
     """
     pole, band = site.poles
     bearing, far = rng.uniform(0, 2 * np.pi), rng.uniform(0.3, 1.5)
@@ -100,21 +101,30 @@ def walker_with_band(site: Site, rng: np.random.Generator) -> Drawn | None:
     there = replace(band, centre=band.centre + step)
     if not site.allows(there.centre):
         return None
-    yaw = rng.uniform(0, 2 * np.pi)
+    yaw, off = rng.uniform(0, 2 * np.pi), float(rng.uniform(0.0, 0.5))
+    half = np.array([0.12, rng.uniform(0.15, 0.25), rng.uniform(0.75, 0.95)])
     shots = [
-        replace(site.shot(k), poles=[pole, each]).with_things(_body(each, yaw))
+        replace(site.shot(k), poles=[pole, each]).with_things(_body(each, yaw, off, half))
         for k, each in enumerate((band, there))
     ]
-    return Drawn(((shots[0], shots[1]),), (site.truth,))
+    return Drawn(((shots[0], shots[1]),), (site.truth,), _slid(site, pole, step))
 
 
-def _body(band: Cylinder, yaw: float) -> Box:
-    """A person who wears the band at the breast, half of it sunk in."""
+def _slid(site: Site, pole: Cylinder, step: Array) -> Array | None:
+    """The pose that slides the pole along itself by as much as the band walked along its lean."""
+    lean = pole.axis[:2] @ pole.axis[:2]
+    if abs(float(np.cross(np.r_[pole.axis[:2], 0.0], step)[2])) > 1e-9:
+        return None
+    along = float(pole.axis[:2] @ step[:2]) / lean
+    return _lie(site, se3.from_rt(np.eye(3), along * pole.axis))
+
+
+def _body(band: Cylinder, yaw: float, off: float, half: Array) -> Box:
+    """A person, so far behind the band; half of a worn one is sunk in."""
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     axes = np.stack([ahead, np.cross(UP, ahead), UP], axis=1)
-    return Box(
-        np.r_[(band.centre - 0.12 * ahead)[:2], 0.85], axes, np.array([0.12, 0.22, 0.85]), BARK
-    )
+    at = band.centre - (half[0] + off) * ahead
+    return Box(np.r_[at[:2], half[2]], axes, half, BARK)
 
 
 def one_pole_moved(site: Site, rng: np.random.Generator) -> Drawn:
@@ -207,8 +217,16 @@ def tape_fallen_off(site: Site, rng: np.random.Generator) -> Drawn | None:
 
 
 def placements_mixed_up(site: Site, rng: np.random.Generator) -> Drawn | None:
-    """Two placements of poles on one stand; the source's files come in the wrong order."""
-    other = carry(site, anywhere(site, rng))
+    """Two placements of poles on one stand; the source's files come in the wrong order.
+
+    In half of the draws the stand was turned by half a turn: both mixed placements then tell the
+    same lie.
+    """
+    G = anywhere(site, rng)
+    if rng.uniform() < 0.5:
+        to = rng.uniform(-1, 1, 2) * site.clear
+        G = about_vertical(np.pi, _middle(site), to - _middle(site)[:2])
+    other = carry(site, G)
     if other is None:
         return None
     poles = other.shots[0][1].poles

@@ -136,12 +136,32 @@ def leaning_and_band(rng: np.random.Generator, clear: tuple[float, float]) -> li
 
 def at_right_angles(rng: np.random.Generator, clear: tuple[float, float]) -> list[Cylinder] | None:
     """Two poles at about 90° whose axes nearly meet."""
+    angle = np.pi / 2 + float(rng.uniform(-1, 1)) * SQUARE
+    return _nearly_meeting(rng, clear, angle, rng.uniform(0.0, 1.8), rng.uniform(*NEARLY_MEET))
+
+
+def at_times_meeting(rng: np.random.Generator, clear: tuple[float, float]) -> list[Cylinder] | None:
+    """Two poles; in half of the draws their axes meet within 5 cm, below the ground or above the poles.
+
+    Such poles look the same mirrored, and where each stands on the other's foot.
+    """
+    if rng.uniform() < 0.5:
+        return standing(2)(rng, clear)
+    angle, gap = float(rng.uniform(MIN_POLE_ANGLE, MAX_POLE_ANGLE)), float(rng.uniform(0.0, 0.05))
+    height = rng.uniform(-1.5, -0.3) if rng.uniform() < 0.5 else rng.uniform(2.7, 4.0)
+    return _nearly_meeting(rng, clear, angle, float(height), gap)
+
+
+def _nearly_meeting(
+    rng: np.random.Generator, clear: tuple[float, float], angle: float, height: float, gap: float
+) -> list[Cylinder] | None:
+    """Two poles at an angle, rad, whose axes come so near, metres, at a height, metres."""
     toward, length = rng.uniform(0, 2 * np.pi), rng.uniform(*POLE_LENGTHS, 2)
-    angle = np.pi / 2 + rng.uniform(-1, 1) * SQUARE
     lean = rng.uniform(0.35, 0.65) * angle
     axes = leaning(lean, toward), leaning(angle - lean, toward + np.pi)
-    at = np.r_[rng.uniform(-1, 1, 2) * (min(clear[0], MAX_POLE_X), clear[1]), rng.uniform(0, 1.8)]
-    across = rng.choice([-0.5, 0.5]) * rng.uniform(*NEARLY_MEET) * np.cross(axes[0], axes[1])
+    at = np.r_[rng.uniform(-1, 1, 2) * (min(clear[0], MAX_POLE_X), clear[1]), height]
+    across = np.cross(axes[0], axes[1])
+    across *= rng.choice([-0.5, 0.5]) * gap / np.linalg.norm(across)
     feet = [
         at + side * across + (FOOT_HEIGHT - at[2] - side * across[2]) / axis[2] * axis
         for axis, side in zip(axes, (-1, 1), strict=True)
