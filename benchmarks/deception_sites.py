@@ -141,7 +141,7 @@ def at_right_angles(rng: np.random.Generator, clear: tuple[float, float]) -> lis
 
 
 def at_times_meeting(rng: np.random.Generator, clear: tuple[float, float]) -> list[Cylinder] | None:
-    """Two poles; in half of the draws their axes meet within 5 cm, below the ground or above the poles.
+    """Two poles; in half of the draws their axes meet within 5 cm, below or above the poles.
 
     Such poles look the same mirrored, and where each stands on the other's foot.
     """
