@@ -76,8 +76,9 @@ def table(outcomes: Sequence[Outcome], names: Sequence[str]) -> str:
 
 def scene_table(outcomes: Sequence[Outcome], names: Sequence[str]) -> str:
     lines = [
-        "| answers | | number | overlap | covisible overlap | violation | in the way | χ² |",
-        "| --- |" + " --- |" * 7,
+        "| answers | | number | overlap | covisible overlap | violation | in the way "
+        "| tall in the way | tall apart | tall points | χ² |",
+        "| --- |" + " --- |" * 10,
     ]
     groups = {name: [o for o in outcomes if o.kind == name] for name in names}
     groups["all on bare ground"] = [o for o in outcomes if o.scene == "bare"]
@@ -89,11 +90,14 @@ def scene_table(outcomes: Sequence[Outcome], names: Sequence[str]) -> str:
             ]
             if own:
                 values = [
-                    (s.overlap, s.covisible_overlap, s.violation, s.in_the_way, chi2)
+                    (
+                        *(s.overlap, s.covisible_overlap, s.violation, s.in_the_way),
+                        *(s.tall_in_the_way, s.tall_apart, s.tall_common, chi2),
+                    )
                     for s, chi2 in own
                 ]
                 low, middle, high = np.quantile(np.array(values, float), (0.1, 0.5, 0.9), axis=0)
-                digits = 2, 2, 4, 4, 1
+                digits = 2, 2, 4, 4, 4, 2, 0, 1
                 cells = [
                     f"{m:.{d}f} ({a:.{d}f} – {b:.{d}f})"
                     for a, m, b, d in zip(low, middle, high, digits, strict=True)
@@ -111,7 +115,8 @@ def line(o: Outcome) -> str:
         s = o.scenery
         off += (
             f", χ² {o.chi2:.1f}, overlap {s.overlap:.2f}, covisible {s.covisible_overlap:.2f}, "
-            f"violation {s.violation:.4f}, in the way {s.in_the_way:.4f} of {s.common}"
+            f"violation {s.violation:.4f}, in the way {s.in_the_way:.4f} of {s.common}, tall "
+            f"{s.tall_in_the_way:.4f} of {s.tall_common}, apart {s.tall_apart:.2f}"
         )
     return (
         f"{o.kind} {o.seed}: {o.verdict} {off} {' '.join(o.codes)} ({o.scene}, {o.noise}, "

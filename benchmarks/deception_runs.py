@@ -8,9 +8,10 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from coverage import SENSORS
 from deception_poles import Drawn
@@ -18,13 +19,12 @@ from deception_scenes import KINDS, Kind
 from deception_sites import Site, draw_site, is_in_view, recorded
 from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
 from retropole import se3
-from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.datatypes import Array, BoolArray, Calibration, PointCloud
 from retropole.pipeline import calibrate
 from retropole.scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from retropole.scene.visibility import (
     OVERLAP_DISTANCE,
     OWN_VEHICLE,
-    View,
     cells_of,
     compare_views,
     view_of,
@@ -44,20 +44,31 @@ IN_THE_WAY, RELATIVE_IN_THE_WAY = 0.15, 0.02
 range before what that saw: far beyond the noise of both."""
 
 
+TALL, TALL_DISTANCE = 0.3, 0.3
+"""Points from so high above the true ground are not on it, metres, and are near each other where
+they are no farther apart."""
+
+
 @dataclass(frozen=True)
 class Scenery:
     """What the scene says of a pose, of several placements the worst: shares of the points.
 
     ``overlap`` of all points, ``covisible_overlap`` of those that both LiDARs could see, and
     ``violation`` are what hypotheses are scored by. ``in_the_way`` is the share of the ``common``
-    points, which the other LiDAR could see or see past, that stand before what it saw.
+    points, in whose direction the other LiDAR has a return, that stand before what it saw. The same
+    of the points that are not on the ground, which is known here: ``tall_in_the_way`` of
+    ``tall_common``; ``tall_apart`` of them have no such point of the other cloud near. In a mirrored or scaled cloud
+    the ground is not where it is looked for, and those three say little.
     """
 
     overlap: float
     covisible_overlap: float
     violation: float
     in_the_way: float
+    tall_in_the_way: float
+    tall_apart: float
     common: int
+    tall_common: int
 
 
 @dataclass(frozen=True)
@@ -149,6 +160,7 @@ def run(job: tuple[str, int]) -> Outcome | None:
         off = [se3.difference(T, truth) for truth in drawn.truths]
         rotation = max((each.rotation for each in off), default=np.inf)
         translation = max((each.translation for each in off), default=np.inf)
+    poses = [(pair[0].poses[0], pair[1].poses[0]) for pair in drawn.shots]
     return Outcome(
         name,
         seed,
@@ -162,7 +174,7 @@ def run(job: tuple[str, int]) -> Outcome | None:
         None if drawn.lie is None else from_lie(answer, drawn.lie),
         chi2_of(answer),
         answer.margin,
-        None if T is None else scenery(clouds, T),
+        None if T is None else scenery(clouds, poses, T),
         (ready - start, done - ready),
     )
 
@@ -183,35 +195,53 @@ def chi2_of(answer: Calibration) -> float | None:
     return float(step @ np.linalg.solve(answer.poles.covariance, step))
 
 
-def scenery(clouds: Sequence[tuple[PointCloud, PointCloud]], T: Array) -> Scenery:
-    found = []
-    for target, source in clouds:
-        views = [view_of(cloud, SCORING_VOXEL, SCORING_SAMPLE) for cloud in (target, source)]
-        agreed = compare_views(*views, T, within=OVERLAP_DISTANCE)
-        in_the_way, common = standing_in_the_way(*views, T)
-        shares = agreed.overlap, agreed.covisible_overlap, agreed.free_space_violation
-        found.append((*shares, in_the_way, common))
-    overlaps, covisible, violations, in_the_ways, commons = zip(*found, strict=True)
+def scenery(
+    clouds: Sequence[tuple[PointCloud, PointCloud]], poses: Sequence[tuple[Array, Array]], T: Array
+) -> Scenery:
+    """Compare the clouds of every placement; ``poses`` are of the LiDARs in the world."""
+    found = [one_scenery(*each, T) for each in zip(clouds, poses, strict=True)]
+    least = {"overlap", "covisible_overlap", "common", "tall_common"}
     return Scenery(
-        min(overlaps), min(covisible), max(violations), max(in_the_ways), int(min(commons))
+        **{
+            part.name: (min if part.name in least else max)(
+                getattr(each, part.name) for each in found
+            )
+            for part in fields(Scenery)
+        }
     )
 
 
-def standing_in_the_way(target: View, source: View, T: Array) -> tuple[float, int]:
-    """Share of the points in common that stand before what the other saw, and how many these are.
-
-    In common are points in whose direction the other has a return, not on the own vehicle and no
-    farther than it reaches.
-    """
-    count = against = 0
-    for view, other, pose in ((source, target, T), (target, source, se3.inverse(T))):
-        rays = se3.apply(pose, view.points) - other.image.origin
-        ranges = np.linalg.norm(rays, axis=1)
-        cells = cells_of(rays)
-        own = np.linalg.norm(view.points - view.image.origin, axis=1) < OWN_VEHICLE
-        common = ~own & other.image.nearest.seen[cells] & (ranges <= other.reach)
+def one_scenery(
+    clouds: tuple[PointCloud, PointCloud], poses: tuple[Array, Array], T: Array
+) -> Scenery:
+    target, source = (view_of(cloud, SCORING_VOXEL, SCORING_SAMPLE) for cloud in clouds)
+    agreed = compare_views(target, source, T, within=OVERLAP_DISTANCE)
+    count = np.zeros(5, dtype=np.int64)
+    for k, own, other, pose in ((1, source, target, T), (0, target, source, se3.inverse(T))):
+        moved = se3.apply(pose, own.points)
+        rays = moved - other.image.origin
+        ranges, cells = np.linalg.norm(rays, axis=1), cells_of(rays)
+        common = np.linalg.norm(own.points - own.image.origin, axis=1) > OWN_VEHICLE
+        common &= other.image.nearest.seen[cells] & (ranges <= other.reach)
         margin = IN_THE_WAY + RELATIVE_IN_THE_WAY * ranges
-        before = other.image.nearest.ranges[cells] > ranges + margin
-        count += int(np.count_nonzero(common))
-        against += int(np.count_nonzero(common & before))
-    return (against / count if count else 0.0), count
+        before = common & (other.image.nearest.ranges[cells] > ranges + margin)
+        tall = common & is_tall(own.points, poses[k])
+        theirs = np.asarray(other.tree.data)
+        tree = cKDTree(theirs[is_tall(theirs, poses[1 - k])])
+        apart = np.isinf(tree.query(moved, distance_upper_bound=TALL_DISTANCE)[0])
+        groups = common, before, tall, tall & before, tall & apart
+        count += [np.count_nonzero(group) for group in groups]
+    shares = count[[1, 3, 4]] / np.maximum(count[[0, 2, 2]], 1)
+    return Scenery(
+        agreed.overlap,
+        agreed.covisible_overlap,
+        agreed.free_space_violation,
+        *(float(share) for share in shares),
+        common=int(count[0]),
+        tall_common=int(count[2]),
+    )
+
+
+def is_tall(points: Array, pose: Array) -> BoolArray:
+    """Which points (N, 3) of a LiDAR with a pose (4, 4) in the world are not on the ground."""
+    return np.asarray(se3.apply(pose, points)[:, 2] > TALL)
