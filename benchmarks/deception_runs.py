@@ -57,8 +57,8 @@ class Scenery:
     ``violation`` are what hypotheses are scored by. ``in_the_way`` is the share of the ``common``
     points, in whose direction the other LiDAR has a return, that stand before what it saw. The same
     of the points that are not on the ground, which is known here: ``tall_in_the_way`` of
-    ``tall_common``; ``tall_apart`` of them have no such point of the other cloud near. In a mirrored or scaled cloud
-    the ground is not where it is looked for, and those three say little.
+    ``tall_common``; ``tall_apart`` of them have no such point of the other cloud near. In a
+    mirrored or scaled cloud the ground is not where it is looked for: there these say little.
     """
 
     overlap: float
