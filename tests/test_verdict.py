@@ -262,6 +262,9 @@ def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
         codes(Consistency(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED))), poles=3)
     assert refusal.value.code == "scene_contradicts"
     assert refusal.value.values["agreeing"] == 1000
+    with pytest.raises(Refusal, match=r"fits better 1\.6 m away"):
+        codes(Consistency(500, 2, 1.6))
+    assert codes(Consistency(MIN_AGREEING + 1, 0, 1.6)) == []
 
 
 @pytest.mark.parametrize("freedom", [2, 6])

@@ -9,7 +9,7 @@ of view, and says nothing. A place counts as one witness however many points it 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,6 +19,7 @@ from ..datatypes import Array, BoolArray, IntArray, Placement, PointCloud, Reaso
 from ..errors import Refusal
 from .patch_pairs import labels_of
 from .registration import voxel_downsample
+from .shifts import best_shift
 from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image
 
 VOXEL, PLACE_SIDE = 0.2, 1.0
@@ -40,6 +41,9 @@ DENIED, MIN_TOTAL = 0.2, 60
 GROUND_TRIALS, GROUND_SAMPLE = 200, 4000
 """Planes through three points that are tried for the ground, and the points that vote."""
 
+MIN_AREA = 0.1
+"""Least area that the three points span, twice, m²: fewer than three span no plane."""
+
 GROUND_THICKNESS, GROUND_SLOPE = 0.3, 0.02
 """Points so near the ground belong to it, metres, and this part of their range: it is cambered."""
 
@@ -58,12 +62,15 @@ class Standing:
         Of the whole downsampled cloud.
     image
         Of the cloud as it was recorded.
+    up
+        (3,) normal of the ground.
     """
 
     points: Array
     place: IntArray
     tree: cKDTree
     image: RangeImage
+    up: Array
 
 
 @dataclass(frozen=True)
@@ -74,10 +81,13 @@ class Consistency:
     ----------
     agreeing, contradicting
         Places of both clouds.
+    better_at
+        How far along the ground a pose lies that agrees better in both, metres; None if none does.
     """
 
     agreeing: int
     contradicting: int
+    better_at: float | None = None
 
     @property
     def total(self) -> int:
@@ -95,12 +105,28 @@ def consistency_of(
 ) -> Consistency:
     """Count over all placements of the poles; see `consistency` and `standing_in`."""
     each = [
-        consistency(
+        _with_shift(
             standing_in(placement.target.cloud, rng), standing_in(placement.source.cloud, rng), T
         )
         for placement in placements
     ]
-    return Consistency(sum(one.agreeing for one in each), sum(one.contradicting for one in each))
+    return Consistency(
+        sum(one.agreeing for one in each),
+        sum(one.contradicting for one in each),
+        max((one.better_at for one in each if one.better_at is not None), default=None),
+    )
+
+
+def _with_shift(target: Standing, source: Standing, T: Array) -> Consistency:
+    """Count at a pose, and at the shift along the ground where more of the scene coincides."""
+    here = consistency(target, source, T)
+    shift = best_shift(target.points, source.points, target.up, T)
+    if shift is None or shift.gain <= 1:
+        return here
+    there = consistency(target, source, se3.retract(T, np.r_[np.zeros(3), shift.step]))
+    if there.agreeing <= here.agreeing or there.contradicted > here.contradicted:
+        return here
+    return replace(here, better_at=float(np.linalg.norm(shift.step)))
 
 
 def check_consistency(found: Consistency) -> None:
@@ -111,19 +137,22 @@ def check_consistency(found: Consistency) -> None:
     Refusal
         ``scene_contradicts``.
     """
-    if found.total < MIN_TOTAL or found.contradicted <= DENIED:
+    is_better_elsewhere = found.better_at is not None
+    if found.total < MIN_TOTAL or not (found.contradicted > DENIED or is_better_elsewhere):
         return
+    elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
     raise Refusal(
         "scene_contradicts",
         f"under the pose that the poles give, {found.contradicting} of {found.total} places off "
         f"the ground ({found.contradicted:.0%}; {DENIED:.0%} are allowed) stand where the other "
-        "LiDAR looked through: did a pole move between the recordings, or are they of two "
-        "placements?",
+        f"LiDAR looked through{elsewhere}: did a pole move between the recordings, or are they of "
+        "two placements?",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
             "contradicted": found.contradicted,
             "allowed": DENIED,
+            **({} if found.better_at is None else {"better_at_m": found.better_at}),
         },
     )
 
@@ -156,24 +185,26 @@ def standing_in(cloud: PointCloud, rng: np.random.Generator) -> Standing:
     """Prepare a cloud; the random numbers choose the planes that are tried for the ground."""
     points = voxel_downsample(cloud.xyz, VOXEL)
     ranges = np.linalg.norm(points - cloud.origin, axis=1)
-    off = (ranges > OWN_VEHICLE) & ~_on_ground(points, ranges, rng)
-    standing = points[off]
+    on_ground, up = _ground(points, ranges, rng)
+    standing = points[(ranges > OWN_VEHICLE) & ~on_ground]
     place = labels_of(np.floor(standing / PLACE_SIDE)) if len(standing) else np.zeros(0, np.int64)
-    return Standing(standing, place, cKDTree(points), range_image(cloud))
+    return Standing(standing, place, cKDTree(points), range_image(cloud), up)
 
 
-def _on_ground(points: Array, ranges: Array, rng: np.random.Generator) -> BoolArray:
-    """Which points lie on the plane that most of a sample lies on."""
+def _ground(points: Array, ranges: Array, rng: np.random.Generator) -> tuple[BoolArray, Array]:
+    """Which points lie on the plane that most of a sample lies on, and its normal (3,)."""
     sample = points[:: 1 + len(points) // GROUND_SAMPLE]
     if len(sample) < 3:
-        return np.zeros(len(points), dtype=bool)
+        return np.zeros(len(points), dtype=bool), np.array([0.0, 0.0, 1.0])
     a, b, c = (sample[rng.integers(len(sample), size=GROUND_TRIALS)] for _ in range(3))
     normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+    area = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(area, MIN_AREA)[:, None]
     height = sample @ normals.T - np.einsum("ij,ij->i", a, normals)
-    best = int(np.argmax(np.count_nonzero(np.abs(height) < DEPTH_TOLERANCE, axis=0)))
+    votes = np.count_nonzero(np.abs(height) < DEPTH_TOLERANCE, axis=0)
+    best = int(np.argmax(np.where(area > MIN_AREA, votes, -1)))
     own = np.abs((points - a[best]) @ normals[best])
-    return np.asarray(own < GROUND_THICKNESS + GROUND_SLOPE * ranges)
+    return np.asarray(own < GROUND_THICKNESS + GROUND_SLOPE * ranges), normals[best]
 
 
 def consistency(target: Standing, source: Standing, T: Array) -> Consistency:

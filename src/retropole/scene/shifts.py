@@ -1,0 +1,101 @@
+"""Where else a scene would fit: what stands in both clouds, correlated over shifts.
+
+Poles that were carried along a corridor or a street leave walls on walls: hardly anything is
+denied. What stands between the walls then lies beside itself, and fits better where it was. All
+shifts are compared at once, as the cross-correlation of the occupied cells, layer by layer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.ndimage import maximum_filter
+
+from .. import se3
+from ..datatypes import Array, IntArray
+
+CELL, LAYER = 0.25, 0.75
+"""Side and height of a cell, metres."""
+
+REACH = 6.0
+"""Shifts that are tried, metres."""
+
+NEAR = 0.5
+"""Shifts up to this are the same pose, metres."""
+
+HALF_SIDE = 30.0
+"""Cells so far about the middle of the source's points are compared, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shift:
+    """The best shift away from a pose.
+
+    Attributes
+    ----------
+    step
+        (3,) of the source in the target's frame, metres.
+    gain
+        How many more cells coincide there than at the pose, as a ratio.
+    """
+
+    step: Array
+    gain: float
+
+
+def best_shift(target: Array, source: Array, up: Array, T: Array) -> Shift | None:
+    """Find the shift along the ground at which most cells coincide.
+
+    Parameters
+    ----------
+    target, source
+        (N, 3) and (M, 3) points off the ground, each in its own frame, metres.
+    up
+        (3,) normal of the ground, target's frame.
+    T
+        (4, 4) target from source.
+
+    Returns
+    -------
+    Shift or None
+        None where the clouds have nothing to compare.
+    """
+    if not len(target) or not len(source):
+        return None
+    level = np.linalg.svd(up[None, :])[2]
+    axes = np.concatenate([level[1:], up[None, :]])
+    a, b = target @ axes.T, se3.apply(T, source) @ axes.T
+    middle = np.median(b, axis=0)
+    low = np.maximum(np.minimum(a.min(axis=0), b.min(axis=0)), middle - HALF_SIDE) - REACH
+    high = np.minimum(np.maximum(a.max(axis=0), b.max(axis=0)), middle + HALF_SIDE) + REACH
+    size = np.array([CELL, CELL, LAYER])
+    cells = [np.floor((one - low) / size).astype(np.int64) for one in (a, b)]
+    shape = np.ceil((high - low) / size).astype(np.int64)
+    fast = [fft.next_fast_len(int(n), real=True) for n in shape[:2]]
+    total = np.zeros(fast, dtype=np.float32)
+    for layer in range(int(shape[2])):
+        grids = [_occupied(one, layer, shape, fast) for one in cells]
+        if all(grid.any() for grid in grids):
+            # A cell's neighbours count: surfaces are sampled at other points.
+            spectra = fft.rfft2(maximum_filter(grids[0], 3)), fft.rfft2(grids[1])
+            total += fft.irfft2(spectra[0] * np.conj(spectra[1]), s=fast)
+    # The shifts about the pose as it is, from one end to the other.
+    reach = int(REACH / CELL)
+    total = np.roll(total, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
+    place = (np.indices(total.shape).transpose(1, 2, 0) - reach) * CELL
+    far = np.abs(place).max(axis=2) > NEAR
+    here = total[np.abs(place).max(axis=2) <= CELL].max()
+    best = int(np.argmax(np.where(far, total, -1.0)))
+    step = place.reshape(-1, 2)[best] @ axes[:2]
+    return Shift(step, float(total.reshape(-1)[best] / max(here, 1.0)))
+
+
+def _occupied(cells: IntArray, layer: int, shape: IntArray, fast: list[int]) -> NDArray[np.float32]:
+    """Grid of one layer, 1 where a point lies; single precision counts thousands exactly."""
+    within = np.all((cells >= 0) & (cells < shape), axis=1) & (cells[:, 2] == layer)
+    grid = np.zeros(fast, dtype=np.float32)
+    grid[cells[within, 0], cells[within, 1]] = 1.0
+    return grid
