@@ -31,9 +31,12 @@ DEPTH_TOLERANCE, RELATIVE_TOLERANCE, MAX_TOLERANCE = 0.15, 0.02, 1.0
 
 MAX_CONTRADICTED, MIN_AGREEING = 0.1, 40
 """A pose is confirmed where no larger share of the places denies it, and so many agree. At the
-right pose of 300 hard scenes (benchmarks/hard_scenes.py, seeds below 300) the share was 0.8 % in
-the median and 5.7 % at most, but for one of 33 places, and 91 places or more agreed; at poses a
-metre or more off it was 17 % and more in 95 of 100. On bare ground up to 25 places agree."""
+right pose of 200 hard scenes (benchmarks/hard_scenes.py, seeds below 200) the share was 0.8 % in
+the median and 5.7 % at most, and 91 places or more agreed. On bare ground up to 25 agree."""
+
+BETTER = 1.05
+"""By this factor more places agree where the scene fits better: by 1.09 and more for poles carried
+by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10 to 25)."""
 
 DENIED, MIN_TOTAL = 0.2, 60
 """From this share on, of at least so many places, the scene denies a pose."""
@@ -124,7 +127,8 @@ def _with_shift(target: Standing, source: Standing, T: Array) -> Consistency:
     if shift is None or shift.gain <= 1:
         return here
     there = consistency(target, source, se3.retract(T, np.r_[np.zeros(3), shift.step]))
-    if there.agreeing <= here.agreeing or there.contradicted > here.contradicted:
+    is_better = there.agreeing >= BETTER * here.agreeing
+    if not is_better or there.contradicted > here.contradicted:
         return here
     return replace(here, better_at=float(np.linalg.norm(shift.step)))
 
