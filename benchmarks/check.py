@@ -13,6 +13,7 @@ them, and of surroundings alone. Prints Markdown tables. Seeds below 1000 are fo
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -269,12 +270,14 @@ def main() -> None:
         ]
     rows: list[Row] = []
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
-        for found in pool.map(run, jobs):
+        for done, found in enumerate(pool.map(run, jobs), start=1):
             rows += found
             for row in found:
                 right = "same" if row.kind == "unmoved" else "moved"
                 if arguments.verbose and row.status != right:
                     print(*row, flush=True)
+            unmoved = Counter(r.status for r in rows if r.kind == "unmoved")
+            print(f"{done} of {len(jobs)}, unmoved: {dict(unmoved)}", file=sys.stderr, flush=True)
 
     refused = Counter(r.where for r in rows if r.status == "refused")
     print("not calibrated in the first place:", dict(refused))

@@ -43,7 +43,7 @@ from .scene import disambiguation, settling
 from .scene.agreement import check_axes, check_contradiction
 from .scene.consistency import Consistency, check_consistency, consistency_of
 from .scene.refinement import Refinement, refine
-from .scene.static import check_static, remove_dynamic_points
+from .scene.static import check_static, check_still, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
 from .uncertainty import predicted_error, weakest_direction
@@ -151,17 +151,18 @@ def find_poles(
 
 
 def check_poles(placements: Sequence[Placement]) -> None:
-    """Refuse clouds that could not be searched, and poles that moved while they were recorded.
+    """Refuse clouds that could not be searched, LiDARs or poles that moved while they recorded.
 
     Raises
     ------
     Refusal
-        ``no_intensity`` or ``moving_pole``.
+        ``no_intensity``, ``moving_lidar`` or ``moving_pole``.
     """
     for placement in placements:
         for name, scan in (("target", placement.target), ("source", placement.source)):
             if scan.refusal is not None:
                 raise scan.refusal
+            check_still(name, scan.cloud)
             check_static(name, scan.cloud, scan.poles)
 
 

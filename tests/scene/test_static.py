@@ -5,12 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole import se3
 from retropole.datatypes import BoolArray, PointCloud
 from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.pipeline import calibrate
-from retropole.scene.static import check_static, pole_drift, remove_dynamic_points
+from retropole.scene.static import (
+    check_static,
+    check_still,
+    pole_drift,
+    remove_dynamic_points,
+    turned_by,
+)
 from retropole.simulation import SimulatedPair, simulate_pair
 
 FRAMES = 6
@@ -95,3 +102,35 @@ def test_frames_average_the_noise_away() -> None:
                 errors.append(e_rt(answer.T_target_source, pair.T_target_source))
     assert len(ten) >= 6
     assert np.median(ten) < 0.8 * np.median(one)
+
+
+def bumped(cloud: PointCloud, angle: float) -> PointCloud:
+    """Turn a LiDAR before the second half of its frames."""
+    assert cloud.frame is not None
+    R = se3.exp_so3(angle * np.array([0.0, 0.6, 0.8]))
+    late = (cloud.frame >= FRAMES // 2)[:, None]
+    return replace(cloud, xyz=np.where(late, cloud.xyz @ R.T, cloud.xyz))
+
+
+@pytest.mark.parametrize("degrees", [0.6, 2.0, 5.0])
+def test_a_lidar_that_turned_while_it_recorded_is_refused(
+    street: SimulatedPair, degrees: float
+) -> None:
+    moved = remove_dynamic_points(bumped(street.target, np.radians(degrees)))
+    assert turned_by(moved) == pytest.approx(np.radians(degrees), rel=0.05)
+    with pytest.raises(Refusal) as refusal:
+        check_still("target", moved)
+    assert refusal.value.code == "moving_lidar"
+    assert "target" in str(refusal.value)
+
+
+def test_a_lidar_that_stood_did_not_turn(street: SimulatedPair) -> None:
+    for cloud in (street.target, street.source, replace(street.target, frame=None)):
+        assert turned_by(cloud) < np.radians(0.1)
+        check_still("target", cloud)
+
+
+def test_a_bumped_lidar_gives_no_answer(street: SimulatedPair) -> None:
+    answer = calibrate(bumped(street.target, np.radians(1.0)), street.source)
+    assert answer.status == "refused"
+    assert answer.reasons[0].code == "moving_lidar"

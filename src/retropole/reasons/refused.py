@@ -18,6 +18,7 @@ RefusedCode = Literal[
     "prior_contradicted",
     "placements_disagree",
     "moving_pole",
+    "moving_lidar",
     "poor_fit",
     "poles_inconsistent",
     "degenerate_poles",
@@ -137,6 +138,14 @@ REFUSED: dict[RefusedCode, Explanation] = {
         "A pole strays between frames by more than 2 cm and more than its noise allows.",
         (
             "Fasten the poles, keep hands and wind off, and record again.",
+            "Or read the frames while it stood still: `--frames A:B`.",
+        ),
+    ),
+    "moving_lidar": Explanation(
+        "A LiDAR moved while it recorded",
+        "The last frames of a recording are turned against the first by more than 0.3°.",
+        (
+            "Fasten the LiDAR, wait until nothing sways, and record again.",
             "Or read the frames while it stood still: `--frames A:B`.",
         ),
     ),
