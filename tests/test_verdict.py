@@ -18,10 +18,9 @@ from retropole.datatypes import (
     PointCloud,
     Pole,
     PoseEstimate,
-    Reason,
     Scan,
 )
-from retropole.errors import Refusal
+from retropole.errors import Reason, Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.scene.agreement import (
     MAX_AXES_CHI2,
@@ -35,14 +34,13 @@ from retropole.scene.consistency import (
     MAX_CONTRADICTED,
     MIN_AGREEING,
     MIN_TOTAL,
-    Consistency,
     check_consistency,
     unconfirmed,
 )
 from retropole.scene.refinement import Refinement
 from retropole.se3 import PoseDifference
 from retropole.sensors import SENSORS
-from retropole.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
+from retropole.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
 from retropole.verdict import (
     LEAST_OVERLAP,
     MIN_COVISIBLE_OVERLAP,
@@ -175,7 +173,7 @@ def reasons_of(
     weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
     paired = paired_placement(target, source)
     aligned = aligned or an_alignment()
-    return weaknesses([paired], hypotheses, aligned, weakest, refined, Consistency(500, 2))
+    return weaknesses([paired], hypotheses, aligned, weakest, refined, Confirmation(500, 2))
 
 
 def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
@@ -245,26 +243,26 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
 
 
 def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
-    def codes(found: Consistency, poles: int = 2, placements: int = 1) -> list[str]:
+    def codes(found: Confirmation, poles: int = 2, placements: int = 1) -> list[str]:
         check_consistency(found)
         return [reason.code for reason in unconfirmed(found, poles, placements)]
 
-    assert codes(Consistency(MIN_AGREEING, 0)) == []
-    assert codes(Consistency(MIN_AGREEING - 1, 0)) == ["not_confirmed"]
+    assert codes(Confirmation(MIN_AGREEING, 0)) == []
+    assert codes(Confirmation(MIN_AGREEING - 1, 0)) == ["not_confirmed"]
     # More poles or placements confirm each other where the scene has too little to say …
-    assert codes(Consistency(0, 0), poles=3) == []
-    assert codes(Consistency(0, 0), placements=2) == []
+    assert codes(Confirmation(0, 0), poles=3) == []
+    assert codes(Confirmation(0, 0), placements=2) == []
     # … but not against it.
-    some = Consistency(1000, round(1000 * 0.5 * (MAX_CONTRADICTED + DENIED)))
+    some = Confirmation(1000, round(1000 * 0.5 * (MAX_CONTRADICTED + DENIED)))
     assert codes(some, poles=3) == ["not_confirmed"]
-    assert codes(Consistency(0, MIN_TOTAL - 1)) == ["not_confirmed"]
+    assert codes(Confirmation(0, MIN_TOTAL - 1)) == ["not_confirmed"]
     with pytest.raises(Refusal) as refusal:
-        codes(Consistency(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED))), poles=3)
+        codes(Confirmation(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED))), poles=3)
     assert refusal.value.code == "scene_contradicts"
     assert refusal.value.values["agreeing"] == 1000
     with pytest.raises(Refusal, match=r"fits better 1\.6 m away"):
-        codes(Consistency(500, 2, 1.6))
-    assert codes(Consistency(MIN_AGREEING + 1, 0, 1.6)) == []
+        codes(Confirmation(500, 2, 1.6))
+    assert codes(Confirmation(MIN_AGREEING + 1, 0, 1.6)) == []
 
 
 @pytest.mark.parametrize("freedom", [2, 6])

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import se3
-from .errors import Refusal
+from .errors import Reason, Refusal
 from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
-from .uncertainty import RadiusEstimate, Uncertainty, WeakDirection
+from .uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -292,15 +292,6 @@ class Placement:
 
 
 @dataclass(frozen=True, eq=False)
-class Reason:
-    """Why a verdict is not a plain ok: a stable code, words with numbers, and the numbers."""
-
-    code: Code
-    message: str
-    values: Mapping[str, float | int | str]
-
-
-@dataclass(frozen=True, eq=False)
 class Calibration:
     """The answer of `pipeline.calibrate`, or why there is none.
 
@@ -332,6 +323,8 @@ class Calibration:
         `covariance` in its two kinds, and the error budget; None when refused.
     radius
         The poles' radius as given and as estimated; None when refused.
+    confirmation
+        What stands in the scene says of the pose; None where it did not come to that.
     """
 
     status: Literal["ok", "warn", "refused"]
@@ -348,3 +341,4 @@ class Calibration:
     seconds: Mapping[str, float]
     uncertainty: Uncertainty | None = None
     radius: RadiusEstimate | None = None
+    confirmation: Confirmation | None = None

@@ -1,8 +1,12 @@
-"""Everything that retropole raises on purpose; the command line catches these in one place."""
+"""Everything that retropole raises on purpose, and why an answer is weak.
+
+The command line catches the errors in one place.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from .reasons import Code
 
@@ -59,3 +63,12 @@ class Refusal(RetropoleError):
     def __reduce__(self) -> tuple[type[Refusal], tuple[Code, str, dict[str, float | int | str]]]:
         """Rebuild from all three, so that a refusal gets across processes."""
         return Refusal, (self.code, self.message, self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Reason:
+    """Why a verdict is not a plain ok: a stable code, words with numbers, and the numbers."""
+
+    code: Code
+    message: str
+    values: Mapping[str, float | int | str]

@@ -21,10 +21,9 @@ from .datatypes import (
     Hypothesis,
     Placement,
     PointCloud,
-    Reason,
     Scan,
 )
-from .errors import Refusal
+from .errors import Reason, Refusal
 from .extraction.poles import extract_poles
 from .io.beam_origin import with_beam_origin
 from .io.rings import with_trusted_rings
@@ -41,12 +40,12 @@ from .matching.placements import (
 from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import check_axes, check_contradiction
-from .scene.consistency import Consistency, check_consistency, consistency_of
+from .scene.consistency import check_consistency, consistency_of
 from .scene.refinement import Refinement, refine
 from .scene.static import check_static, check_still, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
-from .uncertainty import predicted_error, weakest_direction
+from .uncertainty import Confirmation, predicted_error, weakest_direction
 from .verdict import check_choice, margin_of, weaknesses
 
 
@@ -104,6 +103,7 @@ def calibrate(
     seconds: dict[str, float] = {}
     step = partial(_timed, seconds, progress)
     hypotheses: tuple[Hypothesis, ...] = ()
+    confirmation: Confirmation | None = None
 
     # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the way.
     with threadpool_limits(1, user_api="blas"):
@@ -127,11 +127,11 @@ def calibrate(
             with step("confirm"):
                 pose = (aligned if refined is None else refined).pose.T_target_source
                 # The same recordings give the same answer.
-                consistent = consistency_of(placements, pose, np.random.default_rng(0))
-                check_consistency(consistent)
+                confirmation = consistency_of(placements, pose, np.random.default_rng(0))
+                check_consistency(confirmation)
         except Refusal as refusal:
-            return refused(refusal, placements, hypotheses, seconds)
-    return answered(paired, placements, hypotheses, aligned, refined, consistent, seconds)
+            return refused(refusal, placements, hypotheses, seconds, confirmation)
+    return answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
 
 
 def find_poles(
@@ -282,7 +282,7 @@ def answered(
     hypotheses: tuple[Hypothesis, ...],
     aligned: BeamAlignment,
     refined: Refinement | None,
-    consistent: Consistency,
+    confirmation: Confirmation,
     seconds: dict[str, float],
 ) -> Calibration:
     """State the answer: its pose, what error to expect, and what makes it weak."""
@@ -291,7 +291,7 @@ def answered(
     weakest = weakest_direction(
         pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
     )
-    reasons = tuple(weaknesses(paired, hypotheses, aligned, weakest, refined, consistent))
+    reasons = tuple(weaknesses(paired, hypotheses, aligned, weakest, refined, confirmation))
     return Calibration(
         status="warn" if reasons else "ok",
         reasons=reasons,
@@ -307,6 +307,7 @@ def answered(
         seconds=seconds,
         uncertainty=aligned.uncertainty if refined is None else refined.uncertainty,
         radius=aligned.radius,
+        confirmation=confirmation,
     )
 
 
@@ -315,6 +316,7 @@ def refused(
     placements: tuple[Placement, ...],
     hypotheses: tuple[Hypothesis, ...],
     seconds: dict[str, float],
+    confirmation: Confirmation | None = None,
 ) -> Calibration:
     """State a refusal, with all that was found before it."""
     return Calibration(
@@ -330,6 +332,7 @@ def refused(
         weakest=None,
         placements=placements,
         seconds=seconds,
+        confirmation=confirmation,
     )
 
 

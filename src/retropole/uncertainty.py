@@ -117,6 +117,43 @@ class WeakDirection:
     condition: float
 
 
+@dataclass(frozen=True)
+class Confirmation:
+    """What stands in the scene says of a pose (docs/certainty.md, What stands in the scene).
+
+    Attributes
+    ----------
+    agreeing, contradicting
+        Places off the ground, of both clouds, that agree with the pose and that deny it.
+    better_at
+        How far along the ground a pose lies that agrees better in both, metres; None if none does.
+    """
+
+    agreeing: int
+    contradicting: int
+    better_at: float | None = None
+
+    @property
+    def total(self) -> int:
+        """Places that say anything."""
+        return self.agreeing + self.contradicting
+
+    @property
+    def contradicted(self) -> float:
+        """Share of the places that deny the pose; 0 where there is none."""
+        return self.contradicting / max(self.total, 1)
+
+    @property
+    def words(self) -> str:
+        """The figures for a person: ``412 places agree, 3 deny it (0.7 %)``."""
+        said = f"{self.agreeing} places agree, {self.contradicting} deny it"
+        if self.total:
+            said += f" ({100 * self.contradicted:.1f} %)"
+        if self.better_at is not None:
+            said += f"; it fits better {self.better_at:.1f} m away"
+        return said
+
+
 def predicted_error(
     covariance: Array | None, ranges: tuple[float, ...] = RANGES
 ) -> tuple[tuple[float, float], ...]:

@@ -8,15 +8,15 @@ import numpy as np
 
 from . import quantities
 from .alignment.adjustment import BeamAlignment
-from .datatypes import Hypothesis, Pole, Reason, Scan
-from .errors import Refusal
+from .datatypes import Hypothesis, Pole, Scan
+from .errors import Reason, Refusal
 from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
 from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
-from .scene.consistency import Consistency, unconfirmed
+from .scene.consistency import unconfirmed
 from .scene.refinement import Refinement
-from .uncertainty import WeakDirection
+from .uncertainty import Confirmation, WeakDirection
 
 RIVAL_OVERLAP = 0.62
 RIVAL_FREE_SPACE_VIOLATION = 0.025
@@ -121,7 +121,7 @@ def weaknesses(
     aligned: BeamAlignment,
     weakest: WeakDirection,
     refined: Refinement | None,
-    consistent: Consistency,
+    confirmation: Confirmation,
 ) -> list[Reason]:
     """Say what makes an answer weak that is good enough to give.
 
@@ -137,12 +137,12 @@ def weaknesses(
         The direction in which the answer is least certain.
     refined
         The pose of poles and scene; None where the scene was not asked, or had nothing to say.
-    consistent
+    confirmation
         How far what stands in the scene agrees with the answer.
     """
     most = max(len(each.target_poles) for each in paired)
     return [
-        *unconfirmed(consistent, most, len(paired)),
+        *unconfirmed(confirmation, most, len(paired)),
         *doubtful_reasons(paired, hypotheses),
         *_weak_choice(hypotheses),
         *_weak_poles(paired),

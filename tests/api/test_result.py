@@ -83,7 +83,8 @@ def test_a_refusal_has_a_reason_and_nothing_else() -> None:
 def test_repr_is_a_few_lines() -> None:
     lines = repr(calibrated()).splitlines()
     assert lines[0] == f"CalibrationResult: {calibrated().status}"
-    said = [calibrated().document.budget, calibrated().document.radius]
+    document = calibrated().document
+    said = [document.budget, document.radius, document.confirmation]
     assert len(lines) == 4 + sum(each is not None for each in said) + len(calibrated().reasons)
     assert "at 10 m" in lines[3]
     T = calibrated().T_target_source

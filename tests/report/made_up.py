@@ -23,6 +23,7 @@ from retropole.datatypes import (
 )
 from retropole.result import (
     BudgetEntryDoc,
+    ConfirmationDoc,
     ErrorAtRange,
     HypothesisDoc,
     InputDoc,
@@ -191,6 +192,9 @@ def made_up(status: str = "ok", count: int = 4000) -> Run:
         if answered
         else None,
         radius=RadiusDoc(0.02, 0.0005, 0.02031, 0.00042) if answered else None,
+        confirmation=ConfirmationDoc(agreeing=412, contradicting=3, contradicted=3 / 415)
+        if answered
+        else None,
         stages=StagesDoc(
             from_poles if answered else None,
             replace(from_poles, rms_m=0.0098) if status == "ok" else None,

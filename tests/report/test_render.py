@@ -221,7 +221,8 @@ def test_colours_are_told_apart(theme: int) -> None:
         ("accent", "card", 4.5), ("accent", "ground", 4.5),
         ("ok", "card", 4.5), ("ok", "ok-soft", 4.5), ("warn", "card", 4.5),
         ("warn", "warn-soft", 4.5), ("refused", "card", 4.5), ("refused", "refused-soft", 4.5),
-        ("target", "view", 3.0), ("source", "view", 3.0), ("soft", "view", 4.5),
+        ("target", "view", 3.0), ("source", "view", 3.0), ("denied", "view", 3.0),
+        ("soft", "view", 4.5),
     ):  # fmt: skip
         a, b = sorted((luminance(colour[front]), luminance(colour[back])))
         assert (b + 0.05) / (a + 0.05) >= least, (front, back)

@@ -8,12 +8,12 @@ from retropole.scene.consistency import (
     DENIED,
     MAX_CONTRADICTED,
     MIN_AGREEING,
-    Consistency,
     Standing,
     consistency,
     standing_in,
 )
 from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.uncertainty import Confirmation
 
 
 def standing(pair: SimulatedPair) -> tuple[Standing, Standing]:
@@ -61,5 +61,5 @@ def test_nothing_denies_nothing() -> None:
     pair = simulate_pair("street", np.random.default_rng(3))
     far = elsewhere(pair.T_target_source, 0.0, 1000.0)
     found = consistency(*standing(pair), far)
-    assert found == Consistency(0, 0)
+    assert found == Confirmation(0, 0)
     assert found.contradicted == 0

@@ -19,10 +19,18 @@ from ..export.documents import RESULT_FILE, read_result, result_file
 from ..files import write_atomically
 from ..quantities import error
 from ..report import render_report, write_report
-from ..report.certainty import largest_error, radius_words
+from ..report.certainty import largest_error, radius_words, scene_words
 from ..report.inputs import StoredInputs, placements_of
-from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, radius_of, uncertainty_of
-from ..uncertainty import RadiusEstimate, Uncertainty
+from ..result import (
+    ErrorAtRange,
+    ReasonDoc,
+    ResultDoc,
+    confirmation_of,
+    encode,
+    radius_of,
+    uncertainty_of,
+)
+from ..uncertainty import Confirmation, RadiusEstimate, Uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,6 +97,15 @@ class CalibrationResult:
         return radius_of(self.document.radius)
 
     @property
+    def confirmation(self) -> Confirmation | None:
+        """What stands in the scene says of the pose: how many places agree, and how many deny it.
+
+        None where the run was refused before the scene was asked, and of a result of a version
+        that did not state it.
+        """
+        return confirmation_of(self.document.confirmation)
+
+    @property
     def predicted_error(self) -> tuple[ErrorAtRange, ...]:
         """Predicted 1 σ error of a point (`sigma_m`) at ranges (`range_m`); empty when refused."""
         return tuple(self.document.predicted_error or ())
@@ -142,6 +159,7 @@ class CalibrationResult:
         said = (
             ("largest error", largest_error(self.document)),
             ("radius", radius_words(self.document)),
+            ("scene", scene_words(self.document)),
         )
         rows += [(name, words) for name, words in said if words is not None]
         return rows + [(reason.code, reason.message) for reason in self.reasons]

@@ -21,7 +21,8 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..datatypes import Array, PoseEstimate, Reason
+    from ..datatypes import Array, PoseEstimate
+    from ..errors import Reason
     from ..monitoring.movement import CheckResult, Movement
     from ..result import RunConfig
     from ..uncertainty import Uncertainty
@@ -108,8 +109,7 @@ def check(
 
     import numpy as np
 
-    from ..datatypes import Reason
-    from ..errors import Refusal
+    from ..errors import Reason, Refusal
     from ..monitoring.drift import check as run
     from ..monitoring.movement import CheckResult, Tolerance
     from ..reasons import prefixed
@@ -186,8 +186,8 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     """
     import numpy as np
 
-    from ..datatypes import PoseEstimate, Reason
-    from ..errors import Refusal
+    from ..datatypes import PoseEstimate
+    from ..errors import Reason, Refusal
     from ..export import inverted, read_transform
     from ..export.documents import is_result, read_result, result_file
     from ..reasons import prefixed

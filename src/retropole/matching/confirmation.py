@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Reason, Scan
-from ..errors import Refusal
+from ..datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Scan
+from ..errors import Reason, Refusal
 from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
 from ..extraction.dimmer import with_dimmer
 from ..extraction.doubtful import with_doubtful

@@ -15,8 +15,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .. import se3
-from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud, PoseEstimate, Reason
-from ..errors import UsageError
+from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud, PoseEstimate
+from ..errors import Reason, UsageError
 from ..matching.prior import RotationPrior
 from ..pipeline import calibrate
 from ..quantities import error

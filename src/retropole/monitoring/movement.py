@@ -20,7 +20,8 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, chndtr
 
 from .. import se3
-from ..datatypes import Array, PoseEstimate, Reason
+from ..datatypes import Array, PoseEstimate
+from ..errors import Reason
 from ..quantities import error
 from ..uncertainty import Uncertainty
 from .repeated import in_parts, step_covariance

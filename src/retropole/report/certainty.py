@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..quantities import error, percent, value, value_and_error
-from ..result import BudgetEntryDoc, ResultDoc
+from ..result import BudgetEntryDoc, ResultDoc, confirmation_of
 from ..uncertainty import predicted_error
 
 BUDGET_RANGE = 30.0
@@ -61,3 +61,9 @@ def radius_words(result: ResultDoc) -> str | None:
         return None
     given = value(radius.given_m, radius.sigma_m)
     return f"{given} given, {value_and_error(radius.estimated_m, radius.sigma_m)} estimated"
+
+
+def scene_words(result: ResultDoc) -> str | None:
+    """Say how many places agree with the pose and deny it; None where the scene was not asked."""
+    confirmation = confirmation_of(result.confirmation)
+    return None if confirmation is None else confirmation.words

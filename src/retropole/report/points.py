@@ -27,6 +27,14 @@ DEFAULT_RANGE = 10.0
 """What a cloud without points is taken to span, metres."""
 
 
+class PackedPoints(msgspec.Struct, frozen=True):
+    """Points for the page's own code: ``xyz``, ``low`` and ``size`` as in `PackedCloud`."""
+
+    xyz: str
+    low: list[float]
+    size: list[float]
+
+
 class PackedCloud(msgspec.Struct, frozen=True):
     """A cloud for the page's own code.
 
@@ -116,19 +124,16 @@ def pack_cloud(
     ranges = np.sqrt(squared[candidates])
     shown = candidates[_draw(ranges, position[kept], max_points)]
 
-    xyz = cloud.xyz[shown]
-    low = xyz.min(axis=0) if len(xyz) else np.zeros(3)
-    size = np.maximum(xyz.max(axis=0) - low, 1e-3) if len(xyz) else np.ones(3)
-    quantised = np.rint((xyz - low) * (COORDINATE_STEPS / size)).astype("<u2")
+    packed = pack_points(cloud.xyz[shown])
     seen = [pole.point for pole in detection.poles] if detection else []
     centre = np.mean([cloud.origin, *seen], axis=0)
     spread = np.quantile(ranges, 0.75) if len(ranges) else DEFAULT_RANGE
     farthest = max((float(np.linalg.norm(p - cloud.origin)) for p in seen), default=0.0)
     return PackedCloud(
-        xyz=base64.b64encode(quantised.tobytes()).decode(),
+        xyz=packed.xyz,
         intensity=_intensity(cloud.intensity, shown),
-        low=low.tolist(),
-        size=size.tolist(),
+        low=packed.low,
+        size=packed.size,
         on_poles=len(poles),
         in_rejected=len(rejected),
         shown=len(shown),
@@ -138,6 +143,14 @@ def pack_cloud(
         centre=centre.tolist(),
         radius=float(np.clip(max(spread, 1.5 * farthest), *SHOWN_RADIUS)),
     )
+
+
+def pack_points(xyz: Array) -> PackedPoints:
+    """Quantise points (n, 3), metres."""
+    low = xyz.min(axis=0) if len(xyz) else np.zeros(3)
+    size = np.maximum(xyz.max(axis=0) - low, 1e-3) if len(xyz) else np.ones(3)
+    quantised = np.rint((xyz - low) * (COORDINATE_STEPS / size)).astype("<u2")
+    return PackedPoints(base64.b64encode(quantised.tobytes()).decode(), low.tolist(), size.tolist())
 
 
 def _intensity(intensity: Array | None, shown: IntpArray) -> str | None:

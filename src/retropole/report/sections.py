@@ -11,7 +11,7 @@ from .. import se3
 from ..export import FORMATS, export_lines
 from ..reasons import explain
 from ..result import HypothesisDoc, ReasonDoc, ResultDoc
-from .certainty import largest_error
+from .certainty import largest_error, scene_words
 from .markup import inline, number, plus_minus, table
 from .names import LIDARS, hypothesis_name, pair_name
 
@@ -75,9 +75,11 @@ def _reason(reason: ReasonDoc) -> str:
 
 
 def _certainty(result: ResultDoc) -> str:
-    """Say how far off a point may land, mostly by what, and where the pose is least certain."""
+    """Say how far off a point may land and mostly by what, and what the scene says of the pose."""
+    scene = scene_words(result)
+    said = "" if scene is None else f" What stands in the scene: {scene}."
     if result.T_target_source is None:
-        return ""
+        return said
     sentence = ""
     if result.predicted_error:
         far = max(result.predicted_error, key=lambda error: error.range_m)
@@ -90,7 +92,7 @@ def _certainty(result: ResultDoc) -> str:
         sentence += f" Largest source of error, {largest}."
     if result.weakest is not None:
         sentence += f" Least certain, at the poles, 1 σ: {result.weakest.words}."
-    return sentence
+    return sentence + said
 
 
 def _figures(result: ResultDoc) -> str:

@@ -19,7 +19,7 @@ from ..result import (
     ReasonDoc,
     ResultDoc,
 )
-from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words
+from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words, scene_words
 from .names import LIDARS, hypothesis_name
 
 ACTIONS = 2
@@ -148,6 +148,9 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
             parts += ["", "The poles' pose without each placement differs from it by"]
             parts.append(table(_PLACEMENT_HEADER, rows))
         parts.append("")
+    scene = scene_words(result)
+    if scene is not None:
+        parts.append(f"what stands in the scene: {scene}")
     parts.append(f"verdict: {result.status}")
     for reason in result.reasons:
         parts += reason_lines(reason)

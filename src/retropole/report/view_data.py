@@ -9,12 +9,16 @@ import numpy as np
 
 from ..datatypes import Placement, Scan
 from ..result import Matrix, PoleDoc, ResultDoc, pole_documents
+from ..scene.consistency import contradicting_points, standing_in
 from .names import LIDARS, hypothesis_name, pole_name
-from .points import MAX_SHOWN_RANGE, PackedCloud, pack_cloud
+from .points import MAX_SHOWN_RANGE, PackedCloud, PackedPoints, pack_cloud, pack_points
 
 SEEN_SIGMA = 0.7
 """The ellipsoid is enlarged by a power of ten until its longest half axis is about so long, metres.
 """
+
+MAX_CONTRADICTING = 2000
+"""Points of each cloud that are marked as contradicting a pose, of all placements together."""
 
 
 class LineView(msgspec.Struct, frozen=True):
@@ -33,13 +37,18 @@ class MarkView(msgspec.Struct, frozen=True):
 
 
 class PlacementView(msgspec.Struct, frozen=True):
-    """One placement: its files, how much of the clouds is shown, and for each LiDAR what is."""
+    """One placement: its files, how much of the clouds is shown, and for each LiDAR what is.
+
+    `contradicting` are the points that stand where the other LiDAR looked through, by the id of
+    the pose; each in its LiDAR's frame.
+    """
 
     files: str
     shown: str
     clouds: list[PackedCloud]
     poles: list[list[LineView]]
     rejected: list[list[MarkView]]
+    contradicting: dict[str, list[PackedPoints]]
 
 
 class PoseView(msgspec.Struct, frozen=True):
@@ -91,7 +100,9 @@ def page_view(
     max_points
         At most this many points of each cloud.
     """
-    views = []
+    views, poses = [], _poses(result)
+    # As the run draws them: the same points, where the recordings are the same.
+    rng = np.random.default_rng(0)
     for k, placement in enumerate(placements):
         # The poles of the first placement are those that the result lists, also where the cloud
         # that is shown is another.
@@ -100,8 +111,10 @@ def page_view(
             if k == 0
             else (pole_documents(placement.target.poles), pole_documents(placement.source.poles))
         )
-        views.append(_placement(placement, poles, names[2 * k : 2 * k + 2], max_points))
-    return PageView(result.status, views, _poses(result), _ellipsoid(result))
+        contradicting = _contradicting(placement, poses, MAX_CONTRADICTING // len(placements), rng)
+        files = names[2 * k : 2 * k + 2]
+        views.append(_placement(placement, poles, contradicting, files, max_points))
+    return PageView(result.status, views, poses, _ellipsoid(result))
 
 
 def embed_json(value: object) -> str:
@@ -115,6 +128,7 @@ def embed_json(value: object) -> str:
 def _placement(
     placement: Placement,
     poles: tuple[Sequence[PoleDoc], Sequence[PoleDoc]],
+    contradicting: dict[str, list[PackedPoints]],
     names: Sequence[str],
     max_points: int,
 ) -> PlacementView:
@@ -126,7 +140,20 @@ def _placement(
         clouds=clouds,
         poles=[_lines(lidar, listed) for lidar, listed in zip(LIDARS, poles, strict=True)],
         rejected=[_marks(scan) for scan in scans],
+        contradicting=contradicting,
     )
+
+
+def _contradicting(
+    placement: Placement, poses: Sequence[PoseView], max_points: int, rng: np.random.Generator
+) -> dict[str, list[PackedPoints]]:
+    """Pack the points that contradict each pose, at most so many of each cloud."""
+    target, source = (standing_in(s.cloud, rng) for s in (placement.target, placement.source))
+    found = {p.id: contradicting_points(target, source, np.array(p.T)) for p in poses}
+    return {
+        name: [pack_points(points[:: 1 + len(points) // max_points]) for points in each]
+        for name, each in found.items()
+    }
 
 
 def _shown(lidar: str, cloud: PackedCloud) -> str:

@@ -22,12 +22,15 @@ from ..datatypes import (
 )
 from .certainty import (
     BudgetEntryDoc,
+    ConfirmationDoc,
     ErrorAtRange,
     Matrix,
     RadiusDoc,
     UncertaintyDoc,
     WeakestDoc,
     budget_document,
+    confirmation_document,
+    confirmation_of,
     matrix_rows,
     radius_document,
     radius_of,
@@ -51,6 +54,7 @@ __all__ = [
     "DEFAULT_CONFIG",
     "RESULT_SCHEMA",
     "BudgetEntryDoc",
+    "ConfirmationDoc",
     "DetectionDoc",
     "ErrorAtRange",
     "HypothesisDoc",
@@ -68,6 +72,8 @@ __all__ = [
     "StagesDoc",
     "UncertaintyDoc",
     "WeakestDoc",
+    "confirmation_document",
+    "confirmation_of",
     "decode",
     "detection_document",
     "encode",
@@ -171,6 +177,7 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     predicted_error: list[ErrorAtRange] | None
     weakest: WeakestDoc | None = None
     radius: RadiusDoc | None = None
+    confirmation: ConfirmationDoc | None = None
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
     margin: float | None
@@ -275,6 +282,7 @@ def result_document(
         or None,
         weakest=weakest_document(calibration.weakest),
         radius=radius_document(calibration.radius),
+        confirmation=confirmation_document(calibration.confirmation),
         stages=StagesDoc(_pose(calibration.poles), _pose(calibration.refined)),
         hypotheses=[
             _hypothesis(h, answered and k == 0) for k, h in enumerate(calibration.hypotheses)

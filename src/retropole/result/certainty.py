@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Literal
 
 import msgspec
 import numpy as np
 
 from ..datatypes import Array
-from ..uncertainty import BudgetEntry, RadiusEstimate, Uncertainty, WeakDirection
+from ..uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty, WeakDirection
 
 Matrix = list[list[float]]
 
@@ -57,6 +58,15 @@ class RadiusDoc(msgspec.Struct, frozen=True):
     sigma_m: float
 
 
+class ConfirmationDoc(msgspec.Struct, frozen=True, kw_only=True):
+    """What stands in the scene says of the pose: the fields of `Confirmation`, and the share."""
+
+    agreeing: int
+    contradicting: int
+    contradicted: float
+    better_at: float | None = msgspec.field(default=None, name="better_at_m")
+
+
 def matrix_rows(value: Array) -> Matrix:
     """Write a matrix row by row."""
     return [[float(v) for v in row] for row in value]
@@ -100,6 +110,13 @@ def radius_document(radius: RadiusEstimate | None) -> RadiusDoc | None:
     return RadiusDoc(radius.given, radius.given_sigma, radius.estimated, radius.sigma)
 
 
+def confirmation_document(confirmation: Confirmation | None) -> ConfirmationDoc | None:
+    """Write what stands in the scene says; None where it was not asked."""
+    if confirmation is None:
+        return None
+    return ConfirmationDoc(contradicted=confirmation.contradicted, **asdict(confirmation))
+
+
 def uncertainty_of(
     document: UncertaintyDoc | None, budget: Sequence[BudgetEntryDoc] | None
 ) -> Uncertainty | None:
@@ -120,3 +137,12 @@ def radius_of(document: RadiusDoc | None) -> RadiusEstimate | None:
     return RadiusEstimate(
         document.given_m, document.given_sigma_m, document.estimated_m, document.sigma_m
     )
+
+
+def confirmation_of(document: ConfirmationDoc | None) -> Confirmation | None:
+    """Read back what `confirmation_document` wrote."""
+    if document is None:
+        return None
+    fields = msgspec.structs.asdict(document)
+    del fields["contradicted"]  # follows from the others
+    return Confirmation(**fields)

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..alignment.adjustment import RADIUS_DENIED, BeamAlignment
-from ..datatypes import Reason
-from ..errors import Refusal
+from ..errors import Reason, Refusal
 from ..quantities import error, value, value_and_error
 from .refinement import Refinement
 

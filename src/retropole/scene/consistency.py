@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from .. import se3
-from ..datatypes import Array, BoolArray, IntArray, Placement, PointCloud, Reason
-from ..errors import Refusal
+from ..datatypes import Array, BoolArray, IntArray, Placement, PointCloud
+from ..errors import Reason, Refusal
+from ..uncertainty import Confirmation
 from .patch_pairs import labels_of
 from .registration import voxel_downsample
 from .shifts import best_shift
@@ -76,36 +78,9 @@ class Standing:
     up: Array
 
 
-@dataclass(frozen=True)
-class Consistency:
-    """How many places agree with a pose, and how many deny it.
-
-    Attributes
-    ----------
-    agreeing, contradicting
-        Places of both clouds.
-    better_at
-        How far along the ground a pose lies that agrees better in both, metres; None if none does.
-    """
-
-    agreeing: int
-    contradicting: int
-    better_at: float | None = None
-
-    @property
-    def total(self) -> int:
-        """Places that say anything."""
-        return self.agreeing + self.contradicting
-
-    @property
-    def contradicted(self) -> float:
-        """Share of the places that deny the pose; 0 where there is none."""
-        return self.contradicting / max(self.total, 1)
-
-
 def consistency_of(
     placements: Sequence[Placement], T: Array, rng: np.random.Generator
-) -> Consistency:
+) -> Confirmation:
     """Count over all placements of the poles; see `consistency` and `standing_in`."""
     each = [
         _with_shift(
@@ -113,14 +88,14 @@ def consistency_of(
         )
         for placement in placements
     ]
-    return Consistency(
+    return Confirmation(
         sum(one.agreeing for one in each),
         sum(one.contradicting for one in each),
         max((one.better_at for one in each if one.better_at is not None), default=None),
     )
 
 
-def _with_shift(target: Standing, source: Standing, T: Array) -> Consistency:
+def _with_shift(target: Standing, source: Standing, T: Array) -> Confirmation:
     """Count at a pose, and at the shift along the ground where more of the scene coincides."""
     here = consistency(target, source, T)
     shift = best_shift(target.points, source.points, target.up, T)
@@ -133,7 +108,12 @@ def _with_shift(target: Standing, source: Standing, T: Array) -> Consistency:
     return replace(here, better_at=float(np.linalg.norm(shift.step)))
 
 
-def check_consistency(found: Consistency) -> None:
+def is_denied(found: Confirmation) -> bool:
+    """Whether so many places deny a pose that nothing else vouches for it."""
+    return found.total >= MIN_TOTAL and found.contradicted > DENIED
+
+
+def check_consistency(found: Confirmation) -> None:
     """Refuse a pose that what stands in the scene denies.
 
     Raises
@@ -142,7 +122,7 @@ def check_consistency(found: Consistency) -> None:
         ``scene_contradicts``.
     """
     is_better_elsewhere = found.better_at is not None
-    if found.total < MIN_TOTAL or not (found.contradicted > DENIED or is_better_elsewhere):
+    if not (is_denied(found) or (is_better_elsewhere and found.total >= MIN_TOTAL)):
         return
     elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
     raise Refusal(
@@ -161,7 +141,7 @@ def check_consistency(found: Consistency) -> None:
     )
 
 
-def unconfirmed(found: Consistency, poles: int, placements: int) -> Iterator[Reason]:
+def unconfirmed(found: Confirmation, poles: int, placements: int) -> Iterator[Reason]:
     """Warn where the scene does not confirm the pose.
 
     Where it has too little to say, a third pole or a second placement confirms it as well: two
@@ -211,15 +191,45 @@ def _ground(points: Array, ranges: Array, rng: np.random.Generator) -> tuple[Boo
     return np.asarray(own < GROUND_THICKNESS + GROUND_SLOPE * ranges), normals[best]
 
 
-def consistency(target: Standing, source: Standing, T: Array) -> Consistency:
+def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
     """Count the places of both clouds that agree with a pose (4, 4), target from source."""
     there = _votes(target, source, T)
     back = _votes(source, target, se3.inverse(T))
-    return Consistency(there[0] + back[0], there[1] + back[1])
+    return Confirmation(there[0] + back[0], there[1] + back[1])
 
 
-def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
-    """How many places of the other cloud agree with what the seer saw, and how many deny it."""
+def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[Array, Array]:
+    """Find the points that stand where the other LiDAR looked through, in places that deny a pose.
+
+    Parameters
+    ----------
+    target, source
+        What stands in the scene of each.
+    T
+        (4, 4) target from source.
+
+    Returns
+    -------
+    tuple of Array
+        (N, 3) of the target and (M, 3) of the source, each in its own frame, metres.
+    """
+    found = []
+    for seer, other, pose in ((source, target, se3.inverse(T)), (target, source, T)):
+        in_the_way, yes, no = _judged(seer, other, pose)
+        found.append(other.points[in_the_way & (no > yes)[other.place]])
+    return found[0], found[1]
+
+
+class _Judged(NamedTuple):
+    """Which points stand in the way, and how many of each place agree and stand in the way."""
+
+    in_the_way: BoolArray
+    yes: IntArray
+    no: IntArray
+
+
+def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
+    """Hold the points of the other cloud against what the seer saw."""
     moved = se3.apply(T, other.points)
     rays = moved - seer.image.origin
     ranges = np.linalg.norm(rays, axis=1)
@@ -229,6 +239,12 @@ def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
     nearest = seer.image.nearest
     in_the_way = ~agrees & nearest.seen[cells] & (nearest.ranges[cells] > ranges + tolerance)
     count = int(other.place.max()) + 1 if len(other.place) else 0
-    yes = np.bincount(other.place, agrees, count)
-    no = np.bincount(other.place, in_the_way, count)
+    yes = np.bincount(other.place[agrees], minlength=count)
+    no = np.bincount(other.place[in_the_way], minlength=count)
+    return _Judged(in_the_way, yes, no)
+
+
+def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
+    """How many places of the other cloud agree with what the seer saw, and how many deny it."""
+    _, yes, no = _judged(seer, other, T)
     return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))

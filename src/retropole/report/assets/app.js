@@ -44,17 +44,20 @@
   // --- the view ---
 
   const scene = JSON.parse($("#data").textContent);
-  /** Make a placement's clouds, poles and rejected clusters those of the scene. */
+  /** Make a placement's clouds, poles, rejected clusters and contradicting points those of the scene. */
   function showPlacement(k) {
     const placement = scene.placements[k];
     placement.decoded ||= placement.clouds.map(decodeCloud);
-    Object.assign(scene, { clouds: placement.decoded, poles: placement.poles, rejected: placement.rejected });
+    placement.denying ||= Object.fromEntries(Object.entries(placement.contradicting).map(
+      ([pose, points]) => [pose, points.map(decodePoints)]));
+    Object.assign(scene, { clouds: placement.decoded, poles: placement.poles, rejected: placement.rejected,
+      contradicting: placement.denying });
     root.dataset.placement = String(k + 1);
     $("#shown").textContent = placement.shown;
   }
   showPlacement(0);
   const poses = new Map(scene.poses.map((pose) => [pose.id, pose]));
-  const layers = { target: true, source: true, poles: true, rejected: true, ellipsoid: true, intensity: true };
+  const layers = { target: true, source: true, poles: true, rejected: true, contradicting: true, ellipsoid: true, intensity: true };
   const state = { mode: "apart", pose: scene.poses.length ? scene.poses[0].id : null, T: IDENTITY, size: 1.5 };
   const [canvas, marks] = [$("#points"), $("#marks")];
   const webgl = canvas.getContext("webgl2", { antialias: false, alpha: false });
@@ -76,6 +79,7 @@
     return {
       ground: colour("--view"), colours: [colour("--target"), colour("--source")],
       text: `rgb(${colour("--text")})`, soft: `rgb(${colour("--soft")})`, faint: `rgb(${colour("--line")})`,
+      denied: `rgb(${colour("--denied")})`,
       visible: [layers.target, layers.source], shade: layers.intensity ? 1 : 0,
       size: plain ? 0.8 : state.size, dpr: ratio(), layers, plain,
     };
@@ -84,6 +88,7 @@
   function panes() {
     if (state.mode !== "apart") {
       return [{ x: 0, y: 0, w: width, h: height, frame: 0, poses: [IDENTITY, state.T],
+        contradicting: state.mode === "after" ? scene.contradicting[state.pose] : null,
         ellipsoid: state.mode === "after" && state.pose === "result" }];
     }
     const wide = width > height * 1.2;
@@ -116,9 +121,10 @@
       const target = panel.querySelector("canvas"), box = target.getBoundingClientRect();
       const w = Math.min(Math.floor(box.width), width), h = Math.min(Math.floor(box.height), height);
       if (!w || !h) continue;
-      const pane = { x: 0, y: 0, w, h, frame: 0, poses: [IDENTITY, poses.get(panel.dataset.pose).T] };
+      const pane = { x: 0, y: 0, w, h, frame: 0, poses: [IDENTITY, poses.get(panel.dataset.pose).T],
+        contradicting: scene.contradicting[panel.dataset.pose] };
       style.visible = [true, true];
-      style.layers = { poles: true };
+      style.layers = { poles: true, contradicting: layers.contradicting };
       view.paint([pane], style, height);
       target.width = w * dpr;
       target.height = h * dpr;
@@ -171,7 +177,9 @@
     const shown = state.pose === "result" && scene.ellipsoid && layers.ellipsoid
       ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
     const caution = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
-    return `After: source transformed by ${pose.id === "result" ? "the result" : pose.label}.${caution}${shown}`;
+    const red = layers.contradicting && scene.contradicting[state.pose].some((points) => points.length)
+      ? " Red: it stands where the other LiDAR looked through." : "";
+    return `After: source transformed by ${pose.id === "result" ? "the result" : pose.label}.${caution}${red}${shown}`;
   }
   function refresh() {
     root.dataset.mode = state.mode;
@@ -196,7 +204,7 @@
   function toggle(layer) {
     layers[layer] = !layers[layer];
     refresh();
-    repaint(layer === "intensity");
+    repaint(layer === "intensity" || layer === "contradicting");
   }
 
   scene.placements.forEach((placement, k) => $("#placement").append(new Option(`${k + 1}: ${placement.files}`, k)));
@@ -212,6 +220,8 @@
   $('[data-mode="after"]').disabled = !scene.poses.length;
   $('[data-layer="ellipsoid"]').hidden = !scene.ellipsoid;
   $('[data-layer="rejected"]').hidden = !scene.placements.some((p) => p.rejected.flat().length);
+  $('[data-layer="contradicting"]').hidden = !scene.placements.some(
+    (p) => Object.values(p.contradicting).flat().some((points) => points.xyz));
   $('[data-layer="poles"]').hidden = !scene.placements.some((p) => p.poles.flat().length);
   $('[data-layer="intensity"]').hidden = !scene.clouds.some((c) => c.shown);
   for (const name of ["top", "side"]) $(`[data-preset="${name}"]`).hidden = view.kind === "top";
@@ -244,7 +254,7 @@
     e.preventDefault();
     repaint();
   });
-  const layerKeys = { t: "target", s: "source", p: "poles", r: "rejected", e: "ellipsoid", i: "intensity" };
+  const layerKeys = { t: "target", s: "source", p: "poles", r: "rejected", c: "contradicting", e: "ellipsoid", i: "intensity" };
   document.addEventListener("keydown", (e) => {
     if (e.ctrlKey || e.metaKey || e.altKey || e.target.closest("input, select, textarea, pre")) return;
     if (e.key === "b") setMode(state.mode === "before" ? "after" : "before");

@@ -25,6 +25,12 @@ function decodeCloud(packed) {
   return { ...packed, xyz, intensity, count: xyz.length / 3 };
 }
 
+/** Decode marked points into [x, y, z], metres. */
+function decodePoints(packed) {
+  const xyz = new Uint16Array(bytesOf(packed.xyz).buffer), { low, size } = packed;
+  return Array.from({ length: xyz.length / 3 }, (_, n) => low.map((v, k) => v + (size[k] * xyz[3 * n + k]) / 65535));
+}
+
 /** Rotation about z and translation from frame 0 to frame 1, so that both panes look past their sensor at the poles. */
 function frameChange(clouds) {
   const [a, b] = clouds.map((c) => Math.atan2(c.centre[1] - c.origin[1], c.centre[0] - c.origin[0]));
@@ -301,7 +307,7 @@ function topView(canvas, pad, clouds) {
   };
 }
 
-/** Draw what is not a point: range circles, sensors, poles, rejected clusters, the ellipsoid. */
+/** Draw what lies over the points: range circles, sensors, poles, marked points, rejected clusters, the ellipsoid. */
 function drawMarks(context, pane, lens, scene, style) {
   const halo = `rgba(${style.ground.join(",")},0.85)`;
   const css = (c) => `rgb(${c.join(",")})`;
@@ -414,6 +420,13 @@ function drawMarks(context, pane, lens, scene, style) {
         line(ends, colour, width, [], k === 0 ? 3 : 1);
         const seen = ends.map(spot).filter(Boolean).sort((p, q) => p[1] - q[1])[0];
         if (seen && !style.plain) label(pole.label, [seen[0] + (k === 0 ? -8 : 8), seen[1] - 10], colour, k === 0 ? "right" : "left", 13);
+      }
+    }
+    if (style.layers.contradicting && pane.contradicting) {
+      const spots = pane.contradicting[k].map((p) => spot(to(p))).filter(Boolean);
+      for (const [side, fill] of style.plain ? [[2, style.denied]] : [[6, halo], [4, style.denied]]) {
+        context.fillStyle = fill;
+        for (const [x, y] of spots) context.fillRect(x - side / 2, y - side / 2, side, side);
       }
     }
     if (style.layers.rejected && !style.plain) {
