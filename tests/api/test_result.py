@@ -12,7 +12,7 @@ from msgspec.structs import replace
 import retropole as rp
 from retropole.io import write_pcd
 from retropole.result import encode
-from retropole.uncertainty import RadiusEstimate
+from retropole.uncertainty import Confirmation, RadiusEstimate
 from tests.api.clouds import calibrated, pair, refused
 from tests.report.made_up import BUDGET, RANDOM, made_up
 
@@ -103,15 +103,18 @@ def test_certainty_is_given_back_in_its_two_kinds() -> None:
     np.testing.assert_allclose(made.uncertainty.covariance, made.covariance, rtol=1e-12)
     assert made.uncertainty.budget == BUDGET
     assert made.radius == RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042)
+    assert made.confirmation == Confirmation(412, 3)
     for line in (
         "predicted error  ± 5.6 mm at 1 m, ± 6.2 mm at 10 m, ± 9.5 mm at 30 m, ± 16 mm at 60 m",
         "largest error    range offset of the source LiDAR: 58 % of the variance of ± 9.5 mm",
         "radius           20.00 mm given, 20.31 ± 0.42 mm estimated",
+        "scene            412 places agree, 3 deny it (0.7 %)",
     ):
         assert line in repr(made)
-    older = replace(made.document, uncertainty=None, budget=None, radius=None)
+    older = replace(made.document, uncertainty=None, budget=None, radius=None, confirmation=None)
     assert rp.CalibrationResult(older).uncertainty is None
     assert rp.CalibrationResult(older).radius is None
+    assert rp.CalibrationResult(older).confirmation is None
     assert len(repr(rp.CalibrationResult(older)).splitlines()) == 4
 
 

@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from retropole import se3
 from retropole.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report
 from retropole.result import ReasonDoc
+from retropole.simulation import simulate_pair
 from tests.report.made_up import HOSTILE, made_up
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
@@ -169,6 +171,32 @@ def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     browser.find("#theme").click()
     assert browser.run("return getComputedStyle(document.body).backgroundColor") != light
     assert browser.picture().mean() < seen.mean() - 100
+
+
+def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path) -> None:
+    def red(picture: Picture) -> float:
+        return float(np.mean(np.all(np.abs(picture - [200, 0, 60]) < 20, axis=2)))
+
+    pair = simulate_pair("harbor", np.random.default_rng(1))
+    placement = Placement(Scan(pair.target), Scan(pair.source))
+    off = se3.retract(pair.T_target_source, np.r_[0.0, 0.0, 0.0, 2.0, 1.0, 0.0])
+    made = made_up(count=500).result
+    hypotheses = [msgspec.structs.replace(made.hypotheses[0], T_target_source=off.tolist())]
+    result = msgspec.structs.replace(
+        made, T_target_source=pair.T_target_source.tolist(), hypotheses=hypotheses
+    )
+    browser.open(tmp_path, render_report(result, [placement]))
+    right = browser.picture()
+    browser.press("1")
+    wrong = browser.picture()
+    assert red(wrong) > 0.002
+    assert red(right) < red(wrong) / 10
+    assert "Red: stands where the other LiDAR looked through." in browser.find("#state").text
+    browser.press("c")
+    button = browser.find('[data-layer="contradicting"]')
+    assert button.get_attribute("aria-pressed") == "false"
+    assert red(browser.picture()) < red(wrong) / 10
+    assert "Red" not in browser.find("#state").text
 
 
 def test_copies_lines_with_the_frames_named(browser: Browser, tmp_path: Path) -> None:

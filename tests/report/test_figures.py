@@ -35,6 +35,7 @@ def near(image: Array, color: tuple[int, int, int]) -> int:
 
 
 BLUE, ORANGE, GREEN = (0, 114, 178), (230, 159, 0), (0, 158, 115)
+RED = (213, 94, 0)
 
 
 def test_detection_shows_poles_and_what_was_rejected(pair: SimulatedPair, tmp_path: Path) -> None:
@@ -88,6 +89,19 @@ def test_result_shows_both_clouds_and_the_poles(pair: SimulatedPair, tmp_path: P
     assert all(near(image, color) > 200 for color in (BLUE, ORANGE, GREEN))
     draw_result(pair.target, pair.source, np.eye(4), ((), ()), tmp_path / "none.png")
     assert pixels(tmp_path / "none.png").std() > 5
+
+
+def test_what_contradicts_the_result_is_red(pair: SimulatedPair, tmp_path: Path) -> None:
+    line = np.c_[np.linspace(-9, 9, 200), np.zeros((200, 2))]
+    nothing, poles = np.zeros((0, 3)), ((), ())
+    seen = []
+    for points in (line, nothing):
+        path = tmp_path / f"{len(points)}.png"
+        T = pair.T_target_source
+        draw_result(pair.target, pair.source, T, poles, path, contradicting=(points, nothing))
+        seen.append(near(pixels(path), RED))
+    assert seen[0] > 500
+    assert seen[1] < 50
 
 
 def test_same_input_gives_the_same_picture(pair: SimulatedPair, tmp_path: Path) -> None:

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from retropole.datatypes import Array, PointCloud, Scan
-from retropole.report.points import COORDINATE_STEPS, MAX_SHOWN_RANGE, PackedCloud, pack_cloud
+from retropole.report.points import (
+    COORDINATE_STEPS,
+    MAX_SHOWN_RANGE,
+    PackedCloud,
+    PackedPoints,
+    pack_cloud,
+)
 from tests.report.made_up import made_up
 
 
@@ -16,7 +22,7 @@ def target_scan(count: int) -> Scan:
     return made_up(count=count).placements[0].target
 
 
-def unpacked(packed: PackedCloud) -> Array:
+def unpacked(packed: PackedCloud | PackedPoints) -> Array:
     steps = np.frombuffer(base64.b64decode(packed.xyz), "<u2").reshape(-1, 3)
     return np.asarray(
         np.array(packed.low) + np.array(packed.size) * steps / COORDINATE_STEPS, dtype=np.float64

@@ -15,7 +15,7 @@ from retropole.reasons import REASONS, plain
 from retropole.report import render_report
 from retropole.report.markup import NO_BREAK
 from retropole.report.sections import FRAMES, UNFOLDED, hypotheses, transform, verdict
-from retropole.result import ReasonDoc
+from retropole.result import ConfirmationDoc, ReasonDoc
 from tests.report.made_up import T_TRUE, Page, made_up
 
 
@@ -46,6 +46,16 @@ def test_says_how_certain_and_in_which_direction() -> None:
     assert "± 16 mm" in text
     share = "58 % of the variance of ± 9.5 mm at 30 m"
     assert f"Largest source of error, range offset of the source LiDAR: {share}." in text
+    assert "What stands in the scene: 412 places agree, 3 deny it (0.7 %)." in text
+
+
+def test_a_refusal_says_what_the_scene_said() -> None:
+    denied = ConfirmationDoc(agreeing=61, contradicting=202, contradicted=202 / 263, better_at=2.0)
+    refusal = made_up("refused", 500).result
+    text = Page(verdict(replace(refusal, confirmation=denied))).text
+    said = "61 places agree, 202 deny it (76.8 %); it fits better 2.0 m away"
+    assert f"What stands in the scene: {said}." in text
+    assert "What stands in the scene" not in Page(verdict(refusal)).text
 
 
 def test_refused_page_gives_no_transform_to_copy() -> None:

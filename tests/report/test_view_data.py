@@ -7,8 +7,13 @@ import json
 import numpy as np
 from msgspec.structs import replace
 
-from retropole.report.view_data import embed_json, page_view
+from retropole import se3
+from retropole.datatypes import Placement, Scan
+from retropole.report.view_data import MAX_CONTRADICTING, embed_json, page_view
+from retropole.scene.consistency import contradicting_points, standing_in
+from retropole.simulation import simulate_pair
 from tests.report.made_up import HOSTILE, T_TRUE, made_up
+from tests.report.test_points import unpacked
 
 NAMES = ("front.pcd", "rear.pcd")
 
@@ -51,3 +56,35 @@ def test_poles_are_drawn_from_end_to_end() -> None:
             a, b = np.array(line.a), np.array(line.b)
             assert np.allclose((a + b) / 2, pole.point_m)
             assert np.allclose(b - a, pole.length_m * np.array(pole.direction))
+
+
+def test_every_pose_brings_the_points_that_contradict_it() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    placement = Placement(Scan(pair.target), Scan(pair.source))
+    right, wrong = pair.T_target_source, se3.retract(pair.T_target_source, np.full(6, 0.3))
+    result = made_up(count=500).result
+    result = replace(
+        result,
+        T_target_source=right.tolist(),
+        hypotheses=[replace(result.hypotheses[0], T_target_source=wrong.tolist())],
+    )
+    marked = page_view(result, [placement], NAMES, 100).placements[0].contradicting
+    assert set(marked) == {"result", "a"}
+    rng = np.random.default_rng(0)
+    target, source = standing_in(pair.target, rng), standing_in(pair.source, rng)
+    for name, T in (("result", right), ("a", wrong)):
+        for packed, points in zip(
+            marked[name], contradicting_points(target, source, T), strict=True
+        ):
+            seen = unpacked(packed)
+            assert min(len(points), MAX_CONTRADICTING // 2) <= len(seen) <= MAX_CONTRADICTING
+            kept = points[:: 1 + len(points) // MAX_CONTRADICTING]
+            np.testing.assert_allclose(seen, kept, atol=2e-3)
+    assert sum(len(unpacked(each)) for each in marked["a"]) > 100
+
+
+def test_marked_points_of_many_placements_stay_few() -> None:
+    result, (placement,) = made_up(count=500)
+    views = page_view(result, [placement] * 50, NAMES * 50, 100).placements
+    for points in zip(*(view.contradicting["c"] for view in views), strict=True):
+        assert sum(len(unpacked(each)) for each in points) <= MAX_CONTRADICTING

@@ -11,26 +11,30 @@ from retropole.result import (
     InputDoc,
     ResultDoc,
     RunConfig,
+    confirmation_of,
     decode,
     encode,
     radius_of,
     result_document,
     uncertainty_of,
 )
-from retropole.uncertainty import BudgetEntry, RadiusEstimate, Uncertainty
+from retropole.uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty
 from tests.report.made_up import BUDGET, RANDOM, SYSTEMATIC, placement_of
 
 INPUTS = [InputDoc(f"{name}.pcd", "0" * 64, 1, 0, "auto", None) for name in ("a", "b")]
 
 
 def calibration(
-    uncertainty: Uncertainty | None = None, radius: RadiusEstimate | None = None
+    uncertainty: Uncertainty | None = None,
+    radius: RadiusEstimate | None = None,
+    confirmation: Confirmation | None = None,
 ) -> Calibration:
     """Hold nothing but how certain it is."""
     seen = (placement_of(PointCloud(np.ones((1, 3)))),)
     answer = Calibration("ok", (), np.eye(4), None, None, None, (), None, (), None, seen, {})
     covariance = None if uncertainty is None else uncertainty.covariance
-    return replace(answer, covariance=covariance, uncertainty=uncertainty, radius=radius)
+    answer = replace(answer, covariance=covariance, uncertainty=uncertainty, radius=radius)
+    return replace(answer, confirmation=confirmation)
 
 
 def written(answer: Calibration) -> ResultDoc:
@@ -38,7 +42,9 @@ def written(answer: Calibration) -> ResultDoc:
 
 
 STATED = calibration(
-    Uncertainty(RANDOM, SYSTEMATIC, BUDGET), RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042)
+    Uncertainty(RANDOM, SYSTEMATIC, BUDGET),
+    RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042),
+    Confirmation(412, 3, 1.75),
 )
 
 
@@ -52,6 +58,12 @@ def test_names_that_others_rely_on() -> None:
         "given_sigma_m": 0.0005,
         "estimated_m": 0.02031,
         "sigma_m": 0.00042,
+    }
+    assert plain["confirmation"] == {
+        "agreeing": 412,
+        "contradicting": 3,
+        "contradicted": 3 / 415,
+        "better_at_m": 1.75,
     }
 
 
@@ -71,6 +83,15 @@ def test_what_was_written_is_read_back() -> None:
     np.testing.assert_array_equal(found.systematic, stated.systematic)
     assert found.budget == stated.budget
     assert radius_of(document.radius) == STATED.radius
+    assert confirmation_of(document.confirmation) == STATED.confirmation
+
+
+@pytest.mark.parametrize("found", [Confirmation(412, 3), Confirmation(0, 0)])
+def test_what_stands_in_the_scene_may_fit_nowhere_better(found: Confirmation) -> None:
+    document = decode(encode(written(calibration(confirmation=found))))
+    assert confirmation_of(document.confirmation) == found
+    assert document.confirmation is not None
+    assert document.confirmation.contradicted == found.contradicted
 
 
 def test_the_largest_error_comes_first() -> None:
@@ -94,7 +115,7 @@ def test_numbers_of_numpy_are_written_as_numbers() -> None:
 @pytest.mark.parametrize("missing", ["null", "absent"])
 def test_files_that_do_not_state_it_are_read(missing: str) -> None:
     plain = json.loads(encode(written(calibration())))
-    for name in ("uncertainty", "budget", "radius"):
+    for name in ("uncertainty", "budget", "radius", "confirmation"):
         assert plain[name] is None
         if missing == "absent":
             del plain[name]
@@ -102,3 +123,4 @@ def test_files_that_do_not_state_it_are_read(missing: str) -> None:
     assert (document.uncertainty, document.budget, document.radius) == (None, None, None)
     assert uncertainty_of(document.uncertainty, document.budget) is None
     assert radius_of(document.radius) is None
+    assert confirmation_of(document.confirmation) is None

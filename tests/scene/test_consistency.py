@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 
 from retropole import se3
+from retropole.datatypes import PointCloud
 from retropole.scene.consistency import (
     DENIED,
     MAX_CONTRADICTED,
     MIN_AGREEING,
+    MIN_TOTAL,
     Standing,
     consistency,
+    contradicting_points,
+    is_denied,
     standing_in,
 )
 from retropole.simulation import SimulatedPair, simulate_pair
@@ -63,3 +67,51 @@ def test_nothing_denies_nothing() -> None:
     found = consistency(*standing(pair), far)
     assert found == Confirmation(0, 0)
     assert found.contradicted == 0
+
+
+def test_the_points_that_contradict_are_those_of_the_places_that_deny() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    target, source = standing(pair)
+    T = elsewhere(pair.T_target_source, 0.1, 0.5)
+    points = contradicting_points(target, source, T)
+    places = 0
+    for own, found in zip((target, source), points, strict=True):
+        index = {tuple(p): k for p, k in zip(own.points, own.place, strict=True)}
+        places += len({index[tuple(point)] for point in found})
+    found = consistency(target, source, T)
+    assert places == found.contradicting
+    assert sum(map(len, points)) >= places > 50
+
+
+def test_the_points_that_contradict_stand_before_what_the_other_saw() -> None:
+    pair = simulate_pair("corridor", np.random.default_rng(1))
+    target, source = standing(pair)
+    T = elsewhere(pair.T_target_source, 0.2, 1.0)
+    _, points = contradicting_points(target, source, T)
+    moved = se3.apply(T, points)
+    assert len(moved) > 20
+    # Along each ray, within the width of a cell, the target saw something farther away.
+    rays = pair.target.xyz - pair.target.origin
+    ranges = np.linalg.norm(rays, axis=1)
+    for point in moved[::10] - pair.target.origin:
+        distance = np.linalg.norm(point)
+        near = rays @ point / (ranges * distance) > np.cos(np.radians(2.0))
+        assert ranges[near].max() > distance + 0.15
+
+
+def test_hardly_a_point_contradicts_the_right_pose_and_none_where_nothing_stands() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    target, source = standing(pair)
+    right = contradicting_points(target, source, pair.T_target_source)
+    assert sum(map(len, right)) < 0.02 * (len(target.points) + len(source.points))
+    nothing = standing_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
+    for found in contradicting_points(nothing, source, np.eye(4)):
+        assert found.shape == (0, 3)
+
+
+def test_a_pose_is_denied_by_a_share_of_enough_places() -> None:
+    some = round(1.1 * DENIED * MIN_TOTAL)
+    assert is_denied(Confirmation(MIN_TOTAL - some, some))
+    assert not is_denied(Confirmation(MIN_TOTAL - some - 1, some))
+    few = round(0.9 * DENIED * MIN_TOTAL)
+    assert not is_denied(Confirmation(MIN_TOTAL - few, few))

@@ -30,6 +30,7 @@ from ..result import (
     radius_of,
     uncertainty_of,
 )
+from ..scene.consistency import contradicting_points, standing_in
 from ..uncertainty import Confirmation, RadiusEstimate, Uncertainty
 
 if TYPE_CHECKING:
@@ -239,11 +240,14 @@ class CalibrationResult:
         target, source = placement.target.poles, placement.source.poles
         if not target or not source:
             pairs = []
+        rng = np.random.default_rng(0)
+        standing = [standing_in(s.cloud, rng) for s in (placement.target, placement.source)]
         figure = result_figure(
             placement.target.cloud,
             placement.source.cloud,
             T,
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
+            contradicting=contradicting_points(standing[0], standing[1], T),
         )
         # Notebooks draw figures by themselves only where pyplot was imported.
         setattr(figure, "_repr_png_", partial(_png, figure))  # noqa: B010

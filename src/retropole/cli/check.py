@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import click
+from msgspec import to_builtins
 
 from ..monitoring.movement import DEFAULT_TOLERANCE
-from ..result import DEFAULT_CONFIG
+from ..result import DEFAULT_CONFIG, confirmation_document
 from .common import (
     CLOUD,
     CONTEXT,
@@ -249,6 +250,7 @@ def json_line(answer: CheckResult) -> str:
             "p_value": answer.p_value,
             "false_alarm": FALSE_ALARM,
             "power": answer.power,
+            "confirmation": to_builtins(confirmation_document(answer.confirmation)),
             "T_target_source": None
             if answer.T_target_source is None
             else answer.T_target_source.tolist(),
@@ -281,6 +283,10 @@ def in_words(answer: CheckResult) -> str:
             f"{answer.power:.0%} at least",
             f"  found by {how}",
         ]
+    if answer.confirmation is not None:
+        lines.append(
+            f"  what stands in the scene, under the stored pose: {answer.confirmation.words}"
+        )
     lines += [f"  {reason.code}: {reason.message}" for reason in answer.reasons]
     return "\n".join(lines)
 

@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec import to_builtins
 
 from ..evaluation.methods import ALL_METHODS, OURS
 from ..evaluation.rivals import RIVALS
+from ..result import confirmation_document
 from .common import (
     CLOUD,
     CONTEXT,
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
 COMPARE_SCHEMA = "retropole/compare/1"
 
-TABLE_WIDTH = 160
+TABLE_WIDTH = 180
 """Columns of the table where there is no terminal to ask."""
 
 
@@ -203,6 +205,7 @@ def _document(each: Compared) -> dict[str, Any]:
         "plane_residual_m": alignment and alignment.plane_residual,
         "rqe_sum": alignment and alignment.entropy.sum,
         "rqe_log": alignment and alignment.entropy.log,
+        "confirmation": alignment and to_builtins(confirmation_document(alignment.confirmation)),
         "seconds": each.seconds,
         "e_rt_m": errors and errors.e_rt,
         "rotation_error_rad": errors and errors.rotation,
@@ -218,7 +221,8 @@ def _print_table(found: Sequence[Compared], known: bool) -> None:
     table = Table(title="target from source", title_justify="left")
     table.add_column("method")
     table.add_column("verdict")
-    columns = ["x m", "y m", "z m", "roll °", "pitch °", "yaw °", "overlap", "RQE 1/m³", "time s"]
+    columns = ["x m", "y m", "z m", "roll °", "pitch °", "yaw °", "overlap", "RQE 1/m³"]
+    columns += ["agree", "deny", "time s"]
     errors = ["e_rt m", "error °", "error m"] if known else []
     for name in columns + errors:
         table.add_column(name, justify="right")
@@ -230,10 +234,12 @@ def _print_table(found: Sequence[Compared], known: bool) -> None:
         row = [each.method, verdict]
         T, alignment = each.T_target_source, each.alignment
         if T is None or alignment is None:
-            row += [""] * 8
+            row += [""] * 10
         else:
             row += [f"{value:.3f}" for value in (*T[:3, 3], *_angles_deg(T), alignment.overlap)]
             row.append(f"{alignment.entropy.sum:.4f}")
+            scene = alignment.confirmation
+            row += [f"{scene.agreeing}", f"{scene.contradicting}"]
         row.append("" if each.seconds is None else f"{each.seconds:.2f}")
         if each.errors is not None:
             row.append(f"{each.errors.e_rt:.4f}")

@@ -50,8 +50,9 @@ def evaluate(
     0.5 m. The plane residual is the median distance from the other cloud's surfaces. The entropy is
     Renyi's quadratic entropy of both clouds together, downsampled to 0.1 m: the sharper they are,
     the larger is its sum and the smaller its -log. Sharp is not always right: a corridor rotated by
-    180 deg lies on itself. Compare transforms of the same two clouds only; figures of other clouds
-    are on another scale.
+    180 deg lies on itself. Of what stands in the scene, places of 1 m agree with the transform, or
+    deny it: they stand where the other LiDAR looked through. Compare transforms of the same two
+    clouds only; figures of other clouds are on another scale.
 
     \b
     Examples:
@@ -68,11 +69,13 @@ def evaluate(
     import json
 
     import numpy as np
+    from msgspec import to_builtins
 
     from ..evaluation.metrics import errors_of
     from ..evaluation.metrics import evaluate as score
     from ..export import read_transform
     from ..io import read_cloud
+    from ..result import confirmation_document
 
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
@@ -100,7 +103,8 @@ def evaluate(
         error["rotation_error_rad"] = errors.rotation
         error["translation_error_m"] = errors.translation
     if as_json:
-        click.echo(json.dumps(figures | error))
+        scene = {"confirmation": to_builtins(confirmation_document(aligned.confirmation))}
+        click.echo(json.dumps(figures | scene | error))
         return 0
     residual = aligned.plane_residual
     lines = [
@@ -109,6 +113,7 @@ def evaluate(
         + ("nothing overlaps" if residual is None else f"{100 * residual:.2f} cm"),
         f"entropy         sum {aligned.entropy.sum:.5g} 1/m3, -log {aligned.entropy.log:.4f} "
         f"({aligned.entropy.points:,} points, kernel {sigma:g} m)",
+        f"scene           {aligned.confirmation.words}",
     ]
     if error:
         lines.append(

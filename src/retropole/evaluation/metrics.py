@@ -8,10 +8,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .. import se3
-from ..datatypes import Array, PointCloud
+from ..datatypes import Array, Placement, PointCloud, Scan
 from ..errors import Refusal
+from ..io.beam_origin import with_beam_origin
+from ..io.rings import with_trusted_rings
+from ..scene.consistency import consistency_of
 from ..scene.registration import CORES, prepare, voxel_downsample
 from ..scene.visibility import OVERLAP_DISTANCE, overlap
+from ..uncertainty import Confirmation
 from .entropy import KERNEL_WIDTH, Entropy, rqe
 
 PAPER_RANGES = 1.0, 60.0
@@ -86,11 +90,14 @@ class Alignment:
         nothing overlaps.
     entropy
         Of both downsampled clouds together.
+    confirmation
+        What stands in the scene says of the transform.
     """
 
     overlap: float
     plane_residual: float | None
     entropy: Entropy
+    confirmation: Confirmation
 
 
 def evaluate(
@@ -138,4 +145,10 @@ def evaluate(
     if len(together) > RQE_POINTS:
         together = together[rng.choice(len(together), RQE_POINTS, replace=False)]
     shared = overlap([distances, back], OVERLAP_DISTANCE)
-    return Alignment(shared, residual, rqe(together, sigma))
+    return Alignment(shared, residual, rqe(together, sigma), _confirmation(target, source, T))
+
+
+def _confirmation(target: PointCloud, source: PointCloud, T: Array) -> Confirmation:
+    """Hold a pose against what stands in the scene, as a calibration does."""
+    scans = [Scan(with_beam_origin(with_trusted_rings(cloud))) for cloud in (target, source)]
+    return consistency_of([Placement(scans[0], scans[1])], T, np.random.default_rng(0))

@@ -21,13 +21,14 @@ from ..matching.prior import RotationPrior
 from ..pipeline import calibrate
 from ..quantities import error
 from ..reasons import prefixed
+from ..scene.consistency import DENIED, consistency_of, is_denied
 from ..scene.disambiguation import SCORING_VOXEL
 from ..scene.refinement import refine
 from ..scene.registration import MIN_CLOUD_POINTS
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
 from ..sensors import Sensor
 from ..systematic import ErrorModel, sizes_of
-from ..uncertainty import Uncertainty
+from ..uncertainty import Confirmation, Uncertainty
 from ..verdict import MIN_OVERLAP
 from .fit import preferences
 from .movement import (
@@ -139,6 +140,20 @@ def check(
     again = calibrate_again(target, source)
     clouds = _Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
     by_poles = _by_poles(stored, clouds, again, calibrate_again)
+    answer = _tested(stored, uncertainty, clouds, by_poles, tolerance, sensors)
+    found = consistency_of(again.placements, stored.T_target_source, np.random.default_rng(0))
+    return _held_against_scene(replace(answer, confirmation=found), found)
+
+
+def _tested(
+    stored: PoseEstimate,
+    uncertainty: Uncertainty | None,
+    clouds: _Clouds,
+    by_poles: _NewPose,
+    tolerance: Tolerance,
+    sensors: tuple[Sensor | None, Sensor | None],
+) -> CheckResult:
+    """Test the pose that the poles give, or else the scene, against the stored one."""
     reasons = by_poles.reasons
     if by_poles.pose is not None:
         answer = _compared(stored, uncertainty, by_poles, "poles", tolerance, reasons)
@@ -156,6 +171,20 @@ def check(
     if denied is not None:
         return replace(answer, status="cannot_tell", reasons=(*answer.reasons, denied))
     return replace(answer, status="cannot_tell") if by_scene.unsure else answer
+
+
+def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
+    """Take back that nothing moved where what stands in the scene denies the stored pose."""
+    if answer.status != "same" or not is_denied(found):
+        return answer
+    denied = Reason(
+        "scene_denies_stored",
+        f"under the stored pose {found.contradicting} of {found.total} places off the ground "
+        f"({found.contradicted:.0%}; {DENIED:.0%} are allowed) stand where the other LiDAR looked "
+        "through: were both clouds recorded at the same time, by the LiDARs of the stored result?",
+        {"agreeing": found.agreeing, "contradicting": found.contradicting, "allowed": DENIED},
+    )
+    return replace(answer, status="cannot_tell", reasons=(*answer.reasons, denied))
 
 
 def _compared(

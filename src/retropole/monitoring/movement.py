@@ -23,7 +23,7 @@ from .. import se3
 from ..datatypes import Array, PoseEstimate
 from ..errors import Reason
 from ..quantities import error
-from ..uncertainty import Uncertainty
+from ..uncertainty import Confirmation, Uncertainty
 from .repeated import in_parts, step_covariance
 
 FALSE_ALARM = 0.01
@@ -87,6 +87,8 @@ class CheckResult:
         The test, and how often so much comes about where nothing moved.
     power
         Probability that a movement of the tolerance would have been found, in the worst direction.
+    confirmation
+        What stands in the new recordings says of the stored pose; None where there are none.
     """
 
     status: Status
@@ -98,6 +100,7 @@ class CheckResult:
     chi2: float | None = None
     p_value: float | None = None
     power: float | None = None
+    confirmation: Confirmation | None = None
 
     @property
     def rotation(self) -> Movement | None:

@@ -15,6 +15,7 @@ CheckCode = Literal[
     "within_tolerance",
     "size_unsure",
     "stored_fits_as_well",
+    "scene_denies_stored",
 ]
 
 CHECK: dict[CheckCode, Explanation] = {
@@ -65,6 +66,16 @@ CHECK: dict[CheckCode, Explanation] = {
         "Another pose was found, but the surfaces of the new clouds fit each other no better under "
         "it than under the stored one.",
         ("Record again, more frames, or set up the poles.",),
+    ),
+    "scene_denies_stored": Explanation(
+        "What stands in the scene denies the stored pose",
+        "No movement was found, but too many places off the ground stand, under the stored pose, "
+        "where the other LiDAR looked through. See "
+        "[what stands in the scene](certainty.md#what-stands-in-the-scene).",
+        (
+            "Record both clouds at the same time, with nothing large moving between the LiDARs.",
+            "Calibrate again, where it stays so.",
+        ),
     ),
 }
 

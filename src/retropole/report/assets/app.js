@@ -178,7 +178,7 @@
       ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
     const caution = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
     const red = layers.contradicting && scene.contradicting[state.pose].some((points) => points.length)
-      ? " Red: it stands where the other LiDAR looked through." : "";
+      ? " Red: stands where the other LiDAR looked through." : "";
     return `After: source transformed by ${pose.id === "result" ? "the result" : pose.label}.${caution}${red}${shown}`;
   }
   function refresh() {

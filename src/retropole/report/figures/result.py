@@ -10,7 +10,7 @@ import numpy as np
 
 from ... import se3
 from ...datatypes import Array, PointCloud, Pole
-from .canvas import BLUE, GREEN, ORANGE, new_figure, save_figure, subsample
+from .canvas import BLUE, GREEN, ORANGE, RED, new_figure, save_figure, subsample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,9 +26,12 @@ def draw_result(
     T_target_source: Array,
     poles: tuple[Sequence[Pole], Sequence[Pole]],
     path: Path,
+    *,
+    contradicting: tuple[Array, Array] | None = None,
 ) -> None:
     """Write `result_figure`'s picture to a file; its suffix (``.png``, ``.svg``) is its format."""
-    save_figure(result_figure(target, source, T_target_source, poles), path)
+    figure = result_figure(target, source, T_target_source, poles, contradicting=contradicting)
+    save_figure(figure, path)
 
 
 def result_figure(
@@ -36,6 +39,8 @@ def result_figure(
     source: PointCloud,
     T_target_source: Array,
     poles: tuple[Sequence[Pole], Sequence[Pole]],
+    *,
+    contradicting: tuple[Array, Array] | None = None,
 ) -> Figure:
     """Draw two clouds from above before and after, and the poles with both LiDARs' points.
 
@@ -47,6 +52,9 @@ def result_figure(
         (4, 4) the answer.
     poles
         Of the target and of the source, paired.
+    contradicting
+        (N, 3) of the target and (M, 3) of the source, what `scene.consistency` finds to contradict
+        the answer; drawn in red.
 
     Raises
     ------
@@ -72,6 +80,10 @@ def result_figure(
             legend: Any = above.legend(loc="upper right", fontsize=9)
             for handle in legend.legend_handles[:2]:
                 handle.set_sizes([60.0])
+        elif contradicting is not None:
+            of_target, of_source = contradicting
+            together = np.concatenate([of_target, se3.apply(T, of_source)])
+            _draw_contradicting(above, beside, together)
     for k, (ours, theirs) in enumerate(zip(*poles, strict=True)):
         axes = figure.add_subplot(grid[:, 2 + k])
         across = np.cross(ours.direction, ours.point - target.origin)
@@ -114,3 +126,14 @@ def _draw_clouds(
     above.set_title(f"{title}\nfrom above")
     beside.set_title("from the side, heights stretched", fontsize=10)
     beside.set_xlabel("x of the target, m")
+
+
+def _draw_contradicting(above: Axes, beside: Axes, xyz: Array) -> None:
+    """Mark points (N, 3) that contradict the answer, target frame; a legend where there are any."""
+    if not len(xyz):
+        return
+    style: dict[str, Any] = {"s": 9, "c": RED, "marker": "s", "linewidths": 0, "zorder": 3}
+    above.scatter(xyz[:, 0], xyz[:, 1], label="contradicts the answer", **style)
+    beside.scatter(xyz[:, 0], xyz[:, 2], **style)
+    handles, labels = above.get_legend_handles_labels()
+    above.legend(handles[-1:], labels[-1:], loc="upper right", fontsize=9)
