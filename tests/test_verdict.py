@@ -29,12 +29,11 @@ from retropole.scene.agreement import (
     check_axes,
     check_contradiction,
 )
-from retropole.scene.consistency import (
+from retropole.scene.confirmation import (
     DENIED,
-    MAX_CONTRADICTED,
-    MIN_AGREEING,
+    MAX_WRONG,
     MIN_TOTAL,
-    check_consistency,
+    check_confirmation,
     unconfirmed,
 )
 from retropole.scene.refinement import Refinement
@@ -173,7 +172,9 @@ def reasons_of(
     weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
     paired = paired_placement(target, source)
     aligned = aligned or an_alignment()
-    return weaknesses([paired], hypotheses, aligned, weakest, refined, Confirmation(500, 2))
+    return weaknesses(
+        [paired], hypotheses, aligned, weakest, refined, Confirmation(500, 2, lead=6.0)
+    )
 
 
 def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
@@ -243,26 +244,44 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
 
 
 def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
-    def codes(found: Confirmation, poles: int = 2, placements: int = 1) -> list[str]:
-        check_consistency(found)
-        return [reason.code for reason in unconfirmed(found, poles, placements)]
+    def codes(found: Confirmation) -> list[str]:
+        check_confirmation(found)
+        return [reason.code for reason in unconfirmed(found)]
 
-    assert codes(Confirmation(MIN_AGREEING, 0)) == []
-    assert codes(Confirmation(MIN_AGREEING - 1, 0)) == ["not_confirmed"]
+    good = Confirmation(500, 2, lead=6.0)
+    assert good.probability_wrong < MAX_WRONG / 2
+    assert codes(good) == []
+    # That much agrees says little where another pose agrees with as much.
+    assert codes(replace(good, agreeing=60, lead=0.0)) == ["not_confirmed"]
+    nothing = Confirmation(0, 0)
+    assert 0.2 < nothing.probability_wrong < 0.8
+    assert codes(nothing) == ["not_confirmed"]
     # More poles or placements confirm each other where the scene has too little to say …
-    assert codes(Confirmation(0, 0), poles=3) == []
-    assert codes(Confirmation(0, 0), placements=2) == []
-    # … but not against it.
-    some = Confirmation(1000, round(1000 * 0.5 * (MAX_CONTRADICTED + DENIED)))
-    assert codes(some, poles=3) == ["not_confirmed"]
+    assert codes(replace(nothing, vouched=True)) == []
+    assert codes(replace(nothing, trusted=True)) == []
     assert codes(Confirmation(0, MIN_TOTAL - 1)) == ["not_confirmed"]
-    with pytest.raises(Refusal) as refusal:
-        codes(Confirmation(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED))), poles=3)
-    assert refusal.value.code == "scene_contradicts"
-    assert refusal.value.values["agreeing"] == 1000
+    # … but not against it.
+    denied = Confirmation(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED)), lead=6.0)
+    for found in (denied, replace(denied, vouched=True), replace(denied, trusted=True)):
+        with pytest.raises(Refusal) as refusal:
+            codes(found)
+        assert refusal.value.code == "scene_contradicts"
+        assert refusal.value.values["agreeing"] == 1000
+    with pytest.raises(Refusal, match="should agree"):
+        codes(Confirmation(2, 20, MIN_TOTAL))
     with pytest.raises(Refusal, match=r"fits better 1\.6 m away"):
-        codes(Confirmation(500, 2, 1.6))
-    assert codes(Confirmation(MIN_AGREEING + 1, 0, 1.6)) == []
+        codes(replace(good, better_at=1.6))
+
+
+def test_an_answer_is_likelier_wrong_the_more_denies_it_and_the_less_it_leads() -> None:
+    found = [Confirmation(500, denying, lead=3.0) for denying in (0, 5, 50, 200)]
+    chances = [each.probability_wrong for each in found]
+    assert chances == sorted(chances)
+    chances = [Confirmation(500, 5, lead=lead).probability_wrong for lead in (-3, -1, 1, 3)]
+    assert chances == sorted(chances, reverse=True)
+    missing = Confirmation(500, 0, 50, lead=3.0)
+    assert missing.probability_wrong == found[2].probability_wrong
+    assert all(0 < chance < 1 for chance in chances)
 
 
 @pytest.mark.parametrize("freedom", [2, 6])

@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from . import se3
 from .alignment.adjustment import BeamAlignment, align_beams
 from .alignment.observations import beams_of
 from .datatypes import (
@@ -33,6 +31,7 @@ from .matching.placements import (
     PairedPlacement,
     PlacementHypotheses,
     PlacementMatches,
+    leave_one_out,
     merged,
     rank_joint_hypotheses,
     recurring,
@@ -40,7 +39,7 @@ from .matching.placements import (
 from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import check_axes, check_contradiction
-from .scene.consistency import check_consistency, consistency_of
+from .scene.confirmation import check_confirmation, confirm
 from .scene.refinement import Refinement, refine
 from .scene.static import check_static, check_still, remove_dynamic_points
 from .sensors import Sensor
@@ -60,6 +59,7 @@ def calibrate(
     poles: int | None = None,
     scene: bool = True,
     prior: RotationPrior | None = None,
+    trust_poles: bool = False,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -82,6 +82,8 @@ def calibrate(
         Whether the scene refines the pose that the poles give.
     prior
         What is known of the rotation; hypotheses that contradict it are left out.
+    trust_poles
+        Whether to take the poles' word where the scene has too little to confirm it.
     progress
         Called with the name of each step as it starts.
 
@@ -127,8 +129,9 @@ def calibrate(
             with step("confirm"):
                 pose = (aligned if refined is None else refined).pose.T_target_source
                 # The same recordings give the same answer.
-                confirmation = consistency_of(placements, pose, np.random.default_rng(0))
-                check_consistency(confirmation)
+                rng = np.random.default_rng(0)
+                confirmation = confirm(paired, pose, hypotheses[1:], rng, trusted=trust_poles)
+                check_confirmation(confirmation)
         except Refusal as refusal:
             return refused(refusal, placements, hypotheses, seconds, confirmation)
     return answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
@@ -238,27 +241,6 @@ def align(
             sizes_of(paired[0].placement.source.sensor),
         ),
     )
-
-
-def leave_one_out(
-    paired: Sequence[PairedPlacement],
-    aligned: BeamAlignment,
-    align_poles: Callable[[Sequence[PairedPlacement], Array], BeamAlignment],
-) -> tuple[Placement, ...]:
-    """Say of each of several placements how the poles' pose differs without it."""
-    if len(paired) < 2:
-        return tuple(each.placement for each in paired)
-    T = aligned.pose.T_target_source
-    found = []
-    for one in paired:
-        try:
-            without = align_poles([each for each in paired if each is not one], T)
-        except Refusal:
-            found.append(one.placement)
-            continue
-        apart = se3.difference(T, without.pose.T_target_source)
-        found.append(replace(one.placement, left_out=apart))
-    return tuple(found)
 
 
 def refine_by_scene(

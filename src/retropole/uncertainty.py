@@ -20,6 +20,19 @@ RANGES = (1.0, 10.0, 30.0, 60.0)
 LEVER = 10.0
 """Distance at which a rotation is counted beside a translation in the condition number, metres."""
 
+MAX_LEAD = 4.0
+"""A larger lead says no more: its σ takes places for independent, which neighbours are not."""
+
+PRIOR, PER_SHARE, PER_LEAD = -0.03, 0.50, -0.62
+"""Of the log odds that an answer is wrong: for the share of the places that deny it (its logarithm)
+and for its lead. A logistic regression of 372 answers with two poles, 112 of them wrong
+(benchmarks/deception.py, seeds 100 to 129, before any was refused for its scene). So it holds where
+as many recordings deceive as there; docs/certainty.md shows how well, on other seeds."""
+
+VOUCHED = -4.0
+"""The same for poles that vouch for themselves: of the answers with three or four poles in 1,000
+hard scenes (benchmarks/hard_scenes.py) none was wrong. A lie then takes poles carried as one."""
+
 ALONG = np.cos(np.radians(30.0))
 """A direction within this angle of another goes by its name."""
 
@@ -124,31 +137,57 @@ class Confirmation:
     Attributes
     ----------
     agreeing, contradicting
-        Places off the ground, of both clouds, that agree with the pose and that deny it.
+        Places off the ground, of both clouds, that agree with the pose, and that stand where the
+        other LiDAR looked through.
+    missing
+        Places that should agree besides, by how much stands in both clouds.
     better_at
-        How far along the ground a pose lies that agrees better in both, metres; None if none does.
+        How far away a pose lies under which the scene fits better, metres; None if none does.
+    lead
+        By how many σ the pose agrees better than the best of others beside it.
+    vouched
+        Whether a third pole, or a placement of another shape, vouches for the poles.
+    trusted
+        Whether the user does.
     """
 
     agreeing: int
     contradicting: int
+    missing: int = 0
     better_at: float | None = None
+    lead: float = 0.0
+    vouched: bool = False
+    trusted: bool = False
+
+    @property
+    def denying(self) -> int:
+        """Places that deny the pose, one way or the other."""
+        return self.contradicting + self.missing
 
     @property
     def total(self) -> int:
         """Places that say anything."""
-        return self.agreeing + self.contradicting
+        return self.agreeing + self.denying
 
     @property
-    def contradicted(self) -> float:
+    def denied(self) -> float:
         """Share of the places that deny the pose; 0 where there is none."""
-        return self.contradicting / max(self.total, 1)
+        return self.denying / max(self.total, 1)
+
+    @property
+    def probability_wrong(self) -> float:
+        """Probability that the answer is off by more than 1° or 0.3 m, where poles may lie."""
+        share = np.log((self.denying + 1) / (self.total + 2))
+        lead = np.clip(self.lead, -MAX_LEAD, MAX_LEAD)
+        odds = PRIOR + PER_SHARE * share + PER_LEAD * lead + VOUCHED * self.vouched
+        return float(1 / (1 + np.exp(-odds)))
 
     @property
     def words(self) -> str:
         """The figures for a person: ``412 places agree, 3 deny it (0.7 %)``."""
-        said = f"{self.agreeing} places agree, {self.contradicting} deny it"
+        said = f"{self.agreeing} places agree, {self.denying} deny it"
         if self.total:
-            said += f" ({100 * self.contradicted:.1f} %)"
+            said += f" ({100 * self.denied:.1f} %)"
         if self.better_at is not None:
             said += f"; it fits better {self.better_at:.1f} m away"
         return said

@@ -14,7 +14,7 @@ from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
 from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
-from .scene.consistency import unconfirmed
+from .scene.confirmation import unconfirmed
 from .scene.refinement import Refinement
 from .uncertainty import Confirmation, WeakDirection
 
@@ -140,9 +140,8 @@ def weaknesses(
     confirmation
         How far what stands in the scene agrees with the answer.
     """
-    most = max(len(each.target_poles) for each in paired)
     return [
-        *unconfirmed(confirmation, most, len(paired)),
+        *unconfirmed(confirmation),
         *doubtful_reasons(paired, hypotheses),
         *_weak_choice(hypotheses),
         *_weak_poles(paired),

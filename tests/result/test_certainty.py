@@ -41,10 +41,11 @@ def written(answer: Calibration) -> ResultDoc:
     return result_document(answer, inputs=INPUTS, config=RunConfig(), seconds={})
 
 
+STATED_CONFIRMATION = Confirmation(412, 3, 10, better_at=1.75, lead=2.5, vouched=True)
 STATED = calibration(
     Uncertainty(RANDOM, SYSTEMATIC, BUDGET),
     RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042),
-    Confirmation(412, 3, 1.75),
+    STATED_CONFIRMATION,
 )
 
 
@@ -62,8 +63,13 @@ def test_names_that_others_rely_on() -> None:
     assert plain["confirmation"] == {
         "agreeing": 412,
         "contradicting": 3,
-        "contradicted": 3 / 415,
+        "missing": 10,
+        "contradicted": 13 / 425,
         "better_at_m": 1.75,
+        "lead": 2.5,
+        "vouched": True,
+        "trusted": False,
+        "probability_wrong": pytest.approx(STATED_CONFIRMATION.probability_wrong),
     }
 
 
@@ -91,7 +97,7 @@ def test_what_stands_in_the_scene_may_fit_nowhere_better(found: Confirmation) ->
     document = decode(encode(written(calibration(confirmation=found))))
     assert confirmation_of(document.confirmation) == found
     assert document.confirmation is not None
-    assert document.confirmation.contradicted == found.contradicted
+    assert document.confirmation.contradicted == found.denied
 
 
 def test_the_largest_error_comes_first() -> None:

@@ -12,7 +12,7 @@ from ..datatypes import Array, Placement, PointCloud, Scan
 from ..errors import Refusal
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import with_trusted_rings
-from ..scene.consistency import consistency_of
+from ..scene.confirmation import count, scenes_of
 from ..scene.registration import CORES, prepare, voxel_downsample
 from ..scene.visibility import OVERLAP_DISTANCE, overlap
 from ..uncertainty import Confirmation
@@ -151,4 +151,4 @@ def evaluate(
 def _confirmation(target: PointCloud, source: PointCloud, T: Array) -> Confirmation:
     """Hold a pose against what stands in the scene, as a calibration does."""
     scans = [Scan(with_beam_origin(with_trusted_rings(cloud))) for cloud in (target, source)]
-    return consistency_of([Placement(scans[0], scans[1])], T, np.random.default_rng(0))
+    return count(scenes_of([Placement(scans[0], scans[1])], np.random.default_rng(0)), T)

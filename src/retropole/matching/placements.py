@@ -6,12 +6,13 @@ pose is averaged over the placements.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .. import se3
+from ..alignment.adjustment import BeamAlignment
 from ..datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..errors import Refusal
 
@@ -132,6 +133,27 @@ def _joint(each: Sequence[Hypothesis]) -> Hypothesis:
         score=overlap - violation,
         covisible_overlap=float(np.mean(covisible)) if covisible else None,
     )
+
+
+def leave_one_out(
+    paired: Sequence[PairedPlacement],
+    aligned: BeamAlignment,
+    align_poles: Callable[[Sequence[PairedPlacement], Array], BeamAlignment],
+) -> tuple[Placement, ...]:
+    """Say of each of several placements how the poles' pose differs without it."""
+    if len(paired) < 2:
+        return tuple(each.placement for each in paired)
+    T = aligned.pose.T_target_source
+    found = []
+    for one in paired:
+        try:
+            without = align_poles([each for each in paired if each is not one], T)
+        except Refusal:
+            found.append(one.placement)
+            continue
+        apart = se3.difference(T, without.pose.T_target_source)
+        found.append(replace(one.placement, left_out=apart))
+    return tuple(found)
 
 
 def merged(clouds: Sequence[PointCloud]) -> PointCloud:

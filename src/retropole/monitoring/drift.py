@@ -21,7 +21,7 @@ from ..matching.prior import RotationPrior
 from ..pipeline import calibrate
 from ..quantities import error
 from ..reasons import prefixed
-from ..scene.consistency import DENIED, consistency_of, is_denied
+from ..scene.confirmation import DENIED, count, is_denied, scenes_of
 from ..scene.disambiguation import SCORING_VOXEL
 from ..scene.refinement import refine
 from ..scene.registration import MIN_CLOUD_POINTS
@@ -141,7 +141,8 @@ def check(
     clouds = _Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
     by_poles = _by_poles(stored, clouds, again, calibrate_again)
     answer = _tested(stored, uncertainty, clouds, by_poles, tolerance, sensors)
-    found = consistency_of(again.placements, stored.T_target_source, np.random.default_rng(0))
+    scenes = scenes_of(again.placements, np.random.default_rng(0))
+    found = count(scenes, stored.T_target_source)
     return _held_against_scene(replace(answer, confirmation=found), found)
 
 
@@ -179,10 +180,16 @@ def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult
         return answer
     denied = Reason(
         "scene_denies_stored",
-        f"under the stored pose {found.contradicting} of {found.total} places off the ground "
-        f"({found.contradicted:.0%}; {DENIED:.0%} are allowed) stand where the other LiDAR looked "
-        "through: were both clouds recorded at the same time, by the LiDARs of the stored result?",
-        {"agreeing": found.agreeing, "contradicting": found.contradicting, "allowed": DENIED},
+        f"{found.denying} of {found.total} places off the ground deny the stored pose "
+        f"({found.denied:.0%}; {DENIED:.0%} are allowed): they stand where the other LiDAR looked "
+        "through, or should agree and do not. Were both clouds recorded at the same time, by the "
+        "LiDARs of the stored result?",
+        {
+            "agreeing": found.agreeing,
+            "contradicting": found.contradicting,
+            "missing": found.missing,
+            "allowed": DENIED,
+        },
     )
     return replace(answer, status="cannot_tell", reasons=(*answer.reasons, denied))
 

@@ -64,7 +64,12 @@ class ConfirmationDoc(msgspec.Struct, frozen=True, kw_only=True):
     agreeing: int
     contradicting: int
     contradicted: float
+    missing: int = 0
     better_at: float | None = msgspec.field(default=None, name="better_at_m")
+    lead: float = 0.0
+    vouched: bool = False
+    trusted: bool = False
+    probability_wrong: float | None = None
 
 
 def matrix_rows(value: Array) -> Matrix:
@@ -114,7 +119,11 @@ def confirmation_document(confirmation: Confirmation | None) -> ConfirmationDoc 
     """Write what stands in the scene says; None where it was not asked."""
     if confirmation is None:
         return None
-    return ConfirmationDoc(contradicted=confirmation.contradicted, **asdict(confirmation))
+    return ConfirmationDoc(
+        contradicted=confirmation.denied,
+        probability_wrong=confirmation.probability_wrong,
+        **asdict(confirmation),
+    )
 
 
 def uncertainty_of(
@@ -144,5 +153,6 @@ def confirmation_of(document: ConfirmationDoc | None) -> Confirmation | None:
     if document is None:
         return None
     fields = msgspec.structs.asdict(document)
-    del fields["contradicted"]  # follows from the others
+    for follows in ("contradicted", "probability_wrong"):
+        del fields[follows]
     return Confirmation(**fields)

@@ -26,6 +26,10 @@ REACH = 6.0
 NEAR = 0.5
 """Shifts up to this are the same pose, metres."""
 
+PEAKS = 3
+"""So many shifts are found, farther from each other than `NEAR`: where most cells coincide need not
+be where most of the scene agrees."""
+
 HALF_SIDE = 30.0
 """Cells so far about the middle of the source's points are compared, metres."""
 
@@ -46,8 +50,8 @@ class Shift:
     gain: float
 
 
-def best_shift(target: Array, source: Array, up: Array, T: Array) -> Shift | None:
-    """Find the shift along the ground at which most cells coincide.
+def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]:
+    """Find the shifts along the ground at which most cells coincide.
 
     Parameters
     ----------
@@ -60,11 +64,11 @@ def best_shift(target: Array, source: Array, up: Array, T: Array) -> Shift | Non
 
     Returns
     -------
-    Shift or None
-        None where the clouds have nothing to compare.
+    list of Shift
+        At most `PEAKS`, the best first; none where the clouds have nothing to compare.
     """
     if not len(target) or not len(source):
-        return None
+        return []
     level = np.linalg.svd(up[None, :])[2]
     axes = np.concatenate([level[1:], up[None, :]])
     a, b = target @ axes.T, se3.apply(T, source) @ axes.T
@@ -86,11 +90,16 @@ def best_shift(target: Array, source: Array, up: Array, T: Array) -> Shift | Non
     reach = int(REACH / CELL)
     total = np.roll(total, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
     place = (np.indices(total.shape).transpose(1, 2, 0) - reach) * CELL
-    far = np.abs(place).max(axis=2) > NEAR
-    here = total[np.abs(place).max(axis=2) <= CELL].max()
-    best = int(np.argmax(np.where(far, total, -1.0)))
-    step = place.reshape(-1, 2)[best] @ axes[:2]
-    return Shift(step, float(total.reshape(-1)[best] / max(here, 1.0)))
+    here = max(float(total[np.abs(place).max(axis=2) <= CELL].max()), 1.0)
+    left = np.where(np.abs(place).max(axis=2) > NEAR, total, -1.0)
+    found = []
+    for _ in range(PEAKS):
+        best = np.unravel_index(int(np.argmax(left)), left.shape)
+        if left[best] <= 0:
+            break
+        found.append(Shift(place[best] @ axes[:2], float(left[best]) / here))
+        left[np.abs(place - place[best]).max(axis=2) <= NEAR] = -1.0
+    return found
 
 
 def _occupied(cells: IntArray, layer: int, shape: IntArray, fast: list[int]) -> NDArray[np.float32]:

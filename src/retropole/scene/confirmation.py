@@ -1,0 +1,207 @@
+"""Whether what stands in the scene confirms a pose, and how much of it could have denied it.
+
+That nothing denies a pose says little where nothing could: in a corridor of plain walls a pose may
+slide along them. So the same places are counted at other poses: the best shifts along the ground,
+small turns about the vertical, and the other ways of laying the poles on each other. The pose must
+lead them all. Two measures, the share of the places that deny the pose and its lead, make one
+figure: the probability that the answer is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, Hypothesis, Placement
+from ..errors import Reason, Refusal
+from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, line_pair
+from ..matching.placements import PairedPlacement
+from ..uncertainty import Confirmation
+from .consistency import Standing, consistency, standing_in
+from .shifts import best_shifts
+
+DENIED, MIN_TOTAL = 0.2, 60
+"""From this share on, of at least so many places, the scene denies a pose. At the right pose of 200
+hard scenes (benchmarks/hard_scenes.py, seeds below 200) the share was 0.8 % in the median and 5.7 %
+at most."""
+
+BETTER = 1.05
+"""By this factor more places agree where the scene fits better: by 1.09 and more for poles carried
+by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10 to 25)."""
+
+TURN = np.radians(15.0)
+"""Poses turned by so much about the vertical are held against the pose, rad."""
+
+MAX_RIVALS = 3
+"""So many other hypotheses are, too."""
+
+MAX_WRONG = 0.05
+"""An answer is confirmed up to this probability that it is wrong."""
+
+
+def confirm(
+    paired: Sequence[PairedPlacement],
+    T: Array,
+    others: Sequence[Hypothesis],
+    rng: np.random.Generator,
+    *,
+    trusted: bool = False,
+) -> Confirmation:
+    """Hold an answer against what stands in the scene of all placements.
+
+    Parameters
+    ----------
+    paired
+        Every placement, its poles paired by the choice.
+    T
+        (4, 4) the answer, target from source.
+    others
+        The hypotheses that were not chosen, the best first.
+    rng
+        Chooses the planes that are tried for the ground.
+    trusted
+        Whether the user vouches for the poles.
+    """
+    scenes = scenes_of([each.placement for each in paired], rng)
+    here = count(scenes, T)
+    rivals = [other.match.T_target_source for other in others if other.match.exact]
+    poses = [*_displaced(scenes, T), *rivals[:MAX_RIVALS]]
+    there = [count(scenes, pose) for pose in poses]
+    leads = [_lead(here, found) for found in there]
+    better = [
+        (lead, pose)
+        for lead, pose, found in zip(leads, poses, there, strict=True)
+        if found.agreeing >= BETTER * max(here.agreeing, 1) and found.denied <= here.denied
+    ]
+    points = np.concatenate([source.points for _, source in scenes])
+    return replace(
+        here,
+        lead=min(leads, default=0.0),
+        better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
+        vouched=_vouched(paired),
+        trusted=trusted,
+    )
+
+
+def scenes_of(
+    placements: Sequence[Placement], rng: np.random.Generator
+) -> list[tuple[Standing, Standing]]:
+    """Prepare both clouds of every placement; the poles themselves are no witnesses."""
+    return [
+        (
+            standing_in(placement.target.cloud, rng, placement.target.poles),
+            standing_in(placement.source.cloud, rng, placement.source.poles),
+        )
+        for placement in placements
+    ]
+
+
+def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation:
+    """Count the places of all scenes that agree with a pose (4, 4), and those that deny it."""
+    each = [consistency(*scene, T) for scene in scenes]
+    return Confirmation(
+        sum(one.agreeing for one in each),
+        sum(one.contradicting for one in each),
+        sum(one.missing for one in each),
+    )
+
+
+def _displaced(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
+    """Poses beside a pose: the best shifts along the ground, and turns about its normal."""
+    for target, source in scenes:
+        for shift in best_shifts(target.points, source.points, target.up, T):
+            yield se3.retract(T, np.r_[np.zeros(3), shift.step])
+    target, source = scenes[0]
+    middle = se3.apply(T, np.median(source.points, axis=0)) if len(source.points) else T[:3, 3]
+    for angle in (TURN, -TURN):
+        R = se3.exp_so3(angle * target.up)
+        yield se3.from_rt(R, middle - R @ middle) @ T
+
+
+def _lead(here: Confirmation, there: Confirmation) -> float:
+    """By how many σ more places agree, and fewer deny, at one pose than at another."""
+    net = (here.agreeing - here.denying) - (there.agreeing - there.denying)
+    return float(net / np.sqrt(here.total + there.total + 1))
+
+
+def _apart(T: Array, other: Array, points: Array) -> float:
+    """How far apart two poses put the points of the source, metres: the median."""
+    return float(np.median(np.linalg.norm(se3.apply(T, points) - se3.apply(other, points), axis=1)))
+
+
+def _vouched(paired: Sequence[PairedPlacement]) -> bool:
+    """Whether the poles vouch for themselves: three of them, or two placements that differ.
+
+    Files of two placements on one stand, mixed up, tell the same lie twice.
+    """
+    if max(len(each.target_poles) for each in paired) > 2:
+        return True
+    shapes = [
+        line_pair(first.point, first.direction, second.point, second.direction)
+        for first, second in (each.target_poles for each in paired)
+    ]
+    return any(
+        abs(one.angle - other.angle) > ANGLE_TOLERANCE
+        or abs(one.distance - other.distance) > DISTANCE_TOLERANCE
+        for one in shapes
+        for other in shapes
+    )
+
+
+def is_denied(found: Confirmation) -> bool:
+    """Whether so many places deny a pose that nothing else vouches for it."""
+    return found.total >= MIN_TOTAL and found.denied > DENIED
+
+
+def check_confirmation(found: Confirmation) -> None:
+    """Refuse a pose that what stands in the scene denies.
+
+    Raises
+    ------
+    Refusal
+        ``scene_contradicts``.
+    """
+    is_better_elsewhere = found.better_at is not None
+    if not (is_denied(found) or (is_better_elsewhere and found.total >= MIN_TOTAL)):
+        return
+    elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
+    raise Refusal(
+        "scene_contradicts",
+        f"under the pose that the poles give, {found.agreeing} places off the ground agree, "
+        f"{found.contradicting} stand where the other LiDAR looked through, and {found.missing} "
+        f"more should agree ({found.denied:.0%} deny it; {DENIED:.0%} are allowed){elsewhere}: did "
+        "a pole move between the recordings, or are they of two placements?",
+        {
+            "agreeing": found.agreeing,
+            "contradicting": found.contradicting,
+            "missing": found.missing,
+            "contradicted": found.denied,
+            "allowed": DENIED,
+            **({} if found.better_at is None else {"better_at_m": found.better_at}),
+        },
+    )
+
+
+def unconfirmed(found: Confirmation) -> Iterator[Reason]:
+    """Warn where the scene does not confirm the pose, and nobody vouches for the poles."""
+    if found.trusted or found.probability_wrong <= MAX_WRONG:
+        return
+    yield Reason(
+        "not_confirmed",
+        f"{found.agreeing} places off the ground agree with this pose, {found.denying} deny it, "
+        f"and it leads others by {found.lead:.1f} σ: the answer is wrong with a probability of "
+        f"{100 * found.probability_wrong:.0f} % ({100 * MAX_WRONG:.0f} % are allowed), where "
+        "poles may have been moved. Two poles cannot vouch for themselves: add a third pole or a "
+        "second placement, or stand boxes or a car in view of both LiDARs",
+        {
+            "agreeing": found.agreeing,
+            "contradicting": found.contradicting,
+            "missing": found.missing,
+            "lead": found.lead,
+            "probability_wrong": found.probability_wrong,
+            "allowed": MAX_WRONG,
+        },
+    )

@@ -1,0 +1,105 @@
+"""An answer that the scene confirms leads all other poses; what nothing could deny does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.datatypes import Calibration, Placement, Scan
+from retropole.matching.placements import PairedPlacement
+from retropole.pipeline import calibrate
+from retropole.scene.confirmation import MAX_WRONG, confirm, count, is_denied, scenes_of
+from retropole.simulation import SimulatedPair, simulate_pair
+from retropole.uncertainty import Confirmation
+
+SCENES = ("corridor", "street", "harbor")
+
+
+def answered(pair: SimulatedPair) -> Calibration:
+    answer = calibrate(pair.target, pair.source)
+    assert answer.T_target_source is not None
+    return answer
+
+
+def held(answer: Calibration, T: np.ndarray) -> Confirmation:
+    """Hold a pose against the scene of an answer."""
+    paired = [PairedPlacement(answer.placements[0], answer.hypotheses[0])]
+    return confirm(paired, T, answer.hypotheses[1:], np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_right_pose_is_confirmed_and_leads(scene: str) -> None:
+    for seed in range(2):
+        answer = answered(simulate_pair(scene, np.random.default_rng(seed)))
+        found = answer.confirmation
+        assert found is not None
+        assert found.lead > 1
+        assert found.better_at is None
+        assert found.probability_wrong < MAX_WRONG
+        assert not is_denied(found)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_pose_along_the_place_does_not_lead_and_the_better_one_is_found(scene: str) -> None:
+    """Walls that slide along themselves do not hide a shift."""
+    for seed in range(2):
+        pair = simulate_pair(scene, np.random.default_rng(seed))
+        along = pair.T_world_target[:3, :3].T @ np.array([2.0, 0.0, 0.0])
+        T = se3.retract(pair.T_target_source, np.r_[0, 0, 0, along])
+        found = held(answered(pair), T)
+        assert found.lead < 0
+        assert found.better_at is not None
+        assert 1.7 < found.better_at < 2.3
+        assert found.probability_wrong > MAX_WRONG
+
+
+def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
+    pair = simulate_pair("street", np.random.default_rng(4))
+    answer = answered(pair)
+    right, *others = answer.hypotheses
+    paired = [PairedPlacement(answer.placements[0], right)]
+    wrong = others[0].match.T_target_source
+    found = confirm(paired, wrong, [right, *others[1:]], np.random.default_rng(0))
+    assert found.lead < 0
+    assert found.better_at is not None
+    assert found.better_at > 1
+
+
+def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
+    for seed in range(3):
+        pair = simulate_pair("bare", np.random.default_rng(seed))
+        answer = calibrate(pair.target, pair.source)
+        if answer.confirmation is None:
+            continue
+        assert answer.status == "warn"
+        assert "not_confirmed" in [reason.code for reason in answer.reasons]
+        assert 0.1 < answer.confirmation.probability_wrong < 0.9
+        trusted = calibrate(pair.target, pair.source, trust_poles=True)
+        assert "not_confirmed" not in [reason.code for reason in trusted.reasons]
+        assert trusted.confirmation == replace(answer.confirmation, trusted=True)
+
+
+def test_swapping_the_clouds_changes_nothing_but_rounding() -> None:
+    pair = simulate_pair("harbor", np.random.default_rng(2))
+    scans = Scan(pair.target, None, None), Scan(pair.source, None, None)
+    there, back = (
+        count(scenes_of([Placement(*two)], np.random.default_rng(0)), T)
+        for two, T in (
+            (scans, pair.T_target_source),
+            (scans[::-1], se3.inverse(pair.T_target_source)),
+        )
+    )
+    assert there.agreeing == pytest.approx(back.agreeing, rel=0.02)
+    assert abs(there.denying - back.denying) <= 5
+
+
+def test_placements_vouch_for_each_other_only_where_their_poles_stand_otherwise() -> None:
+    pair, other = (simulate_pair("bare", np.random.default_rng(seed)) for seed in (0, 3))
+    one, two = (answered(each) for each in (pair, other))
+    first = PairedPlacement(one.placements[0], one.hypotheses[0])
+    second = PairedPlacement(two.placements[0], two.hypotheses[0])
+    T, rng = one.hypotheses[0].match.T_target_source, np.random.default_rng(0)
+    assert not confirm([first], T, (), rng).vouched
+    assert not confirm([first, first], T, (), rng).vouched
+    assert confirm([first, second], T, (), rng).vouched
