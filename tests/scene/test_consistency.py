@@ -78,8 +78,7 @@ def test_the_points_that_contradict_are_those_of_the_places_that_deny() -> None:
     for own, found in zip((target, source), points, strict=True):
         index = {tuple(p): k for p, k in zip(own.points, own.place, strict=True)}
         places += len({index[tuple(point)] for point in found})
-    found = consistency(target, source, T)
-    assert places == found.contradicting
+    assert places == consistency(target, source, T).contradicting
     assert sum(map(len, points)) >= places > 50
 
 
