@@ -44,6 +44,29 @@ def test_finds_the_truth(scene: str, seed: int) -> None:
     assert answer.margin > 0
 
 
+def test_an_answer_carries_what_the_scene_says(corridor: SimulatedPair) -> None:
+    answer = calibrate(corridor.target, corridor.source)
+    assert answer.confirmation is not None
+    assert answer.confirmation.agreeing > 40
+    assert answer.confirmation.denied < 0.05
+
+
+def test_a_refusal_carries_what_the_scene_says_once_it_was_asked() -> None:
+    pair = simulate_pair("harbor", np.random.default_rng(1))
+    on_poles = pair.labels[1] >= len(pair.surfaces) - len(pair.poles)
+    xyz = pair.source.xyz.copy()
+    xyz[on_poles] += [2.0, 1.0, 0.0]
+    carried = calibrate(pair.target, replace(pair.source, xyz=xyz))
+    assert_refused(carried, "scene_contradicts")
+    assert carried.confirmation is not None
+    values = carried.reasons[0].values
+    assert carried.confirmation.contradicting == values["contradicting"]
+    assert carried.confirmation.agreeing == values["agreeing"]
+    earlier = calibrate(pair.target, PointCloud(pair.source.xyz))
+    assert_refused(earlier, "no_intensity")
+    assert earlier.confirmation is None
+
+
 def test_moving_both_clouds_moves_the_answer(corridor: SimulatedPair) -> None:
     rng = np.random.default_rng(0)
     A, B = se3.random(rng), se3.random(rng)

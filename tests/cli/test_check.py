@@ -37,6 +37,7 @@ def test_exit_codes_and_words(site: Path) -> None:
     code, text = run(site, "r", "same")
     assert code == 0, text
     assert text.startswith("verdict: same\n")
+    assert "what stands in the scene, under the stored pose: " in text
     code, text = run(site, "r/result.json", "moved")
     assert code == 4, text
     assert "about the target's +z (yaw)" in text
@@ -54,6 +55,8 @@ def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
     answer = json.loads(text)
     assert answer["status"] == status
     assert answer["used"] == "scene"
+    assert answer["confirmation"]["agreeing"] > 100
+    assert answer["confirmation"]["contradicted"] < 0.05
     assert 0 <= answer["p_value"] <= 1
     assert answer["sigma_deg"] > 0
     assert answer["sigma_m"] > 0
@@ -68,6 +71,7 @@ def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:
     answer = json.loads(text)
     assert answer["status"] == "cannot_tell"
     assert answer["moved_deg"] is None
+    assert answer["confirmation"] is None
     assert [reason["code"] for reason in answer["reasons"]] == ["stored_no_covariance"]
     assert run(site, "r.urdf", "same", "--sigma-deg", "0.01", "--sigma-m", "0.002", "-q")[0] == 0
     assert run(site, "r.urdf", "same", "--sigma-deg", "1", "--sigma-m", "0.1", "-q")[0] == 3

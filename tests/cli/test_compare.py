@@ -34,7 +34,8 @@ def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) 
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
-    for word in ("poles+scene", "planes", "gicp", "overlap", "RQE", "e_rt m", "time s", "yaw °"):
+    columns = ("overlap", "RQE", "agree", "deny", "e_rt m", "time s", "yaw °")
+    for word in ("poles+scene", "planes", "gicp", *columns):
         assert word in done.stdout
     for method in RIVALS:
         words = f"{method}: not installed: pip install 'retropole[{missing_extra(method)}]'"
@@ -59,6 +60,8 @@ def test_json_is_all_of_stdout_and_right(scene: Path) -> None:
         assert each["translation_error_m"] == pytest.approx(off)
         assert off < 0.1
         assert 0.5 < each["overlap"] <= 1
+        assert each["confirmation"]["agreeing"] > 40
+        assert each["confirmation"]["contradicted"] < 0.1
         assert each["rqe_log"] == pytest.approx(-np.log(each["rqe_sum"]))
         assert Rotation.from_euler("xyz", each["rpy_deg"], degrees=True).as_matrix() == (
             pytest.approx(T[:3, :3])

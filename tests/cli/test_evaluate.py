@@ -13,10 +13,10 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     truth = scene / "truth.json"
     wrong = np.array(json.loads(truth.read_text())["T_target_source"])
     wrong[0, 3] += 0.2
+    clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
     np.savetxt(tmp_path / "wrong.txt", wrong)
     scores = []
     for file in (truth, tmp_path / "wrong.txt"):
-        clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
         done = retropole("evaluate", *clouds, "--transform", file, "--truth", truth, "--json")
         assert done.returncode == 0, done.stderr
         scores.append(json.loads(done.stdout))
@@ -26,6 +26,13 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     assert off["translation_error_m"] == pytest.approx(0.2)
     assert right["rqe_sum"] > off["rqe_sum"]
     assert right["plane_residual_m"] < off["plane_residual_m"]
+    found = right["confirmation"]
+    assert found["agreeing"] > 100
+    assert found["contradicted"] == found["contradicting"] / (
+        found["agreeing"] + found["contradicting"]
+    )
+    done = retropole("evaluate", *clouds, "--transform", truth)
+    assert f"{found['agreeing']} places agree, {found['contradicting']} deny it" in done.stdout
 
 
 def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) -> None:

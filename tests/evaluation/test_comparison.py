@@ -44,6 +44,8 @@ def test_answers_and_scores_are_those_of_the_methods(pair: SimulatedPair) -> Non
         assert each.alignment == evaluate(
             pair.target, pair.source, each.T_target_source, rng=np.random.default_rng(0)
         )
+    assert with_scene.alignment is not None
+    assert with_scene.alignment.confirmation == ours.confirmation
     assert with_scene.status == ours.status
     assert rival.status == "ok", "a rival states no doubt"
     assert rival.seconds is not None

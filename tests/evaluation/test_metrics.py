@@ -1,5 +1,7 @@
 """e_rt of plain errors, and scores that are best at the truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from retropole import se3
 from retropole.datatypes import Array, PointCloud
 from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt, errors_of, evaluate
+from retropole.simulation import simulate_pair
 from tests.evaluation.surfaces import floor_and_wall
 
 
@@ -65,6 +68,28 @@ def test_the_truth_is_sharper_than_anything_beside_it() -> None:
         assert right.plane_residual is not None
         assert wrong.plane_residual is not None
         assert right.plane_residual < wrong.plane_residual
+
+
+def test_what_stands_in_the_scene_agrees_at_the_truth_and_denies_elsewhere() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    right, wrong = (
+        evaluate(pair.target, pair.source, T, rng=np.random.default_rng(0)).confirmation
+        for T in (pair.T_target_source, se3.retract(pair.T_target_source, np.full(6, 0.3)))
+    )
+    assert right.denied < 0.05
+    assert wrong.denied > 0.2
+    assert right.agreeing > 2 * wrong.agreeing
+
+
+def test_clouds_that_were_moved_agree_as_well() -> None:
+    pair = simulate_pair("street", np.random.default_rng(3))
+    A = se3.retract(np.eye(4), np.r_[0.0, 0.0, 0.4, 3.0, -2.0, 1.0])
+    moved = replace(pair.target.transformed(A), origin=np.zeros(3), axis=np.eye(3)[2])
+    rng = np.random.default_rng(0)
+    plain = evaluate(pair.target, pair.source, pair.T_target_source, rng=rng).confirmation
+    found = evaluate(moved, pair.source, A @ pair.T_target_source, rng=rng).confirmation
+    assert found.contradicting <= plain.contradicting + 5
+    assert found.agreeing == pytest.approx(plain.agreeing, rel=0.1)
 
 
 def test_nothing_overlaps_far_away() -> None:

@@ -12,6 +12,7 @@ from retropole.errors import UsageError
 from retropole.monitoring import drift
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
+from retropole.scene.confirmation import DENIED
 from retropole.scene.refinement import Refinement, refine
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
 
@@ -53,6 +54,8 @@ def test_small_movements_are_found(
     assert answer.used == ("poles" if poles else "scene")
     assert answer.step is not None
     assert answer.covariance is not None
+    assert answer.confirmation is not None
+    assert answer.confirmation.agreeing > 20 * answer.confirmation.contradicting
     off = answer.step - moved
     assert off @ np.linalg.solve(answer.covariance, off) < 25.0
 
@@ -136,6 +139,31 @@ def test_a_pose_that_fits_no_better_than_the_stored_one_is_no_movement(
     assert answer.p_value < 1e-6
     assert answer.status == "cannot_tell"
     assert answer.reasons[-1].code == "stored_fits_as_well"
+
+
+def with_strangers(pair: SimulatedPair, count: int) -> PointCloud:
+    """The source's recording with single returns, a metre apart, from the air about it."""
+    grid = np.arange(-14.5, 15.0)
+    air = np.stack(np.meshgrid(grid, grid, [0.0, 1.2]), axis=-1).reshape(-1, 3)
+    T = pair.T_world_target @ pair.T_target_source
+    places = T[:3, 3] + np.random.default_rng(0).permutation(air)[:count]
+    return PointCloud(np.concatenate([pair.source.xyz, se3.apply(se3.inverse(T), places)]))
+
+
+@pytest.mark.parametrize(("count", "status"), [(40, "same"), (1800, "cannot_tell")])
+def test_a_stored_pose_that_the_scene_denies_is_not_the_same(
+    street: SimulatedPair, stored: PoseEstimate, count: int, status: str
+) -> None:
+    again = record_again(street, np.random.default_rng(12), poles=False)
+    crowded = with_strangers(again, count)
+    answer = check(stored, PointCloud(again.target.xyz), crowded)
+    assert answer.confirmation is not None
+    assert (answer.confirmation.denied > DENIED) == (status != "same")
+    assert answer.status == status
+    # The surfaces alone find the stored pose again.
+    assert answer.p_value is not None
+    assert answer.p_value > 0.01
+    assert ("scene_denies_stored" in [r.code for r in answer.reasons]) == (status != "same")
 
 
 def test_gross_movements_are_found_with_poles_and_never_called_same_without(

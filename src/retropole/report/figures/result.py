@@ -83,7 +83,7 @@ def result_figure(
         elif contradicting is not None:
             of_target, of_source = contradicting
             together = np.concatenate([of_target, se3.apply(T, of_source)])
-            _draw_contradicting(above, beside, together)
+            _draw_contradicting(above, beside, together, _middle(target, poles[0]))
     for k, (ours, theirs) in enumerate(zip(*poles, strict=True)):
         axes = figure.add_subplot(grid[:, 2 + k])
         across = np.cross(ours.direction, ours.point - target.origin)
@@ -109,7 +109,7 @@ def _draw_clouds(
     title: str,
 ) -> None:
     """Draw two clouds of one frame and the target's poles, from above and from the side."""
-    middle = np.mean([pole.point for pole in poles], axis=0) if poles else target.origin
+    middle = _middle(target, poles)
     for cloud, color, name in ((target, BLUE, "target"), (source, ORANGE, "source")):
         near = np.abs(cloud.xyz - middle).max(axis=1) < SCENE_HALF_WIDTH
         xyz = subsample(cloud.xyz[near])
@@ -128,8 +128,14 @@ def _draw_clouds(
     beside.set_xlabel("x of the target, m")
 
 
-def _draw_contradicting(above: Axes, beside: Axes, xyz: Array) -> None:
+def _middle(target: PointCloud, poles: Sequence[Pole]) -> Array:
+    """Where the picture looks: (3,) between the poles, target frame."""
+    return np.mean([pole.point for pole in poles], axis=0) if poles else target.origin
+
+
+def _draw_contradicting(above: Axes, beside: Axes, xyz: Array, middle: Array) -> None:
     """Mark points (N, 3) that contradict the answer, target frame; a legend where there are any."""
+    xyz = xyz[np.abs(xyz - middle).max(axis=1) < SCENE_HALF_WIDTH]
     if not len(xyz):
         return
     style: dict[str, Any] = {"s": 9, "c": RED, "marker": "s", "linewidths": 0, "zorder": 3}
