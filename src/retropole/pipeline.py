@@ -43,7 +43,7 @@ from .scene import disambiguation, settling
 from .scene.agreement import check_axes, check_contradiction
 from .scene.consistency import Consistency, check_consistency, consistency_of
 from .scene.refinement import Refinement, refine
-from .scene.similarity import check_scale, explained
+from .scene.similarity import check_similarity, explained
 from .scene.static import check_static, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
@@ -130,7 +130,7 @@ def calibrate(
                 # The same recordings give the same answer.
                 consistent = consistency_of(placements, pose, np.random.default_rng(0))
                 check_consistency(consistent)
-                check_scale(refined)
+                check_similarity(refined, placements, pose)
         except Refusal as refusal:
             with step("explain"):
                 cause = explained(refusal, placements, hypotheses, (find_target, find_source))

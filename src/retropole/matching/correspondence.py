@@ -139,16 +139,10 @@ def direction_sigma(pole: Pole) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """All pairs of poles of one LiDAR that are far enough from parallel, and their shapes.
+    """All P pairs of poles of one LiDAR that are far enough from parallel, and their shapes.
 
-    Attributes
-    ----------
-    index
-        P pairs of numbers of poles.
-    angle, distance, handedness
-        (P,) as `LinePair` has them.
-    sigma, lever
-        (P,) 1 σ of the angle, rad, and how far the common perpendicular is from the poles, metres.
+    (P,) each: as `LinePair` has them, and 1 σ of the angle, rad, and how far the common
+    perpendicular is from the poles, metres.
     """
 
     index: list[tuple[int, int]]
