@@ -66,7 +66,9 @@ def factors_of(target: Sequence[Pole], source: Sequence[Pole], most: int) -> lis
     pairs, others = all_pairs(target), all_pairs(source)
     sigma = np.hypot(pairs.sigma[:, None], others.sigma[None])
     alike = np.abs(pairs.angle[:, None] - others.angle[None]) <= ANGLE_TOLERANCE + 3 * sigma
-    alike &= (pairs.distance[:, None] > MIN_DISTANCE) & (others.distance[None] > MIN_DISTANCE)
+    # Of a cloud that is scaled down the error is scaled, too.
+    alike &= np.maximum(pairs.distance[:, None], others.distance[None]) > MIN_DISTANCE
+    alike &= np.minimum(pairs.distance[:, None], others.distance[None]) > 0
     rows, columns = np.nonzero(alike)
     ratios = np.log(pairs.distance[rows] / others.distance[columns])
     ratios = ratios[np.abs(ratios) < np.log(MAX_FACTOR)]
