@@ -119,7 +119,8 @@ def check_similarity(refined: Refinement | None, placements: Sequence[Placement]
     raise Refusal(
         "wrong_scale",
         f"lengths in the source must be multiplied by {factor:.4f} (1 σ: {sigma:.4f}) to be those "
-        f"in the target{_unit_words(factor)}: one of the two clouds is scaled, or the pose is wrong",
+        f"in the target{_unit_words(factor)}: one of the two clouds is scaled, or the pose is "
+        "wrong",
         {"factor": factor, "sigma": sigma, **_unit_values(factor)},
     )
 
