@@ -41,6 +41,7 @@ from .scene import disambiguation, settling
 from .scene.agreement import check_axes, check_contradiction
 from .scene.confirmation import check_confirmation, confirm
 from .scene.refinement import Refinement, refine
+from .scene.similarity import check_similarity, explained
 from .scene.static import check_static, check_still, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
@@ -132,8 +133,11 @@ def calibrate(
                 rng = np.random.default_rng(0)
                 confirmation = confirm(paired, pose, hypotheses[1:], rng, trusted=trust_poles)
                 check_confirmation(confirmation)
+                check_similarity(refined, placements, pose)
         except Refusal as refusal:
-            return refused(refusal, placements, hypotheses, seconds, confirmation)
+            with step("explain"):
+                cause = explained(refusal, placements, hypotheses, (find_target, find_source))
+            return refused(cause, placements, hypotheses, seconds, confirmation)
     return answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
 
 

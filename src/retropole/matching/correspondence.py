@@ -138,8 +138,12 @@ def direction_sigma(pole: Pole) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pairs:
-    """All pairs of poles of one LiDAR that are far enough from parallel, and their shapes."""
+class Pairs:
+    """All P pairs of poles of one LiDAR that are far enough from parallel, and their shapes.
+
+    (P,) each: as `LinePair` has them, and 1 σ of the angle, rad, and how far the common
+    perpendicular is from the poles, metres.
+    """
 
     index: list[tuple[int, int]]
     angle: Array
@@ -149,7 +153,8 @@ class _Pairs:
     lever: Array
 
 
-def _all_pairs(poles: Sequence[Pole]) -> _Pairs:
+def all_pairs(poles: Sequence[Pole]) -> Pairs:
+    """Measure every pair of poles that are not nearly parallel."""
     index, rows = [], []
     for i, j in combinations(range(len(poles)), 2):
         first, second = poles[i], poles[j]
@@ -162,10 +167,10 @@ def _all_pairs(poles: Sequence[Pole]) -> _Pairs:
         feet = np.linalg.norm(pair.frame[:3, 3] - np.stack([first.point, second.point]), axis=1)
         index.append((i, j))
         rows.append((pair.angle, pair.distance, pair.handedness, sigma, float(feet.max())))
-    return _Pairs(index, *np.array(rows).reshape(-1, 5).T)
+    return Pairs(index, *np.array(rows).reshape(-1, 5).T)
 
 
-def _alike(target: _Pairs, source: _Pairs) -> list[tuple[int, int]]:
+def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
     """Rows of the pairs that have the same angle, distance and hand, within their noise."""
     sigma = np.hypot(target.sigma[:, None], source.sigma[None])
     angle_gap = np.abs(target.angle[:, None] - source.angle[None])
@@ -286,7 +291,7 @@ def match_poles(
     _check_poles(target, source, count or 2)
     two_and_two = len(target) == len(source) == 2
     matches: list[Match] = []
-    pairs_target, pairs_source = _all_pairs(target), _all_pairs(source)
+    pairs_target, pairs_source = all_pairs(target), all_pairs(source)
     for row, column in _alike(pairs_target, pairs_source):
         (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
         for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):

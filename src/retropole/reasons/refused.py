@@ -24,6 +24,8 @@ RefusedCode = Literal[
     "degenerate_poles",
     "poles_scene_contradict",
     "scene_contradicts",
+    "mirrored",
+    "wrong_scale",
     "registration_failed",
     "refused",
 ]
@@ -199,6 +201,29 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "are of one placement, and that nobody carried or turned a pole in between.",
             "Check with `retropole detect` that both LiDARs found the same poles.",
             "If much of the scene itself moved, record again, both LiDARs at the same time.",
+        ),
+    ),
+    "mirrored": Explanation(
+        "One of the two clouds is mirrored",
+        "With one axis of one cloud reversed, poles and scene fit each other clearly better than "
+        "under any rigid motion. Which of two horizontal axes it is cannot be told: they differ by "
+        "a rotation. [How it is told](certainty.md#mirrored-and-scaled-clouds).",
+        (
+            "Look at the driver and at what converted the files: one of them has a left-handed "
+            "frame, or swaps or negates a coordinate.",
+            "In `retropole view`, letters on a sign or the steering wheel's side of a car show "
+            "which cloud it is.",
+            "Reverse that coordinate again, and calibrate again.",
+        ),
+    ),
+    "wrong_scale": Explanation(
+        "One of the two clouds is scaled",
+        "Lengths in the two clouds differ by a factor, which the message gives, with the unit "
+        "where it is that of one. [How it is told](certainty.md#mirrored-and-scaled-clouds).",
+        (
+            "Bring both clouds to metres: some programs write feet, centimetres or millimetres.",
+            "Where the factor is near 1, one LiDAR's ranges may be corrected twice or not at all. "
+            "Measure a known distance in both clouds.",
         ),
     ),
     "registration_failed": Explanation(

@@ -26,7 +26,7 @@ from ..alignment.certainty import (
 )
 from ..alignment.factor import POSE, PoleFactor, gaussian_factor
 from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
-from ..systematic import ErrorModel, Layout, groups_of, joined
+from ..systematic import DEVICE_KINDS, ErrorModel, Layout, groups_of, joined
 from ..uncertainty import Uncertainty
 from .descent import FEW, End, RefinementProblem, approach, settle, support_of
 from .patch_pairs import (
@@ -52,6 +52,12 @@ DISAGREE = 12.6
 """Squared Mahalanobis distance of the poles' pose from which it is not taken for chance that the
 scene has another: the covariance then covers both."""
 
+
+SCALE = next(k for k, kind in enumerate(DEVICE_KINDS) if kind.field == "scale")
+"""Which of the errors of a whole LiDAR is that of the scale of its ranges."""
+
+MAX_SCALE_SIGMA = 0.1
+"""1 σ of that scale from which the surfaces say nothing of it."""
 
 UNSURE = 0.01
 """Part of their information that poles keep when the scene is asked nearly alone: ten times their
@@ -81,6 +87,9 @@ class Refinement:
         that is another pose; empty mostly.
     converged, iterations
         Whether the last step was below its tolerance, and how many were taken.
+    scale
+        By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
+        the error of its ranges' scale; None where nothing tells.
     """
 
     pose: PoseEstimate
@@ -91,6 +100,7 @@ class Refinement:
     other_minima: tuple[Array, ...]
     converged: bool
     iterations: int
+    scale: tuple[float, float] | None = None
 
 
 def refine(
@@ -190,7 +200,25 @@ def refine(
         tuple(minima),
         best.converged,
         best.iterations,
+        _scale_wanted(best, problem),
     )
+
+
+def _scale_wanted(end: End, problem: RefinementProblem) -> tuple[float, float] | None:
+    """What the data alone say of the scale between the LiDARs' ranges: without its prior.
+
+    ``b`` is normal with the variance ``v`` and has had the prior precision ``p`` about 0: without,
+    its information is ``1/v − p``. Mean of freeing the target's and the source's.
+    """
+    found = []
+    for lidar, sign in ((0, 1.0), (1, -1.0)):
+        k = problem.factor.layout.device(lidar).start + SCALE
+        variance = float(end.linear.inverse[POSE + k, POSE + k])
+        information = 1.0 / variance - float(end.linear.precision[k])
+        if information * MAX_SCALE_SIGMA**2 < 1.0:
+            return None
+        found.append((sign * float(end.linear.errors[k]) / variance / information, information))
+    return 1.0 + (found[0][0] + found[1][0]) / 2, max(one[1] ** -0.5 for one in found)
 
 
 def _distance_sq(covariance: Array, T: Array, T_other: Array) -> float:

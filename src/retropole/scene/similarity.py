@@ -1,0 +1,216 @@
+"""Whether a cloud is mirrored or scaled: what a rigid motion cannot put right, named as such.
+
+After a refusal the poles are matched again with one cloud mirrored, and with one cloud scaled. What
+is found counts only where the scene then agrees well, and clearly better than under any rigid
+motion: under those that the poles allow, and under those that come nearest to what was found, since
+a place may be its own mirror image but for a few things in it. It never gives a pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..datatypes import Array, Hypothesis, Placement, PointCloud, Scan
+from ..errors import Refusal
+from ..matching.similar import Change, changed_cloud
+from .refinement import Refinement
+from .similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
+
+EXPLAINED = {
+    *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
+    *("placements_disagree", "poor_fit", "poles_inconsistent", "degenerate_poles"),
+    *("poles_scene_contradict", "scene_contradicts", "prior_contradicted"),
+}
+"""Refusals that a mirrored or scaled cloud may cause."""
+
+SCALE_SIGMAS = 3.0
+"""An answer's scale is denied where it is off by more than `LEAST_CHANGE` and so many σ."""
+
+UNITS = {
+    "feet": 0.3048,
+    "inches": 0.0254,
+    "centimetres": 0.01,
+    "millimetres": 0.001,
+}
+"""Units that clouds come in, metres."""
+
+SAME_UNIT = 0.02
+"""A factor is taken for that of a unit where it differs by no larger part."""
+
+REACH_RATIO = 2.5
+"""A unit is tried where it brings the median ranges of both clouds to within this factor."""
+
+LEVEL = 0.5
+"""Cosine between the LiDARs' axes from which both stand upright, or one is upside down."""
+
+Find = Callable[[PointCloud], Scan]
+
+
+def explained(
+    refusal: Refusal,
+    placements: Sequence[Placement],
+    hypotheses: Sequence[Hypothesis],
+    find: tuple[Find, Find],
+) -> Refusal:
+    """Say of a refusal where a mirrored or scaled cloud is its cause.
+
+    Parameters
+    ----------
+    refusal
+        Why there is no answer.
+    placements
+        What was found.
+    hypotheses
+        Rigid poses from the source of the first placement; empty where the poles gave none.
+    find
+        Find the poles in a target's and in a source's cloud.
+
+    Returns
+    -------
+    Refusal
+        ``mirrored`` or ``wrong_scale``; the same as was given where neither is found.
+    """
+    if refusal.code not in EXPLAINED or not placements:
+        return refusal
+    first = placements[0]
+    poles = min(len(first.target.poles), len(first.source.poles))
+    if poles > 1:
+        rigid = [each.match.T_target_source for each in hypotheses]
+        found = find_change(first, rigid)
+        if found is not None:
+            return _refusal(*found, first)
+    for factor, changed in _in_other_units(first, find):
+        found = find_change(changed, (), is_changed=True)
+        if found is not None:
+            best, rival = found
+            change = replace(best.change, factor=best.change.factor * factor)
+            return _refusal(replace(best, change=change), rival, first)
+    return refusal
+
+
+def check_similarity(refined: Refinement | None, placements: Sequence[Placement], T: Array) -> None:
+    """Refuse an answer whose surfaces want another scale, or whose clouds fit better mirrored.
+
+    Parameters
+    ----------
+    refined
+        What the scene made of the pose.
+    placements
+        What was found; the first is tried mirrored.
+    T
+        (4, 4) the answer, target from source.
+
+    Raises
+    ------
+    Refusal
+        ``wrong_scale`` or ``mirrored``.
+    """
+    found = find_mirror(placements[0], T)
+    if found is not None:
+        raise _refusal(*found, placements[0])
+    if refined is None or refined.scale is None:
+        return
+    factor, sigma = refined.scale
+    if abs(factor - 1.0) <= max(LEAST_CHANGE, SCALE_SIGMAS * sigma):
+        return
+    raise Refusal(
+        "wrong_scale",
+        f"lengths in the source must be multiplied by {factor:.4f} (1 σ: {sigma:.4f}) to be those "
+        f"in the target{_unit_words(factor)}: one of the two clouds is scaled, or the pose is "
+        "wrong",
+        {"factor": factor, "sigma": sigma, **_unit_values(factor)},
+    )
+
+
+def _in_other_units(
+    placement: Placement, find: tuple[Find, Find]
+) -> Iterator[tuple[float, Placement]]:
+    """Find the poles again with one cloud brought to the other's unit; the source's factor first.
+
+    In feet a pole of 4 cm is as thick as one of 13 cm, and is none.
+    """
+    clouds = placement.target.cloud, placement.source.cloud
+    if any(len(cloud) == 0 for cloud in clouds):
+        return
+    far = [float(np.median(np.linalg.norm(each.xyz - each.origin, axis=1))) for each in clouds]
+    for unit in UNITS.values():
+        for factor in (unit, 1.0 / unit):
+            off = abs(np.log(far[0] / (factor * far[1])))
+            is_near = off < min(np.log(REACH_RATIO), abs(np.log(far[0] / far[1])))
+            if not is_near:
+                continue
+            source = find[1](changed_cloud(clouds[1], Change(factor)))
+            if len(source.poles) > 1 and len(placement.target.poles) > 1:
+                yield factor, replace(placement, source=source)
+            target = find[0](changed_cloud(clouds[0], Change(1.0 / factor)))
+            if len(target.poles) > 1 and len(placement.source.poles) > 1:
+                yield factor, replace(placement, target=target)
+
+
+def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal:
+    agreed = found.agreed
+    figures = {
+        "agreeing": agreed.agreeing,
+        "contradicting": agreed.contradicting,
+        **({} if rigid is None else {"rigid_agreeing": rigid.agreed.agreeing}),
+        **({} if rigid is None else {"rigid_contradicting": rigid.agreed.contradicting}),
+    }
+    shown = f"{agreed.agreeing} of {agreed.total} places off the ground then agree"
+    if rigid is not None:
+        shown += f", {rigid.agreed.agreeing} of {rigid.agreed.total} under the best rigid motion"
+    if not found.change.mirrored:
+        factor = found.change.factor
+        return Refusal(
+            "wrong_scale",
+            f"lengths in the source must be multiplied by {factor:.4f} to be those in the target"
+            f"{_unit_words(factor)}: {shown}; bring both clouds to metres",
+            {"factor": factor, **_unit_values(factor), **figures},
+        )
+    axis = _mirrored_axis(found, placement)
+    words = {
+        "horizontal": "one horizontal axis",
+        "vertical": "the vertical axis, or a horizontal one where a LiDAR hangs upside down,",
+        "unknown": "one axis",
+    }[axis]
+    return Refusal(
+        "mirrored",
+        f"{words} of one of the two clouds is reversed: {shown}; look at the driver's axes "
+        "(left-handed?), and at what converted the files",
+        {"axis": axis, "lidar": "one of the two", **figures},
+    )
+
+
+def _mirrored_axis(found: Found, placement: Placement) -> str:
+    """Which axis is reversed, as far as the LiDARs' own axes tell under the pose.
+
+    Two horizontal ones differ by a rotation about the vertical one.
+    """
+    moved = found.T[:3, :3] @ changed_cloud(placement.source.cloud, found.change).axis
+    cosine = float(placement.target.cloud.axis @ moved)
+    if abs(cosine) < LEVEL:
+        return "unknown"
+    return "horizontal" if cosine > 0 else "vertical"
+
+
+def _unit_of(factor: float) -> str | None:
+    """Name the unit that one of two clouds is in, where a factor is that of one to metres."""
+    for name, size in UNITS.items():
+        if abs(abs(np.log(factor)) + np.log(size)) < SAME_UNIT:
+            return name
+    return None
+
+
+def _unit_words(factor: float) -> str:
+    name = _unit_of(factor)
+    if name is None:
+        return ""
+    lidar = "source" if factor < 1 else "target"
+    return f" ({UNITS[name]:g}: is the {lidar} in {name}?)"
+
+
+def _unit_values(factor: float) -> dict[str, float | int | str]:
+    name = _unit_of(factor)
+    return {} if name is None else {"unit": name, "unit_m": UNITS[name]}
