@@ -202,7 +202,7 @@ REFUSED: dict[RefusedCode, Explanation] = {
         (
             "Look at the driver and at what converted the files: one of them has a left-handed "
             "frame, or swaps or negates a coordinate.",
-            "In `retropole view`, whatever stands left and right of a LiDAR shows which cloud it is.",
+            "In `retropole view`, what stands left and right of a LiDAR shows which cloud it is.",
             "Reverse that coordinate again, and calibrate again.",
         ),
     ),

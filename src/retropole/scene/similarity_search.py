@@ -35,8 +35,8 @@ CLEARLY_BETTER, AS_MANY = 1.15, 0.95
 """By the first factor more points lie on the other cloud's surfaces than under any rigid motion,
 in a mirrored cloud times that by which more places agree, neither being fewer. In a scaled one
 places are no fewer than by the last: 2 % of scale are within the tolerance of the depth. Of three
-mirrored clouds that were answered though more than ground is in view (benchmarks/deception.py, seeds
-below 120) the product was 1.18 in a street of plain fronts, and 1.7 and more in the others."""
+mirrored clouds that were answered off bare ground (benchmarks/deception.py, seeds below 120) the
+product was 1.18 in a street of plain fronts, and 1.7 and more in the others."""
 
 WORSE_CONTRADICTED = 0.01
 """By no more the share of the places that deny it is above that of a rigid motion."""
