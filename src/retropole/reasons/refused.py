@@ -211,8 +211,7 @@ REFUSED: dict[RefusedCode, Explanation] = {
         (
             "Look at the driver and at what converted the files: one of them has a left-handed "
             "frame, or swaps or negates a coordinate.",
-            "In `retropole view`, letters on a sign or the steering wheel's side of a car show "
-            "which cloud it is.",
+            "In `retropole view`, what stands left and right of a LiDAR shows which cloud it is.",
             "Reverse that coordinate again, and calibrate again.",
         ),
     ),
