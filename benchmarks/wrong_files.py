@@ -2,7 +2,8 @@
 
 A wrong pair has its target recorded at one place and its source at another, with the same taped
 poles cast into both, as each LiDAR would have seen them had both stood about one pair of LiDARs:
-the poles agree with each other exactly, and the ground is level under both. The bearing and the
+the poles agree with each other exactly, the ground is level under both, and timestamps, which would
+tell, are left out. The bearing and the
 distance between the LiDARs are those of a right pair, drawn by the seed; half of the draws mix two
 recordings of the same rig, a Pandar64 and a PandarQT, the others any two. Every answer is wrong.
 Right pairs are those of `semireal`, drawn as there.
@@ -110,7 +111,8 @@ def recordings(data: Path) -> dict[str, Recording]:
 def _standing(
     name: str, place: str, cloud: PointCloud, sensor: Sensor | None, up: Array
 ) -> Recording:
-    """Find the ground about a LiDAR, whose up is known roughly."""
+    """Find the ground about a LiDAR whose up is known roughly; times go: the scene has to tell."""
+    cloud = replace(cloud, time=None, recorded=None)
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     points = cloud.xyz[(ranges > NEAR[0]) & (ranges < NEAR[1])] - cloud.origin
     points = points[points @ up < 0]
@@ -147,9 +149,7 @@ def pose_of(pair: str, target: Recording, source: Recording, data: Path) -> Arra
     return se3.inverse(_level(target.up)) @ planar @ _level(source.up)
 
 
-def mixed_up(
-    rng: np.random.Generator, data: Path
-) -> tuple[Recording, Recording, str, bool]:
+def mixed_up(rng: np.random.Generator, data: Path) -> tuple[Recording, Recording, str, bool]:
     """Draw a target, a source of another place, and the right pair whose pose they get."""
     own = list(recordings(data).values())
     is_rig = bool(rng.uniform() < 0.5)
@@ -171,9 +171,7 @@ def run_wrong(job: tuple[int, Path]) -> Wrong:
         T = pose_of(pair, target, source, data)
         sensors = target.sensor, source.sensor
         try:
-            made = insert_poles(
-                target.cloud, source.cloud, T, rng, sensors=sensors, up=target.up
-            )
+            made = insert_poles(target.cloud, source.cloud, T, rng, sensors=sensors, up=target.up)
         except SimulationError:
             continue
         answer = calibrate(made.target, made.source, sensors=sensors)

@@ -48,6 +48,9 @@ class PointCloud:
         (N,) int64 index of the sweep that the point came from, or None for a single sweep.
     origin, axis
         (3,) where the beams start, and the unit vector about which they turn.
+    recorded
+        First and last time of recording, Unix seconds of the recorder's clock; None where the file
+        does not say.
     dropped, source, fields
         How many points the reader dropped (not finite, or at zero range), the file or folder it
         came from, and what that calls its values, with their types.
@@ -60,6 +63,7 @@ class PointCloud:
     frame: IntArray | None = None
     origin: Array = field(default_factory=lambda: np.zeros(3))
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    recorded: tuple[float, float] | None = None
     dropped: int = 0
     source: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)

@@ -16,6 +16,7 @@ from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
 from .scene.consistency import Consistency, unconfirmed
 from .scene.refinement import Refinement
+from .scene.static import other_times
 from .uncertainty import WeakDirection
 
 RIVAL_OVERLAP = 0.62
@@ -143,6 +144,7 @@ def weaknesses(
     most = max(len(each.target_poles) for each in paired)
     return [
         *unconfirmed(consistent, most, len(paired)),
+        *other_times([each.placement for each in paired]),
         *doubtful_reasons(paired, hypotheses),
         *_weak_choice(hypotheses),
         *_weak_poles(paired),
