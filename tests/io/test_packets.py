@@ -10,6 +10,7 @@ import pytest
 
 from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import open_recording, read_cloud, read_frames
+from retropole.io.recordings import time_of_recording
 from tests.io.files import required
 from tests.paths import SHARED
 
