@@ -9,8 +9,8 @@ from retropole.datatypes import BoolArray, Placement, PointCloud, Reason, Scan
 from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.extraction.poles import extract_poles
-from retropole.pipeline import calibrate
 from retropole.io.recordings import time_of_recording
+from retropole.pipeline import calibrate
 from retropole.scene.static import (
     MAX_APART,
     check_static,
