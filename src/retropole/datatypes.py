@@ -49,8 +49,7 @@ class PointCloud:
     origin, axis
         (3,) where the beams start, and the unit vector about which they turn.
     recorded
-        First and last time of recording, Unix seconds of the recorder's clock; None where the file
-        does not say.
+        First and last time by the recorder's clock, Unix seconds; None where the file has none.
     dropped, source, fields
         How many points the reader dropped (not finite, or at zero range), the file or folder it
         came from, and what that calls its values, with their types.
@@ -82,11 +81,8 @@ class PointCloud:
 
     def select(self, index: BoolArray | IntArray) -> PointCloud:
         """Keep the points of a mask or index array (points, not `dropped`, are re-counted)."""
-        kept: dict[str, Any] = {"xyz": self.xyz[index]}
-        for name in PER_POINT:
-            value = getattr(self, name)
-            kept[name] = None if value is None else value[index]
-        return replace(self, **kept)
+        columns = {name: getattr(self, name) for name in ("xyz", *PER_POINT)}
+        return replace(self, **{k: v[index] for k, v in columns.items() if v is not None})
 
     def transformed(self, T_new_old: Array) -> PointCloud:
         """Express the cloud, its beam origin and axis included, in another frame."""
