@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole.quantities import Unit, error, percent, value, value_and_error
+from retropole.quantities import Unit, duration, error, percent, value, value_and_error
 
 SCALES = {" mm": 1e-3, " m": 1.0, "°": 3.141592653589793 / 180, " ‰": 1e-3}
 sigmas = st.floats(1e-7, 1e3)
@@ -77,3 +77,11 @@ def test_a_value_ends_where_its_error_does(number: float, sigma: float, unit: Un
 )
 def test_as_a_person_writes_it(written: str, said: str) -> None:
     assert written == said
+
+
+@pytest.mark.parametrize(("seconds", "words"), [
+    (0.0, "0 s"), (60.0, "60 s"), (119.0, "120 s"), (120.0, "2.0 min"), (5400.0, "90 min"),
+    (3 * 3600.0, "3.0 h"), (47 * 3600.0, "47 h"), (86400 * 31.0, "31 d"),
+])  # fmt: skip
+def test_a_duration_has_a_unit_that_fits(seconds: float, words: str) -> None:
+    assert duration(seconds) == words

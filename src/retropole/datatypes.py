@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,8 @@ class PointCloud:
         (N,) int64 index of the sweep that the point came from, or None for a single sweep.
     origin, axis
         (3,) where the beams start, and the unit vector about which they turn.
+    recorded
+        First and last time by the recorder's clock, Unix seconds; None where the file has none.
     dropped, source, fields
         How many points the reader dropped (not finite, or at zero range), the file or folder it
         came from, and what that calls its values, with their types.
@@ -60,6 +62,7 @@ class PointCloud:
     frame: IntArray | None = None
     origin: Array = field(default_factory=lambda: np.zeros(3))
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    recorded: tuple[float, float] | None = None
     dropped: int = 0
     source: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)
@@ -78,11 +81,8 @@ class PointCloud:
 
     def select(self, index: BoolArray | IntArray) -> PointCloud:
         """Keep the points of a mask or index array (points, not `dropped`, are re-counted)."""
-        kept: dict[str, Any] = {"xyz": self.xyz[index]}
-        for name in PER_POINT:
-            value = getattr(self, name)
-            kept[name] = None if value is None else value[index]
-        return replace(self, **kept)
+        columns = {name: getattr(self, name) for name in ("xyz", *PER_POINT)}
+        return replace(self, **{k: v[index] for k, v in columns.items() if v is not None})
 
     def transformed(self, T_new_old: Array) -> PointCloud:
         """Express the cloud, its beam origin and axis included, in another frame."""

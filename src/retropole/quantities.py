@@ -59,6 +59,20 @@ def percent(share: float) -> str:
     return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
 
 
+def duration(seconds: float) -> str:
+    """Write how long something takes, with two significant digits: ``45 s``, ``3.2 h``, ``12 d``.
+
+    Parameters
+    ----------
+    seconds
+        Zero or more.
+    """
+    sizes = ((86400.0, " d"), (3600.0, " h"), (60.0, " min"))
+    # Two of a unit or more: 1.5 h is better read as 90 min.
+    size, symbol = next(((s, u) for s, u in sizes if seconds >= 2 * s), (1.0, " s"))
+    return _fixed(seconds / size, _decimals(seconds / size)) + symbol
+
+
 def _beside(number: float | None, sigma: float, unit: Unit, plus_minus: str) -> str:
     if number is None or not math.isfinite(number) or not math.isfinite(sigma):
         return UNKNOWN

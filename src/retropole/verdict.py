@@ -16,6 +16,7 @@ from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
 from .scene.confirmation import unconfirmed
 from .scene.refinement import Refinement
+from .scene.static import other_times
 from .uncertainty import Confirmation, WeakDirection
 
 RIVAL_OVERLAP = 0.62
@@ -142,6 +143,7 @@ def weaknesses(
     """
     return [
         *unconfirmed(confirmation),
+        *other_times([each.placement for each in paired]),
         *doubtful_reasons(paired, hypotheses),
         *_weak_choice(hypotheses),
         *_weak_poles(paired),

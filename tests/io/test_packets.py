@@ -10,6 +10,7 @@ import pytest
 
 from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import open_recording, read_cloud, read_frames
+from retropole.io.recordings import time_of_recording
 from tests.io.files import required
 from tests.paths import SHARED
 
@@ -60,6 +61,7 @@ def test_a_velodyne_is_read_as_velodyne_decoder_reads_it(name: str) -> None:
     lengths = [len(points) for _, points in sweeps]
     np.testing.assert_array_equal(read.frame, np.repeat(range(len(sweeps)), lengths))
     starts = np.repeat([stamp.host for stamp, _ in sweeps], lengths)
+    assert time_of_recording(read) == pytest.approx((starts[0], starts[-1]), abs=0.2)
     np.testing.assert_allclose(read.time - starts, table[:, fields.time], atol=1e-6)
 
 

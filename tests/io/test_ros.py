@@ -67,6 +67,7 @@ def test_every_kind_of_bag_gives_back_what_was_written(tmp_path: Path, kind: str
     np.testing.assert_array_equal(whole.xyz, np.concatenate([cloud.xyz for cloud in clouds]))
     np.testing.assert_array_equal(whole.frame, np.repeat(range(5), [40, 41, 42, 43, 44]))
     assert whole.source == str(path)
+    assert whole.recorded == pytest.approx((START / 1e9, START / 1e9 + 0.4))
     assert len(sha256_of(path)) == 64
 
 

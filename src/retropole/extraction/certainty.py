@@ -1,4 +1,4 @@
-"""What makes a line that could be a pole a doubtful one: thick, interrupted, or seen end on.
+"""What makes a line that could be a pole a doubtful one: thick, interrupted, seen end on, or worn.
 
 Such a line is no pole for what sure poles are used for, and is kept among the doubtful ones. See
 docs/detection.md, Certain or doubtful.
@@ -11,6 +11,7 @@ import numpy as np
 from ..datatypes import DEFAULT_RADIUS, PointCloud
 from .acceptance_shape import Failure
 from .beams import RMS_PER_RADIUS
+from .bodies import worn_by_a_body
 from .lines import RING_GAP, Line, distance_and_place
 from .neighbours import NEGLIGIBLE
 from .surroundings import PIECES
@@ -52,6 +53,7 @@ def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -
         too_thick_for_radius(cloud, line, radius)
         or _interrupted(cloud, line)
         or (_end_on(cloud, line) if knows_origin else None)
+        or worn_by_a_body(cloud, line)
     )
 
 

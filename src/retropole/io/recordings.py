@@ -19,6 +19,10 @@ MAX_RECORDING_POINTS = 1_000_000
 """By default, frames are left out evenly so that about this many points are read: 10 sweeps of a
 sensor with 128 rings, 40 of one with 16."""
 
+UNIX_SECONDS = 1e9, 1e11
+"""Stamps in this range are Unix time, seconds: from 2001 on. Clocks that were never set, and those
+that start with the recording, stay below it."""
+
 SIZED_FRAMES = 3
 """Number of first frames that show how large a frame is: of packets, the very first is short."""
 
@@ -223,6 +227,29 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
         ring=column("ring"),
         time=column("time"),
         frame=numbers.astype(np.int64) if len(frames) > 1 else None,
+        recorded=_recorded([frame.stamp for frame in full]),
         dropped=dropped,
         source=str(recording.path),
     )
+
+
+def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
+    """First and last of the stamps; None unless all are Unix time."""
+    known = [stamp for stamp in stamps if stamp is not None and _is_unix(stamp)]
+    return (min(known), max(known)) if known and len(known) == len(stamps) else None
+
+
+def _is_unix(seconds: float) -> bool:
+    return UNIX_SECONDS[0] <= seconds < UNIX_SECONDS[1]
+
+
+def time_of_recording(cloud: PointCloud) -> tuple[float, float] | None:
+    """First and last time at which a cloud was recorded, Unix seconds; None where it is not known.
+
+    The points' own times go first, where they are Unix time. When a file was written says nothing.
+    """
+    if cloud.time is not None and len(cloud.time):
+        first, last = float(np.nanmin(cloud.time)), float(np.nanmax(cloud.time))
+        if _is_unix(first) and _is_unix(last):
+            return first, last
+    return cloud.recorded

@@ -16,6 +16,7 @@ ClusterCode = Literal[
     "goes_on_without_tape",
     "interrupted",
     "end_on",
+    "on_a_body",
 ]
 
 CLUSTER: dict[ClusterCode, Explanation] = {
@@ -63,5 +64,12 @@ CLUSTER: dict[ClusterCode, Explanation] = {
         "Seen nearly end on",
         "It runs within 15° of the line of sight: a line on the ground, or the edge of something.",
         ("If it is your pole, lean it less towards the LiDAR.",),
+    ),
+    "on_a_body": Explanation(
+        "A band on a person",
+        "Something with air about it stands within 0.65 m of it, and goes on above it and below "
+        "it: a band that a person wears or holds. People walk on between the recordings. It counts "
+        "only where the other LiDAR and the scene confirm it.",
+        ("If it is your pole, let nobody stand beside it, or tape it to its top.",),
     ),
 }

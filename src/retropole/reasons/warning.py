@@ -8,6 +8,7 @@ from .explanation import Explanation
 
 WarningCode = Literal[
     "not_confirmed",
+    "other_times",
     "not_converged",
     "small_margin",
     "doubtful_poles",
@@ -33,6 +34,18 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Add a third pole, or a second placement.",
             "Or stand boxes or a car where both LiDARs see them, and record again, both LiDARs at "
             "the same time.",
+        ),
+    ),
+    "other_times": Explanation(
+        "The two LiDARs recorded at other times",
+        "By their timestamps the two recordings of a placement lie more than a minute apart. Poles "
+        "or a LiDAR that were moved in between look the same as another pose, and so do files of "
+        "two days or two places. Only timestamps that are dates count: those of bags, of packet "
+        "captures, and of points in Unix seconds; never the dates of files.",
+        (
+            "Check that the files belong together, and that nothing was moved in between.",
+            "Where a clock is wrong and both recorded at the same time, use the answer.",
+            "Better: record both LiDARs at the same time.",
         ),
     ),
     "not_converged": Explanation(

@@ -1,0 +1,74 @@
+"""Whether a line is a band on something that stands about it, as on a person.
+
+A band is worn, or held: the body goes on above it and below it, and has air around. A pole stands
+on the ground and is as high as a person, so that nothing near it goes on beyond both of its ends.
+A wall does, but has no end beside the line either.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..datatypes import BoolArray, PointCloud
+from .acceptance_shape import Failure
+from .lines import Line, distance_and_place
+
+REACH = 0.65
+"""A body lies no farther from its band, metres: held off by an arm's length of half a metre, and
+0.3 m deep, half of it seen."""
+
+AIR = 1.1
+"""Up to this distance from the band, metres, there is air about a body."""
+
+MAX_AROUND = 0.3
+"""Returns in the air about a body, for each of its own, at most."""
+
+MIN_ALONG = 0.75
+"""Least share of the band's returns that have one of the body beside them."""
+
+BEYOND = 0.15
+"""A body goes on beyond both ends by this and by a step from ring to ring, metres."""
+
+MIN_BEYOND = 3
+"""Returns of the body beyond each end, at least."""
+
+
+def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
+    """Say that a line is a band on a body; None where it is not.
+
+    Parameters
+    ----------
+    cloud, line
+        The cloud, and the line found in it.
+    """
+    low, high = float(line.along.min()), float(line.along.max())
+    beyond = max(BEYOND, line.step)
+    half = max(high, -low) + 2 * beyond + line.step
+    near = np.flatnonzero(np.all(np.abs(cloud.xyz - line.point) < np.hypot(half, AIR), axis=1))
+    distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
+    body = (distance > line.tube) & (distance <= REACH)
+    around = (distance > REACH) & (distance <= AIR)
+
+    def is_free(part: BoolArray) -> bool:
+        """Whether there is something of a body in a part (M,), and air about it."""
+        own = np.count_nonzero(body & part)
+        return bool(own >= MIN_BEYOND and np.count_nonzero(around & part) <= MAX_AROUND * own)
+
+    if not is_free((along >= low) & (along <= high)):
+        return None
+    places = np.sort(along[body])
+    after = np.clip(np.searchsorted(places, line.along), 1, len(places) - 1)
+    apart = np.minimum(np.abs(places[after] - line.along), np.abs(line.along - places[after - 1]))
+    if np.mean(apart < line.step) < MIN_ALONG:
+        return None
+    above = (along > high) & (along < high + beyond + line.step)
+    below = (along < low) & (along > low - beyond - line.step)
+    if not (is_free(above) and is_free(below)):
+        return None
+    count = int(np.count_nonzero(body & (along >= low) & (along <= high)))
+
+    return Failure(
+        "on_a_body",
+        f"{count} returns up to {REACH:g} m beside it go on beyond both its ends, with air about "
+        "them: a band that a person wears or holds",
+    )
