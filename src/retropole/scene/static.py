@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from .. import quantities
-from ..datatypes import Array, IntArray, Placement, PointCloud, Pole, Reason
+from ..datatypes import Array, IntArray, PointCloud, Pole
 from ..errors import Refusal
-from ..io.recordings import time_of_recording
 from .visibility import Cells, cells_of, nearest_around, range_margin
 
 MIN_FRAMES = 3
@@ -25,10 +23,6 @@ RUNS = 6
 MAX_DRIFT, DRIFT_SIGMAS = 0.02, 5.0
 """A pole moved if it strays by the first, metres, the radius of a pole, and by so many times the
 noise."""
-
-MAX_APART = 60.0
-"""Recordings that lie further apart than this were made at other times, seconds. Clocks that are
-set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
 
 MEDIAN_VARIANCE = np.pi / 2
 """Variance of the median of many normal values, as a multiple of that of their mean."""
@@ -124,27 +118,4 @@ def check_static(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:
                 f"pole {k} of the {name} strays by {100 * distance:.1f} cm between frames, "
                 f"{distance / sigma:.0f} times its noise: hold the poles still, or record again",
                 {"lidar": name, "pole": k, "drift_m": distance, "sigma_m": sigma},
-            )
-
-
-def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
-    """Warn of placements that the two LiDARs recorded at other times, as far as their clocks say.
-
-    What was moved in between looks the same as another pose.
-    """
-    for k, placement in enumerate(placements):
-        target, source = (
-            time_of_recording(scan.cloud) for scan in (placement.target, placement.source)
-        )
-        if target is None or source is None:
-            continue
-        apart = max(target[0] - source[1], source[0] - target[1])
-        if apart > MAX_APART:
-            of = "" if len(placements) == 1 else f" of placement {k}"
-            yield Reason(
-                "other_times",
-                f"by their timestamps the two recordings{of} lie {quantities.duration(apart)} "
-                f"apart ({quantities.duration(MAX_APART)} are allowed): the answer is right only "
-                "if the poles and the LiDARs stood still in between",
-                {"placement": k, "apart_s": apart, "allowed_s": MAX_APART},
             )
