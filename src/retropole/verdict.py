@@ -16,7 +16,7 @@ from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
 from .scene.confirmation import unconfirmed
 from .scene.refinement import Refinement
-from .scene.static import other_times
+from .scene.times import other_times
 from .uncertainty import Confirmation, WeakDirection
 
 RIVAL_OVERLAP = 0.62

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from .. import quantities, se3
-from ..datatypes import Array, IntArray, Placement, PointCloud, Pole
-from ..errors import Reason, Refusal
-from ..io.recordings import time_of_recording
+from .. import se3
+from ..datatypes import Array, IntArray, PointCloud, Pole
+from ..errors import Refusal
 from .registration import prepare, register
 from .visibility import Cells, cells_of, nearest_around, range_margin
 
@@ -35,10 +34,6 @@ that stood came to 0.11° at most, those of 24 that were bumped by 0.5 to 6° to
 TURN_VOXEL, TURN_DISTANCE, TURN_PART = 0.3, 1.0, 3
 """Clouds are downsampled to this to see whether a LiDAR turned, points correspond within this,
 metres, and one part of so many of the frames is taken from the start, one from the end."""
-
-MAX_APART = 60.0
-"""Recordings that lie further apart than this were made at other times, seconds. Clocks that are
-set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
 
 MEDIAN_VARIANCE = np.pi / 2
 """Variance of the median of many normal values, as a multiple of that of their mean."""
@@ -178,27 +173,4 @@ def check_static(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:
                 f"pole {k} of the {name} strays by {100 * distance:.1f} cm between frames, "
                 f"{distance / sigma:.0f} times its noise: hold the poles still, or record again",
                 {"lidar": name, "pole": k, "drift_m": distance, "sigma_m": sigma},
-            )
-
-
-def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
-    """Warn of placements that the two LiDARs recorded at other times, as far as their clocks say.
-
-    What was moved in between looks the same as another pose.
-    """
-    for k, placement in enumerate(placements):
-        target, source = (
-            time_of_recording(scan.cloud) for scan in (placement.target, placement.source)
-        )
-        if target is None or source is None:
-            continue
-        apart = max(target[0] - source[1], source[0] - target[1])
-        if apart > MAX_APART:
-            of = "" if len(placements) == 1 else f" of placement {k}"
-            yield Reason(
-                "other_times",
-                f"by their timestamps the two recordings{of} lie {quantities.duration(apart)} "
-                f"apart ({quantities.duration(MAX_APART)} are allowed): the answer is right only "
-                "if the poles and the LiDARs stood still in between",
-                {"placement": k, "apart_s": apart, "allowed_s": MAX_APART},
             )

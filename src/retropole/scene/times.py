@@ -1,0 +1,37 @@
+"""When a scene was recorded: two LiDARs that look at other times may look at other scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from .. import quantities
+from ..datatypes import Placement
+from ..errors import Reason
+from ..io.recordings import time_of_recording
+
+MAX_APART = 60.0
+"""Recordings that lie further apart than this were made at other times, seconds. Clocks that are
+set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
+
+
+def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
+    """Warn of placements that the two LiDARs recorded at other times, as far as their clocks say.
+
+    What was moved in between looks the same as another pose.
+    """
+    for k, placement in enumerate(placements):
+        target, source = (
+            time_of_recording(scan.cloud) for scan in (placement.target, placement.source)
+        )
+        if target is None or source is None:
+            continue
+        apart = max(target[0] - source[1], source[0] - target[1])
+        if apart > MAX_APART:
+            of = "" if len(placements) == 1 else f" of placement {k}"
+            yield Reason(
+                "other_times",
+                f"by their timestamps the two recordings{of} lie {quantities.duration(apart)} "
+                f"apart ({quantities.duration(MAX_APART)} are allowed): the answer is right only "
+                "if the poles and the LiDARs stood still in between",
+                {"placement": k, "apart_s": apart, "allowed_s": MAX_APART},
+            )
