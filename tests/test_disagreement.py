@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole import se3
 from retropole.pipeline import calibrate
-from retropole.simulation import SimulatedPair, record_again, simulate_pair
+from retropole.simulation import NOISE_MODELS, SimulatedPair, record_again, simulate_pair
 from tests.numeric import CHI2_6_95, mahalanobis_sq
 
 SCENES = ("street", "corridor", "harbor")
@@ -58,3 +59,27 @@ def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
     if answer.status != "refused":
         assert answer.refined is not None
         assert mahalanobis_sq(answer.refined, pair.T_target_source) < BEYOND_3_SIGMA
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.05, 0.3])
+def test_one_of_three_poles_that_moved_is_left_out(distance: float) -> None:
+    """Or the answer is refused: moved by little, it may be any of them. Never is it wrong."""
+    left_out = 0
+    for scene, seed in (("harbor", 101), ("street", 102), ("harbor", 104)):
+        rng = np.random.default_rng(seed)
+        pair = simulate_pair(scene, rng, poles=3, noise=NOISE_MODELS["typical"])
+        first, *rest = pair.poles
+        step = distance * np.array([0.6, 0.8, 0.0])
+        poles = (replace(first, centre=first.centre + step), *rest)
+        between = replace(pair, surfaces=(*pair.surroundings, *poles), poles=poles)
+        later = record_again(between, np.random.default_rng(seed))
+        answer = calibrate(pair.target, later.source, sensors=pair.sensors)
+        if answer.T_target_source is None:
+            continue
+        codes = [reason.code for reason in answer.reasons]
+        assert ("pole_left_out" in codes) == (distance > 0)
+        left_out += "pole_left_out" in codes
+        off = se3.difference(answer.T_target_source, pair.T_target_source)
+        assert off.rotation < np.radians(0.1)
+        assert off.translation < 0.02
+    assert left_out >= (0 if distance == 0 else 2)

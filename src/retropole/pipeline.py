@@ -38,7 +38,7 @@ from .matching.placements import (
 )
 from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
-from .scene.agreement import check_axes, check_contradiction
+from .scene.agreement import align_consistent, check_contradiction
 from .scene.confirmation import check_confirmation, confirm
 from .scene.refinement import Refinement, refine
 from .scene.similarity import check_similarity, explained
@@ -119,13 +119,14 @@ def calibrate(
             hypotheses = chosen.hypotheses
             if chosen.refusal is not None:
                 raise chosen.refusal
-            paired = chosen.paired
+            refine_poles = partial(refine_by_scene, placements, sensors=sensors, scene=scene)
+            paired: Sequence[PairedPlacement] = chosen.paired
             with step("align"):
-                aligned = align_poles(paired, hypotheses[0].match.T_target_source)
-                check_axes(aligned)
+                T_poles = hypotheses[0].match.T_target_source
+                paired, aligned = align_consistent(paired, T_poles, align_poles, refine_poles)
                 placements = leave_one_out(paired, aligned, align_poles)
             with step("refine"):
-                refined = refine_by_scene(placements, aligned, sensors) if scene else None
+                refined = refine_poles(aligned)
                 check_contradiction(refined)
             with step("confirm"):
                 pose = (aligned if refined is None else refined).pose.T_target_source
@@ -250,9 +251,13 @@ def align(
 def refine_by_scene(
     placements: Sequence[Placement],
     aligned: BeamAlignment,
+    *,
     sensors: tuple[Sensor | None, Sensor | None],
+    scene: bool,
 ) -> Refinement | None:
     """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
+    if not scene:
+        return None
     return refine(
         merged([placement.target.cloud for placement in placements]),
         merged([placement.source.cloud for placement in placements]),

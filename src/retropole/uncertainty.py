@@ -23,9 +23,9 @@ LEVER = 10.0
 MAX_LEAD = 4.0
 """A larger lead says no more: its σ takes places for independent, which neighbours are not."""
 
-PRIOR, PER_SHARE, PER_LEAD = -0.03, 0.50, -0.62
+PRIOR, PER_SHARE, PER_LEAD = -0.10, 0.49, -0.63
 """Of the log odds that an answer is wrong: for the share of the places that deny it (its logarithm)
-and for its lead. A logistic regression of 372 answers with two poles, 112 of them wrong
+and for its lead. A logistic regression of 366 answers with two poles, 112 of them wrong
 (benchmarks/deception.py, seeds 100 to 129, before any was refused for its scene). So it holds where
 as many recordings deceive as there; docs/certainty.md shows how well, on other seeds."""
 

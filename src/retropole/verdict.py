@@ -12,6 +12,7 @@ from .datatypes import Hypothesis, Pole, Scan
 from .errors import Reason, Refusal
 from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
+from .matching.extension import left_out
 from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
 from .scene.confirmation import unconfirmed
@@ -145,6 +146,7 @@ def weaknesses(
         *unconfirmed(confirmation),
         *other_times([each.placement for each in paired]),
         *doubtful_reasons(paired, hypotheses),
+        *_left_out(paired),
         *_weak_choice(hypotheses),
         *_weak_poles(paired),
         *_noisy_poles(paired[0], aligned),
@@ -165,6 +167,21 @@ def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:
             "look at the hypotheses in the report before you use the transform",
             {"margin": margin, "comfortable": WARN_MARGIN},
         )
+
+
+def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
+    """Say which poles were left out since they do not stand as the others do."""
+    for k, each in enumerate(paired):
+        target, source = each.placement.target.poles, each.placement.source.poles
+        of = "" if len(paired) == 1 else f" of placement {k}"
+        for i, j, distance in left_out(target, source, each.hypothesis.match):
+            yield Reason(
+                "pole_left_out",
+                f"pole {i} of the target and pole {j} of the source{of} lie "
+                f"{quantities.error(distance)} apart where the {len(each.target_poles)} others "
+                "agree, and were left out: did it move between the recordings?",
+                {"placement": k, "target": i, "source": j, "apart_m": distance},
+            )
 
 
 def _weak_poles(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:

@@ -154,6 +154,21 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
     assert done.returncode == 0, done.stderr
 
 
+def test_poles_that_the_user_vouches_for_are_recorded(tmp_path: Path) -> None:
+    done = retropole("simulate", "bare", "--seed", 3, "--out", tmp_path / "bare")
+    assert done.returncode == 0, done.stderr
+    files = tmp_path / "bare" / "lidar0.pcd", tmp_path / "bare" / "lidar1.pcd"
+    codes, config = {}, {}
+    for words in ((), ("--trust-poles",)):
+        done = retropole("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
+        assert done.returncode == 0, done.stderr
+        result = json.loads(done.stdout)
+        codes[words] = {reason["code"] for reason in result["reasons"]}
+        config[words] = result["config"]["trust_poles"], result["confirmation"]["trusted"]
+    assert codes[()] - codes["--trust-poles",] == {"not_confirmed"}
+    assert list(config.values()) == [(False, False), (True, True)]
+
+
 def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
     done = retropole("calibrate", bag, bag, cwd=tmp_path)
     assert done.returncode == 2

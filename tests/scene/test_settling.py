@@ -10,7 +10,8 @@ import pytest
 from retropole import se3
 from retropole.alignment.point_to_line import point_line_residuals
 from retropole.datatypes import Array, Hypothesis, Match, Pole, Scan
-from retropole.matching.correspondence import EXACT_RMS, match_poles
+from retropole.matching.correspondence import match_poles
+from retropole.matching.extension import EXACT_RMS
 from retropole.pipeline import find_poles
 from retropole.scene.settling import SETTLED_AT_MOST, rms_after, settle
 from retropole.simulation import simulate_pair

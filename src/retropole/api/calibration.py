@@ -38,6 +38,7 @@ def calibrate(
     threshold_source: float | None = None,
     poles: int | None = None,
     refine: bool = DEFAULT_CONFIG.refine,
+    trust_poles: bool = DEFAULT_CONFIG.trust_poles,
     up: bool = DEFAULT_CONFIG.up,
     prior_rpy_deg: Sequence[float] | None = None,
     prior_sigma_deg: float = DEFAULT_CONFIG.prior_sigma_deg,
@@ -65,6 +66,8 @@ def calibrate(
         Exact number of poles that both LiDARs see; None takes any number from two up.
     refine
         Whether the scene refines the pose that the poles give.
+    trust_poles
+        Whether you vouch for two poles where the scene has too little to confirm them.
     up
         Both LiDARs stand roughly upright: hypotheses that contradict it are left out.
     prior_rpy_deg, prior_sigma_deg
@@ -97,6 +100,7 @@ def calibrate(
             prior_sigma_deg=float(prior_sigma_deg),
             poles=None if poles is None else index(poles),
             refine=bool(refine),
+            trust_poles=bool(trust_poles),
             threshold_target=None if threshold_target is None else float(threshold_target),
             threshold_source=None if threshold_source is None else float(threshold_source),
             sensor_target=sensor_target,
@@ -155,6 +159,7 @@ def calibrate_with(
         thresholds=(config.threshold_target, config.threshold_source),
         poles=config.poles,
         scene=config.refine,
+        trust_poles=config.trust_poles,
         prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
         progress=progress,
     )

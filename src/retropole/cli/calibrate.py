@@ -72,6 +72,11 @@ from .common import (
 )
 @click.option("--no-refine", "refine", flag_value=False, default=True, help="Use the poles only.")
 @click.option(
+    "--trust-poles",
+    is_flag=True,
+    help="Vouch for two poles where the scene has too little to confirm them.",
+)
+@click.option(
     "--seed",
     type=click.IntRange(min=0),
     default=DEFAULT_CONFIG.seed,
@@ -99,6 +104,7 @@ def calibrate(
     prior_rpy_deg: tuple[float, float, float] | None,
     prior_sigma_deg: float,
     refine: bool,
+    trust_poles: bool,
     seed: int,
     as_json: bool,
     quiet: bool,
@@ -140,6 +146,7 @@ def calibrate(
         prior_sigma_deg=prior_sigma_deg,
         poles=poles,
         refine=refine,
+        trust_poles=trust_poles,
         seed=seed,
         threshold_target=threshold_target,
         threshold_source=threshold_source,

@@ -18,10 +18,10 @@ from itertools import combinations
 import numpy as np
 
 from .. import se3
-from ..alignment.point_to_line import align_poles
 from ..datatypes import Array, Match, Pole
 from ..errors import Refusal
 from .distinct import distinct
+from .extension import EXTENSION_RMS, exact_part, extended, solved
 
 MIN_ANGLE = np.radians(5.0)
 """Pairs of poles nearer to parallel than this start no hypothesis: along their common direction a
@@ -33,17 +33,6 @@ ANGLE_TOLERANCE = np.radians(3.0)
 DISTANCE_TOLERANCE = 0.08
 """The same for the distance between two poles, metres. Each LiDAR sees a line up to 16 mm in front
 of the axis of a 2 cm pole, towards itself."""
-
-EXACT_RMS = 0.05
-"""Pole residual, metres, up to which a start counts as an exact match of the lines. The
-facing sides of a 2 cm pole leave up to 31 mm between two LiDARs, noise a little more."""
-
-EXTENSION_RMS = 3 * EXACT_RMS
-"""Distance within which further poles fall into place under a match of two, metres."""
-
-MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
-"""Two poles of a match are one only if they lean against each other by less, rad, and if less lies
-between them along the line, metres: two lines far apart along themselves are two posts."""
 
 MAX_PAIR_MATCHES = 200
 """How many pairs of pole pairs are tried, the most alike first."""
@@ -198,64 +187,6 @@ def widest_angle(poles: Sequence[Pole]) -> float:
     return max((_angle_between(a, b) for a, b in combinations(poles, 2)), default=0.0)
 
 
-def _solve(
-    target: Sequence[Pole],
-    source: Sequence[Pole],
-    pairs: tuple[tuple[int, int], ...],
-    T_start: Array,
-) -> Match:
-    fit = align_poles(
-        [(target[i].point, target[i].direction) for i, _ in pairs],
-        [source[j].xyz for _, j in pairs],
-        T_start,
-    )
-    return Match(
-        pairs, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.converged, fit.information
-    )
-
-
-def _extend(
-    target: Sequence[Pole], source: Sequence[Pole], T: Array, gate: float
-) -> tuple[tuple[int, int], ...]:
-    """Pair all poles one to one that lie on each other under ``T``, within ``gate`` metres."""
-    # Imported here: it takes a quarter of a second, and two poles on each side do not need it.
-    from scipy.optimize import linear_sum_assignment
-
-    distance = np.empty((len(target), len(source)))
-    for j, pole in enumerate(source):
-        moved = se3.apply(T, np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]))
-        ends = np.stack([pole.point - pole.direction, pole.point + pole.direction])
-        along = np.diff(se3.apply(T, ends), axis=0)[0] / 2
-        for i, other in enumerate(target):
-            across = np.cross(moved - other.point, other.direction)
-            gap = abs((moved[1] - other.point) @ other.direction)
-            gap -= (pole.length + other.length) / 2
-            misfit = float(np.linalg.norm(across, axis=1).max())
-            leaning = float(np.linalg.norm(np.cross(along, other.direction)))
-            distance[i, j] = (
-                misfit if leaning < np.sin(MAX_MATCH_LEAN) and gap < MAX_MATCH_GAP else np.inf
-            )
-    rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
-    return tuple(
-        (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= gate
-    )
-
-
-def _exact_part(
-    target: Sequence[Pole], source: Sequence[Pole], first: Match, whole: Match
-) -> Match:
-    """Leave out of an inexact match, one by one, the pairs without which the others fit best."""
-    while not whole.exact and len(whole.pairs) > len(first.pairs) + 1:
-        rest = (
-            tuple(pair for pair in whole.pairs if pair != other)
-            for other in whole.pairs
-            if other not in first.pairs
-        )
-        fits = [_solve(target, source, pairs, first.T_target_source) for pairs in rest]
-        whole = min(fits, key=lambda match: match.pole_rms)
-    return whole if whole.exact else first
-
-
 def match_poles(
     target: Sequence[Pole], source: Sequence[Pole], count: int | None = None, part: bool = False
 ) -> list[Match]:
@@ -296,17 +227,20 @@ def match_poles(
         (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
         for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):
             first, second = (k, l) if order == (0, 1) else (l, k)
-            match = _solve(target, source, ((i, first), (j, second)), T_start)
+            match = solved(target, source, ((i, first), (j, second)), T_start)
             if two_and_two:
                 matches.append(match)
             elif match.exact:
-                pairs = _extend(target, source, match.T_target_source, EXTENSION_RMS)
+                pairs = extended(target, source, match.T_target_source, EXTENSION_RMS)
                 if len(pairs) > 2 and set(match.pairs) <= set(pairs):
-                    whole = _solve(target, source, pairs, match.T_target_source)
-                    match = _exact_part(target, source, match, whole) if part else whole
+                    whole = solved(target, source, pairs, match.T_target_source)
+                    match = exact_part(target, source, match, whole) if part else whole
                 matches.append(match)
     matches = distinct(matches, np.array([pole.point for pole in source]))
     if not any(match.exact for match in matches):
+        if not part and not two_and_two:
+            # One of three or more may have moved: the others still agree.
+            return match_poles(target, source, count, part=True)
         raise Refusal(
             "no_match",
             f"none of the {len(target)} poles of the target and {len(source)} of the source agree "

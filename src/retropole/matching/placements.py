@@ -54,6 +54,12 @@ class PairedPlacement:
         """The paired poles of the source, in the order of the target's."""
         return [self.placement.source.poles[j] for _, j in self.hypothesis.match.pairs]
 
+    def without(self, pair: tuple[int, int]) -> PairedPlacement:
+        """The same with one pair of poles left out."""
+        match = self.hypothesis.match
+        left = tuple(each for each in match.pairs if each != pair)
+        return replace(self, hypothesis=replace(self.hypothesis, match=replace(match, pairs=left)))
+
 
 @dataclass(frozen=True, eq=False)
 class Choice:

@@ -9,6 +9,7 @@ from .explanation import Explanation
 WarningCode = Literal[
     "not_confirmed",
     "other_times",
+    "pole_left_out",
     "not_converged",
     "small_margin",
     "doubtful_poles",
@@ -34,6 +35,8 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Add a third pole, or a second placement.",
             "Or stand boxes or a car where both LiDARs see them, and record again, both LiDARs at "
             "the same time.",
+            "If you know that nobody touched the poles in between, `--trust-poles` says so; the "
+            "result records it.",
         ),
     ),
     "other_times": Explanation(
@@ -46,6 +49,16 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Check that the files belong together, and that nothing was moved in between.",
             "Where a clock is wrong and both recorded at the same time, use the answer.",
             "Better: record both LiDARs at the same time.",
+        ),
+    ),
+    "pole_left_out": Explanation(
+        "A pole was left out",
+        "Of three or more poles one does not stand to the others as in the other recording. "
+        "Without it they agree, so it was left out. The answer rests on the others.",
+        (
+            "If the pole was moved or bumped between the recordings, the answer is right without "
+            "it; record again to have it count.",
+            "If it is another object, a post or a bollard, cover it.",
         ),
     ),
     "not_converged": Explanation(

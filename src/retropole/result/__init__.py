@@ -102,6 +102,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     prior_sigma_deg: float = 10.0
     poles: int | None = None
     refine: bool = True
+    trust_poles: bool = False
     seed: int = 0
     threshold_target: float | None = None
     threshold_source: float | None = None

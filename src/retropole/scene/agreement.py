@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from ..alignment.adjustment import RADIUS_DENIED, BeamAlignment
+from ..datatypes import Array
 from ..errors import Reason, Refusal
+from ..matching.placements import PairedPlacement
 from ..quantities import error, value, value_and_error
 from .refinement import Refinement
 
@@ -25,6 +27,61 @@ field, seeds 0 to 23 for each pair), there with a PandarQT, and to 3.1 in 45 wit
 (benchmarks/semireal.py, its first seeds)."""
 
 
+def align_consistent(
+    paired: Sequence[PairedPlacement],
+    T_start: Array,
+    align: Callable[[Sequence[PairedPlacement], Array], BeamAlignment],
+    refine: Callable[[BeamAlignment], Refinement | None],
+) -> tuple[Sequence[PairedPlacement], BeamAlignment]:
+    """Align the poles; of three or more, without one that does not stand as the others do.
+
+    Each is left out in turn, and the others are tested. Two that are left of three fit each other
+    easily, so where that mends it for several, the scene says for which: only without the pole that
+    moved, or is another object, do the others agree with it.
+
+    Parameters
+    ----------
+    paired, T_start
+        The poles of all placements, paired, and where to start, (4, 4).
+    align
+        Aligns paired poles from a start.
+    refine
+        Refines their pose by the scene.
+
+    Raises
+    ------
+    Refusal
+        ``poles_inconsistent``.
+    """
+    aligned = align(paired, T_start)
+    if _stand_alike(aligned):
+        return paired, aligned
+    T, found = aligned.pose.T_target_source, []
+    for k, each in enumerate(paired):
+        for pair in each.hypothesis.match.pairs if len(each.target_poles) > 2 else ():
+            fewer = [*paired[:k], each.without(pair), *paired[k + 1 :]]
+            try:
+                other = align(fewer, T)
+            except Refusal:
+                continue
+            if _stand_alike(other):
+                found.append((fewer, other))
+    if len(found) > 1:
+        found = [(fewer, other) for fewer, other in found if _scene_agrees(refine(other))]
+    if len(found) != 1:
+        check_axes(aligned)
+    return found[0]
+
+
+def _scene_agrees(refined: Refinement | None) -> bool:
+    return refined is not None and refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ
+
+
+def _stand_alike(aligned: BeamAlignment) -> bool:
+    test = aligned.axes_test
+    return test.chi2 <= MAX_AXES_CHI2 * test.freedom
+
+
 def check_axes(aligned: BeamAlignment) -> None:
     """Refuse poles that did not stand to each other alike when each LiDAR recorded them.
 
@@ -35,7 +92,7 @@ def check_axes(aligned: BeamAlignment) -> None:
     """
     test = aligned.axes_test
     limit = MAX_AXES_CHI2 * test.freedom
-    if test.chi2 > limit:
+    if not _stand_alike(aligned):
         # Of two poles neither can be told to be the one that moved.
         worst = int(np.argmax(test.by_pole)) if len(test.by_pole) > 2 else None
         named = "" if worst is None else f", freeing pole {worst} explains most of it"

@@ -69,13 +69,14 @@ def confirm(
     here = count(scenes, T)
     rivals = [other.match.T_target_source for other in others if other.match.exact]
     poses = [*_displaced(scenes, T), *rivals[:MAX_RIVALS]]
-    there = [count(scenes, pose) for pose in poses]
-    leads = [_lead(here, found) for found in there]
-    better = [
-        (lead, pose)
-        for lead, pose, found in zip(leads, poses, there, strict=True)
-        if found.agreeing >= BETTER * max(here.agreeing, 1) and found.denied <= here.denied
-    ]
+    leads, better = [], []
+    thinned = [(target.thinned(), source.thinned()) for target, source in scenes]
+    own = count(thinned, T)
+    for pose in poses:
+        found = count(thinned, pose)
+        leads.append(_lead(own, found))
+        if found.agreeing >= BETTER * max(own.agreeing, 1) and found.denied <= own.denied:
+            better.append((leads[-1], pose))
     points = np.concatenate([source.points for _, source in scenes])
     return replace(
         here,

@@ -9,7 +9,7 @@ of view, and says nothing. A place counts as one witness however many points it 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,9 @@ metres."""
 DEPTH_TOLERANCE, RELATIVE_TOLERANCE, MAX_TOLERANCE = 0.15, 0.02, 1.0
 """Depths agree within this, metres, and this part of the range, together not more than the last."""
 
+PER_PLACE = 2
+"""Points of a place that speak for it where many poses are compared."""
+
 EXPECTED = 0.3
 """Where so many places stand in both clouds, at least this share of the fewer should agree. At the
 reference of 16 real pairs (benchmarks/semireal.py) 0.67 and more did, in 100 simulated recordings
@@ -38,7 +41,7 @@ that were answered right 0.8 and more, in 8 wrong ones 0.02 at most (benchmarks/
 POLE_CLEARANCE = 0.3
 """What lies so near a pole is left out, metres: poles agree with any pose that they give."""
 
-GROUND_DRAWS, GROUND_TRIALS, GROUND_SAMPLE = 1500, 400, 2000
+GROUND_DRAWS, GROUND_TRIALS, GROUND_SAMPLE = 1500, 300, 2000
 """Planes through three points that are drawn, those that are tried for the ground, and the points
 that vote."""
 
@@ -83,6 +86,15 @@ class Standing:
     def places(self) -> int:
         """How many cubes hold anything."""
         return len(np.unique(self.place))
+
+    def thinned(self) -> Standing:
+        """Keep `PER_PLACE` points of each cube, or one more, spread over it."""
+        order = np.argsort(self.place, kind="stable")
+        _, first, size = np.unique(self.place[order], return_index=True, return_counts=True)
+        rank = np.arange(len(order)) - np.repeat(first, size)
+        step = np.repeat(np.maximum(size // PER_PLACE, 1), size)
+        kept = order[rank % step == 0]
+        return replace(self, points=self.points[kept], place=self.place[kept])
 
 
 def standing_in(

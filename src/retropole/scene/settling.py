@@ -15,8 +15,8 @@ import numpy as np
 
 from .. import se3
 from ..datatypes import Array, Hypothesis, Match, PointCloud, Pole
-from ..matching.correspondence import EXACT_RMS
 from ..matching.distinct import same_pose
+from ..matching.extension import EXACT_RMS
 from .disambiguation import SCORING_VOXEL
 from .registration import MIN_CLOUD_POINTS, prepare, register
 

@@ -26,7 +26,7 @@ REACH = 6.0
 NEAR = 0.5
 """Shifts up to this are the same pose, metres."""
 
-PEAKS = 3
+PEAKS = 4
 """So many shifts are found, farther from each other than `NEAR`: where most cells coincide need not
 be where most of the scene agrees."""
 
@@ -79,13 +79,14 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     cells = [np.floor((one - low) / size).astype(np.int64) for one in (a, b)]
     shape = np.ceil((high - low) / size).astype(np.int64)
     fast = [fft.next_fast_len(int(n), real=True) for n in shape[:2]]
-    total = np.zeros(fast, dtype=np.float32)
+    spectrum = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
     for layer in range(int(shape[2])):
         grids = [_occupied(one, layer, shape, fast) for one in cells]
         if all(grid.any() for grid in grids):
-            # A cell's neighbours count: surfaces are sampled at other points.
-            spectra = fft.rfft2(maximum_filter(grids[0], 3)), fft.rfft2(grids[1])
-            total += fft.irfft2(spectra[0] * np.conj(spectra[1]), s=fast)
+            # A cell's neighbours count half: surfaces are sampled at other points.
+            grids[0] += maximum_filter(grids[0], 3)
+            spectrum += fft.rfft2(grids[0] / 2) * np.conj(fft.rfft2(grids[1]))
+    total = fft.irfft2(spectrum, s=fast)
     # The shifts about the pose as it is, from one end to the other.
     reach = int(REACH / CELL)
     total = np.roll(total, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
@@ -97,8 +98,24 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
         best = np.unravel_index(int(np.argmax(left)), left.shape)
         if left[best] <= 0:
             break
-        found.append(Shift(place[best] @ axes[:2], float(left[best]) / here))
+        at = place[best] + CELL * _beside_peak(total, best)
+        found.append(Shift(at @ axes[:2], float(left[best]) / here))
         left[np.abs(place - place[best]).max(axis=2) <= NEAR] = -1.0
+    return found
+
+
+def _beside_peak(values: NDArray[np.float32], best: tuple[np.intp, ...]) -> Array:
+    """Where between the cells a peak lies, (2,) cells: the top of a parabola along each side."""
+    found = np.zeros(2)
+    for k in range(2):
+        if not 0 < best[k] < values.shape[k] - 1:
+            continue
+        before, at, after = (
+            float(values[tuple(i + step * (j == k) for j, i in enumerate(best))])
+            for step in (-1, 0, 1)
+        )
+        bend = before - 2 * at + after
+        found[k] = 0.0 if bend >= 0 else np.clip((before - after) / (2 * bend), -0.5, 0.5)
     return found
 
 

@@ -1,0 +1,108 @@
+"""Which further poles a match of two takes in, which it leaves out, and how well it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .. import se3
+from ..alignment.point_to_line import align_poles
+from ..datatypes import Array, Match, Pole
+
+EXACT_RMS = 0.05
+"""Pole residual, metres, up to which a start counts as an exact match of the lines. The
+facing sides of a 2 cm pole leave up to 31 mm between two LiDARs, noise a little more."""
+
+EXTENSION_RMS = 3 * EXACT_RMS
+"""Distance within which further poles fall into place under a match of two, metres."""
+
+MOVED = 0.5
+"""Poles that a match leaves out are one that moved where less lies between them, metres."""
+
+MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
+"""Two poles of a match are one only if they lean against each other by less, rad, and if less lies
+between them along the line, metres: two lines far apart along themselves are two posts."""
+
+
+def solved(
+    target: Sequence[Pole],
+    source: Sequence[Pole],
+    pairs: tuple[tuple[int, int], ...],
+    T_start: Array,
+) -> Match:
+    """Lay the paired poles on each other by least squares, from a start (4, 4)."""
+    fit = align_poles(
+        [(target[i].point, target[i].direction) for i, _ in pairs],
+        [source[j].xyz for _, j in pairs],
+        T_start,
+    )
+    return Match(
+        pairs, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.converged, fit.information
+    )
+
+
+def extended(
+    target: Sequence[Pole], source: Sequence[Pole], T: Array, gate: float
+) -> tuple[tuple[int, int], ...]:
+    """Pair all poles one to one that lie on each other under ``T``, within ``gate`` metres."""
+    # Imported here: it takes a quarter of a second, and two poles on each side do not need it.
+    from scipy.optimize import linear_sum_assignment
+
+    distance = np.empty((len(target), len(source)))
+    for j, pole in enumerate(source):
+        moved = se3.apply(T, np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]))
+        ends = np.stack([pole.point - pole.direction, pole.point + pole.direction])
+        along = np.diff(se3.apply(T, ends), axis=0)[0] / 2
+        for i, other in enumerate(target):
+            across = np.cross(moved - other.point, other.direction)
+            gap = abs((moved[1] - other.point) @ other.direction)
+            gap -= (pole.length + other.length) / 2
+            misfit = float(np.linalg.norm(across, axis=1).max())
+            leaning = float(np.linalg.norm(np.cross(along, other.direction)))
+            distance[i, j] = (
+                misfit if leaning < np.sin(MAX_MATCH_LEAN) and gap < MAX_MATCH_GAP else np.inf
+            )
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
+    return tuple(
+        (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= gate
+    )
+
+
+def exact_part(target: Sequence[Pole], source: Sequence[Pole], first: Match, whole: Match) -> Match:
+    """Leave out of an inexact match, one by one, the pairs without which the others fit best."""
+    while not whole.exact and len(whole.pairs) > len(first.pairs) + 1:
+        rest = (
+            tuple(pair for pair in whole.pairs if pair != other)
+            for other in whole.pairs
+            if other not in first.pairs
+        )
+        fits = [solved(target, source, pairs, first.T_target_source) for pairs in rest]
+        whole = min(fits, key=lambda match: match.pole_rms)
+    return whole if whole.exact else first
+
+
+def left_out(
+    target: Sequence[Pole], source: Sequence[Pole], match: Match
+) -> list[tuple[int, int, float]]:
+    """Find the poles that a match does not pair though they are one: they moved by a little.
+
+    Returns
+    -------
+    list of (i, j, distance)
+        Pole of the target, of the source, and how far apart they lie under the match, metres.
+    """
+    rest_target, rest_source = (
+        [k for k in range(len(poles)) if k not in {pair[side] for pair in match.pairs}]
+        for side, poles in enumerate((target, source))
+    )
+    if not rest_target or not rest_source:
+        return []
+    T, found = match.T_target_source, []
+    others = [target[i] for i in rest_target], [source[j] for j in rest_source]
+    for i, j in extended(*others, T, MOVED):
+        pole, other = others[0][i], others[1][j]
+        offset = se3.apply(T, other.point) - pole.point
+        distance = float(np.linalg.norm(np.cross(offset, pole.direction)))
+        found.append((rest_target[i], rest_source[j], distance))
+    return found
