@@ -243,23 +243,28 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
     assert refusal.value.values["mahalanobis_sq"] == contradict.mahalanobis_sq
 
 
+def chance(found: Confirmation) -> float:
+    assert found.probability_wrong is not None
+    return found.probability_wrong
+
+
 def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
     def codes(found: Confirmation) -> list[str]:
         check_confirmation(found)
         return [reason.code for reason in unconfirmed(found)]
 
     good = Confirmation(500, 2, lead=6.0)
-    assert good.probability_wrong < MAX_WRONG / 2
+    assert chance(good) < MAX_WRONG / 2
     assert codes(good) == []
     # That much agrees says little where another pose agrees with as much.
     assert codes(replace(good, agreeing=60, lead=0.0)) == ["not_confirmed"]
-    nothing = Confirmation(0, 0)
-    assert 0.2 < nothing.probability_wrong < 0.8
+    nothing = Confirmation(0, 0, lead=0.0)
+    assert 0.2 < chance(nothing) < 0.8
     assert codes(nothing) == ["not_confirmed"]
     # More poles or placements confirm each other where the scene has too little to say …
     assert codes(replace(nothing, vouched=True)) == []
     assert codes(replace(nothing, trusted=True)) == []
-    assert codes(Confirmation(0, MIN_TOTAL - 1)) == ["not_confirmed"]
+    assert codes(Confirmation(0, MIN_TOTAL - 1, lead=0.0)) == ["not_confirmed"]
     # … but not against it.
     denied = Confirmation(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED)), lead=6.0)
     for found in (denied, replace(denied, vouched=True), replace(denied, trusted=True)):
@@ -275,13 +280,14 @@ def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
 
 def test_an_answer_is_likelier_wrong_the_more_denies_it_and_the_less_it_leads() -> None:
     found = [Confirmation(500, denying, lead=3.0) for denying in (0, 5, 50, 200)]
-    chances = [each.probability_wrong for each in found]
+    chances = [chance(each) for each in found]
     assert chances == sorted(chances)
-    chances = [Confirmation(500, 5, lead=lead).probability_wrong for lead in (-3, -1, 1, 3)]
+    chances = [chance(Confirmation(500, 5, lead=lead)) for lead in (-3, -1, 1, 3)]
     assert chances == sorted(chances, reverse=True)
+    assert Confirmation(500, 5).probability_wrong is None, "it was held against nothing"
     missing = Confirmation(500, 0, 50, lead=3.0)
-    assert missing.probability_wrong == found[2].probability_wrong
-    assert all(0 < chance < 1 for chance in chances)
+    assert chance(missing) == chance(found[2])
+    assert all(0 < each < 1 for each in chances)
 
 
 @pytest.mark.parametrize("freedom", [2, 6])

@@ -144,7 +144,8 @@ class Confirmation:
     better_at
         How far away a pose lies under which the scene fits better, metres; None if none does.
     lead
-        By how many σ the pose agrees better than the best of others beside it.
+        By how many σ the pose agrees better than the best of others beside it; None where it was
+        not held against any.
     vouched
         Whether a third pole, or a placement of another shape, vouches for the poles.
     trusted
@@ -155,7 +156,7 @@ class Confirmation:
     contradicting: int
     missing: int = 0
     better_at: float | None = None
-    lead: float = 0.0
+    lead: float | None = None
     vouched: bool = False
     trusted: bool = False
 
@@ -175,8 +176,10 @@ class Confirmation:
         return self.denying / max(self.total, 1)
 
     @property
-    def probability_wrong(self) -> float:
+    def probability_wrong(self) -> float | None:
         """Probability that the answer is off by more than 1° or 0.3 m, where poles may lie."""
+        if self.lead is None:
+            return None
         share = np.log((self.denying + 1) / (self.total + 2))
         lead = np.clip(self.lead, -MAX_LEAD, MAX_LEAD)
         odds = PRIOR + PER_SHARE * share + PER_LEAD * lead + VOUCHED * self.vouched

@@ -45,7 +45,11 @@ def test_answers_and_scores_are_those_of_the_methods(pair: SimulatedPair) -> Non
             pair.target, pair.source, each.T_target_source, rng=np.random.default_rng(0)
         )
     assert with_scene.alignment is not None
-    assert with_scene.alignment.confirmation == ours.confirmation
+    # Without the poles' own returns, which only a calibration knows.
+    assert ours.confirmation is not None
+    found_there = with_scene.alignment.confirmation
+    assert found_there.agreeing == pytest.approx(ours.confirmation.agreeing, rel=0.1)
+    assert abs(found_there.denying - ours.confirmation.denying) < 5
     assert with_scene.status == ours.status
     assert rival.status == "ok", "a rival states no doubt"
     assert rival.seconds is not None

@@ -34,8 +34,10 @@ def test_the_right_pose_is_confirmed_and_leads(scene: str) -> None:
         answer = answered(simulate_pair(scene, np.random.default_rng(seed)))
         found = answer.confirmation
         assert found is not None
+        assert found.lead is not None
         assert found.lead > 1
         assert found.better_at is None
+        assert found.probability_wrong is not None
         assert found.probability_wrong < MAX_WRONG
         assert not is_denied(found)
 
@@ -48,9 +50,11 @@ def test_a_pose_along_the_place_does_not_lead_and_the_better_one_is_found(scene:
         along = pair.T_world_target[:3, :3].T @ np.array([2.0, 0.0, 0.0])
         T = se3.retract(pair.T_target_source, np.r_[0, 0, 0, along])
         found = held(answered(pair), T)
+        assert found.lead is not None
         assert found.lead < 0
         assert found.better_at is not None
         assert 1.7 < found.better_at < 2.3
+        assert found.probability_wrong is not None
         assert found.probability_wrong > MAX_WRONG
 
 
@@ -61,6 +65,7 @@ def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
     paired = [PairedPlacement(answer.placements[0], right)]
     wrong = others[0].match.T_target_source
     found = confirm(paired, wrong, [right, *others[1:]], np.random.default_rng(0))
+    assert found.lead is not None
     assert found.lead < 0
     assert found.better_at is not None
     assert found.better_at > 1
@@ -74,6 +79,7 @@ def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
             continue
         assert answer.status == "warn"
         assert "not_confirmed" in [reason.code for reason in answer.reasons]
+        assert answer.confirmation.probability_wrong is not None
         assert 0.1 < answer.confirmation.probability_wrong < 0.9
         trusted = calibrate(pair.target, pair.source, trust_poles=True)
         assert "not_confirmed" not in [reason.code for reason in trusted.reasons]

@@ -66,7 +66,7 @@ class ConfirmationDoc(msgspec.Struct, frozen=True, kw_only=True):
     contradicted: float
     missing: int = 0
     better_at: float | None = msgspec.field(default=None, name="better_at_m")
-    lead: float = 0.0
+    lead: float | None = None
     vouched: bool = False
     trusted: bool = False
     probability_wrong: float | None = None

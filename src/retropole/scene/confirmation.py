@@ -188,21 +188,22 @@ def check_confirmation(found: Confirmation) -> None:
 
 def unconfirmed(found: Confirmation) -> Iterator[Reason]:
     """Warn where the scene does not confirm the pose, and nobody vouches for the poles."""
-    if found.trusted or found.probability_wrong <= MAX_WRONG:
+    wrong = found.probability_wrong
+    if found.trusted or wrong is None or wrong <= MAX_WRONG:
         return
     yield Reason(
         "not_confirmed",
         f"{found.agreeing} places off the ground agree with this pose, {found.denying} deny it, "
         f"and it leads others by {found.lead:.1f} σ: the answer is wrong with a probability of "
-        f"{100 * found.probability_wrong:.0f} % ({100 * MAX_WRONG:.0f} % are allowed), where "
+        f"{100 * wrong:.0f} % ({100 * MAX_WRONG:.0f} % are allowed), where "
         "poles may have been moved. Two poles cannot vouch for themselves: add a third pole or a "
         "second placement, or stand boxes or a car in view of both LiDARs",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
             "missing": found.missing,
-            "lead": found.lead,
-            "probability_wrong": found.probability_wrong,
+            "lead": found.lead or 0.0,
+            "probability_wrong": wrong,
             "allowed": MAX_WRONG,
         },
     )
