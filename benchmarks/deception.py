@@ -4,8 +4,8 @@ Every row is a kind of deception, or an honest recording that is hard (`deceptio
 `deception_scenes`, where it is written what counts as the truth). Corridor, street, harbor and bare
 ground come in turn, so do the four pairs of sensors of `coverage`; half of the draws have ordinary
 noise, half all the errors of a field. Prints Markdown tables: what came of each row, with the exact
-95 % interval (Clopper and Pearson 1934) of the wrong answers as a share of all draws, and what the
-scene says of the answers.
+95 % interval (Clopper and Pearson 1934) of the wrong answers as a share of all draws, how the
+probability that they state compares with how often they are wrong, and what the scene says of them.
 
     python benchmarks/deception.py --draws 300
 
@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,9 @@ from threadpoolctl import threadpool_limits
 from deception_runs import Outcome, run
 from deception_scenes import KINDS
 from hard_scenes import FIRST_STATED_SEED
+
+PROBABILITIES = 0.0, 0.003, 0.01, 0.05, 0.2, 0.6, 1.0
+"""Answers are grouped by what they state of being wrong."""
 
 
 def interval(count: int, draws: int) -> str:
@@ -71,6 +75,32 @@ def table(outcomes: Sequence[Outcome], names: Sequence[str]) -> str:
     totals = {"all": outcomes, "all on bare ground": bare, "all elsewhere": rest}
     # Seeds of different rows are different draws: they are named in the rows only.
     lines += [row(name, own).rsplit("|", 2)[0] + "| |" for name, own in totals.items()]
+    return "\n".join(lines)
+
+
+def calibration_table(outcomes: Sequence[Outcome]) -> str:
+    """Compare what answers state of being wrong with how often they are."""
+    lines = [
+        "| stated probability | answers | stated, mean | wrong | share | 95 %, % |",
+        "| --- |" + " --- |" * 5,
+    ]
+    stated = [
+        (o.probability, o.wrong) for o in outcomes if o.answered and o.probability is not None
+    ]
+    for low, high in pairwise(PROBABILITIES):
+        own = [(p, wrong) for p, wrong in stated if low <= p < high]
+        if own:
+            count = sum(wrong for _, wrong in own)
+            mean = float(np.mean([p for p, _ in own]))
+            cells = (
+                f"{100 * low:g} – {100 * high:g} %",
+                len(own),
+                f"{100 * mean:.1f} %",
+                count,
+                f"{100 * count / len(own):.1f} %",
+                interval(count, len(own)),
+            )
+            lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 
 
@@ -159,7 +189,8 @@ def main() -> None:
     if arguments.save is not None:
         text = json.dumps([record(o) for o in outcomes], indent=1, allow_nan=False)
         arguments.save.write_text(text, encoding="utf-8")
-    print(table(outcomes, names), scene_table(outcomes, names), sep="\n\n")
+    tables = table(outcomes, names), calibration_table(outcomes), scene_table(outcomes, names)
+    print(*tables, sep="\n\n")
     drawing, calibrating = np.mean([o.seconds for o in outcomes], axis=0)
     print(
         f"\n{len(jobs) - len(outcomes)} of {len(jobs)} draws gave nothing possible. CPU seconds "

@@ -78,7 +78,7 @@ class Outcome:
     Off by ``rotation``, rad, and ``translation``, m: infinite where no answer is right, nan without
     one. ``from_lie`` is the same, from the pose that the poles have as if they had stood: of the
     answer, or where it is refused of the nearest hypothesis. ``chi2`` is the squared Mahalanobis
-    distance of the answer from the poles' own pose.
+    distance of the answer from the poles' own pose, ``probability`` what it states of being wrong.
     """
 
     kind: str
@@ -93,6 +93,7 @@ class Outcome:
     from_lie: tuple[float, float] | None
     chi2: float | None
     margin: float | None
+    probability: float | None
     scenery: Scenery | None
     seconds: tuple[float, float]
 
@@ -174,6 +175,7 @@ def run(job: tuple[str, int]) -> Outcome | None:
         None if drawn.lie is None else from_lie(answer, drawn.lie),
         chi2_of(answer),
         answer.margin,
+        None if answer.confirmation is None else answer.confirmation.probability_wrong,
         None if T is None else scenery(clouds, poses, T),
         (ready - start, done - ready),
     )
