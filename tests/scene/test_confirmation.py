@@ -86,6 +86,21 @@ def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
         assert trusted.confirmation == replace(answer.confirmation, trusted=True)
 
 
+def test_a_cloud_in_which_nothing_stands_gives_finite_figures() -> None:
+    pair = simulate_pair("street", np.random.default_rng(4))
+    answer = answered(pair)
+    (placement,) = answer.placements
+    poles = np.concatenate([pole.index for pole in placement.source.poles])
+    bare = replace(placement.source, cloud=placement.source.cloud.select(np.sort(poles)))
+    paired = [PairedPlacement(replace(placement, source=bare), answer.hypotheses[0])]
+    T, rng = pair.T_target_source, np.random.default_rng(0)
+    found = confirm(paired, T, answer.hypotheses[1:], rng)
+    assert found.lead is not None
+    assert np.isfinite(found.lead)
+    assert found.better_at is None or np.isfinite(found.better_at)
+    assert found.total < 60
+
+
 def test_swapping_the_clouds_changes_nothing_but_rounding() -> None:
     pair = simulate_pair("harbor", np.random.default_rng(2))
     scans = Scan(pair.target, None, None), Scan(pair.source, None, None)

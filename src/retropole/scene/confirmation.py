@@ -130,6 +130,7 @@ def _lead(here: Confirmation, there: Confirmation) -> float:
 
 def _apart(T: Array, other: Array, points: Array) -> float:
     """How far apart two poses put the points of the source, metres: the median."""
+    points = points if len(points) else np.zeros((1, 3))
     return float(np.median(np.linalg.norm(se3.apply(T, points) - se3.apply(other, points), axis=1)))
 
 

@@ -148,6 +148,8 @@ def _ground(
     middle, up = a[best], normals[best]
     for _ in range(GROUND_ROUNDS):
         near = sample[np.abs((sample - middle) @ up) < DEPTH_TOLERANCE]
+        if len(near) < 3:
+            break
         middle = near.mean(axis=0)
         up = np.linalg.svd((near - middle).T @ (near - middle))[0][:, 2]
     height = np.abs((points - middle) @ up)
