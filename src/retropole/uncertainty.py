@@ -187,13 +187,14 @@ class Confirmation:
 
     @property
     def words(self) -> str:
-        """The figures for a person: ``412 places agree, 3 deny it (0.7 %)``."""
+        """The figures for a person: ``412 places agree, 3 deny it (0.7 %); wrong with …``."""
         said = f"{self.agreeing} places agree, {self.denying} deny it"
         if self.total:
             said += f" ({100 * self.denied:.1f} %)"
         if self.better_at is not None:
             said += f"; it fits better {self.better_at:.1f} m away"
-        return said
+        wrong = self.probability_wrong
+        return said if wrong is None else f"{said}; wrong with a probability of {100 * wrong:.1f} %"
 
 
 def predicted_error(
