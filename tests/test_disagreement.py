@@ -79,6 +79,7 @@ def test_one_of_three_poles_that_moved_is_left_out(distance: float) -> None:
         codes = [reason.code for reason in answer.reasons]
         assert ("pole_left_out" in codes) == (distance > 0)
         left_out += "pole_left_out" in codes
+        assert len(answer.hypotheses[0].match.pairs) == (2 if distance > 0 else 3)
         off = se3.difference(answer.T_target_source, pair.T_target_source)
         assert off.rotation < np.radians(0.1)
         assert off.translation < 0.02

@@ -124,6 +124,8 @@ def calibrate(
             with step("align"):
                 T_poles = hypotheses[0].match.T_target_source
                 paired, aligned = align_consistent(paired, T_poles, align_poles, refine_poles)
+                first = replace(hypotheses[0], match=paired[0].hypothesis.match)
+                hypotheses = first, *hypotheses[1:]
                 placements = leave_one_out(paired, aligned, align_poles)
             with step("refine"):
                 refined = refine_poles(aligned)
