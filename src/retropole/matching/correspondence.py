@@ -221,26 +221,27 @@ def match_poles(
     """
     _check_poles(target, source, count or 2)
     two_and_two = len(target) == len(source) == 2
-    matches: list[Match] = []
+    found: list[tuple[Match, Match]] = []
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)
     for row, column in _alike(pairs_target, pairs_source):
         (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
         for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):
-            first, second = (k, l) if order == (0, 1) else (l, k)
-            match = solved(target, source, ((i, first), (j, second)), T_start)
+            to_i, to_j = (k, l) if order == (0, 1) else (l, k)
+            first = solved(target, source, ((i, to_i), (j, to_j)), T_start)
             if two_and_two:
-                matches.append(match)
-            elif match.exact:
-                pairs = extended(target, source, match.T_target_source, EXTENSION_RMS)
-                if len(pairs) > 2 and set(match.pairs) <= set(pairs):
-                    whole = solved(target, source, pairs, match.T_target_source)
-                    match = exact_part(target, source, match, whole) if part else whole
-                matches.append(match)
+                found.append((first, first))
+            elif first.exact:
+                T = first.T_target_source
+                pairs = extended(target, source, T, EXTENSION_RMS)
+                takes_in = len(pairs) > 2 and set(first.pairs) <= set(pairs)
+                found.append((first, solved(target, source, pairs, T) if takes_in else first))
+    # Where none is exact, one of three or more may have moved: the others still agree.
+    if part or not any(whole.exact for _, whole in found):
+        matches = [exact_part(target, source, first, whole) for first, whole in found]
+    else:
+        matches = [whole for _, whole in found]
     matches = distinct(matches, np.array([pole.point for pole in source]))
     if not any(match.exact for match in matches):
-        if not part and not two_and_two:
-            # One of three or more may have moved: the others still agree.
-            return match_poles(target, source, count, part=True)
         raise Refusal(
             "no_match",
             f"none of the {len(target)} poles of the target and {len(source)} of the source agree "
