@@ -30,7 +30,8 @@ from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
 from deception_runs import Outcome, run
-from deception_scenes import KINDS
+from deception_scenes import HONEST, KINDS
+from detection_hard import ENOUGH_RETURNS
 from hard_scenes import FIRST_STATED_SEED
 
 PROBABILITIES = 0.0, 0.003, 0.01, 0.05, 0.2, 0.6, 1.0
@@ -101,6 +102,32 @@ def calibration_table(outcomes: Sequence[Outcome]) -> str:
                 interval(count, len(own)),
             )
             lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def honest_table(outcomes: Sequence[Outcome]) -> str:
+    """Count what becomes of recordings in which nothing is wrong, off bare ground."""
+    own = [o for o in outcomes if o.kind in HONEST and o.scene != "bare"]
+    seen = [o for o in own if o.returns >= ENOUGH_RETURNS]
+    lines = [
+        "| nothing wrong, off bare ground | recordings | answered | 95 %, % | confirmed | 95 %, % "
+        "| refused for |",
+        "| --- |" + " --- |" * 6,
+    ]
+    for name, group in (("all", own), (f"{ENOUGH_RETURNS} returns or more on every pole", seen)):
+        answers = [o for o in group if o.answered]
+        confirmed = sum("not_confirmed" not in o.codes for o in answers)
+        refused = Counter(o.codes[0] for o in group if not o.answered)
+        cells = (
+            name,
+            len(group),
+            len(answers),
+            interval(len(answers), len(group)),
+            confirmed,
+            interval(confirmed, len(answers)),
+            ", ".join(f"{code} {times}" for code, times in refused.most_common()),
+        )
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 
 
@@ -189,8 +216,8 @@ def main() -> None:
     if arguments.save is not None:
         text = json.dumps([record(o) for o in outcomes], indent=1, allow_nan=False)
         arguments.save.write_text(text, encoding="utf-8")
-    tables = table(outcomes, names), calibration_table(outcomes), scene_table(outcomes, names)
-    print(*tables, sep="\n\n")
+    tables = table(outcomes, names), honest_table(outcomes), calibration_table(outcomes)
+    print(*tables, scene_table(outcomes, names), sep="\n\n")
     drawing, calibrating = np.mean([o.seconds for o in outcomes], axis=0)
     print(
         f"\n{len(jobs) - len(outcomes)} of {len(jobs)} draws gave nothing possible. CPU seconds "

@@ -75,10 +75,11 @@ class Scenery:
 class Outcome:
     """What came of one draw, and the CPU seconds of its drawing and its calibration.
 
-    Off by ``rotation``, rad, and ``translation``, m: infinite where no answer is right, nan without
-    one. ``from_lie`` is the same, from the pose that the poles have as if they had stood: of the
-    answer, or where it is refused of the nearest hypothesis. ``chi2`` is the squared Mahalanobis
-    distance of the answer from the poles' own pose, ``probability`` what it states of being wrong.
+    ``returns`` are the least that a LiDAR has on a pole. Off by ``rotation``, rad, and
+    ``translation``, m: infinite where no answer is right, nan without one. ``from_lie`` is the
+    same, from the pose that the poles have as if they had stood: of the answer, or where it is
+    refused of the nearest hypothesis. ``chi2`` is the squared Mahalanobis distance of the answer
+    from the poles' own pose, ``probability`` what it states of being wrong.
     """
 
     kind: str
@@ -86,6 +87,7 @@ class Outcome:
     scene: str
     noise: str
     sensors: tuple[str, str]
+    returns: int
     status: str
     codes: tuple[str, ...]
     rotation: float
@@ -148,10 +150,11 @@ def run(job: tuple[str, int]) -> Outcome | None:
     if found is None:
         return None
     site, drawn = found
-    clouds = [
+    recordings = [
         recorded(pair, site.clear, (first, second), devices, noise, for_recording)
         for pair in drawn.shots
     ]
+    clouds = [both for both, _ in recordings]
     ready = time.process_time()
     answer = calibrate(*map(list, zip(*clouds, strict=True)), sensors=(first, second))
     done = time.process_time()
@@ -168,6 +171,7 @@ def run(job: tuple[str, int]) -> Outcome | None:
         scene,
         noise_name,
         (first.name, second.name),
+        min(returns for _, returns in recordings),
         answer.status,
         tuple(reason.code for reason in answer.reasons),
         rotation,

@@ -245,17 +245,21 @@ def recorded(
     devices: tuple[Device, Device],
     noise: NoiseModel,
     rng: np.random.Generator,
-) -> tuple[PointCloud, PointCloud]:
-    """Record both shots, the source's some seconds after the target's, and change the clouds."""
+) -> tuple[tuple[PointCloud, PointCloud], int]:
+    """Record both shots, the source's some seconds after the target's, and change the clouds.
+
+    Gives the least returns that a LiDAR has on a pole besides.
+    """
     starts = 0.0, float(rng.uniform(*DELAY))
     lidars = [shot.poses[0][:3, 3] for shot in shots]
     until = starts[1] + len(shots[1].poses) * SWEEP_SECONDS
     movers = draw_movers(noise.movers, clear, lidars, until, rng)
     target, source = (
-        shot.change(_sweeps(shot, sensor, device, noise, movers, start, rng))
+        _sweeps(shot, sensor, device, noise, movers, start, rng)
         for shot, sensor, device, start in zip(shots, sensors, devices, starts, strict=True)
     )
-    return target, source
+    clouds = shots[0].change(target[0]), shots[1].change(source[0])
+    return clouds, min(target[1], source[1])
 
 
 def _sweeps(
@@ -266,7 +270,7 @@ def _sweeps(
     movers: Sequence[Mover],
     start: float,
     rng: np.random.Generator,
-) -> PointCloud:
+) -> tuple[PointCloud, int]:
     everything: list[Surface] = [*shot.surroundings, *shot.poles]
     sweeps = [
         scan(
@@ -278,16 +282,20 @@ def _sweeps(
             device=device,
             movers=movers,
             start=start + k * SWEEP_SECONDS,
-        ).cloud
+        )
         for k, pose in enumerate(shot.poses)
     ]
-    if len(sweeps) == 1:
-        return sweeps[0]
+    labels = np.concatenate([each.labels for each in sweeps])
+    first, last = len(shot.surroundings), len(everything)
+    returns = min(int(np.count_nonzero(labels == label)) for label in range(first, last))
+    clouds = [each.cloud for each in sweeps]
+    if len(clouds) == 1:
+        return clouds[0], returns
     merged = {
-        name: np.concatenate([getattr(each, name) for each in sweeps])
+        name: np.concatenate([getattr(each, name) for each in clouds])
         for name in ("xyz", "intensity", "ring", "time")
-        if getattr(sweeps[0], name) is not None
+        if getattr(clouds[0], name) is not None
     }
-    number = np.repeat(np.arange(len(sweeps)), [len(each) for each in sweeps])
+    number = np.repeat(np.arange(len(clouds)), [len(each) for each in clouds])
     merged["time"] = merged["time"] + number * SWEEP_SECONDS
-    return PointCloud(frame=number.astype(np.int64), **merged)
+    return PointCloud(frame=number.astype(np.int64), **merged), returns

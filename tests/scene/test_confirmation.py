@@ -58,6 +58,19 @@ def test_a_pose_along_the_place_does_not_lead_and_the_better_one_is_found(scene:
         assert found.probability_wrong > MAX_WRONG
 
 
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_pose_that_lifts_the_grounds_off_each_other_is_found(scene: str) -> None:
+    """Walls agree with it however high it is."""
+    pair = simulate_pair(scene, np.random.default_rng(1))
+    answer = answered(pair)
+    for lift in (-2.0, 1.0):
+        up = pair.T_world_target[:3, :3].T @ np.array([0.0, 0.0, lift])
+        found = held(answer, se3.retract(pair.T_target_source, np.r_[0, 0, 0, up]))
+        assert found.lead is not None
+        assert found.lead < 0
+        assert found.better_at == pytest.approx(abs(lift), abs=0.7)
+
+
 def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
     pair = simulate_pair("street", np.random.default_rng(4))
     answer = answered(pair)

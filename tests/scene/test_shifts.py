@@ -1,11 +1,11 @@
-"""Shifts along the ground: found where they are, whatever the frame."""
+"""Shifts along the ground and off it: found where they are, whatever the frame."""
 
 from itertools import combinations
 
 import numpy as np
 
 from retropole import se3
-from retropole.scene.shifts import NEAR, PEAKS, best_shifts
+from retropole.scene.shifts import NEAR, PEAKS, best_lifts, best_shifts
 
 POINTS = np.random.default_rng(0).uniform([-15, -15, 0.5], [15, 15, 4], (1500, 3))
 """A wood: nothing repeats."""
@@ -30,6 +30,18 @@ def test_at_the_right_pose_no_shift_is_better() -> None:
     assert all(np.abs(a - b).max() > NEAR for a, b in combinations(steps, 2))
 
 
+def test_a_lift_off_the_ground_is_found_in_any_frame() -> None:
+    turn = se3.from_rt(se3.exp_so3(np.array([0.5, -1.0, 0.3])), np.array([3.0, 2.0, 1.0]))
+    for lift in (-2.1, 0.8, 5.5):
+        off = se3.from_rt(np.eye(3), np.array([0.0, 0.0, lift]))
+        for T in (np.eye(4), turn):
+            up = T[:3, :3] @ UP
+            found = best_lifts(se3.apply(T, POINTS), POINTS, up, T @ off)[0]
+            np.testing.assert_allclose(found.step, -lift * up, atol=0.26)
+            assert found.gain > 2
+    assert max(shift.gain for shift in best_lifts(POINTS, POINTS, UP, np.eye(4))) < 0.5
+
+
 def test_the_frame_does_not_matter() -> None:
     off = se3.from_rt(se3.exp_so3(np.array([0, 0, 0.4])), np.array([2.0, -1.0, 0.0]))
     source = se3.apply(se3.inverse(off), POINTS + np.array([3.0, 1.0, 0.0]))
@@ -41,4 +53,5 @@ def test_the_frame_does_not_matter() -> None:
 
 
 def test_nothing_to_compare_gives_nothing() -> None:
-    assert best_shifts(POINTS, np.zeros((0, 3)), UP, np.eye(4)) == []
+    for find in (best_shifts, best_lifts):
+        assert find(POINTS, np.zeros((0, 3)), UP, np.eye(4)) == []

@@ -1,10 +1,10 @@
 """Whether what stands in the scene confirms a pose, and how much of it could have denied it.
 
 That nothing denies a pose says little where nothing could: in a corridor of plain walls a pose may
-slide along them. So the same places are counted at other poses: the best shifts along the ground,
-small turns about the vertical, and the other ways of laying the poles on each other. The pose must
-lead them all. Two measures, the share of the places that deny the pose and its lead, make one
-figure: the probability that the answer is wrong.
+slide along them. So the same places are counted at other poses: the best shifts along the ground
+and off it, small turns about the vertical, and the other ways of laying the poles on each other.
+The pose must lead them all. Two measures, the share of the places that deny the pose and its lead,
+make one figure: the probability that the answer is wrong.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, line_
 from ..matching.placements import PairedPlacement
 from ..uncertainty import Confirmation
 from .consistency import Standing, consistency, standing_in
-from .shifts import best_shifts
+from .shifts import best_lifts, best_shifts
 
 DENIED, MIN_TOTAL = 0.2, 60
 """From this share on, of at least so many places, the scene denies a pose. At the right pose of 200
@@ -38,8 +38,11 @@ TURN = np.radians(15.0)
 MAX_RIVALS = 3
 """So many other hypotheses are, too."""
 
-MAX_WRONG = 0.05
-"""An answer is confirmed up to this probability that it is wrong."""
+MAX_WRONG = 0.03
+"""An answer is confirmed up to this probability that it is wrong. At seeds 100 to 129 of
+benchmarks/deception.py a mirrored street states 4 %, the least of all wrong answers that are not
+refused; of the 184 right ones off bare ground 19 state more than 3 %, most of them with 50 %
+outliers."""
 
 
 def confirm(
@@ -111,9 +114,14 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
 
 
 def _displaced(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
-    """Poses beside a pose: the best shifts along the ground, and turns about its normal."""
+    """Poses beside a pose: the best shifts along the ground and off it, and turns about its normal.
+
+    Off the ground only where more coincides: it denies the others, and is not among the points.
+    """
     for target, source in scenes:
-        for shift in best_shifts(target.points, source.points, target.up, T):
+        clouds = target.points, source.points, target.up, T
+        lifts = [shift for shift in best_lifts(*clouds) if shift.gain > 1]
+        for shift in (*best_shifts(*clouds), *lifts):
             yield se3.retract(T, np.r_[np.zeros(3), shift.step])
     target, source = scenes[0]
     middle = se3.apply(T, np.median(source.points, axis=0)) if len(source.points) else T[:3, 3]
@@ -196,7 +204,7 @@ def unconfirmed(found: Confirmation) -> Iterator[Reason]:
         "not_confirmed",
         f"{found.agreeing} places off the ground agree with this pose, {found.denying} deny it, "
         f"and it leads others by {found.lead:.1f} σ: the answer is wrong with a probability of "
-        f"{100 * wrong:.0f} % ({100 * MAX_WRONG:.0f} % are allowed), where "
+        f"{100 * wrong:.1f} % ({100 * MAX_WRONG:.0f} % are allowed), where "
         "poles may have been moved. Two poles cannot vouch for themselves: add a third pole or a "
         "second placement, or stand boxes or a car in view of both LiDARs",
         {

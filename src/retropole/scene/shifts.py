@@ -20,6 +20,9 @@ from ..datatypes import Array, IntArray
 CELL, LAYER = 0.25, 0.75
 """Side and height of a cell, metres."""
 
+BROAD = 0.5
+"""Side of a cell where heights are compared, metres."""
+
 REACH = 6.0
 """Shifts that are tried, metres."""
 
@@ -43,7 +46,7 @@ class Shift:
     step
         (3,) of the source in the target's frame, metres.
     gain
-        How many more cells coincide there than at the pose, as a ratio.
+        How many more cells coincide there than at the pose, or points with cells, as a ratio.
     """
 
     step: Array
@@ -69,15 +72,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     """
     if not len(target) or not len(source):
         return []
-    level = np.linalg.svd(up[None, :])[2]
-    axes = np.concatenate([level[1:], up[None, :]])
-    a, b = target @ axes.T, se3.apply(T, source) @ axes.T
-    middle = np.median(b, axis=0)
-    low = np.maximum(np.minimum(a.min(axis=0), b.min(axis=0)), middle - HALF_SIDE) - REACH
-    high = np.minimum(np.maximum(a.max(axis=0), b.max(axis=0)), middle + HALF_SIDE) + REACH
-    size = np.array([CELL, CELL, LAYER])
-    cells = [np.floor((one - low) / size).astype(np.int64) for one in (a, b)]
-    shape = np.ceil((high - low) / size).astype(np.int64)
+    axes, cells, shape = _cells(target, source, up, T, np.array([CELL, CELL, LAYER]))
     fast = [fft.next_fast_len(int(n), real=True) for n in shape[:2]]
     spectrum = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
     for layer in range(int(shape[2])):
@@ -90,24 +85,67 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     # The shifts about the pose as it is, from one end to the other.
     reach = int(REACH / CELL)
     total = np.roll(total, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-    place = (np.indices(total.shape).transpose(1, 2, 0) - reach) * CELL
-    here = max(float(total[np.abs(place).max(axis=2) <= CELL].max()), 1.0)
-    left = np.where(np.abs(place).max(axis=2) > NEAR, total, -1.0)
+    return _peaks(total, axes[:2])
+
+
+def best_lifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]:
+    """Find the shifts along the ground's normal at which most points lie in cells of the target.
+
+    Poles that were exchanged may lift a pose by metres: walls agree with it all the same, and the
+    ground is left out of the points. Arguments and result are those of `best_shifts`.
+    """
+    if not len(target) or not len(source):
+        return []
+    axes, (a, b), shape = _cells(target, source, up, T, np.array([BROAD, BROAD, CELL]))
+    a, b = (one[np.all((one >= 0) & (one < shape), axis=1)] for one in (a, b))
+    reach = int(REACH / CELL)
+    # Room above and below for what is lifted.
+    occupied = np.zeros((*shape[:2], shape[2] + 2 * reach), dtype=bool)
+    occupied[a[:, 0], a[:, 1], a[:, 2] + reach] = True
+    lifts = np.arange(2 * reach + 1)
+    met = occupied[b[:, None, 0], b[:, None, 1], b[:, None, 2] + lifts]
+    return _peaks(np.count_nonzero(met, axis=0).astype(np.float32), axes[2:])
+
+
+def _cells(
+    target: Array, source: Array, up: Array, T: Array, size: Array
+) -> tuple[Array, list[IntArray], IntArray]:
+    """Cells of a size (3,) that both clouds lie in under a pose, about the middle of the source.
+
+    Gives the axes of the cells as rows, the last along the ground's normal, the cell (N, 3) and
+    (M, 3) of every point, and how many there are along each axis.
+    """
+    level = np.linalg.svd(up[None, :])[2]
+    axes = np.concatenate([level[1:], up[None, :]])
+    a, b = target @ axes.T, se3.apply(T, source) @ axes.T
+    middle = np.median(b, axis=0)
+    low = np.maximum(np.minimum(a.min(axis=0), b.min(axis=0)), middle - HALF_SIDE) - REACH
+    high = np.minimum(np.maximum(a.max(axis=0), b.max(axis=0)), middle + HALF_SIDE) + REACH
+    cells = [np.floor((one - low) / size).astype(np.int64) for one in (a, b)]
+    return axes, cells, np.ceil((high - low) / size).astype(np.int64)
+
+
+def _peaks(total: NDArray[np.float32], axes: Array) -> list[Shift]:
+    """The best shifts along some axes (rows), of the cells that coincide at each up to `REACH`."""
+    place = (np.moveaxis(np.indices(total.shape), 0, -1) - int(REACH / CELL)) * CELL
+    apart = np.abs(place).max(axis=-1)
+    here = max(float(total[apart <= CELL].max()), 1.0)
+    left = np.where(apart > NEAR, total, -1.0)
     found = []
     for _ in range(PEAKS):
         best = np.unravel_index(int(np.argmax(left)), left.shape)
         if left[best] <= 0:
             break
         at = place[best] + CELL * _beside_peak(total, best)
-        found.append(Shift(at @ axes[:2], float(left[best]) / here))
-        left[np.abs(place - place[best]).max(axis=2) <= NEAR] = -1.0
+        found.append(Shift(at @ axes, float(left[best]) / here))
+        left[np.abs(place - place[best]).max(axis=-1) <= NEAR] = -1.0
     return found
 
 
 def _beside_peak(values: NDArray[np.float32], best: tuple[np.intp, ...]) -> Array:
-    """Where between the cells a peak lies, (2,) cells: the top of a parabola along each side."""
-    found = np.zeros(2)
-    for k in range(2):
+    """Where between the cells a peak lies, in cells: the top of a parabola along each axis."""
+    found = np.zeros(values.ndim)
+    for k in range(values.ndim):
         if not 0 < best[k] < values.shape[k] - 1:
             continue
         before, at, after = (
