@@ -11,11 +11,12 @@ from retropole.result import (
     StagesDoc,
     encode,
 )
+from retropole.result.bounded import Status
 
 
 def write_result(
     folder: Path,
-    status: str,
+    status: Status,
     reasons: list[ReasonDoc],
     pose: Matrix | None = None,
     covariance: Matrix | None = None,

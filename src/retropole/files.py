@@ -1,10 +1,32 @@
-"""Writing files so that none is ever left half written."""
+"""Reading documents that may be anything, and writing files so that none is left half written."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 from pathlib import Path
+
+from .errors import ReadError
+
+LARGEST_DOCUMENT = 2**24
+"""Bytes of a document that holds a transform; a result of ten placements has 2e5."""
+
+
+def read_document(path: Path) -> bytes:
+    """Read a file that is expected to hold a transform, and not more of it than one would have.
+
+    Raises
+    ------
+    ReadError
+        Where it is longer.
+    OSError
+        Where it cannot be read.
+    """
+    with path.open("rb") as file:
+        data = file.read(LARGEST_DOCUMENT + 1)
+    if len(data) > LARGEST_DOCUMENT:
+        raise ReadError(f"{path}: more than {LARGEST_DOCUMENT} bytes, no transform is so long")
+    return data
 
 
 def write_atomically(path: Path, data: bytes) -> None:

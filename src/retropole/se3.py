@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from .errors import ReadError
+
 Array = NDArray[np.float64]
+
+RIGID_TOLERANCE = 1e-4
+"""How far from rigid a transform that was read may be: four printed decimals make 1e-4."""
+
+FARTHEST = 1e8
+"""Nothing is farther away, metres: the coordinates of maps stay below 1e7."""
 
 
 def from_rt(rotation: Array, translation: Array) -> Array:
@@ -32,6 +40,44 @@ def inverse(T: Array) -> Array:
 def apply(T: Array, xyz: Array) -> Array:
     """Map (N, 3) points by a 4×4 transform: ``apply(T_a_b, points_b)`` gives points in ``a``."""
     return np.asarray(xyz @ T[:3, :3].T + T[:3, 3])
+
+
+def rigid(matrix: Array) -> Array:
+    """Check that a 4×4 matrix is rigid, and give the rigid transform nearest to it.
+
+    Parameters
+    ----------
+    matrix
+        (4, 4), as read.
+
+    Raises
+    ------
+    ReadError
+        Where it is not (4, 4), not finite, larger than `FARTHEST`, has another last row than
+        0 0 0 1, or where its rotation is mirrored or further than `RIGID_TOLERANCE` from
+        orthonormal.
+    """
+    T = np.asarray(matrix, dtype=float)
+    if T.shape != (4, 4):
+        raise ReadError(f"no rigid transform: {T.shape} numbers instead of (4, 4)")
+    if not np.isfinite(T).all():
+        raise ReadError(f"no rigid transform: {int((~np.isfinite(T)).sum())} entries not finite")
+    if np.abs(T).max() > FARTHEST:
+        raise ReadError(f"no rigid transform: {np.abs(T).max():.3g} is beyond {FARTHEST:g}")
+    if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise ReadError(f"no rigid transform: its last row is {T[3].tolist()}, not 0 0 0 1")
+    R = T[:3, :3]
+    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    det = float(np.linalg.det(R))
+    if off > RIGID_TOLERANCE or det < 0:
+        raise ReadError(
+            f"no rigid transform: its determinant is {det:.6g} (1 is rigid, -1 mirrors), and RᵀR "
+            f"is off the identity by {off:.3g} (at most {RIGID_TOLERANCE:g} is rounding)"
+        )
+    if off < 1e-12:
+        return T
+    U, _, Vt = np.linalg.svd(R)
+    return from_rt(U @ Vt, T[:3, 3])
 
 
 def exp_so3(phi: Array) -> Array:

@@ -38,6 +38,9 @@ VOUCHED = -4.0
 """The same for poles that vouch for themselves: of the answers with three or four poles in 1,000
 hard scenes (benchmarks/hard_scenes.py) none was wrong. A lie then takes poles carried as one."""
 
+SYMMETRIC = 1e-6
+"""A covariance that was read is symmetric and positive up to this part: seven printed digits."""
+
 ALONG = np.cos(np.radians(30.0))
 """A direction within this angle of another goes by its name."""
 
@@ -206,6 +209,30 @@ class Confirmation:
         # Fewer than a thousand answers set it: it is not known better than to a thousandth.
         probability = f"of {100 * wrong:.1f} %" if wrong >= 0.001 else "below 0.1 %"
         return f"{said}; wrong with a probability {probability}"
+
+
+def covariance_fault(C: Array) -> str | None:
+    """Say what keeps a matrix (N, N) from being a covariance; None where nothing does.
+
+    A variance of zero is allowed: what is known without error, as one part of the uncertainty may
+    be.
+    """
+    if not np.isfinite(C).all():
+        return "a number is not finite"
+    if np.abs(C - C.T).max() > SYMMETRIC * np.abs(C).max():
+        return "a covariance is symmetric, this is not"
+    variances = np.diag(C)
+    if (variances < 0).any():
+        return f"a variance is negative ({variances.min():.3g})"
+    sigma = np.sqrt(variances)
+    is_certain = sigma == 0
+    if np.abs(C[is_certain]).max(initial=0.0) > 0:
+        return "what has no variance correlates"
+    scale = np.where(is_certain, 1.0, sigma)
+    least = float(np.linalg.eigvalsh(C / np.outer(scale, scale))[0])
+    if least < -SYMMETRIC:
+        return f"no covariance: its correlations have an eigenvalue of {least:.3g}"
+    return None
 
 
 def predicted_error(

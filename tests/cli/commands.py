@@ -11,7 +11,7 @@ import numpy as np
 
 from retropole.cli import run
 from retropole.datatypes import Array
-from retropole.result import decode
+from retropole.result.decoding import decode
 
 
 def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -10,6 +10,7 @@ from retropole import se3
 from retropole.datatypes import Array
 from retropole.export import FORMATS, read_transform
 from retropole.result import Matrix, ReasonDoc
+from retropole.result.bounded import Status
 from tests import results
 from tests.cli.commands import Done, retropole_here
 
@@ -20,7 +21,7 @@ def export(*words: object) -> Done:
     return retropole_here("export", *words)
 
 
-def write_result(folder: Path, status: str = "ok", pose: Matrix | None = None) -> Path:
+def write_result(folder: Path, status: Status = "ok", pose: Matrix | None = None) -> Path:
     reasons = [] if status == "ok" else [ReasonDoc("weak_geometry", "sigma is 0.2 m", {})]
     covariance = None if pose is None else np.diag([1.0, 2, 3, 4, 5, 6]).tolist()
     return results.write_result(folder, status, reasons, pose, covariance)

@@ -38,6 +38,7 @@ from retropole.result import (
     WeakestDoc,
     pole_documents,
 )
+from retropole.result.bounded import Status
 from retropole.uncertainty import BudgetEntry, predicted_error
 
 HOSTILE = "</script><script>window.injected=1</script>\u2028<!--'\"&"
@@ -172,7 +173,7 @@ def made_up_hypotheses(answered: bool) -> list[HypothesisDoc]:
     ]
 
 
-def made_up(status: str = "ok", count: int = 4000) -> Run:
+def made_up(status: Status = "ok", count: int = 4000) -> Run:
     """Make up a run of one placement."""
     placement = Placement(observed(np.eye(4), 1, count), observed(T_TRUE, 2, count))
     answered = status != "refused"

@@ -19,6 +19,7 @@ from retropole import se3
 from retropole.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report
 from retropole.result import ReasonDoc
+from retropole.result.bounded import Status
 from retropole.simulation import simulate_pair
 from tests.report.made_up import HOSTILE, made_up
 
@@ -248,7 +249,7 @@ def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty:
 
 @pytest.mark.parametrize("width", [320, 390])
 @pytest.mark.parametrize("status", ["warn", "refused"])
-def test_fits_a_phone(browser: Browser, tmp_path: Path, width: int, status: str) -> None:
+def test_fits_a_phone(browser: Browser, tmp_path: Path, width: int, status: Status) -> None:
     size = {"width": width, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:

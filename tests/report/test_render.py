@@ -22,12 +22,13 @@ from retropole.result import (
     StagesDoc,
     encode,
 )
+from retropole.result.bounded import Status
 from tests.paths import PACKAGE
 from tests.report.made_up import HOSTILE, Page, made_up, placement_of
 
 
 @pytest.mark.parametrize("status", ["ok", "warn", "refused"])
-def test_page_is_well_formed_and_names_each_reason(status: str) -> None:
+def test_page_is_well_formed_and_names_each_reason(status: Status) -> None:
     result, placements = made_up(status, 500)
     page = Page(render_report(result, placements))
     assert page.open == []
@@ -107,7 +108,7 @@ def incomplete(result: ResultDoc) -> dict[str, ResultDoc]:
 
 @pytest.mark.parametrize("missing", ["hypotheses", "uncertainty", "poles", "inputs"])
 @pytest.mark.parametrize("status", ["ok", "refused"])
-def test_what_may_be_missing_may_be_missing(status: str, missing: str) -> None:
+def test_what_may_be_missing_may_be_missing(status: Status, missing: str) -> None:
     result, placements = made_up(status, 500)
     without = incomplete(result)[missing]
     undetected = [
@@ -124,7 +125,7 @@ def test_page_of_no_placement_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("status", ["ok", "warn", "refused"])
-def test_result_is_not_changed(status: str) -> None:
+def test_result_is_not_changed(status: Status) -> None:
     result, placements = made_up(status, 500)
     before = encode(result)
     render_report(result, placements)

@@ -26,6 +26,7 @@ from retropole.result import (
     detection_document,
     result_document,
 )
+from retropole.result.bounded import Status
 from retropole.simulation import simulate_pair
 from tests.report.made_up import made_up
 
@@ -85,7 +86,7 @@ def test_an_unknown_code_is_written_with_its_message_alone() -> None:
 
 
 @pytest.mark.parametrize("status", ["ok", "warn", "refused"])
-def test_a_result_ends_with_its_verdict(status: str) -> None:
+def test_a_result_ends_with_its_verdict(status: Status) -> None:
     text = describe_result(made_up(status, 500).result, ["r/result.json"])
     assert f"verdict: {status}\n" in text
     assert ("what to do: " in text) is (status != "ok")

@@ -12,12 +12,12 @@ from retropole.result import (
     ResultDoc,
     RunConfig,
     confirmation_of,
-    decode,
     encode,
     radius_of,
     result_document,
     uncertainty_of,
 )
+from retropole.result.decoding import decode
 from retropole.uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty
 from tests.report.made_up import BUDGET, RANDOM, SYSTEMATIC, placement_of
 

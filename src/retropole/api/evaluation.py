@@ -12,7 +12,7 @@ from ..evaluation.entropy import KERNEL_WIDTH
 from ..evaluation.metrics import Alignment
 from ..evaluation.metrics import evaluate as score
 from ..export import read_transform
-from ..export.transform import rigid
+from ..se3 import rigid
 from .inputs import CloudSource, read_input
 from .result import CalibrationResult
 

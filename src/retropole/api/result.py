@@ -15,8 +15,8 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Placement
 from ..errors import ReadError, Refusal
-from ..export.documents import RESULT_FILE, read_result, result_file
-from ..files import write_atomically
+from ..export.documents import RESULT_FILE, result_file
+from ..files import read_document, write_atomically
 from ..quantities import error
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
@@ -30,6 +30,7 @@ from ..result import (
     radius_of,
     uncertainty_of,
 )
+from ..result.decoding import decode
 from ..scene.consistency import contradicting_points, standing_in
 from ..uncertainty import Confirmation, RadiusEstimate, Uncertainty
 
@@ -283,9 +284,11 @@ def load_result(path: str | Path) -> CalibrationResult:
     """
     file = result_file(Path(path))
     try:
-        document = read_result(file.read_bytes())
+        data = read_document(file)
     except OSError as error:
         raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
+    try:
+        document = decode(data)
     except ReadError as error:
         raise ReadError(f"{file}: {error}") from None
     return CalibrationResult(document, None, file)

@@ -190,9 +190,11 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     from ..datatypes import PoseEstimate
     from ..errors import Reason, Refusal
     from ..export import inverted, read_transform
-    from ..export.documents import is_result, read_result, result_file
+    from ..export.documents import is_result, result_file
+    from ..files import read_document
     from ..reasons import prefixed
     from ..result import uncertainty_of
+    from ..result.decoding import decode
 
     transform = read_transform(path)
     if transform.roles == ("source", "target"):
@@ -207,10 +209,10 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    data = result_file(path).read_bytes()
+    data = read_document(result_file(path))
     if not is_result(data):
         return Stored(pose, DEFAULT_CONFIG, ())
-    document = read_result(data)
+    document = decode(data)
     warnings = tuple(
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons

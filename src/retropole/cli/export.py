@@ -109,10 +109,10 @@ def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:
     """Edit a URDF, in place through links and with its permissions, or write it elsewhere."""
     from ..errors import ReadError, UsageError
     from ..export import put_into_urdf
-    from ..files import write_atomically
+    from ..files import read_document, write_atomically
 
     try:
-        data = put_into_urdf(robot.read_bytes(), transform)
+        data = put_into_urdf(read_document(robot), transform)
     except (ReadError, UsageError) as error:
         raise type(error)(f"{robot}: {error}") from None
     mode = robot.stat().st_mode

@@ -14,11 +14,13 @@ from typing import NamedTuple
 
 from ..datatypes import Array
 from ..errors import ReadError, UsageError
+from ..files import read_document
 from ..result import ReasonDoc
+from ..result.decoding import decode
+from ..se3 import rigid
 from .documents import (
     is_result,
     read_json,
-    read_result,
     read_yaml,
     result_file,
     write_json,
@@ -34,7 +36,7 @@ from .text import (
     write_quaternion,
     write_rpy,
 )
-from .transform import Transform, inverted, rigid
+from .transform import Transform, inverted
 from .urdf import put_into_urdf, read_urdf, write_urdf
 
 __all__ = [
@@ -139,7 +141,7 @@ def read_transform(
     """
     path = Path(path)
     file = result_file(path)
-    data = file.read_bytes().removeprefix(codecs.BOM_UTF8)
+    data = read_document(file).removeprefix(codecs.BOM_UTF8)
     try:
         name = fmt if fmt not in (None, "auto") else detect_format(file, data)
         if name not in FORMATS:
@@ -154,8 +156,8 @@ def read_transform(
 def read_verdict(path: Path) -> list[ReasonDoc]:
     """Read what a result document warns of: empty for one that is ok, and for any other file."""
     path = Path(path)
-    data = result_file(path).read_bytes()
-    return read_result(data).reasons if is_result(data) else []
+    data = read_document(result_file(path))
+    return decode(data).reasons if is_result(data) else []
 
 
 def detect_format(path: Path, data: bytes) -> str:

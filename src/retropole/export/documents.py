@@ -19,7 +19,11 @@ import numpy as np
 from ..datatypes import Array
 from ..errors import MissingExtraError, ReadError, Refusal
 from ..reasons import Code
-from ..result import COVARIANCE_ORDER, ResultDoc, decode
+from ..result import COVARIANCE_ORDER, ResultDoc
+from ..result.bounded import LARGEST
+from ..result.decoding import decode
+from ..se3 import rigid
+from ..uncertainty import covariance_fault
 from .found import Found
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, pose_of, pose_values
 from .transform import (
@@ -28,7 +32,6 @@ from .transform import (
     covariance_from_ros,
     covariance_to_ros,
     from_quaternion,
-    rigid,
     to_quaternion,
 )
 
@@ -75,12 +78,12 @@ def read_json(data: bytes) -> list[Found]:
     """
     try:
         document = msgspec.json.decode(data)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise ReadError(f"no JSON: {error}") from None
     if not isinstance(document, dict):
         raise ReadError("the JSON is no object with a key T_target_source")
     if is_result(data):
-        return [_of_result(read_result(data))]
+        return [_of_result(decode(data))]
     keys = [key for key in _KEYS if key in document]
     if len(keys) != 1:
         raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")
@@ -95,21 +98,13 @@ def result_file(path: Path) -> Path:
 
 
 def is_result(data: bytes) -> bool:
-    """Tell a result document by its schema; whether it is sound, `read_result` says."""
+    """Tell a result document by its schema; whether it is sound, `decode` says."""
     try:
         document = msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError):
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return False
     schema = document.get("schema") if isinstance(document, dict) else None
     return isinstance(schema, str) and schema.startswith("retropole/result/")
-
-
-def read_result(data: bytes) -> ResultDoc:
-    """Read a result document, or say what in it is wrong."""
-    try:
-        return decode(data)
-    except (msgspec.ValidationError, msgspec.DecodeError) as error:
-        raise ReadError(f"no result document: {error}") from None
 
 
 def _of_result(result: ResultDoc) -> Found:
@@ -142,7 +137,7 @@ def _pose(document: dict[str, Any], key: str) -> Array:
             apart = float(np.abs(from_quaternion(t, q) - T).max())
             if apart > 1e-6:
                 raise ReadError(f"{key} and quaternion or translation_m differ by {apart:.3g}")
-    except (TypeError, ValueError, KeyError) as error:
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise ReadError(f"{key} and what is beside it are no transform: {error}") from None
     return T
 
@@ -156,7 +151,7 @@ def _covariance(document: dict[str, Any]) -> Array | None:
         COVARIANCE_ORDER: lambda C: C,
     }
     given = document.get("covariance_order")
-    order = tuple(given) if isinstance(given, list) else ()
+    order = tuple(map(str, given)) if isinstance(given, list) else ()
     if order not in orders:
         raise ReadError(f"covariance_order {given} is neither {' nor '.join(map(str, orders))}")
     return orders[order](_square(document["covariance"]))
@@ -165,10 +160,13 @@ def _covariance(document: dict[str, Any]) -> Array | None:
 def _square(values: Any) -> Array:
     try:
         C = np.array(values, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         C = np.empty(0)
-    if C.shape != (6, 6) or not np.isfinite(C).all():
-        raise ReadError("the covariance is not 6×6 finite numbers")
+    if C.shape != (6, 6) or not np.abs(C).max() <= LARGEST:
+        raise ReadError(f"the covariance is not 6×6 numbers up to {LARGEST:g}")
+    fault = covariance_fault(C)
+    if fault is not None:
+        raise ReadError(f"covariance: {fault}")
     return C
 
 

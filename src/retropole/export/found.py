@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from ..datatypes import Array
 from ..errors import ReadError
-from .transform import Transform, rigid
+from ..se3 import rigid
+from .transform import Transform
 
 
 class Found(NamedTuple):

@@ -16,9 +16,6 @@ from .. import se3
 from ..datatypes import Array
 from ..errors import ReadError, UsageError
 
-RIGID_TOLERANCE = 1e-4
-"""How far from rigid a transform that was read may be: four printed decimals make 1e-4."""
-
 ROS_COVARIANCE_ORDER = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 """ROS puts translation first (geometry_msgs/PoseWithCovariance)."""
 
@@ -50,7 +47,7 @@ class Transform:
     UsageError
         For names that no frame can have.
     ReadError
-        For a matrix that is not rigid (`rigid`).
+        For a matrix that is not rigid (`se3.rigid`).
     """
 
     T_parent_child: Array
@@ -61,7 +58,7 @@ class Transform:
 
     def __post_init__(self) -> None:
         """Check the names and the matrix."""
-        rigid(self.T_parent_child)
+        se3.rigid(self.T_parent_child)
         for role, name in (("parent", self.parent), ("child", self.child)):
             if not name.strip() or not name.isprintable():
                 raise UsageError(f"{name!r} is no name for the {role} frame")
@@ -101,54 +98,19 @@ covariance_from_ros = covariance_to_ros
 """The way back: exchanging the two halves undoes itself."""
 
 
-def rigid(matrix: Array) -> Array:
-    """Check that a 4×4 matrix is rigid, and give the rigid transform nearest to it.
-
-    Parameters
-    ----------
-    matrix
-        (4, 4), as read.
-
-    Raises
-    ------
-    ReadError
-        Where it is not (4, 4), not finite, has another last row than 0 0 0 1, or where its
-        rotation is mirrored or further than `RIGID_TOLERANCE` from orthonormal.
-    """
-    T = np.asarray(matrix, dtype=float)
-    if T.shape != (4, 4):
-        raise ReadError(f"no rigid transform: {T.shape} numbers instead of (4, 4)")
-    if not np.isfinite(T).all():
-        raise ReadError(f"no rigid transform: {int((~np.isfinite(T)).sum())} entries not finite")
-    if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-9:
-        raise ReadError(f"no rigid transform: its last row is {T[3].tolist()}, not 0 0 0 1")
-    R = T[:3, :3]
-    off = float(np.abs(R.T @ R - np.eye(3)).max())
-    det = float(np.linalg.det(R))
-    if off > RIGID_TOLERANCE or det < 0:
-        raise ReadError(
-            f"no rigid transform: its determinant is {det:.6g} (1 is rigid, -1 mirrors), and RᵀR "
-            f"is off the identity by {off:.3g} (at most {RIGID_TOLERANCE:g} is rounding)"
-        )
-    if off < 1e-12:
-        return T
-    U, _, Vt = np.linalg.svd(R)
-    return se3.from_rt(U @ Vt, T[:3, 3])
-
-
 def from_quaternion(translation: Array, xyzw: Array) -> Array:
     """Build a 4×4 transform from a translation, m, and a unit quaternion ``x y z w``.
 
     Raises
     ------
     ReadError
-        Where a number is not finite, or the norm is further than `RIGID_TOLERANCE` from 1.
+        Where a number is not finite, or the norm is further than `se3.RIGID_TOLERANCE` from 1.
     """
     q, t = np.asarray(xyzw, dtype=float), np.asarray(translation, dtype=float)
     if not (np.isfinite(q).all() and np.isfinite(t).all()):
         raise ReadError("no rigid transform: a number is not finite")
-    norm = float(np.linalg.norm(q))
-    if abs(norm - 1) > RIGID_TOLERANCE:
+    norm = float(np.hypot.reduce(q))
+    if abs(norm - 1) > se3.RIGID_TOLERANCE:
         raise ReadError(f"no unit quaternion: x y z w = {q.tolist()} has norm {norm:.6g}, not 1")
     return se3.from_quaternion_xyzw(q, t)
 

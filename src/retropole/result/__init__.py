@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 
 from .. import __version__
 from ..datatypes import (
@@ -20,6 +21,7 @@ from ..datatypes import (
     Placement,
     PoseEstimate,
 )
+from .bounded import LONGEST_LIST, Count, Covariance, Number, Pose, Share, Size, Status, Text
 from .certainty import (
     BudgetEntryDoc,
     ConfirmationDoc,
@@ -74,7 +76,6 @@ __all__ = [
     "WeakestDoc",
     "confirmation_document",
     "confirmation_of",
-    "decode",
     "detection_document",
     "encode",
     "pole_documents",
@@ -95,21 +96,21 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     cloud's own threshold, the only topic, frames evenly spread. Frames are start, stop and step.
     """
 
-    radius_m: float = DEFAULT_RADIUS
-    radius_sigma_m: float = 0.0
+    radius_m: Size = DEFAULT_RADIUS
+    radius_sigma_m: Size = 0.0
     up: bool = False
-    prior_rpy_deg: tuple[float, float, float] | None = None
-    prior_sigma_deg: float = 10.0
-    poles: int | None = None
+    prior_rpy_deg: tuple[Number, Number, Number] | None = None
+    prior_sigma_deg: Size = 10.0
+    poles: Count | None = None
     refine: bool = True
     trust_poles: bool = False
     seed: int = 0
-    threshold_target: float | None = None
-    threshold_source: float | None = None
-    sensor_target: str = "auto"
-    sensor_source: str = "auto"
-    target_topic: str | None = None
-    source_topic: str | None = None
+    threshold_target: Number | None = None
+    threshold_source: Number | None = None
+    sensor_target: Text = "auto"
+    sensor_source: Text = "auto"
+    target_topic: Text | None = None
+    source_topic: Text | None = None
     frames: tuple[int | None, int | None, int | None] | None = None
 
 
@@ -119,17 +120,17 @@ DEFAULT_CONFIG = RunConfig()
 class ReasonDoc(msgspec.Struct, frozen=True):
     """Why a verdict is not a plain ok."""
 
-    code: str
-    message: str
-    values: dict[str, float | int | str]
+    code: Text
+    message: Text
+    values: dict[Text, Number | int | Text]
 
 
 class PoseEstimateDoc(msgspec.Struct, frozen=True):
     """A pose, from the poles or refined."""
 
-    T_target_source: Matrix
-    covariance: Matrix | None
-    rms_m: float
+    T_target_source: Pose
+    covariance: Covariance | None
+    rms_m: Size
 
 
 class StagesDoc(msgspec.Struct, frozen=True):
@@ -142,35 +143,35 @@ class StagesDoc(msgspec.Struct, frozen=True):
 class HypothesisDoc(msgspec.Struct, frozen=True):
     """One way of laying the source poles on the target poles."""
 
-    pairs: list[tuple[int, int]]
-    T_target_source: Matrix
-    pole_rms_m: float
+    pairs: Annotated[list[tuple[Count, Count]], Meta(max_length=LONGEST_LIST)]
+    T_target_source: Pose
+    pole_rms_m: Size
     exact: bool
-    icp_rotation_rad: float | None
-    icp_translation_m: float | None
-    overlap: float
-    free_space_violation: float = msgspec.field(name="free_space")
-    score: float
+    icp_rotation_rad: Size | None
+    icp_translation_m: Size | None
+    overlap: Share
+    free_space_violation: Number = msgspec.field(name="free_space")
+    score: Number
     chosen: bool
 
 
 class PlacementDoc(msgspec.Struct, frozen=True):
     """One of several placements: its poles, and how far the pose without it is from the whole."""
 
-    poles_target: int
-    poles_source: int
-    left_out_rotation_rad: float | None
-    left_out_translation_m: float | None
+    poles_target: Count
+    poles_source: Count
+    left_out_rotation_rad: Size | None
+    left_out_translation_m: Size | None
 
 
 class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     """The whole document."""
 
     schema: Literal["retropole/result/1"] = RESULT_SCHEMA
-    status: str
+    status: Status
     reasons: list[ReasonDoc]
-    T_target_source: Matrix | None
-    covariance: Matrix | None
+    T_target_source: Pose | None
+    covariance: Covariance | None
     covariance_order: tuple[str, ...] = COVARIANCE_ORDER
     covariance_frame: str = COVARIANCE_FRAME
     uncertainty: UncertaintyDoc | None = None
@@ -181,14 +182,14 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     confirmation: ConfirmationDoc | None = None
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
-    margin: float | None
+    margin: Number | None
     poles: PolesDoc
     placements: list[PlacementDoc] = []
     inputs: list[InputDoc]
     config: RunConfig
-    version: str
-    created: str
-    seconds: dict[str, float]
+    version: Text
+    created: Text
+    seconds: dict[Text, Size]
 
     @property
     def chosen(self) -> HypothesisDoc | None:
@@ -305,8 +306,3 @@ def result_document(
 def encode(document: msgspec.Struct) -> bytes:
     """Write a document as indented JSON."""
     return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
-
-
-def decode(data: bytes) -> ResultDoc:
-    """Read a result document; raises `msgspec.ValidationError` where it is not one."""
-    return msgspec.json.decode(data, type=ResultDoc)

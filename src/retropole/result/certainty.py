@@ -11,6 +11,7 @@ import numpy as np
 
 from ..datatypes import Array
 from ..uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty, WeakDirection
+from .bounded import Count, Covariance, Number, Share, Size, Text, Vector
 
 Matrix = list[list[float]]
 
@@ -18,58 +19,58 @@ Matrix = list[list[float]]
 class ErrorAtRange(msgspec.Struct, frozen=True):
     """Predicted error of a point at a range, 1 sigma."""
 
-    range_m: float
-    sigma_m: float
+    range_m: Size
+    sigma_m: Size
 
 
 class WeakestDoc(msgspec.Struct, frozen=True):
     """The direction in which the pose is least certain, at the poles, target axes."""
 
-    direction: list[float]
-    sigma_m: float
-    words: str
-    condition: float
+    direction: Vector
+    sigma_m: Size
+    words: Text
+    condition: Size
 
 
 class UncertaintyDoc(msgspec.Struct, frozen=True):
     """The two parts of the covariance, in its order and frame; it is their sum."""
 
-    random: Matrix
-    systematic: Matrix
+    random: Covariance
+    systematic: Covariance
 
 
 class BudgetEntryDoc(msgspec.Struct, frozen=True):
     """One source of error; `sigma` and `estimated` are in `unit`."""
 
-    name: str
+    name: Text
     sensor: Literal["target", "source"] | None
-    sigma: float
+    sigma: Size
     unit: Literal["m", "rad", "1"]
-    estimated: float | None
-    share_at_30m: float
+    estimated: Number | None
+    share_at_30m: Share
 
 
 class RadiusDoc(msgspec.Struct, frozen=True):
     """Radius of the poles as given and as the data have it, each with its 1 sigma."""
 
-    given_m: float
-    given_sigma_m: float
-    estimated_m: float
-    sigma_m: float
+    given_m: Size
+    given_sigma_m: Size
+    estimated_m: Size
+    sigma_m: Size
 
 
 class ConfirmationDoc(msgspec.Struct, frozen=True, kw_only=True):
     """What stands in the scene says of the pose: the fields of `Confirmation`, and the share."""
 
-    agreeing: int
-    contradicting: int
-    contradicted: float
-    missing: int = 0
-    better_at: float | None = msgspec.field(default=None, name="better_at_m")
-    lead: float | None = None
+    agreeing: Count
+    contradicting: Count
+    contradicted: Share
+    missing: Count = 0
+    better_at: Size | None = msgspec.field(default=None, name="better_at_m")
+    lead: Number | None = None
     vouched: bool = False
     trusted: bool = False
-    probability_wrong: float | None = None
+    probability_wrong: Share | None = None
 
 
 def matrix_rows(value: Array) -> Matrix:

@@ -7,26 +7,27 @@ from collections.abc import Sequence
 import msgspec
 
 from ..datatypes import Detection, Pole
+from .bounded import Count, Number, Size, Text, Vector
 
 
 class PoleDoc(msgspec.Struct, frozen=True):
     """One pole as one LiDAR sees it, in that LiDAR's frame."""
 
-    point_m: list[float]
-    direction: list[float]
-    length_m: float
-    points: int
-    rings: int
-    rms_m: float
+    point_m: Vector
+    direction: Vector
+    length_m: Size
+    points: Count
+    rings: Count
+    rms_m: Size
 
 
 class RejectedDoc(msgspec.Struct, frozen=True):
     """A retro-reflective cluster that was rejected."""
 
-    centre_m: list[float]
-    points: int
-    code: str
-    reason: str
+    centre_m: Vector
+    points: Count
+    code: Text
+    reason: Text
 
 
 class PolesDoc(msgspec.Struct, frozen=True):
@@ -39,20 +40,20 @@ class PolesDoc(msgspec.Struct, frozen=True):
 class InputDoc(msgspec.Struct, frozen=True):
     """What was read."""
 
-    path: str
-    sha256: str
-    points: int
-    dropped: int
-    sensor: str
-    threshold: float | None
+    path: Text
+    sha256: Text
+    points: Count
+    dropped: Count
+    sensor: Text
+    threshold: Number | None
 
 
 class DetectionDoc(msgspec.Struct, frozen=True):
     """What `retropole detect` found in one file."""
 
     input: InputDoc
-    threshold_source: str
-    retro_points: int
+    threshold_source: Text
+    retro_points: Count
     poles: list[PoleDoc]
     rejected: list[RejectedDoc]
 

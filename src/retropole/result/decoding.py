@@ -1,0 +1,96 @@
+"""Reading a result document that may have been edited by hand, cut short or made elsewhere.
+
+Whoever holds one that was decoded relies on it: every number is finite, rotations rotate,
+covariances are covariances, and what refers to a pole finds one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+
+from .. import se3
+from ..errors import ReadError
+from ..reasons import explain
+from ..uncertainty import covariance_fault
+from . import ResultDoc
+from .bounded import LARGEST, Covariance, Pose
+
+
+def decode(data: bytes) -> ResultDoc:
+    """Read a result document.
+
+    Raises
+    ------
+    ReadError
+        Where it is not one; names the field, and says what is wrong with it.
+    """
+    try:
+        document = msgspec.json.decode(data, type=ResultDoc)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ReadError(f"no result document: {error}") from None
+    _check(document)
+    return document
+
+
+def _check(document: ResultDoc) -> None:
+    """Check what the types of the fields cannot say."""
+    _check_verdict(document)
+    for name, pose in _poses(document):
+        try:
+            se3.rigid(np.array(pose))
+        except ReadError as error:
+            raise ReadError(f"{name}: {error}") from None
+    for name, covariance in _covariances(document):
+        fault = covariance_fault(np.array(covariance, dtype=float))
+        if fault is not None:
+            raise ReadError(f"{name}: {fault}")
+    of_target, of_source = document.poles.target, document.poles.source
+    for k, hypothesis in enumerate(document.hypotheses):
+        for i, j in hypothesis.pairs:
+            if i >= len(of_target) or j >= len(of_source):
+                raise ReadError(
+                    f"hypotheses[{k}].pairs: ({i}, {j}), there are {len(of_target)} poles of the "
+                    f"target and {len(of_source)} of the source"
+                )
+
+
+def _check_verdict(document: ResultDoc) -> None:
+    """Hold the status, its reasons and the transform against each other."""
+    answered = document.status != "refused"
+    if answered != (document.T_target_source is not None):
+        there = "no" if answered else "a"
+        raise ReadError(f"T_target_source: {there} transform, and the status is {document.status}")
+    if sum(hypothesis.chosen for hypothesis in document.hypotheses) > 1:
+        raise ReadError("hypotheses: more than one is chosen")
+    for k, reason in enumerate(document.reasons):
+        if explain(reason.code) is None:
+            raise ReadError(f"reasons[{k}].code: {reason.code[:50]!r} is no code of this version")
+        for name, value in reason.values.items():
+            if not isinstance(value, str) and not abs(value) <= LARGEST:
+                raise ReadError(f"reasons[{k}].values[{name[:50]!r}]: beyond {LARGEST:g}")
+
+
+def _poses(document: ResultDoc) -> Iterator[tuple[str, Pose]]:
+    """Every pose with the name of its field."""
+    if document.T_target_source is not None:
+        yield "T_target_source", document.T_target_source
+    for name, stage in (("poles", document.stages.poles), ("refined", document.stages.refined)):
+        if stage is not None:
+            yield f"stages.{name}.T_target_source", stage.T_target_source
+    for k, hypothesis in enumerate(document.hypotheses):
+        yield f"hypotheses[{k}].T_target_source", hypothesis.T_target_source
+
+
+def _covariances(document: ResultDoc) -> Iterator[tuple[str, Covariance]]:
+    """Every covariance with the name of its field."""
+    if document.covariance is not None:
+        yield "covariance", document.covariance
+    if document.uncertainty is not None:
+        yield "uncertainty.random", document.uncertainty.random
+        yield "uncertainty.systematic", document.uncertainty.systematic
+    for name, stage in (("poles", document.stages.poles), ("refined", document.stages.refined)):
+        if stage is not None and stage.covariance is not None:
+            yield f"stages.{name}.covariance", stage.covariance

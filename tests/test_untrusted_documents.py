@@ -1,0 +1,139 @@
+"""Documents that were edited by hand, cut short or made up: an error, or an answer that is one."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from retropole.api.result import REPORT_FILE
+from retropole.cli import run
+from retropole.errors import ReadError, Refusal
+from retropole.export import FORMATS, read_transform
+from retropole.report import render_report
+from retropole.result import encode
+from retropole.result.decoding import decode
+from tests.report.made_up import Run, made_up
+
+NASTY: tuple[Any, ...] = (
+    *(None, True, False, "", [], {}, [[]], 0, -1, 3, 10**30, 0.5, -0.0, 1e-320, 1e13, 1e308),
+    *("x" * 20_000, "nan", "\x00\x1b[2J", "</script><script>alert(1)</script>", "\ud7ff", "ok"),
+    *([0.0] * 6, [[0.0] * 6] * 6, [[1e308] * 4] * 4, {"x": 1e308}, [None], -1e-4, "target"),
+)
+
+
+def nodes(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every place of a document but its root."""
+    found = []
+    if isinstance(value, dict | list):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            found += [(*path, key), *nodes(each, (*path, key))]
+    return found
+
+
+def edited(document: Any, dice: random.Random) -> bytes:
+    """Replace, remove, repeat, negate or scale something in a document."""
+    document = json.loads(json.dumps(document))
+    for _ in range(dice.choice((1, 1, 1, 2, 4))):
+        *way, last = dice.choice(nodes(document))
+        place = document
+        for key in way:
+            place = place[key]
+        what = dice.randrange(6)
+        if what == 0:
+            del place[last]
+        elif what == 1 and isinstance(place, list):
+            place.insert(last, place[last])
+        elif what == 2:
+            place[last] = scaled(place[last], dice.choice((-1.0, 0.0, 1e-9, 1e9, 1e150)))
+        else:
+            place[last] = dice.choice(NASTY)
+        if not nodes(document):
+            break
+    return json.dumps(document).encode()
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """Scale every number of a value."""
+    if isinstance(value, list):
+        return [scaled(each, factor) for each in value]
+    if isinstance(value, dict):
+        return {key: scaled(each, factor) for key, each in value.items()}
+    return value * factor if isinstance(value, float) else value
+
+
+def damaged(data: bytes, dice: random.Random) -> bytes:
+    """Cut a document, or change some of its bytes."""
+    if dice.random() < 0.3:
+        return data[: dice.randrange(len(data))]
+    changed = bytearray(data)
+    for _ in range(dice.choice((1, 2, 8))):
+        at, any_byte = dice.randrange(len(changed)), bytes([dice.randrange(256)])
+        what = dice.choice((b"", b"9", b"-", b"e3", b"null", b"[", b'"', any_byte))
+        changed[at : at + dice.choice((0, 1, 1, 4))] = what
+    return bytes(changed)
+
+
+def mutated(document: Any, dice: random.Random) -> bytes:
+    """Make another document of one."""
+    if dice.random() < 0.8:
+        return edited(document, dice)
+    return damaged(json.dumps(document).encode(), dice)
+
+
+@pytest.fixture(scope="module")
+def whole() -> Run:
+    """A run and its result."""
+    return made_up("ok", 400)
+
+
+def hold_result(data: bytes, whole: Run, folder: Path, dice: random.Random) -> bool:
+    """Hand a document to all that take it; whether it was taken for a result."""
+    path = folder / "result.json"
+    path.write_bytes(data)
+    out = folder / "out.txt"
+    code = run(["export", str(path), "--to", dice.choice(list(FORMATS)), "--out", str(out)])
+    assert code in (0, 2, 3)
+    try:
+        document = decode(data)
+    except ReadError:
+        return False
+    page = render_report(document, whole.placements)
+    assert "nan" not in page.split("<script")[0].lower().split(">")
+    try:
+        transform = read_transform(path)
+    except Refusal:
+        return True
+    assert np.isfinite(transform.T_parent_child).all()
+    if transform.covariance is not None:
+        assert np.linalg.eigvalsh(transform.covariance)[0] > -1e-5 * transform.covariance.max()
+    return True
+
+
+def test_an_edited_result_is_an_error_or_a_result(whole: Run, tmp_path: Path) -> None:
+    hold_many(whole, tmp_path, range(150))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(20))
+def test_many_edited_results(part: int, whole: Run, tmp_path: Path) -> None:
+    hold_many(whole, tmp_path, range(1000 * (part + 1), 1000 * (part + 2)))
+
+
+def hold_many(whole: Run, folder: Path, seeds: range) -> None:
+    document = json.loads(encode(whole.result))
+    taken = 0
+    for seed in seeds:
+        dice = random.Random(seed)
+        data = mutated(document, dice)
+        try:
+            taken += hold_result(data, whole, folder, dice)
+        except Exception as error:
+            raise AssertionError(f"seed {seed}: {type(error).__name__}") from error
+    # Neither refuses everything nor takes everything.
+    assert 0.05 < taken / len(seeds) < 0.6
+    assert not (folder / REPORT_FILE).exists()
