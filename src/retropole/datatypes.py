@@ -26,6 +26,12 @@ BoolArray = NDArray[np.bool_]
 DEFAULT_RADIUS = 0.02
 """Radius of the taped poles where nothing else is said, metres (Xue et al. 2019)."""
 
+MIN_RADIUS, MAX_RADIUS = 0.002, 0.25
+"""Taped poles are no thinner and no thicker, metres: a wire and a bollard."""
+
+MAX_POLES = 50
+"""More are not simulated."""
+
 PER_POINT = ("intensity", "ring", "time", "frame")
 """Fields of a cloud that have one value per point, or are None."""
 

@@ -141,11 +141,13 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"radius": 0.0}, "radius is 0.0, expected a number above 0"),
+        ({"radius": 0.0}, "radius is 0.0, expected a number from 0.002 to 0.25 m"),
+        ({"radius": 2.0}, "radius is 2.0, expected a number from 0.002 to 0.25 m"),
         ({"radius": float("nan")}, "radius is nan"),
-        ({"radius_sigma": -1.0}, "radius_sigma is -1.0, expected a number from 0 up"),
+        ({"radius_sigma": -1.0}, "radius_sigma is -1.0, expected a number from 0 to 0.25 m"),
         ({"poles": 1}, "poles is 1, expected a number from 2 up"),
         ({"prior_sigma_deg": 0.0}, "prior_sigma_deg is 0.0"),
+        ({"prior_sigma_deg": float("inf")}, "prior_sigma_deg is inf"),
         ({"up": True, "prior_rpy_deg": (0.0, 0.0, 0.0)}, "exclude each other"),
         ({"sensor_target": "nonsense"}, "no sensor is called 'nonsense'"),
         ({"target_topic": "/front"}, "target: a topic or frames"),

@@ -49,6 +49,29 @@ def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path:
     assert list(tmp_path.iterdir()) == [], "nothing is written"
 
 
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e30", "-1", "0"])
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (("calibrate", "a", "b"), "--radius"),
+        (("calibrate", "a", "b"), "--prior-sigma-deg"),
+        (("calibrate", "a", "b"), "--threshold-target"),
+        (("check", "r", "a", "b"), "--sigma-deg"),
+        (("check", "r", "a", "b"), "--tolerance-m"),
+        (("detect", "a"), "--threshold"),
+        (("evaluate", "a", "b"), "--sigma"),
+        (("simulate", "street"), "--poles"),
+        (("simulate", "street"), "--radius"),
+    ],
+)
+def test_a_number_beyond_its_bounds_is_bad_usage(
+    command: tuple[str, ...], option: str, value: str
+) -> None:
+    done = retropole_here(*command, option, value)
+    assert done.returncode == 2
+    assert option in done.stderr
+
+
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "paper"])
 def test_help_has_worked_examples(command: str) -> None:
     done = retropole_here(command, "--help")

@@ -312,6 +312,17 @@ def test_no_intensity_is_refused(intensity: Array | None) -> None:
     assert caught.value.code == "no_intensity"
 
 
+def test_a_threshold_that_most_of_a_large_cloud_passes_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    xyz, intensity = rng.uniform(-20, 20, (50_000, 3)), rng.uniform(0, 100, 50_000)
+    with pytest.raises(Refusal) as caught:
+        extract_poles(PointCloud(xyz, intensity), threshold=1.0)
+    assert caught.value.code == "threshold_too_low"
+    assert float(caught.value.values["bright"]) > 49_000
+    few = PointCloud(xyz[:300], intensity[:300])
+    assert extract_poles(few, threshold=1.0).retro_points > 290
+
+
 def test_no_return_above_the_threshold_is_an_answer() -> None:
     cloud, _ = seen([])
     found = extract_poles(cloud, threshold=1e9)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import index
 
+from ..datatypes import MAX_RADIUS
 from ..errors import UsageError
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
@@ -15,6 +16,7 @@ from ..result import DEFAULT_CONFIG, RunConfig, result_document
 from .inputs import (
     CloudSource,
     Input,
+    check_radius,
     check_topics,
     input_documents,
     intensity_hint,
@@ -197,11 +199,21 @@ def check_options(config: RunConfig) -> None:
     UsageError
         Naming the option and what is expected.
     """
+    check_radius(config.radius_m)
     poles = MIN_POLES if config.poles is None else config.poles
     for name, value, allowed, expected in (
-        ("radius", config.radius_m, config.radius_m > 0, "above 0"),
-        ("radius_sigma", config.radius_sigma_m, config.radius_sigma_m >= 0, "from 0 up"),
-        ("prior_sigma_deg", config.prior_sigma_deg, config.prior_sigma_deg > 0, "above 0"),
+        (
+            "radius_sigma",
+            config.radius_sigma_m,
+            0 <= config.radius_sigma_m <= MAX_RADIUS,
+            f"from 0 to {MAX_RADIUS:g} m",
+        ),
+        (
+            "prior_sigma_deg",
+            config.prior_sigma_deg,
+            0 < config.prior_sigma_deg <= 180,
+            "above 0, 180 at most",
+        ),
         ("poles", poles, poles >= MIN_POLES, f"from {MIN_POLES} up"),
     ):
         if not (allowed and math.isfinite(value)):

@@ -6,7 +6,7 @@ from ..datatypes import Detection
 from ..errors import Refusal
 from ..extraction.poles import extract_poles
 from ..result import DEFAULT_CONFIG
-from .inputs import CloudSource, Input, intensity_hint, read_input
+from .inputs import CloudSource, Input, check_radius, intensity_hint, read_input
 
 
 def detect(
@@ -45,10 +45,11 @@ def detect(
     Refusal
         ``no_intensity`` where the cloud has none.
     UsageError
-        For arrays of another shape and unknown sensors.
+        For arrays of another shape, unknown sensors and a radius that no pole has.
     ReadError, MissingExtraError
         Where the file cannot be read.
     """
+    check_radius(radius)
     given = read_input(cloud, sensor=sensor, threshold=threshold, topic=topic, frames=frames)
     return detect_in(given, radius)
 

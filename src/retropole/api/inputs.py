@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import PER_POINT, PointCloud
+from ..datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
 from ..errors import UsageError
 from ..io import (
     ARRAY_SOURCE,
@@ -72,6 +72,21 @@ class InputPair(NamedTuple):
 
     target: Input
     source: Input
+
+
+def check_radius(radius: float) -> None:
+    """Refuse a radius, metres, that no taped pole has.
+
+    Raises
+    ------
+    UsageError
+        With what is expected.
+    """
+    if not MIN_RADIUS <= radius <= MAX_RADIUS:
+        raise UsageError(
+            f"radius is {radius}, expected a number from {MIN_RADIUS:g} to {MAX_RADIUS:g} m: half "
+            "the thickness of the poles"
+        )
 
 
 def read_input(

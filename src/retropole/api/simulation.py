@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datatypes import Array
+from ..datatypes import MAX_POLES, Array
 from ..errors import UsageError
 from ..export import read_transform
 from ..result import DEFAULT_CONFIG
 from ..simulation import NOISE_MODELS, InsertedPair, SimulatedPair, insert_poles, simulate_pair
-from .inputs import CloudSource, read_input
+from .inputs import CloudSource, check_radius, read_input
 
 
 def simulate(
@@ -56,12 +56,13 @@ def simulate(
     Raises
     ------
     UsageError
-        For an unknown scene, sensor or set of nuisances.
+        For an unknown scene, sensor or set of nuisances, and for poles that nobody has.
     SimulationError
         Where no arrangement is found in which both LiDARs see every pole.
     """
     if nuisances is not None and nuisances not in NOISE_MODELS:
         raise UsageError(f"no nuisances {nuisances!r}; there are {', '.join(NOISE_MODELS)}")
+    _check_poles(poles, radius)
     return simulate_pair(
         scene,
         np.random.default_rng(seed),
@@ -110,10 +111,11 @@ def insert(
     Raises
     ------
     ReadError, UsageError
-        For a file that cannot be read or an unknown sensor.
+        For a file that cannot be read, an unknown sensor, and poles that nobody has.
     SimulationError
         Where no poles are found that both LiDARs see on the ground of the recordings.
     """
+    _check_poles(poles, radius)
     given = read_input(target, sensor=sensors[0]), read_input(source, sensor=sensors[1])
     if isinstance(transform, str | Path):
         transform = read_transform(Path(transform)).T_parent_child
@@ -126,3 +128,10 @@ def insert(
         poles=poles,
         radius=radius,
     )
+
+
+def _check_poles(poles: int, radius: float) -> None:
+    """Refuse numbers and radii of poles that nobody has."""
+    if not 1 <= poles <= MAX_POLES:
+        raise UsageError(f"poles is {poles}, expected a number from 1 to {MAX_POLES}")
+    check_radius(radius)

@@ -6,12 +6,16 @@ from pathlib import Path
 
 import click
 
+from ..datatypes import MAX_RADIUS
 from ..result import DEFAULT_CONFIG
 from .common import (
+    ANGLE,
     CLOUD,
     CONTEXT,
+    DEGREES,
     EXIT_REFUSED,
     OUT,
+    Number,
     echo_left_out,
     echo_refusal,
     frames_option,
@@ -43,7 +47,7 @@ from .common import (
 @radius_option
 @click.option(
     "--radius-sigma",
-    type=click.FloatRange(min=0),
+    type=Number(min=0, max=MAX_RADIUS),
     default=DEFAULT_CONFIG.radius_sigma_m,
     show_default=True,
     help="1 sigma of the radius, m; at least 2 % of it is taken.",
@@ -59,13 +63,13 @@ from .common import (
 @click.option("--up", is_flag=True, help="Both LiDARs stand roughly upright: choose by it.")
 @click.option(
     "--prior-rpy-deg",
-    type=(float, float, float),
+    type=(ANGLE, ANGLE, ANGLE),
     metavar="R P Y",
     help="Expected roll, pitch and yaw of the source in the target's frame: choose by it.",
 )
 @click.option(
     "--prior-sigma-deg",
-    type=click.FloatRange(min=0, min_open=True),
+    type=DEGREES,
     default=DEFAULT_CONFIG.prior_sigma_deg,
     show_default=True,
     help="1 sigma of --up or --prior-rpy-deg.",

@@ -14,7 +14,9 @@ from ..result import DEFAULT_CONFIG, confirmation_document
 from .common import (
     CLOUD,
     CONTEXT,
+    DEGREES,
     EXIT_REFUSED,
+    METRES,
     SAME_FOR_SOURCE,
     TOPIC_HELP,
     progress_on_terminal,
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
 
 EXIT_MOVED = 4
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
-POSITIVE = click.FloatRange(min=0, min_open=True)
 
 NOISE_SIGMAS = 2.0
 """A movement of fewer σ than this has no direction worth naming."""
@@ -51,24 +52,24 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
 @click.option("--source-topic", metavar="NAME", help=SAME_FOR_SOURCE)
 @click.option(
     "--tolerance-deg",
-    type=POSITIVE,
+    type=DEGREES,
     default=math.degrees(DEFAULT_TOLERANCE.rotation),
     show_default=True,
     help="A rotation that must not be missed: where it could be, the answer is not 'same'.",
 )
 @click.option(
     "--tolerance-m",
-    type=POSITIVE,
+    type=METRES,
     default=DEFAULT_TOLERANCE.translation,
     show_default=True,
     help="A translation that must not be missed.",
 )
 @click.option(
     "--sigma-deg",
-    type=POSITIVE,
+    type=DEGREES,
     help="1 sigma of RESULT's rotation, about each axis.  [default: its covariance]",
 )
-@click.option("--sigma-m", type=POSITIVE, help="1 sigma of RESULT's translation, along each axis.")
+@click.option("--sigma-m", type=METRES, help="1 sigma of RESULT's translation, along each axis.")
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def check(

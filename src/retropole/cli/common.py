@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..datatypes import MAX_RADIUS, MIN_RADIUS
 from ..reasons import explain, plain
 from ..result import DEFAULT_CONFIG
 from ..sensors import SENSORS
@@ -27,9 +29,30 @@ SENSOR_HELP = f"Sensor's name ({', '.join(SENSORS)}), or auto."
 TOPIC_HELP = "Topic of the bag; needed where it has several of point clouds."
 SAME_FOR_SOURCE = "The same for SOURCE."
 
+
+class Number(click.FloatRange):
+    """A finite number within bounds: click lets nan through any, and inf where there is none."""
+
+    name = "number"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Take a number as click does, but no nan."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no number.", param, ctx)
+        return number
+
+
+DEGREES = Number(min=0, min_open=True, max=180)
+METRES = Number(min=0, min_open=True, max=1000)
+ANGLE = Number(min=-360, max=360)
+INTENSITY = Number(min=0, min_open=True, max=1e9)
+
 radius_option = click.option(
     "--radius",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(min=MIN_RADIUS, max=MAX_RADIUS),
     default=DEFAULT_CONFIG.radius_m,
     show_default=True,
     help="Radius of the poles, m: half their thickness, tape included.",
@@ -41,10 +64,10 @@ topic_option = click.option("--topic", metavar="NAME", help=TOPIC_HELP)
 def sensor_options(command: Callable[..., int]) -> Callable[..., int]:
     """Give a command --sensor-* and --threshold-*, each for the target and the source."""
     for option in (
-        click.option("--threshold-source", type=float, help=SAME_FOR_SOURCE),
+        click.option("--threshold-source", type=INTENSITY, help=SAME_FOR_SOURCE),
         click.option(
             "--threshold-target",
-            type=float,
+            type=INTENSITY,
             help="Intensity from which a return is retro-reflective, on the file's own scale.  "
             "[default: from the sensor or the cloud]",
         ),

@@ -9,6 +9,7 @@ import click
 from .common import (
     CLOUD,
     CONTEXT,
+    INTENSITY,
     OUT,
     SENSOR_HELP,
     frames_option,
@@ -30,7 +31,9 @@ from .common import (
 )
 @radius_option
 @click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
-@click.option("--threshold", type=float, help="Intensity from which a return is retro-reflective.")
+@click.option(
+    "--threshold", type=INTENSITY, help="Intensity from which a return is retro-reflective."
+)
 @topic_option
 @frames_option
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, frames_option, progress_on_terminal, topic_options
+from .common import CLOUD, CONTEXT, METRES, frames_option, progress_on_terminal, topic_options
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -25,7 +25,7 @@ TRANSFORM = click.Path(path_type=Path)
 )
 @click.option(
     "--sigma",
-    type=click.FloatRange(min=0, min_open=True),
+    type=METRES,
     default=0.05,
     show_default=True,
     help="Kernel width of the entropy, m.",

@@ -19,7 +19,7 @@ from .common import CONTEXT, OUT, progress_on_terminal
 )
 @click.option(
     "--seeds",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 10_000),
     default=100,
     show_default=True,
     help="Simulated scenes of each experiment; 100 take minutes.",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from ..datatypes import MAX_POLES
 from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option
 
 
@@ -36,7 +37,7 @@ from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's; auto]")
 @click.option("--sensor-source", help="The same for the source.")
-@click.option("--poles", type=click.IntRange(min=1), default=2, show_default=True)
+@click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2, show_default=True)
 @radius_option
 @click.option(
     "--nuisances",

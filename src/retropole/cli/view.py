@@ -9,6 +9,7 @@ import click
 from .common import (
     CLOUD,
     CONTEXT,
+    INTENSITY,
     SENSOR_HELP,
     frames_option,
     progress_on_terminal,
@@ -22,7 +23,9 @@ from .common import (
 @click.argument("files", type=CLOUD, nargs=-1, required=True)
 @radius_option
 @click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
-@click.option("--threshold", type=float, help="Where the sliders start.  [default: as in detect]")
+@click.option(
+    "--threshold", type=INTENSITY, help="Where the sliders start.  [default: as in detect]"
+)
 @topic_option
 @frames_option
 @click.option(

@@ -14,7 +14,7 @@ import numpy as np
 from ..datatypes import Detection, PointCloud, Pole
 from ..sensors import Sensor, Threshold, lower_thresholds
 from .doubtful import MAX_DOUBTFUL, with_doubtful, without_repeats
-from .poles import extract_poles
+from .poles import extract_poles, is_too_low
 
 
 def with_dimmer(
@@ -46,6 +46,8 @@ def with_dimmer(
     found: list[Pole] = []
     less: list[Pole] = []
     for lower in lower_thresholds(cloud.intensity, chosen):
+        if is_too_low(cloud.intensity, lower.value):
+            continue
         there = extract_poles(cloud, sensor=sensor, threshold=lower.value, radius=radius)
         found += _apart_from((*detection.poles, *found), there.poles, len(cloud))
         less += with_doubtful(cloud, there, radius, sensor).doubtful

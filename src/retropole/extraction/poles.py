@@ -73,6 +73,10 @@ SATURATED_SHARE = 0.5
 """Where more of a large cluster is inside a bright surface, its brightness says nothing, and only a
 slim line of many points is a pole. Sensitivity from 0.35 to 0.7: no effect."""
 
+MAX_BRIGHT, MAX_BRIGHT_SHARE = 20_000, 0.5
+"""More points than this, and more of the cloud, are not tape; time and memory grow faster than
+their number. A cloud cropped to its poles has fewer points."""
+
 MAX_POLES_PER_PART = 12
 """Poles taken out of one group at most; what is left then is rejected with a reason that says so.
 Sensitivity from 8 to 17: no effect."""
@@ -116,7 +120,8 @@ def extract_poles(
     Raises
     ------
     Refusal
-        ``no_intensity`` where the cloud has none, or the same one everywhere.
+        ``no_intensity`` where the cloud has none, or the same one everywhere, and
+        ``threshold_too_low`` where most of it passes the threshold.
     """
     if cloud.intensity is None or len(cloud) == 0 or np.ptp(cloud.intensity) == 0:
         raise Refusal(
@@ -126,6 +131,15 @@ def extract_poles(
             {"points": len(cloud)},
         )
     chosen = threshold_for(cloud.intensity, sensor, threshold)
+    if is_too_low(cloud.intensity, chosen.value):
+        bright = int(np.count_nonzero(cloud.intensity >= chosen.value))
+        raise Refusal(
+            "threshold_too_low",
+            f"{bright} of {len(cloud)} points pass the threshold {chosen.value:g}, tape is few of "
+            f"them: give one above {np.quantile(cloud.intensity, 0.9):g}, that of the brightest "
+            "tenth, or none",
+            {"bright": bright, "points": len(cloud), "threshold": chosen.value},
+        )
     cloud = with_beam_origin(with_trusted_rings(cloud))
     assert cloud.intensity is not None
     knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
@@ -156,6 +170,12 @@ def extract_poles(
         len(retro),
         _poles_on(cloud, [line for line, _ in doubtful]),
     )
+
+
+def is_too_low(intensity: Array, threshold: float) -> bool:
+    """Whether most of a large cloud passes a threshold: all of it would be one cluster."""
+    bright = int(np.count_nonzero(intensity >= threshold))
+    return bright > max(MAX_BRIGHT, MAX_BRIGHT_SHARE * len(intensity))
 
 
 def _search(

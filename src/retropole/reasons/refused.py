@@ -8,6 +8,7 @@ from .explanation import Explanation
 
 RefusedCode = Literal[
     "no_intensity",
+    "threshold_too_low",
     "too_few_poles",
     "parallel_poles",
     "no_match",
@@ -41,6 +42,17 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "Some converters drop it: convert again, or use the bag itself. "
             "[Names that are known](formats.md#names).",
             "In Python, give an array of shape (N, 4): x, y, z, intensity.",
+        ),
+    ),
+    "threshold_too_low": Explanation(
+        "Most of the recording passes the threshold",
+        "Tape is a small part of what a LiDAR sees. Where most returns are as bright, the "
+        "threshold is on another scale than the file's intensities, or too low.",
+        (
+            "Leave `--threshold-target` and `--threshold-source` away: they come from the sensor "
+            "or the cloud.",
+            "`retropole info FILE` shows the range of the intensities; "
+            "[`retropole view`](viewer.md) shows what each threshold does.",
         ),
     ),
     "too_few_poles": Explanation(
