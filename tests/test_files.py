@@ -1,8 +1,24 @@
+import errno
+import os
+import stat
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from retropole.files import write_atomically
+from retropole.errors import ReadError
+from retropole.files import (
+    LARGEST_DOCUMENT,
+    UNFINISHED,
+    read_document,
+    unfinished,
+    write_atomically,
+    write_together,
+)
+
+posix = pytest.mark.skipif(os.name != "posix", reason="devices, links and locks of POSIX")
 
 
 def test_writes_and_makes_the_folder(tmp_path: Path) -> None:
@@ -25,3 +41,104 @@ def test_an_interrupt_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.Mo
         write_atomically(path, b"new")
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = tmp_path / "result.json", tmp_path / "report.html"
+    write_together({first: b"old", second: b"old"})
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_together({first: b"new", second: b"new"})
+    assert first.read_bytes() == second.read_bytes() == b"old"
+    assert names(tmp_path) == {"result.json", "report.html"}
+    assert not unfinished
+
+
+@pytest.mark.parametrize("after", range(3))
+def test_files_that_are_there_are_of_one_run_wherever_it_ends(tmp_path: Path, after: int) -> None:
+    code = f"""
+import os
+from pathlib import Path
+from retropole.files import write_together
+real, count = os.replace, [0]
+def replace(*words):
+    if count[0] == {after}:
+        os._exit(9)
+    count[0] += 1
+    real(*words)
+os.replace = replace
+write_together({{Path("result.json"): b"new", Path("report.html"): b"new"}})
+"""
+    write_together({tmp_path / "result.json": b"old", tmp_path / "report.html": b"old"})
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=False)
+    assert done.returncode == (9 if after < 2 else 0)
+    left = [path for path in tmp_path.iterdir() if not path.name.endswith(UNFINISHED)]
+    assert len({path.read_bytes() for path in left}) == 1
+    write_together({tmp_path / "result.json": b"newer", tmp_path / "report.html": b"newer"})
+    assert names(tmp_path) == {"result.json", "report.html"}, "what was left is swept"
+
+
+@posix
+def test_two_at_once_do_not_mix(tmp_path: Path) -> None:
+    import fcntl
+
+    descriptor = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with pytest.raises(OSError, match="another run is writing"):
+        write_atomically(tmp_path / "result.json", b"mine")
+    os.close(descriptor)
+    write_atomically(tmp_path / "result.json", b"mine")
+    assert names(tmp_path) == {"result.json"}
+
+
+@posix
+def test_links_and_permissions_are_kept(tmp_path: Path) -> None:
+    path, link, other = (tmp_path / name for name in ("robot.urdf", "link", "other"))
+    path.write_bytes(b"old")
+    path.chmod(0o640)
+    link.symlink_to("robot.urdf")
+    write_atomically(link, b"new")
+    assert link.is_symlink()
+    assert path.read_bytes() == b"new"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    other.hardlink_to(path)
+    write_atomically(path, b"newer")
+    assert other.read_bytes() == b"newer"
+    assert path.samefile(other)
+
+
+@posix
+def test_what_is_no_file_is_written_to_and_stays(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read: list[bytes] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    write_atomically(pipe, b"through")
+    reader.join(10)
+    assert read == [b"through"]
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    null = tmp_path / "null"
+    null.symlink_to(os.devnull)
+    write_atomically(null, b"away")
+    assert null.is_symlink()
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+    with pytest.raises(IsADirectoryError):
+        write_atomically(tmp_path, b"folder")
+
+
+def test_a_document_is_not_read_without_end(tmp_path: Path) -> None:
+    path = tmp_path / "long.json"
+    path.write_bytes(b" " * (LARGEST_DOCUMENT + 1))
+    with pytest.raises(ReadError, match="more than"):
+        read_document(path)
+    path.write_bytes(b" " * LARGEST_DOCUMENT)
+    assert len(read_document(path)) == LARGEST_DOCUMENT

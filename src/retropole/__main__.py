@@ -1,5 +1,47 @@
-"""`python -m retropole` is the command `retropole`."""
+"""The command `retropole`, also as `python -m retropole`.
 
-from .cli import main
+What ends the process at any moment, while modules are loaded as well, ends it in order: unfinished
+files are removed, one line says so, and the exit code is that of the signal.
+"""
 
-main()
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from contextlib import suppress
+from types import FrameType
+
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+SHOW_CURSOR = "\x1b[?25h"
+"""Undoes what the progress on a terminal does."""
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    """End the process at once: an exception may be lost in what is being loaded or computed."""
+    files = sys.modules.get("retropole.files")
+    for path in getattr(files, "unfinished", ()):
+        with suppress(OSError):
+            os.unlink(path)
+    line = f"retropole: {WORDS[signal.Signals(number)]}\n"
+    if os.isatty(2):
+        line = f"{SHOW_CURSOR}\r{line}"
+    try:
+        os.write(2, line.encode())
+    finally:
+        os._exit(128 + number)
+
+
+def main() -> None:
+    """Run the command line, and end the process with its exit code."""
+    for number in WORDS:
+        # Who starts a command in the background has it ignore interrupts.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _end)
+    from .cli import run
+
+    sys.exit(run())
+
+
+if __name__ == "__main__":
+    main()

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import signal
+import stat
 import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import ReadError
 
 LARGEST_DOCUMENT = 2**24
 """Bytes of a document that holds a transform; a result of ten placements has 2e5."""
+
+UNFINISHED = ".retropole-unfinished"
+"""How the name of a file ends that is being written."""
+
+unfinished: set[str] = set()
+"""Files that are being written: whoever ends the process at once removes them first."""
 
 
 def read_document(path: Path) -> bytes:
@@ -32,19 +43,141 @@ def read_document(path: Path) -> bytes:
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, and make its folder where there is none.
 
-    The data go to a temporary file beside the target, which is then renamed: whoever reads
-    ``path`` sees the old content or the new, also after an interrupt or a full disk.
+    Whoever reads ``path`` sees the old content or the new, also after an interrupt or a full disk.
+    A link is followed, the permissions of a file that is there are kept, and what is no file (a
+    device, a pipe) is written to as it is.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written, or another process is writing into its folder.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    write_together({path: data})
+
+
+def write_together(files: Mapping[Path, bytes]) -> None:
+    """Write files of one folder, which belong together, all of them or none.
+
+    The data go to temporary files beside the targets, which are then renamed. The others than the
+    first are removed before: whatever ends the process, those that are there are of one run.
+
+    Raises
+    ------
+    OSError
+        As `write_atomically`.
+    """
+    places = {Path(os.path.realpath(path)): data for path, data in files.items()}
+    regular = {place: data for place, data in places.items() if _is_file(place)}
+    for folder in dict.fromkeys(place.parent for place in regular):
+        folder.mkdir(parents=True, exist_ok=True)
+        with _alone_in(folder):
+            _replace({place: data for place, data in regular.items() if place.parent == folder})
+    for place, data in places.items():
+        if place not in regular:
+            with place.open("wb") as device:
+                device.write(data)
+
+
+def _is_file(place: Path) -> bool:
+    """Whether a path is a file, or can become one."""
+    try:
+        return stat.S_ISREG(place.stat().st_mode)
+    except FileNotFoundError:
+        return True
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Keep other processes from writing into a folder; the system lets go when a process ends.
+
+    Where the system has no such locks, as on Windows and some network drives, there is none.
+    """
+    try:
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY)
+    except (ImportError, PermissionError):
+        yield
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise OSError(f"{folder}: another run is writing to it; nothing was written") from None
+    except OSError:
+        pass
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _replace(files: Mapping[Path, bytes]) -> None:
+    """Write temporary files beside the targets, and switch."""
+    for place in files:
+        _sweep(place)
+    written: dict[Path, str] = {}
+    try:
+        for place, data in files.items():
+            written[place] = _write_beside(place, data)
+        with _signals_wait():
+            for place in list(files)[1:]:
+                place.unlink(missing_ok=True)
+            for place, temporary in written.items():
+                if place.exists() and place.stat().st_nlink > 1:
+                    # The other names of the file shall have the same content.
+                    place.write_bytes(files[place])
+                else:
+                    os.replace(temporary, place)
+    finally:
+        for temporary in written.values():
+            Path(temporary).unlink(missing_ok=True)
+            unfinished.discard(temporary)
+
+
+def _sweep(place: Path) -> None:
+    """Remove what a process that was killed left of a file."""
+    for left in place.parent.glob(f".{glob.escape(place.name[:100])}.*{UNFINISHED}"):
+        left.unlink(missing_ok=True)
+
+
+def _write_beside(place: Path, data: bytes) -> str:
+    """Write a temporary file with the permissions that the file has, or would be given."""
+    descriptor, temporary = tempfile.mkstemp(
+        dir=place.parent, prefix=f".{place.name[:100]}.", suffix=UNFINISHED
+    )
+    unfinished.add(temporary)
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
-        # mkstemp makes files for the owner alone; give what an ordinary open would have given.
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            old = place.stat()
+        except FileNotFoundError:
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
+        else:
+            # To give a file to another owner takes rights that few have.
+            with suppress(OSError, AttributeError):
+                os.chown(temporary, old.st_uid, old.st_gid)
+            os.chmod(temporary, stat.S_IMODE(old.st_mode))
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
+        unfinished.discard(temporary)
         raise
+    return temporary
+
+
+@contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Let interrupts wait for a moment, where the system can."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -16,7 +16,7 @@ from .. import se3
 from ..datatypes import Array, Placement
 from ..errors import ReadError, Refusal
 from ..export.documents import RESULT_FILE, result_file
-from ..files import read_document, write_atomically
+from ..files import read_document, write_together
 from ..quantities import error
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
@@ -167,7 +167,7 @@ class CalibrationResult:
         return rows + [(reason.code, reason.message) for reason in self.reasons]
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:
-        """Write ``result.json`` and ``report.html`` to a folder, each whole or not at all.
+        """Write ``result.json`` and ``report.html`` to a folder, never of two runs.
 
         Returns
         -------
@@ -184,8 +184,7 @@ class CalibrationResult:
         result, page = Path(folder) / RESULT_FILE, Path(folder) / REPORT_FILE
         stored = self._inputs()
         html = render_report(self.document, stored.placements, notes=stored.notes)
-        write_atomically(result, encode(self.document))
-        write_atomically(page, html.encode())
+        write_together({result: encode(self.document), page: html.encode()})
         return result, page
 
     def report(self, path: str | Path, *, clouds: Sequence[str | Path] = ()) -> Path:

@@ -5,7 +5,6 @@ A command is a module of this folder with a function of the same name, and a lin
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, MutableMapping, Sequence
 from importlib import import_module
 
@@ -107,8 +106,3 @@ def run(words: Sequence[str] | None = None) -> int:
         click.echo("retropole: interrupted", err=True)
         return EXIT_INTERRUPTED
     return int(code or 0)
-
-
-def main() -> None:
-    """Run the command line, and end the process with its exit code."""
-    sys.exit(run())

@@ -115,8 +115,4 @@ def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:
         data = put_into_urdf(read_document(robot), transform)
     except (ReadError, UsageError) as error:
         raise type(error)(f"{robot}: {error}") from None
-    mode = robot.stat().st_mode
-    place = robot.resolve() if out is None else out
-    write_atomically(place, data)
-    if out is None:
-        place.chmod(mode)
+    write_atomically(robot if out is None else out, data)

@@ -288,7 +288,16 @@ def _decompress(path: Path, data: bytes, start: int, sizes: list[int]) -> bytes:
 
 
 def write_pcd(path: str | Path, cloud: PointCloud) -> None:
-    """Write a cloud as binary PCD, whole or not at all.
+    """Write a cloud as binary PCD, whole or not at all; arguments and errors of `pcd_of`."""
+    try:
+        data = pcd_of(cloud)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+    write_atomically(Path(path), data)
+
+
+def pcd_of(cloud: PointCloud) -> bytes:
+    """Give a cloud as the bytes of a binary PCD.
 
     Coordinates and intensity are float32, a ring uint16, a time float64; VIEWPOINT holds the
     origin of the beams, without rotation. The frame index has no field of its own, so it is left
@@ -315,7 +324,7 @@ def write_pcd(path: str | Path, cloud: PointCloud) -> None:
         low = 0 if name == "ring" else -limit
         if column.size and not (low <= column.min() and column.max() <= limit):
             raise UsageError(
-                f"{path}: {name} runs from {column.min():g} to {column.max():g}, a PCD holds "
+                f"{name} runs from {column.min():g} to {column.max():g}, a PCD holds "
                 f"{low:g} to {limit:g}"
             )
         points[name] = column
@@ -333,4 +342,4 @@ def write_pcd(path: str | Path, cloud: PointCloud) -> None:
         "DATA binary",
         "",
     ]
-    write_atomically(Path(path), "\n".join(header).encode("ascii") + points.tobytes())
+    return "\n".join(header).encode("ascii") + points.tobytes()

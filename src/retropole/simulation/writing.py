@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from ..files import write_atomically
-from ..io import write_pcd
+from ..files import write_together
+from ..io.pcd import pcd_of
 from .insertion import InsertedPair
 from .recording import SimulatedPair
 
@@ -15,11 +15,8 @@ from .recording import SimulatedPair
 def write_pair(pair: SimulatedPair | InsertedPair, out: Path) -> None:
     """Write ``lidar0.pcd`` (target), ``lidar1.pcd`` (source) and ``truth.json`` to a folder.
 
-    Of poles in recordings, the world's frame is the target's.
+    The three are never of two runs. Of poles in recordings, the world's frame is the target's.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    write_pcd(out / "lidar0.pcd", pair.target)
-    write_pcd(out / "lidar1.pcd", pair.source)
     truth = {
         "T_target_source": pair.T_target_source.tolist(),
         "T_world_target": pair.T_world_target.tolist(),
@@ -50,4 +47,10 @@ def write_pair(pair: SimulatedPair | InsertedPair, out: Path) -> None:
             for pole, returns in zip(pair.poles, pair.returns_on_poles, strict=True)
         ],
     }
-    write_atomically(out / "truth.json", json.dumps(truth, indent=1).encode() + b"\n")
+    write_together(
+        {
+            out / "truth.json": json.dumps(truth, indent=1).encode() + b"\n",
+            out / "lidar0.pcd": pcd_of(pair.target),
+            out / "lidar1.pcd": pcd_of(pair.source),
+        }
+    )
