@@ -19,6 +19,7 @@ from retropole import se3
 from retropole.datatypes import Array
 from retropole.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
 from retropole.export import FORMATS, Transform, export_lines, inverted, read_transform
+from retropole.export.documents import write_json
 from retropole.export.found import choose
 from retropole.export.transform import (
     covariance_from_ros,
@@ -475,6 +476,51 @@ def test_a_refused_result_holds_no_transform(tmp_path: Path) -> None:
             read_transform(place)
         assert caught.value.code == "too_few_poles"
     write_result(tmp_path, "refused", reasons, np.eye(4).tolist(), np.eye(6).tolist())
+    with pytest.raises(ReadError, match="the status is refused"):
+        read_transform(tmp_path)
+    write_result(tmp_path, "warn", reasons, np.eye(4).tolist(), np.eye(6).tolist())
     back = read_transform(tmp_path, parent="a")
     assert (back.parent, back.child) == ("a", "source")
     np.testing.assert_array_equal(back.covariance, np.eye(6))
+
+
+@pytest.mark.parametrize(
+    "bomb",
+    [
+        b"a: &a {b: {x: 1}}\nc: *a\n",
+        b"a: " + b"[" * 30_000,
+        b"? " * 20_000,
+        b"a: 1\n" * 200_000,
+        b"\xff\xfe\x00",
+    ],
+)
+def test_a_yaml_that_would_take_long_is_an_error(bomb: bytes, tmp_path: Path) -> None:
+    pytest.importorskip("yaml")
+    path = tmp_path / "bomb.yaml"
+    path.write_bytes(bomb)
+    with pytest.raises(ReadError):
+        read_transform(path)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"T_target_source": np.diag([1e308, 1.0, 1.0, 1.0]).tolist()}, "beyond"),
+        ({"T_target_source": [[10**400] * 4] * 4}, "transform"),
+        ({"covariance": (-1e-4 * np.eye(6)).tolist()}, "negative"),
+        ({"covariance": np.tri(6).tolist()}, "symmetric"),
+        ({"covariance": (1e300 * np.eye(6)).tolist()}, "up to"),
+        ({"covariance": (np.eye(6) + 2 * np.eye(6)[::-1]).tolist()}, "eigenvalue"),
+        ({"covariance_order": [["x"]]}, "neither"),
+    ],
+)
+def test_a_json_that_holds_no_transform_names_the_fault(
+    fault: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    document = json.loads(
+        write_json(Transform(np.eye(4), "front", "rear", np.eye(6), ("target", "source")))
+    )
+    path = tmp_path / "edited.json"
+    path.write_text(json.dumps(document | fault))
+    with pytest.raises(ReadError, match=message):
+        read_transform(path)

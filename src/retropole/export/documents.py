@@ -39,6 +39,9 @@ TRANSFORM_SCHEMA = "retropole/transform/1"
 RESULT_FILE = "result.json"
 """What the result document is called in its folder."""
 
+LARGEST_YAML, DEEPEST_YAML = 2**19, 20
+"""Bytes, and levels; PyYAML takes some 10 s for a million bytes, and longer for each level."""
+
 ROS_COVARIANCE_FRAME = "axes of the parent: t_true = t + [x y z], R_true = Exp([rot]) R; m and rad"
 _KEYS = {
     "T_target_source": ("target", "source"),
@@ -186,15 +189,28 @@ def _yaml_key(name: str) -> str:
 
 
 def read_yaml(data: bytes) -> list[Found]:
-    """Read every ``parent: child: {x, y, z, roll, pitch, yaw}``; needs the extra ``yaml``."""
+    """Read every ``parent: child: {x, y, z, roll, pitch, yaw}``; needs the extra ``yaml``.
+
+    Without aliases: a few of them write out to millions of transforms.
+    """
     try:
         import yaml
     except ImportError:
         raise MissingExtraError("yaml", "reading YAML") from None
+    if len(data) > LARGEST_YAML:
+        raise ReadError(f"{len(data)} bytes of YAML, {LARGEST_YAML} at most are read")
+    text = data.decode()
+    depth = 0
     try:
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent) or depth > DEEPEST_YAML:
+                what = "aliases" if depth <= DEEPEST_YAML else "so many levels"
+                raise ReadError(f"line {event.start_mark.line + 1}: {what} are not read")
         # Nodes, not values: a key given twice would be lost in a dict, and 1e-3 be a string.
-        root = yaml.compose(data.decode(), Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, RecursionError) as error:
         raise ReadError(f"no YAML: {error}") from None
     found = []
     for parent, children in _mapping(root).items():

@@ -1,0 +1,110 @@
+"""Commands that are ended at any moment: nothing torn, nothing mixed, nothing left."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from retropole.files import UNFINISHED
+from retropole.result.decoding import decode
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -9}
+
+URDF = b'<robot name="r">\n  <link name="target"/>\n  <link name="source"/>\n</robot>\n'
+
+
+def start(folder: Path, *words: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "retropole", *map(str, words)],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+@pytest.fixture(scope="module")
+def site(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs of the same recordings under other names, a result of the first, and a robot."""
+    folder = tmp_path_factory.mktemp("site")
+    for run in "ab":
+        for side in (0, 1):
+            shutil.copy(scene / f"lidar{side}.pcd", folder / f"{run}{side}.pcd")
+    start(folder, *calibrate("a")).communicate(timeout=120)
+    (folder / "robot.urdf").write_bytes(URDF)
+    start(folder, "export", "out", "--into", "robot.urdf").communicate(timeout=120)
+    start(folder, "simulate", "street", "--seed", 1, "--out", "s").communicate(timeout=120)
+    return folder
+
+
+def calibrate(run: str) -> tuple[str, ...]:
+    return "calibrate", f"{run}0.pcd", f"{run}1.pcd", "--out", "out"
+
+
+COMMANDS: dict[str, tuple[object, ...]] = {
+    "calibrate": calibrate("b"),
+    "report": ("report", "out"),
+    "simulate": ("simulate", "street", "--seed", 2, "--out", "s"),
+    "check": ("check", "out", "b0.pcd", "b1.pcd"),
+    "export": ("export", "out", "--into", "robot.urdf", "--child", "other"),
+}
+
+
+def assert_whole(folder: Path) -> None:
+    """Every file is of one run, from its first byte to its last."""
+    out = folder / "out"
+    result = decode((out / "result.json").read_bytes())
+    if (out / "report.html").exists():
+        page = (out / "report.html").read_text()
+        assert page.rstrip().endswith("</html>")
+        assert all(item.path in page for item in result.inputs)
+    truth = json.loads((folder / "s" / "truth.json").read_text())
+    clouds = [folder / "s" / truth[role] for role in ("target", "source")]
+    sizes = {path.stat().st_size for path in clouds if path.exists()}
+    assert all(size > 1000 for size in sizes)
+    assert b"</robot>" in (folder / "robot.urdf").read_bytes()
+
+
+def kill(site: Path, folder: Path, seed: int) -> None:
+    """End a command at a random moment, look at what is there, and run it again."""
+    dice = random.Random(seed)
+    name, number = dice.choice(list(COMMANDS)), dice.choice(list(CODES))
+    shutil.copytree(site, folder, dirs_exist_ok=True)
+    process = start(folder, *COMMANDS[name])
+    # Often while modules are loaded, often near the end, where files are written.
+    time.sleep(dice.choice((dice.uniform(0.05, 0.4), dice.uniform(0.2, 4.0))))
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors, f"seed {seed}: {errors[-800:]}"
+    assert process.returncode in (0, CODES[number]), f"seed {seed}: {process.returncode}"
+    assert_whole(folder)
+    left = list(folder.rglob(f"*{UNFINISHED}"))
+    assert not left or number == signal.SIGKILL, f"seed {seed}: {left}"
+    done = start(folder, *COMMANDS[name])
+    done.communicate(timeout=120)
+    assert done.returncode == 0, f"seed {seed}"
+    assert not list(folder.rglob(f"*{UNFINISHED}")), f"seed {seed}"
+    assert_whole(folder)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ended_at_any_moment(seed: int, site: Path, tmp_path: Path) -> None:
+    kill(site, tmp_path, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 400))
+def test_ended_at_many_moments(seed: int, site: Path, tmp_path: Path) -> None:
+    kill(site, tmp_path, seed)
