@@ -387,3 +387,35 @@ def test_messages_of_ros_1_in_an_mcap_are_read_as_pypcd4_reads_them() -> None:
     np.testing.assert_array_equal(read.xyz, table[kept, :3])
     np.testing.assert_array_equal(read.intensity, table[kept, 3])
     np.testing.assert_array_equal(read.ring, table[kept, 4])
+
+
+@pytest.mark.parametrize("name", ["run%41", "run#1", "run?mode=rwc", "50%", "ünï ☃", "-x"])
+@pytest.mark.parametrize("kind", ["db3", "db3 folder"])
+def test_a_bag_is_read_whatever_its_name_means_in_an_address(
+    kind: str, name: str, tmp_path: Path
+) -> None:
+    cloud = random_cloud()
+    right = write_bag(tmp_path / "a", kind, {"/points": [points_of(cloud)]})
+    other = write_bag(tmp_path / "b", kind, {"/points": [points_of(cloud.select(np.arange(3)))]})
+    path = tmp_path / f"{name}{right.suffix}"
+    right.rename(path)
+    other.rename(tmp_path / f"runA{right.suffix}")
+    assert len(read_cloud(path)) == len(cloud)
+
+
+def test_an_upper_case_suffix_is_a_suffix(tmp_path: Path) -> None:
+    cloud = random_cloud()
+    path = write_bag(tmp_path, "db3", {"/points": [points_of(cloud)]})
+    upper = path.rename(path.with_name("RUN.DB3"))
+    assert len(read_cloud(upper)) == len(cloud)
+
+
+def test_a_file_inside_a_bag_that_would_be_taken_for_another_is_an_error(tmp_path: Path) -> None:
+    cloud = random_cloud()
+    folder = write_bag(tmp_path, "db3 folder", {"/points": [points_of(cloud)]})
+    (file,) = folder.glob("*.db3")
+    odd = file.rename(file.with_name("run%41.db3"))
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace(file.name, odd.name))
+    with pytest.raises(ReadError, match="rename it"):
+        read_cloud(folder)

@@ -7,6 +7,7 @@ definitions in a bag, if any, are not used. No ROS is needed.
 from __future__ import annotations
 
 import functools
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ REPAIR = (
     "; one that was cut short can be repaired by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a "
     "folder) or 'mcap recover' (.mcap)"
 )
+
+SPECIAL = frozenset("%?#")
+"""Characters of a path that mean something else in an address."""
 
 MAX_LISTED = 10
 """Topics that a message names."""
@@ -232,8 +236,31 @@ def _opened(path: Path) -> Iterator[_Bag]:
             with rosbags.rosbag1.Reader(path) as reader:
                 yield _from_rosbags(reader, "ros1")
         else:
-            with rosbags.rosbag2.Reader(path) as reader:
+            with _plainly_named(path) as plain, rosbags.rosbag2.Reader(plain) as reader:
                 yield _from_rosbags(reader, "cdr")
+
+
+@contextmanager
+def _plainly_named(path: Path) -> Iterator[Path]:
+    """Give a ROS 2 bag a name that rosbags opens as it is.
+
+    It opens SQLite files by address: of ``run%41.db3`` it would read ``runA.db3``, and of what has
+    a ``?`` or ``#`` the part before.
+    """
+    inside = path.iterdir() if path.is_dir() else ()
+    for file in inside:
+        if SPECIAL & set(file.name) and file.suffix.lower() == ".db3":
+            raise ReadError(
+                f"{path}: {file.name} has one of {' '.join(sorted(SPECIAL))} in its name, by which "
+                "another file would be read: rename it, also in metadata.yaml"
+            )
+    if not SPECIAL & set(str(path)) and (path.is_dir() or path.suffix in BAGS):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / ("bag" if path.is_dir() else f"bag{path.suffix.lower()}")
+        plain.symlink_to(path.resolve())
+        yield plain
 
 
 def _from_rosbags(reader: Any, encoding: str) -> _Bag:
