@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from retropole.report.markup import NO_BREAK, inline, number, plus_minus, table
+from retropole.report.markup import NO_BREAK, inline, number, plus_minus, share_styles, table
 from tests.report.made_up import HOSTILE, Page
 
 
@@ -27,8 +27,11 @@ def test_a_bar_is_as_long_as_its_share() -> None:
     rows = [("x", "61 %"), ("y", "7 %")]
     html = table("t", ("a", "b"), rows, (), [("source", 0.614), ("", 0.07)])
     bars = [a for tag, a in Page(html).tags if tag == "td"]
-    assert [bar["style"] for bar in bars] == ["--share: 61.4%", "--share: 7.0%"]
-    assert bars[0]["class"] == "share source"
+    assert [bar["class"] for bar in bars] == ["share share-61 source", "share share-7 "]
+    assert "td.share-61 { --share: 61%; }" in share_styles()
+    beyond = table("t", ("a", "b"), rows, (), [("", -0.1), ("", 1.2)])
+    assert "share-0 " in beyond
+    assert "share-100 " in beyond
     with pytest.raises(ValueError, match="zip"):
         table("t", ("a", "b"), rows, (), [("source", 0.614)])
 

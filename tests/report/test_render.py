@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -66,6 +68,14 @@ def test_page_asks_for_nothing_from_anywhere() -> None:
     (policy,) = (a for tag, a in Page(html).tags if tag == "meta" and "http-equiv" in a)
     assert policy["http-equiv"] == "Content-Security-Policy"
     assert str(policy["content"]).startswith("default-src 'none';")
+    assert "unsafe" not in str(policy["content"])
+    hashed = re.findall(r"<(?:script|style)>(.*?)</(?:script|style)>", html, re.DOTALL)
+    assert len(hashed) == 4
+    for text in hashed:
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in str(policy["content"])
+    # No style and no handler of an element's own: the policy would not let them pass.
+    assert not [a for _, a in Page(html).tags if any(n == "style" or n[:2] == "on" for n in a)]
 
 
 def test_text_of_the_run_stays_text() -> None:

@@ -31,6 +31,11 @@ def plus_minus(sigma_m: float | None) -> str:
     return text if text == MISSING else f"± {text}".replace(" ", NO_BREAK)
 
 
+def share_styles() -> str:
+    """Style the bars of every length, in percent: the page allows no style of an element's own."""
+    return "\n".join(f"td.share-{percent} {{ --share: {percent}%; }}" for percent in range(101))
+
+
 def table(
     caption: str,
     header: Sequence[str],
@@ -54,7 +59,8 @@ def table(
         f'<th scope="col"{c}>{escape(name)}</th>' for c, name in zip(kind, header, strict=True)
     )
     ends = [
-        f' class="share {escape(name)}" style="--share: {100 * share:.1f}%"' for name, share in bars
+        f' class="share share-{round(100 * min(max(share, 0), 1))} {escape(name)}"'
+        for name, share in bars
     ] or [kind[-1]] * len(rows)
     body = "".join(
         f'<tr><th scope="row">{escape(str(row[0]))}</th>'

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -12,6 +14,7 @@ from ..datatypes import Placement
 from ..files import write_atomically
 from ..result import ResultDoc
 from . import evidence, sections
+from .markup import share_styles
 from .names import LIDARS, input_names
 from .uncertainty import uncertainty
 from .view_data import embed_json, page_view
@@ -67,6 +70,11 @@ def render_report(
     several = f" (and {len(placements) - 1} more)" if len(placements) > 1 else ""
     assets = files(__package__) / "assets"
     page = Template((assets / "template.html").read_text(encoding="utf-8"))
+    style = (assets / "style.css").read_text(encoding="utf-8") + share_styles()
+    scripts = {
+        name: (assets / file).read_text(encoding="utf-8")
+        for name, file in (("three", "three.min.js"), ("view_js", "view.js"), ("app_js", "app.js"))
+    }
     parts = {
         "hypotheses": sections.hypotheses(result),
         "transform": sections.transform(result),
@@ -85,13 +93,19 @@ def render_report(
         verdict=sections.verdict(result, notes),
         links=_links(parts),
         shown=escape(view.placements[0].shown),
-        style=(assets / "style.css").read_text(encoding="utf-8"),
+        style=style,
+        style_hash=_source_of(style),
+        script_hashes=" ".join(map(_source_of, scripts.values())),
         data=embed_json(view),
-        three=(assets / "three.min.js").read_text(encoding="utf-8"),
-        view_js=(assets / "view.js").read_text(encoding="utf-8"),
-        app_js=(assets / "app.js").read_text(encoding="utf-8"),
+        **scripts,
         **parts,
     )
+
+
+def _source_of(text: str) -> str:
+    """Name a script or a style by its hash: the page runs these and no others."""
+    digest = hashlib.sha256(text.encode("utf-8")).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
 
 
 def write_report(
