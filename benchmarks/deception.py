@@ -109,12 +109,18 @@ def honest_table(outcomes: Sequence[Outcome]) -> str:
     """Count what becomes of recordings in which nothing is wrong, off bare ground."""
     own = [o for o in outcomes if o.kind in HONEST and o.scene != "bare"]
     seen = [o for o in own if o.returns >= ENOUGH_RETURNS]
+    groups = {
+        "all": own,
+        f"{ENOUGH_RETURNS} returns or more on every pole": seen,
+        "all with the errors of a field": [o for o in own if o.noise == "field"],
+        f"of these {ENOUGH_RETURNS} returns or more": [o for o in seen if o.noise == "field"],
+    }
     lines = [
         "| nothing wrong, off bare ground | recordings | answered | 95 %, % | confirmed | 95 %, % "
         "| refused for |",
         "| --- |" + " --- |" * 6,
     ]
-    for name, group in (("all", own), (f"{ENOUGH_RETURNS} returns or more on every pole", seen)):
+    for name, group in groups.items():
         answers = [o for o in group if o.answered]
         confirmed = sum("not_confirmed" not in o.codes for o in answers)
         refused = Counter(o.codes[0] for o in group if not o.answered)

@@ -21,7 +21,7 @@ from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, line_
 from ..matching.placements import PairedPlacement
 from ..uncertainty import Confirmation
 from .consistency import Standing, consistency, standing_in
-from .shifts import best_lifts, best_shifts
+from .shifts import NEAR, best_lifts, best_shifts
 
 DENIED, MIN_TOTAL = 0.2, 60
 """From this share on, of at least so many places, the scene denies a pose. At the right pose of 200
@@ -116,12 +116,15 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
 def _displaced(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
     """Poses beside a pose: the best shifts along the ground and off it, and turns about its normal.
 
-    Off the ground only where more coincides: it denies the others, and is not among the points.
+    Off the ground only where the pose lifts the grounds off each other, and more coincides there:
+    grounds that lie on each other deny all lifts, and are not among the points.
     """
     for target, source in scenes:
         clouds = target.points, source.points, target.up, T
-        lifts = [shift for shift in best_lifts(*clouds) if shift.gain > 1]
-        for shift in (*best_shifts(*clouds), *lifts):
+        shifts = best_shifts(*clouds)
+        if abs((target.ground - se3.apply(T, source.ground)) @ target.up) > NEAR:
+            shifts += [shift for shift in best_lifts(*clouds) if shift.gain > 1]
+        for shift in shifts:
             yield se3.retract(T, np.r_[np.zeros(3), shift.step])
     target, source = scenes[0]
     middle = se3.apply(T, np.median(source.points, axis=0)) if len(source.points) else T[:3, 3]

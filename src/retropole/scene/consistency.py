@@ -72,14 +72,15 @@ class Standing:
         Of the whole downsampled cloud.
     image
         Of the cloud as it was recorded.
-    up
-        (3,) normal of the ground.
+    ground, up
+        (3,) a point of the ground, metres, and its normal.
     """
 
     points: Array
     place: IntArray
     tree: cKDTree
     image: RangeImage
+    ground: Array
     up: Array
 
     @property
@@ -106,12 +107,12 @@ def standing_in(
     """
     points = voxel_downsample(cloud.xyz, VOXEL)
     ranges = np.linalg.norm(points - cloud.origin, axis=1)
-    on_ground, up = _ground(points, ranges, cloud.axis, rng)
+    on_ground, ground, up = _ground(points, ranges, cloud.axis, rng)
     standing = points[(ranges > OWN_VEHICLE) & ~on_ground]
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
     place = labels_of(np.floor(standing / PLACE_SIDE)) if len(standing) else np.zeros(0, np.int64)
-    return Standing(standing, place, cKDTree(points), range_image(cloud), up)
+    return Standing(standing, place, cKDTree(points), range_image(cloud), ground, up)
 
 
 def _is_near(points: Array, pole: Pole) -> BoolArray:
@@ -125,15 +126,15 @@ def _is_near(points: Array, pole: Pole) -> BoolArray:
 
 def _ground(
     points: Array, ranges: Array, axis: Array, rng: np.random.Generator
-) -> tuple[BoolArray, Array]:
-    """Which points lie on the plane that most of a sample lies on, and its normal (3,).
+) -> tuple[BoolArray, Array, Array]:
+    """Which points lie on the plane that most of a sample lies on, its middle and normal (3,).
 
     Along a street or a corridor more may lie on a wall: a plane across the LiDAR's axis, which is
     seldom tilted by more than `MAX_TILT`, goes before the others.
     """
     sample = points[:: 1 + len(points) // GROUND_SAMPLE]
     if len(sample) < 3:
-        return np.zeros(len(points), dtype=bool), np.array([0.0, 0.0, 1.0])
+        return np.zeros(len(points), dtype=bool), np.zeros(3), axis
     a, b, c = (sample[rng.integers(len(sample), size=GROUND_DRAWS)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     area = np.linalg.norm(normals, axis=1)
@@ -153,7 +154,7 @@ def _ground(
         middle = near.mean(axis=0)
         up = np.linalg.svd((near - middle).T @ (near - middle))[0][:, 2]
     height = np.abs((points - middle) @ up)
-    return np.asarray(height < GROUND_THICKNESS + GROUND_SLOPE * ranges), up
+    return np.asarray(height < GROUND_THICKNESS + GROUND_SLOPE * ranges), middle, up
 
 
 def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
