@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.uncertainty import predicted_error
+from retropole.datatypes import Array
+from retropole.uncertainty import covariance_fault, predicted_error
 
 
 def test_predicted_error_equals_sampling() -> None:
@@ -31,3 +32,33 @@ def test_turning_the_target_frame_changes_no_prediction() -> None:
 
 def test_no_covariance_predicts_nothing() -> None:
     assert predicted_error(None) == ()
+
+
+def test_every_sampled_covariance_is_one_in_any_units() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        A = rng.normal(size=(6, 6)) * 10.0 ** rng.uniform(-6, 3, 6)[:, None]
+        assert covariance_fault(A @ A.T) is None
+        # Printed with seven digits and read again.
+        assert covariance_fault(np.vectorize(lambda v: float(f"{v:.9g}"))(A @ A.T)) is None
+
+
+@pytest.mark.parametrize(
+    ("C", "fault"),
+    [
+        (np.diag([1.0, -1e-9]), "negative"),
+        (np.array([[1.0, 0.5], [0.4, 1.0]]), "symmetric"),
+        (np.array([[1.0, 2.0], [2.0, 1.0]]), "eigenvalue"),
+        (np.diag([1.0, np.nan]), "finite"),
+        (np.diag([1.0, 0.0]), "zero"),
+    ],
+)
+def test_what_is_no_covariance_is_told(C: Array, fault: str) -> None:
+    said = covariance_fault(C)
+    assert said is not None
+    assert fault in said
+
+
+def test_a_part_may_have_no_variance_but_then_no_correlation() -> None:
+    assert covariance_fault(np.diag([1.0, 0.0]), is_part=True) is None
+    assert covariance_fault(np.array([[1.0, 0.1], [0.1, 0.0]]), is_part=True) is not None

@@ -106,7 +106,7 @@ def hold_result(data: bytes, whole: Run, folder: Path, dice: random.Random) -> b
     assert "nan" not in page.split("<script")[0].lower().split(">")
     try:
         transform = read_transform(path)
-    except Refusal:
+    except (Refusal, ReadError):
         return True
     assert np.isfinite(transform.T_parent_child).all()
     if transform.covariance is not None:

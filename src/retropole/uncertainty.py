@@ -211,11 +211,10 @@ class Confirmation:
         return f"{said}; wrong with a probability {probability}"
 
 
-def covariance_fault(C: Array) -> str | None:
+def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
     """Say what keeps a matrix (N, N) from being a covariance; None where nothing does.
 
-    A variance of zero is allowed: what is known without error, as one part of the uncertainty may
-    be.
+    One part of an uncertainty may have no variance; nobody knows a pose without error.
     """
     if not np.isfinite(C).all():
         return "a number is not finite"
@@ -226,6 +225,8 @@ def covariance_fault(C: Array) -> str | None:
         return f"a variance is negative ({variances.min():.3g})"
     sigma = np.sqrt(variances)
     is_certain = sigma == 0
+    if is_certain.any() and not is_part:
+        return "a variance is zero"
     if np.abs(C[is_certain]).max(initial=0.0) > 0:
         return "what has no variance correlates"
     scale = np.where(is_certain, 1.0, sigma)

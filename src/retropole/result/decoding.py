@@ -15,7 +15,7 @@ import numpy as np
 from .. import se3
 from ..errors import ReadError
 from ..uncertainty import covariance_fault
-from . import ResultDoc
+from . import COVARIANCE_ORDER, ResultDoc
 from .bounded import LARGEST, Covariance, Pose
 
 CODE = re.compile("[a-z][a-z0-9_]{,59}")
@@ -46,7 +46,8 @@ def _check(document: ResultDoc) -> None:
         except ReadError as error:
             raise ReadError(f"{name}: {error}") from None
     for name, covariance in _covariances(document):
-        fault = covariance_fault(np.array(covariance, dtype=float))
+        is_part = name.startswith("uncertainty")
+        fault = covariance_fault(np.array(covariance, dtype=float), is_part=is_part)
         if fault is not None:
             raise ReadError(f"{name}: {fault}")
     of_target, of_source = document.poles.target, document.poles.source
@@ -60,11 +61,13 @@ def _check(document: ResultDoc) -> None:
 
 
 def _check_verdict(document: ResultDoc) -> None:
-    """Hold the status, its reasons and the transform against each other."""
+    """Hold the status, its reasons, the transform and what it is called against each other."""
     answered = document.status != "refused"
     if answered != (document.T_target_source is not None):
         there = "no" if answered else "a"
         raise ReadError(f"T_target_source: {there} transform, and the status is {document.status}")
+    if document.covariance_order != COVARIANCE_ORDER:
+        raise ReadError(f"covariance_order: expected {' '.join(COVARIANCE_ORDER)}")
     if sum(hypothesis.chosen for hypothesis in document.hypotheses) > 1:
         raise ReadError("hypotheses: more than one is chosen")
     for k, reason in enumerate(document.reasons):
