@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ def edited(document: Any, dice: random.Random) -> bytes:
         elif what == 2:
             place[last] = scaled(place[last], dice.choice((-1.0, 0.0, 1e-9, 1e9, 1e150)))
         else:
-            place[last] = dice.choice(NASTY)
+            place[last] = deepcopy(dice.choice(NASTY))
         if not nodes(document):
             break
     return json.dumps(document).encode()
