@@ -119,7 +119,15 @@ def _replace(files: Mapping[Path, bytes]) -> None:
     written: dict[Path, str] = {}
     try:
         for place, data in files.items():
-            written[place] = _write_beside(place, data)
+            descriptor, written[place] = tempfile.mkstemp(
+                dir=place.parent, prefix=f".{place.name[:100]}.", suffix=UNFINISHED
+            )
+            unfinished.add(written[place])
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            _permit_as(place, written[place])
         with _signals_wait():
             for place in list(files)[1:]:
                 place.unlink(missing_ok=True)
@@ -141,33 +149,19 @@ def _sweep(place: Path) -> None:
         left.unlink(missing_ok=True)
 
 
-def _write_beside(place: Path, data: bytes) -> str:
-    """Write a temporary file with the permissions that the file has, or would be given."""
-    descriptor, temporary = tempfile.mkstemp(
-        dir=place.parent, prefix=f".{place.name[:100]}.", suffix=UNFINISHED
-    )
-    unfinished.add(temporary)
+def _permit_as(place: Path, temporary: str) -> None:
+    """Give a temporary file the permissions that the file has, or would be given."""
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        try:
-            old = place.stat()
-        except FileNotFoundError:
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(temporary, 0o666 & ~umask)
-        else:
-            # To give a file to another owner takes rights that few have.
-            with suppress(OSError, AttributeError):
-                os.chown(temporary, old.st_uid, old.st_gid)
-            os.chmod(temporary, stat.S_IMODE(old.st_mode))
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        unfinished.discard(temporary)
-        raise
-    return temporary
+        old = place.stat()
+    except FileNotFoundError:
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        return
+    # To give a file to another owner takes rights that few have.
+    with suppress(OSError, AttributeError):
+        os.chown(temporary, old.st_uid, old.st_gid)
+    os.chmod(temporary, stat.S_IMODE(old.st_mode))
 
 
 @contextmanager

@@ -85,7 +85,7 @@ def read_json(data: bytes) -> list[Found]:
         raise ReadError(f"no JSON: {error}") from None
     if not isinstance(document, dict):
         raise ReadError("the JSON is no object with a key T_target_source")
-    if is_result(data):
+    if _names_result(document):
         return [_of_result(decode(data))]
     keys = [key for key in _KEYS if key in document]
     if len(keys) != 1:
@@ -106,6 +106,10 @@ def is_result(data: bytes) -> bool:
         document = msgspec.json.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return False
+    return _names_result(document)
+
+
+def _names_result(document: Any) -> bool:
     schema = document.get("schema") if isinstance(document, dict) else None
     return isinstance(schema, str) and schema.startswith("retropole/result/")
 

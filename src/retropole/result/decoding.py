@@ -15,7 +15,7 @@ import numpy as np
 from .. import se3
 from ..errors import ReadError
 from ..uncertainty import covariance_fault
-from . import COVARIANCE_ORDER, ResultDoc
+from . import COVARIANCE_ORDER, PoseEstimateDoc, ResultDoc
 from .bounded import LARGEST, Covariance, Pose
 
 CODE = re.compile("[a-z][a-z0-9_]{,59}")
@@ -45,8 +45,7 @@ def _check(document: ResultDoc) -> None:
             se3.rigid(np.array(pose))
         except ReadError as error:
             raise ReadError(f"{name}: {error}") from None
-    for name, covariance in _covariances(document):
-        is_part = name.startswith("uncertainty")
+    for name, covariance, is_part in _covariances(document):
         fault = covariance_fault(np.array(covariance, dtype=float), is_part=is_part)
         if fault is not None:
             raise ReadError(f"{name}: {fault}")
@@ -79,24 +78,30 @@ def _check_verdict(document: ResultDoc) -> None:
                 raise ReadError(f"reasons[{k}].values[{name[:50]!r}]: beyond {LARGEST:g}")
 
 
+def _stages(document: ResultDoc) -> Iterator[tuple[str, PoseEstimateDoc]]:
+    """Every pose on the way that there is, with the name of its field."""
+    for name, stage in (("poles", document.stages.poles), ("refined", document.stages.refined)):
+        if stage is not None:
+            yield f"stages.{name}", stage
+
+
 def _poses(document: ResultDoc) -> Iterator[tuple[str, Pose]]:
     """Every pose with the name of its field."""
     if document.T_target_source is not None:
         yield "T_target_source", document.T_target_source
-    for name, stage in (("poles", document.stages.poles), ("refined", document.stages.refined)):
-        if stage is not None:
-            yield f"stages.{name}.T_target_source", stage.T_target_source
+    for name, stage in _stages(document):
+        yield f"{name}.T_target_source", stage.T_target_source
     for k, hypothesis in enumerate(document.hypotheses):
         yield f"hypotheses[{k}].T_target_source", hypothesis.T_target_source
 
 
-def _covariances(document: ResultDoc) -> Iterator[tuple[str, Covariance]]:
-    """Every covariance with the name of its field."""
+def _covariances(document: ResultDoc) -> Iterator[tuple[str, Covariance, bool]]:
+    """Every covariance with the name of its field, and whether it is but a part of another."""
     if document.covariance is not None:
-        yield "covariance", document.covariance
+        yield "covariance", document.covariance, False
     if document.uncertainty is not None:
-        yield "uncertainty.random", document.uncertainty.random
-        yield "uncertainty.systematic", document.uncertainty.systematic
-    for name, stage in (("poles", document.stages.poles), ("refined", document.stages.refined)):
-        if stage is not None and stage.covariance is not None:
-            yield f"stages.{name}.covariance", stage.covariance
+        yield "uncertainty.random", document.uncertainty.random, True
+        yield "uncertainty.systematic", document.uncertainty.systematic, True
+    for name, stage in _stages(document):
+        if stage.covariance is not None:
+            yield f"{name}.covariance", stage.covariance, False

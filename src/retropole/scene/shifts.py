@@ -76,7 +76,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
     fast = [fft.next_fast_len(int(n), real=True) for n in shape[:2]]
     spectrum = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
     for layer in range(int(shape[2])):
-        grids = [_occupied(one, layer, shape, fast) for one in cells]
+        grids = [_occupied(one, layer, fast) for one in cells]
         if all(grid.any() for grid in grids):
             # A cell's neighbours count half: surfaces are sampled at other points.
             grids[0] += maximum_filter(grids[0], 3)
@@ -97,7 +97,6 @@ def best_lifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]
     if not len(target) or not len(source):
         return []
     axes, (a, b), shape = _cells(target, source, up, T, np.array([BROAD, BROAD, CELL]))
-    a, b = (one[np.all((one >= 0) & (one < shape), axis=1)] for one in (a, b))
     reach = int(REACH / CELL)
     # Room above and below for what is lifted.
     occupied = np.zeros((*shape[:2], shape[2] + 2 * reach), dtype=bool)
@@ -113,7 +112,7 @@ def _cells(
     """Cells of a size (3,) that both clouds lie in under a pose, about the middle of the source.
 
     Gives the axes of the cells as rows, the last along the ground's normal, the cell (N, 3) and
-    (M, 3) of every point, and how many there are along each axis.
+    (M, 3) of every point that is not too far away, and how many there are along each axis.
     """
     level = np.linalg.svd(up[None, :])[2]
     axes = np.concatenate([level[1:], up[None, :]])
@@ -121,8 +120,10 @@ def _cells(
     middle = np.median(b, axis=0)
     low = np.maximum(np.minimum(a.min(axis=0), b.min(axis=0)), middle - HALF_SIDE) - REACH
     high = np.minimum(np.maximum(a.max(axis=0), b.max(axis=0)), middle + HALF_SIDE) + REACH
+    shape = np.ceil((high - low) / size).astype(np.int64)
     cells = [np.floor((one - low) / size).astype(np.int64) for one in (a, b)]
-    return axes, cells, np.ceil((high - low) / size).astype(np.int64)
+    cells = [one[np.all((one >= 0) & (one < shape), axis=1)] for one in cells]
+    return axes, cells, shape
 
 
 def _peaks(total: NDArray[np.float32], axes: Array) -> list[Shift]:
@@ -157,9 +158,9 @@ def _beside_peak(values: NDArray[np.float32], best: tuple[np.intp, ...]) -> Arra
     return found
 
 
-def _occupied(cells: IntArray, layer: int, shape: IntArray, fast: list[int]) -> NDArray[np.float32]:
+def _occupied(cells: IntArray, layer: int, fast: list[int]) -> NDArray[np.float32]:
     """Grid of one layer, 1 where a point lies; single precision counts thousands exactly."""
-    within = np.all((cells >= 0) & (cells < shape), axis=1) & (cells[:, 2] == layer)
+    within = cells[cells[:, 2] == layer]
     grid = np.zeros(fast, dtype=np.float32)
-    grid[cells[within, 0], cells[within, 1]] = 1.0
+    grid[within[:, 0], within[:, 1]] = 1.0
     return grid
