@@ -78,7 +78,7 @@ def licence_of(name: str, package: Distribution) -> str:
     classified = [line.split(" :: ")[-1] for line in lines if line.startswith("License ::")]
     if classified:
         return ", ".join(classified)
-    text = (fields.get_all("License") or [""])[0]
+    text = str((fields.get_all("License") or [""])[0])
     return text.strip().split("\n")[0][:60]
 
 
