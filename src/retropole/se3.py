@@ -169,5 +169,5 @@ def from_quaternion_xyzw(quaternion: Array, translation: Array) -> Array:
 
 def random(rng: np.random.Generator, max_translation: float = 10.0) -> Array:
     """Draw a transform: uniform rotation, translation within ± ``max_translation`` m."""
-    R = Rotation.random(rng=rng).as_matrix()
+    R = Rotation.random(None, rng).as_matrix()
     return from_rt(np.asarray(R), rng.uniform(-max_translation, max_translation, 3))
