@@ -46,10 +46,13 @@ def e_rt(
     near, far
         Ends n and m of the range, metres.
     """
+    # NumPy names it differently by version. It loads the optimisers too: 0.2 s that few need.
+    from scipy.integrate import trapezoid
+
     x = np.linspace(near, far, E_RT_SAMPLES)
     points = x[:, None] * np.array([0.0, 1.0, 0.0])
     gap = np.linalg.norm(se3.apply(T, points) - se3.apply(T_true, points), axis=1)
-    return float(np.trapezoid(gap, x) / (far - near))
+    return float(trapezoid(gap, x) / (far - near))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from retropole.evaluation.paper.line_bias import (
     PAPER_ORIENTATIONS,
@@ -23,7 +24,7 @@ def test_line_error_is_the_mean_square_distance() -> None:
         low, high = sorted(rng.normal(size=2))
         z = np.linspace(low, high, 200_001)
         at = centre[:2] + np.outer(z - centre[2], direction[:2] / direction[2])
-        mean = np.trapezoid(np.sum(at**2, axis=1), z) / (high - low)
+        mean = trapezoid(np.sum(at**2, axis=1), z) / (high - low)
         assert line_error(centre, direction, (low, high)) == pytest.approx(mean, rel=1e-8)
         assert line_error(centre, -5 * direction, (low, high)) == pytest.approx(mean, rel=1e-8)
 
