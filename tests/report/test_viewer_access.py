@@ -119,6 +119,14 @@ def test_the_page_may_load_nothing_from_elsewhere(viewer: Viewer) -> None:
     assert [w for w in policy.split() if "://" in w] == [f"ws://127.0.0.1:{port};"]
 
 
+def test_a_file_whose_name_is_no_text_is_shown() -> None:
+    shown = serve([Shown("a\udcff.pcd", two_poles())], port=8994)
+    try:
+        assert received(shown) > 12 * len(two_poles())  # type: ignore[operator]
+    finally:
+        shown.stop()
+
+
 def test_two_viewers_have_two_tokens(viewer: Viewer) -> None:
     other = serve([Shown("b.pcd", two_poles())], port=viewer.server.get_port())
     try:

@@ -245,7 +245,8 @@ def _add(
     span = slider_range(intensity, first.threshold)
     root = f"/cloud{number}"
     frame = server.scene.add_frame(root, show_axes=False, visible=number == 0)
-    with server.gui.add_folder(shown.name):
+    # A file's name need not be text, and viser ends the connection at what is none.
+    with server.gui.add_folder(shown.name.encode("utf-8", "replace").decode()):
         seen = server.gui.add_checkbox("Show", initial_value=number == 0)
         slider = server.gui.add_slider(
             "Threshold", span.low, span.high, span.step, initial_value=first.threshold
