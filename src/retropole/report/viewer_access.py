@@ -25,7 +25,7 @@ _LOG = logging.getLogger(__name__)
 _LOG.addHandler(logging.NullHandler())
 
 POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; "
+    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; worker-src blob: data:; "
     "connect-src data: blob: {socket}; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -76,7 +76,7 @@ def guarded(token: str) -> Iterator[None]:
     finally:
         setattr(websockets_server, "serve", serve)  # noqa: B010
     if not guards:
-        raise UsageError("this version of viser cannot be guarded: install viser 1.1")
+        raise UsageError("this version of viser cannot be guarded: install viser 1.1.1")
 
 
 def _for_those_who_know(token: str, address: str, answer: Answer) -> Answer:
