@@ -12,7 +12,7 @@ import shlex
 import numpy as np
 
 from ..datatypes import Array
-from ..errors import ReadError
+from ..errors import ReadError, UsageError
 from .found import Found
 from .text import QUATERNION, RPY, TRANSLATION_KEYS, pose_of, pose_values, to_float
 from .transform import Transform, from_quaternion, from_rpy
@@ -22,6 +22,8 @@ PROGRAM = "static_transform_publisher"
 
 def write_ros1(transform: Transform) -> str:
     """Write a ``rosrun`` line; names that a shell would take apart are quoted."""
+    if any(":=" in name for name in (transform.parent, transform.child)):
+        raise UsageError("ROS 1 takes a name with := for a remapping; name the frame without")
     values = list(pose_values(transform, QUATERNION).values())
     line = shlex.join([*values, transform.parent, transform.child])
     return f"# {transform.meaning}\nrosrun tf2_ros {PROGRAM} {line}\n"
@@ -29,6 +31,8 @@ def write_ros1(transform: Transform) -> str:
 
 def _flags(transform: Transform) -> list[str]:
     """Arguments of the ROS 2 program, unquoted."""
+    if "--ros-args" in (transform.parent, transform.child):
+        raise UsageError("ROS 2 takes --ros-args for an option, not for the name of a frame")
     words = [
         word
         for name, value in pose_values(transform, QUATERNION).items()
@@ -43,14 +47,19 @@ def write_ros2(transform: Transform) -> str:
 
 
 def write_launch(transform: Transform) -> str:
-    """Write a Python launch file for ROS 2 that publishes the transform."""
+    """Write a Python launch file for ROS 2 that publishes the transform.
+
+    The comment stands below the imports: in one of the first two lines, Python takes ``coding:``
+    in a name for the encoding of the file.
+    """
     flags = _flags(transform)
     pairs = zip(flags[::2], flags[1::2], strict=True)
     arguments = "".join(f"                    {flag!r}, {value!r},\n" for flag, value in pairs)
     return (
-        f"# {transform.meaning}\n"
         "from launch import LaunchDescription\n"
         "from launch_ros.actions import Node\n"
+        "\n"
+        f"# {transform.meaning}\n"
         "\n\n"
         "def generate_launch_description():\n"
         "    return LaunchDescription(\n"

@@ -19,6 +19,9 @@ from ..errors import ReadError, UsageError
 ROS_COVARIANCE_ORDER = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 """ROS puts translation first (geometry_msgs/PoseWithCovariance)."""
 
+LONGEST_NAME = 500
+"""Characters of a frame's name: YAML takes keys of 1024, and each may have to be escaped."""
+
 _TO_ROS = [3, 4, 5, 0, 1, 2]
 _PLAIN = r"[A-Za-z0-9_./]+(?:-[A-Za-z0-9_./]+)*"
 _NAME = rf'({_PLAIN}|"(?:[^"\\]|\\.)*")'
@@ -34,7 +37,8 @@ class Transform:
     T_parent_child
         (4, 4) maps homogeneous points of the child frame into the parent frame, metres.
     parent, child
-        Names of the frames; they differ, and hold neither line breaks nor control characters.
+        Names of the frames, up to `LONGEST_NAME` characters; they differ, and hold neither line
+        breaks nor control characters.
     covariance
         (6, 6) over ``[φ, δ]``, rad and m, axes of the parent frame, or None where not known:
         ``R_true = Exp(φ) R``, ``t_true = t + δ``.
@@ -60,8 +64,13 @@ class Transform:
         """Check the names and the matrix."""
         se3.rigid(self.T_parent_child)
         for role, name in (("parent", self.parent), ("child", self.child)):
+            if len(name) > LONGEST_NAME:
+                raise UsageError(
+                    f"the name of the {role} frame has {len(name)} characters; "
+                    f"{LONGEST_NAME} at most"
+                )
             if not name.strip() or not name.isprintable():
-                raise UsageError(f"{name!r} is no name for the {role} frame")
+                raise UsageError(f"{name[:60]!r} is no name for the {role} frame")
         if self.parent == self.child:
             raise UsageError(f"parent and child are both named {self.parent!r}; they must differ")
 
@@ -131,11 +140,14 @@ def from_rpy(translation: Array, rpy: Array) -> Array:
 
 
 def quoted(name: str) -> str:
-    """Write a name so that it is safe in any comment and can be read back: bare, or as JSON."""
+    """Write a name so that it is safe in any comment and can be read back: bare, or as JSON.
+
+    Also where a shell takes no comments, as zsh at its prompt.
+    """
     if re.fullmatch(_PLAIN, name):
         return name
     text = json.dumps(name, ensure_ascii=False)
-    return '"' + re.sub(r"[\[\]<>&-]", lambda c: f"\\u{ord(c[0]):04x}", text[1:-1]) + '"'
+    return '"' + re.sub(r"[\[\]<>&$`!-]", lambda c: f"\\u{ord(c[0]):04x}", text[1:-1]) + '"'
 
 
 def names_in_words(text: str) -> tuple[str | None, str | None]:

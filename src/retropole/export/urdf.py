@@ -174,6 +174,8 @@ def _check_room(robot: Element, joints: list[Element], transform: Transform) -> 
             f"the file is xacro and has no plain joint to {transform.child!r}, but what it "
             "includes and its macros may make one; expand it first: xacro FILE > robot.urdf"
         )
+    if "xmlns:xacro" in robot.attributes and "$" in transform.parent + transform.child:
+        raise UsageError("xacro takes $ in a name for an expression; expand the file first")
     links = [link.attributes.get("name", "") for link in robot.named("link")]
     if transform.parent not in links:
         raise UsageError(

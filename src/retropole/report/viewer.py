@@ -1,11 +1,14 @@
 """View clouds live: move the threshold, and see which poles are found and what is rejected.
 
-The page is served to this machine alone (127.0.0.1), by viser.
+The page is served to this machine alone (127.0.0.1), below an address that cannot be guessed, by
+viser.
 """
 
 from __future__ import annotations
 
 import io
+import re
+import secrets
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,6 +23,7 @@ from ..datatypes import DEFAULT_RADIUS, Array, Detection, PointCloud, Pole
 from ..errors import MissingExtraError
 from ..extraction.poles import extract_poles
 from ..sensors import Sensor
+from .viewer_access import guarded
 
 if TYPE_CHECKING:
     import viser
@@ -66,16 +70,17 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Viewer:
-    """A running server, and for each cloud its slider and the text that says what was found."""
+    """A running server, the secret part of its address, and of each cloud the slider and text."""
 
     server: viser.ViserServer
+    token: str
     sliders: tuple[Any, ...]
     texts: tuple[Any, ...]
 
     @property
     def url(self) -> str:
         """Where the page is."""
-        return f"http://{HOST}:{self.server.get_port()}"
+        return f"http://{HOST}:{self.server.get_port()}/{self.token}/"
 
     def stop(self) -> None:
         """Stop serving."""
@@ -135,13 +140,18 @@ def describe(detection: Detection) -> str:
     ]
     if detection.rejected:
         by_code = Counter(r.code for r in detection.rejected).most_common()
-        said = ", ".join(f"{number} × {code}" for code, number in by_code)
+        said = ", ".join(f"{number} × {_plain(code)}" for code, number in by_code)
         lines += ["", f"**{len(detection.rejected)} rejected:** {said}", ""]
         largest = _largest(detection)[:MAX_LINES]
-        lines += [f"- ×{k}: {detection.rejected[k].reason}" for k in largest]
+        lines += [f"- ×{k}: {_plain(detection.rejected[k].reason)}" for k in largest]
         if len(detection.rejected) > MAX_LINES:
             lines += ["", f"The {MAX_LINES} largest are listed."]
     return "\n".join(lines)
+
+
+def _plain(text: str) -> str:
+    """Keep words from being read as Markdown, in which viser also takes HTML."""
+    return re.sub(r"([\\`*{}\[\]<>&!#|~])", r"\\\1", text)
 
 
 def debounced(action: Callable[[], None], wait: float = DEBOUNCE_SECONDS) -> Callable[[], None]:
@@ -192,7 +202,8 @@ def serve(shown: Sequence[Shown], *, radius: float = DEFAULT_RADIUS, port: int =
     found = [
         extract_poles(s.cloud, sensor=s.sensor, threshold=s.threshold, radius=radius) for s in shown
     ]
-    with _silence():
+    token = secrets.token_urlsafe()
+    with _silence(), guarded(token):
         server = viser.ViserServer(host=HOST, port=port, label="retropole view", verbose=False)
     # A page may ask viser to open a tunnel to a public address: nothing here leaves the machine.
     setattr(server, "request_share_url", lambda verbose=True: None)  # noqa: B010
@@ -207,7 +218,7 @@ def serve(shown: Sequence[Shown], *, radius: float = DEFAULT_RADIUS, port: int =
         _add(server, k, s, d, radius) for k, (s, d) in enumerate(zip(shown, found, strict=True))
     ]
     _look_at(server, shown[0].cloud, found[0])
-    return Viewer(server, tuple(p[0] for p in parts), tuple(p[1] for p in parts))
+    return Viewer(server, token, tuple(p[0] for p in parts), tuple(p[1] for p in parts))
 
 
 def _silence() -> AbstractContextManager[object]:
@@ -234,13 +245,16 @@ def _add(
     span = slider_range(intensity, first.threshold)
     root = f"/cloud{number}"
     frame = server.scene.add_frame(root, show_axes=False, visible=number == 0)
-    with server.gui.add_folder(shown.name):
+    # A file's name need not be text, and viser ends the connection at what is none.
+    with server.gui.add_folder(shown.name.encode("utf-8", "replace").decode()):
         seen = server.gui.add_checkbox("Show", initial_value=number == 0)
         slider = server.gui.add_slider(
             "Threshold", span.low, span.high, span.step, initial_value=first.threshold
         )
         drawn_of = f"{len(drawn):,} of {len(cloud):,} points drawn; the threshold started "
-        server.gui.add_markdown(f"{drawn_of}at {first.threshold:g} ({first.threshold_source}).")
+        server.gui.add_markdown(
+            f"{drawn_of}at {first.threshold:g} ({_plain(first.threshold_source)})."
+        )
         text = server.gui.add_markdown(describe(first))
     points = server.scene.add_point_cloud(
         f"{root}/points",

@@ -1,0 +1,21 @@
+"""What the tests of the report and the viewer share: a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.report.browser import Browser
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A browser of the module's own; only tests that are skipped without one ask for it."""
+    from tests.report.browser import WEBGL, Browser
+
+    browser = Browser(tmp_path_factory.mktemp("profile"), *WEBGL)
+    yield browser
+    browser.driver.quit()
