@@ -10,8 +10,9 @@ Names are looked up when they are first used: importing the package takes no tim
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
+# Type checkers know the name; to import typing takes longer than all the rest.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .api.calibration import calibrate
     from .api.detection import detect

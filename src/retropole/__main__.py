@@ -4,20 +4,21 @@ What ends the process at any moment, while modules are loaded as well, ends it i
 files are removed, one line says so, and the exit code is that of the signal.
 """
 
-from __future__ import annotations
-
-import os
-import signal
 import sys
-from contextlib import suppress
-from types import FrameType
+
+try:
+    import os
+    import signal
+    from contextlib import suppress
+except KeyboardInterrupt:  # before there is a handler
+    sys.exit(130)
 
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 SHOW_CURSOR = "\x1b[?25h"
 """Undoes what the progress on a terminal does."""
 
 
-def _end(number: int, frame: FrameType | None) -> None:
+def _end(number: int, frame: object) -> None:
     """End the process at once: an exception may be lost in what is being loaded or computed."""
     files = sys.modules.get("retropole.files")
     for path in getattr(files, "unfinished", ()):
