@@ -17,6 +17,7 @@ from .arrays import (
     read_npz,
     read_text,
 )
+from .bag_files import BAGS, is_rosbag2
 from .fields import only_returns
 from .las import read_las
 from .packets import PACKETS, open_packets
@@ -31,7 +32,7 @@ from .recordings import (
     chosen_frames,
     joined,
 )
-from .ros import BAGS, bag_topics, is_rosbag2, open_bag
+from .ros import bag_topics, open_bag
 
 __all__ = [
     "ARRAY_SOURCE",
