@@ -109,6 +109,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
         def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
             wanted = [own for own in reader.connections if (own.topic, own.msgtype) == (name, kind)]
             for _, stamp, data in reader.messages(connections=wanted):
+                spend(len(data))
                 yield stamp, data, "ros1"
 
         parts = [(own.topic, own.msgtype, own.msgcount) for own in reader.connections]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ..errors import ReadError
 from .bag import MAX_MESSAGES, Bag, counted
-from .unpacking import MAX_UNPACKED
+from .unpacking import MAX_UNPACKED, allowance
 
 TABLES = ("topics", "messages")
 
@@ -70,9 +70,12 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
                     f"WHERE topic_id IN ({','.join('?' * len(own))}) ORDER BY timestamp, rowid",
                     own,
                 ).fetchall()
+                spend = allowance(path, path.stat().st_size)
                 for row, stamp in rows:
                     found = database.execute("SELECT data FROM messages WHERE rowid = ?", [row])
-                    yield stamp, bytes(found.fetchone()[0]), "cdr"
+                    data = bytes(found.fetchone()[0])
+                    spend(len(data))
+                    yield stamp, data, "cdr"
 
             yield Bag(
                 counted((name, kind, counts.get(number, 0)) for number, name, kind in topics),
