@@ -21,7 +21,7 @@ from .unpacking import Spend, allowance, unpacked
 FOOTER = 37
 """Bytes of the last record and of the mark at the end of the file."""
 
-RECORD_COST = 256
+RECORD_COST = 512
 """Bytes that a record is counted as besides its own: so much memory and time it takes."""
 
 MAX_WAITING = 2**28
