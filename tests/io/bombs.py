@@ -28,12 +28,12 @@ def zeros(kind: str, size: int) -> bytes:
     if kind == "lz4":  # and so may the blocks of a frame
         begin = lz4.frame.create_compression_context()
         head = lz4.frame.compress_begin(begin, block_size=7, block_linked=False)
-        packed = lz4.block.compress(block, store_size=False)
+        packed = bytes(lz4.block.compress(block, store_size=False))
         blocks = (struct.pack("<I", len(packed)) + packed) * (size // len(block))
         return bytes(head) + blocks + bytes(4)
     packer = zstandard.ZstdCompressor().compressobj(size=size)
-    packed = [packer.compress(block) for _ in range(size // len(block))]
-    return bytes(b"".join(packed) + packer.flush())
+    parts = [packer.compress(block) for _ in range(size // len(block))]
+    return bytes(b"".join(parts) + packer.flush())
 
 
 def bag(kind: str, size: int, messages: int = 1) -> bytes:

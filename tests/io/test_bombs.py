@@ -20,7 +20,6 @@ REASONS = {
     "packed message": "unpack to more than 134,217,728",
     "endless tree": "takes more steps than a database of",
     "messages are a view": "messages is not a table of plain columns",
-    "a view that says it is a table": "messages is not a table of plain columns",
     "computed columns": "messages is not a table of plain columns",
     "aliases": "or an alias",
     "large.npz": "unpack to more than",
