@@ -43,7 +43,7 @@ class PointCloud:
     Attributes
     ----------
     xyz
-        (N, 3) float64, metres. Finite, and none at zero range: readers drop and count those.
+        (N, 3) float64, metres; finite, and none at zero range.
     intensity
         (N,) float64 on the sensor's own scale, or None where the file has none.
     ring
@@ -56,9 +56,9 @@ class PointCloud:
         (3,) where the beams start, and the unit vector about which they turn.
     recorded
         First and last time by the recorder's clock, Unix seconds; None where the file has none.
-    dropped, source, fields
-        How many points the reader dropped (not finite, or at zero range), the file or folder it
-        came from, and what that calls its values, with their types.
+    dropped, thinned, source, fields
+        How many points were dropped (not finite, or at zero range), and left out of too many; the
+        file or folder it came from, and what that calls its values, with their types.
     """
 
     xyz: Array
@@ -70,6 +70,7 @@ class PointCloud:
     axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     recorded: tuple[float, float] | None = None
     dropped: int = 0
+    thinned: int = 0
     source: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)
 
@@ -216,8 +217,7 @@ class Hypothesis:
     match
         The pairs of poles and their pose.
     icp_rotation, icp_translation
-        The paper's e_r, rad, and e_t, m: how far ICP moves from here; None where too few points
-        lie near the target for ICP.
+        The paper's e_r, rad, and e_t, m: how far ICP moves; None with too few points for ICP.
     overlap, covisible_overlap
         Share of all points, and of those that both could see, with a neighbour in the other cloud.
     free_space_violation

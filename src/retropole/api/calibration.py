@@ -10,6 +10,7 @@ from operator import index
 
 from ..datatypes import MAX_RADIUS
 from ..errors import UsageError
+from ..io.thinning import LEAST_POINTS
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
@@ -47,6 +48,7 @@ def calibrate(
     target_topic: str | None = None,
     source_topic: str | None = None,
     frames: slice | None = None,
+    max_points: int = DEFAULT_CONFIG.max_points,
     progress: Callable[[str], None] = lambda step: None,
 ) -> CalibrationResult:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -77,6 +79,8 @@ def calibrate(
         and 1 σ of either.
     target_topic, source_topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    max_points
+        Of a cloud with more, so many are kept: the brightest, and the others evenly.
     progress
         Called with the name of each step as it starts.
 
@@ -110,6 +114,7 @@ def calibrate(
             target_topic=target_topic,
             source_topic=source_topic,
             frames=None if frames is None else _parts(frames),
+            max_points=index(max_points),
         )
     except (TypeError, ValueError, AttributeError) as error:
         raise UsageError(f"an option has a value of the wrong type: {error}") from None
@@ -215,6 +220,12 @@ def check_options(config: RunConfig) -> None:
             "above 0, 180 at most",
         ),
         ("poles", poles, poles >= MIN_POLES, f"from {MIN_POLES} up"),
+        (
+            "max_points",
+            config.max_points,
+            config.max_points >= LEAST_POINTS,
+            f"from {LEAST_POINTS} up",
+        ),
     ):
         if not (allowed and math.isfinite(value)):
             raise UsageError(f"{name} is {value}, expected a number {expected}")

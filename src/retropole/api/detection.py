@@ -17,6 +17,7 @@ def detect(
     threshold: float | None = None,
     topic: str | None = None,
     frames: slice | None = None,
+    max_points: int = DEFAULT_CONFIG.max_points,
 ) -> Detection:
     """Find the poles in a recording.
 
@@ -34,6 +35,8 @@ def detect(
         cloud.
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    max_points
+        Of a cloud with more, so many are kept: the brightest, and the others evenly.
 
     Returns
     -------
@@ -50,7 +53,14 @@ def detect(
         Where the file cannot be read.
     """
     check_radius(radius)
-    given = read_input(cloud, sensor=sensor, threshold=threshold, topic=topic, frames=frames)
+    given = read_input(
+        cloud,
+        sensor=sensor,
+        threshold=threshold,
+        topic=topic,
+        frames=frames,
+        max_points=max_points,
+    )
     return detect_in(given, radius)
 
 

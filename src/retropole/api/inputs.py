@@ -16,11 +16,13 @@ from ..datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
 from ..errors import UsageError
 from ..io import (
     ARRAY_SOURCE,
+    MAX_POINTS,
     ReadRecording,
     cloud_from_array,
     only_returns,
     read_recording,
     sha256_of,
+    thinned,
 )
 from ..result import InputDoc, RunConfig
 from ..sensors import Sensor, sensor_or_auto
@@ -96,6 +98,7 @@ def read_input(
     threshold: float | None = None,
     topic: str | None = None,
     frames: slice | None = None,
+    max_points: int = MAX_POINTS,
     role: str = "cloud",
 ) -> Input:
     """Take a cloud as the user gives it, and look up its sensor.
@@ -111,6 +114,8 @@ def read_input(
         Intensity from which a return counts as retro-reflective; None to find it.
     topic, frames
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    max_points
+        Of a cloud with more, so many are kept, as `io.read_cloud` does.
     role
         What messages call it: ``target``.
 
@@ -124,7 +129,7 @@ def read_input(
     """
     known = sensor_or_auto(sensor)
     if isinstance(given, str | Path):
-        read = read_recording(given, topic=topic, frames=frames)
+        read = read_recording(given, topic=topic, frames=frames, max_points=max_points)
         return Input(given, read.cloud, known, threshold, read)
     if not isinstance(given, PointCloud) and not hasattr(given, "__array__"):
         raise UsageError(
@@ -134,9 +139,11 @@ def read_input(
     if topic is not None or frames is not None:
         raise UsageError(f"{role}: a topic or frames can be chosen in a file, not in an array")
     if isinstance(given, PointCloud):
-        return Input(given, only_returns(given, role), known, threshold)
+        returns = only_returns(given, role)
+        return Input(given, thinned(returns, max_points), known, threshold)
     array = np.asarray(given)
-    return Input(array, cloud_from_array(array, role), known, threshold)
+    cloud = cloud_from_array(array, role)
+    return Input(array, thinned(cloud, max_points), known, threshold)
 
 
 def read_placements(
@@ -171,6 +178,7 @@ def read_placements(
                 threshold=config.threshold_target,
                 topic=config.target_topic,
                 frames=frames,
+                max_points=config.max_points,
                 role=f"target{which}",
             ),
             read_input(
@@ -179,6 +187,7 @@ def read_placements(
                 threshold=config.threshold_source,
                 topic=config.source_topic,
                 frames=frames,
+                max_points=config.max_points,
                 role=f"source{which}",
             ),
         )
@@ -201,6 +210,8 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
             sha256=hash_of(each.name) if each.read else _hash_of_arrays(each.given),
             points=len(each.cloud),
             dropped=each.cloud.dropped,
+            thinned=each.cloud.thinned,
+            frames_left_out=0 if each.read is None else each.read.left_out,
             sensor="auto" if each.sensor is None else each.sensor.name,
             threshold=each.threshold,
         )

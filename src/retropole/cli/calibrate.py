@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,11 +20,15 @@ from .common import (
     echo_left_out,
     echo_refusal,
     frames_option,
+    max_points_option,
     progress_on_terminal,
     radius_option,
     sensor_options,
     topic_options,
 )
+
+if TYPE_CHECKING:
+    from ..api.inputs import Input
 
 
 @click.command(context_settings=CONTEXT)
@@ -55,6 +60,7 @@ from .common import (
 @sensor_options
 @topic_options
 @frames_option
+@max_points_option
 @click.option(
     "--poles",
     type=click.IntRange(min=2),
@@ -103,6 +109,7 @@ def calibrate(
     target_topic: str | None,
     source_topic: str | None,
     frames: slice | None,
+    max_points: int,
     poles: int | None,
     up: bool,
     prior_rpy_deg: tuple[float, float, float] | None,
@@ -159,8 +166,13 @@ def calibrate(
         target_topic=target_topic,
         source_topic=source_topic,
         frames=None if frames is None else (frames.start, frames.stop, frames.step),
+        max_points=max_points,
     )
-    tell = (lambda given: None) if quiet or frames is not None else echo_left_out
+
+    def tell(given: Input) -> None:
+        if not quiet:
+            echo_left_out(given, frames)
+
     with progress_on_terminal(quiet) as progress:
         result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)
         written = result.save(out)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS
+from ..io.thinning import LEAST_POINTS
 from ..reasons import explain, plain
 from ..result import DEFAULT_CONFIG
 from ..sensors import SENSORS
@@ -120,6 +121,16 @@ frames_option = click.option(
 )
 
 
+max_points_option = click.option(
+    "--max-points",
+    type=click.IntRange(min=LEAST_POINTS),
+    default=DEFAULT_CONFIG.max_points,
+    show_default=True,
+    help="Of a cloud with more points, read so many: fewer frames, or the brightest points and "
+    "the others evenly.",
+)
+
+
 def read_input(
     path: Path,
     sensor_name: str,
@@ -127,26 +138,47 @@ def read_input(
     *,
     topic: str | None = None,
     frames: slice | None = None,
+    max_points: int = DEFAULT_CONFIG.max_points,
     quiet: bool = False,
 ) -> Input:
-    """Read a cloud and look up its sensor; say on stderr which frames were left out unasked."""
+    """Read a cloud and look up its sensor; say on stderr what was left out unasked."""
     from ..api.inputs import read_input as read
 
-    given = read(path, sensor=sensor_name, threshold=threshold, topic=topic, frames=frames)
-    if frames is None and not quiet:
-        echo_left_out(given)
+    given = read(
+        path,
+        sensor=sensor_name,
+        threshold=threshold,
+        topic=topic,
+        frames=frames,
+        max_points=max_points,
+    )
+    if not quiet:
+        echo_left_out(given, frames)
     return given
 
 
-def echo_left_out(given: Input) -> None:
-    """Say on stderr which frames of a long recording were left out."""
+def echo_left_out(given: Input, frames: slice | None) -> None:
+    """Say on stderr which frames, and which points, were left out unasked."""
     read = given.read
-    if read is not None and not read.is_whole:
-        click.echo(
-            f"retropole: {given.name}: read {len(read.numbers)} of {read.recording.count} frames, "
-            f"every {read.numbers.step}th; --frames A:B reads others",
-            err=True,
+    lines = []
+    if read is not None and read.left_out:
+        lines.append(
+            f"read {len(read.numbers)} of {len(read.numbers) + read.left_out} frames, one in "
+            f"{2 ** round(math.log2(1 + read.left_out / len(read.numbers)))}, since all have too "
+            "many points; --max-points N reads more"
         )
+    elif read is not None and frames is None and not read.is_whole:
+        lines.append(
+            f"read {len(read.numbers)} of {read.recording.count} frames, every "
+            f"{read.numbers.step}th; --frames A:B reads others"
+        )
+    if given.cloud.thinned:
+        lines.append(
+            f"thinned from {len(given.cloud) + given.cloud.thinned:,} points to "
+            f"{len(given.cloud):,}, the brightest kept; --max-points N keeps more"
+        )
+    for line in lines:
+        click.echo(f"retropole: {given.name}: {line}", err=True)
 
 
 def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:

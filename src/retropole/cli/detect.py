@@ -13,6 +13,7 @@ from .common import (
     OUT,
     SENSOR_HELP,
     frames_option,
+    max_points_option,
     progress_on_terminal,
     radius_option,
     read_input,
@@ -36,6 +37,7 @@ from .common import (
 )
 @topic_option
 @frames_option
+@max_points_option
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def detect(
@@ -46,6 +48,7 @@ def detect(
     threshold: float | None,
     topic: str | None,
     frames: slice | None,
+    max_points: int,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -77,7 +80,15 @@ def detect(
 
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        given = read_input(file, sensor, threshold, topic=topic, frames=frames, quiet=quiet)
+        given = read_input(
+            file,
+            sensor,
+            threshold,
+            topic=topic,
+            frames=frames,
+            max_points=max_points,
+            quiet=quiet,
+        )
         progress("extract")
         found = detect_in(given, radius)
         written: list[str] = []

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, METRES, frames_option, progress_on_terminal, topic_options
+from .common import (
+    CLOUD,
+    CONTEXT,
+    METRES,
+    frames_option,
+    progress_on_terminal,
+    read_input,
+    topic_options,
+)
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -74,16 +83,16 @@ def evaluate(
     from ..evaluation.metrics import errors_of
     from ..evaluation.metrics import evaluate as score
     from ..export import read_transform
-    from ..io import read_cloud
     from ..result import confirmation_document
 
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(as_json) as progress:
         progress("read")
+        read = partial(read_input, sensor_name="auto", threshold=None, frames=frames)
         clouds = (
-            read_cloud(target, topic=target_topic, frames=frames),
-            read_cloud(source, topic=source_topic, frames=frames),
+            read(target, topic=target_topic).cloud,
+            read(source, topic=source_topic).cloud,
         )
         progress("evaluate")
         aligned = score(*clouds, T, rng=np.random.default_rng(0), sigma=sigma)

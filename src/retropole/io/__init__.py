@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from .arrays import (
     read_npz,
     read_text,
 )
+from .bag_files import BAGS, is_rosbag2
 from .fields import only_returns
 from .las import read_las
 from .packets import PACKETS, open_packets
@@ -31,11 +33,13 @@ from .recordings import (
     chosen_frames,
     joined,
 )
-from .ros import BAGS, bag_topics, is_rosbag2, open_bag
+from .ros import bag_topics, open_bag
+from .thinning import MAX_POINTS, read_within, thinned
 
 __all__ = [
     "ARRAY_SOURCE",
     "BAGS",
+    "MAX_POINTS",
     "PACKETS",
     "READERS",
     "Frame",
@@ -52,6 +56,7 @@ __all__ = [
     "read_frames",
     "read_recording",
     "sha256_of",
+    "thinned",
     "topics_of",
     "write_pcd",
 ]
@@ -145,7 +150,11 @@ def read_frames(
 
 
 def read_cloud(
-    path: str | Path, *, topic: str | None = None, frames: slice | None = None
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    frames: slice | None = None,
+    max_points: int | None = None,
 ) -> PointCloud:
     """Read a file, a folder of files or a bag as one cloud.
 
@@ -157,6 +166,10 @@ def read_cloud(
         Which frames to combine, by their numbers from 0, as Python slices a list. None takes them
         all, or of a long recording evenly spread ones with about
         `recordings.MAX_RECORDING_POINTS` points.
+    max_points
+        How many points to keep of more; None keeps all. Of many frames, every second is left out
+        as often as it takes; of few, or of one, the brightest points are kept and the others
+        thinned evenly.
 
     Returns
     -------
@@ -173,17 +186,21 @@ def read_cloud(
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    return read_recording(path, topic=topic, frames=frames).cloud
+    return read_recording(path, topic=topic, frames=frames, max_points=max_points).cloud
 
 
 def read_recording(
-    path: str | Path, *, topic: str | None = None, frames: slice | None = None
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    frames: slice | None = None,
+    max_points: int | None = None,
 ) -> ReadRecording:
     """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
 
     Parameters
     ----------
-    path, topic, frames
+    path, topic, frames, max_points
         As `read_cloud` takes them.
 
     Raises
@@ -192,10 +209,11 @@ def read_recording(
         As `read_cloud`.
     """
     recording = open_recording(path, topic=topic)
-    numbers = chosen_frames(recording, frames)
-    read = list(recording.read(numbers))
+    asked = chosen_frames(recording, frames)
+    numbers, read = read_within(recording, asked, sys.maxsize if max_points is None else max_points)
     headers = tuple(frame.header for frame in read)
-    return ReadRecording(recording, numbers, headers, joined(recording, read))
+    cloud = joined(recording, read)
+    return ReadRecording(recording, numbers, headers, cloud, len(asked) - len(numbers))
 
 
 def _files(path: Path) -> list[Path]:

@@ -7,6 +7,7 @@ import io
 import math
 import re
 import zipfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -18,6 +19,7 @@ from ..datatypes import PointCloud
 from ..errors import ReadError, UsageError
 from .fields import INTENSITY, REAL_KINDS, RING, TIME, cloud_from_columns
 from .table import is_number, read_table
+from .unpacking import allowance
 
 PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 """What the columns of a table without names are; a fifth could be a colour or a normal."""
@@ -36,6 +38,14 @@ ARRAY_SOURCE = "<array>"
 
 MAX_DEFLATE_RATIO = 1100
 """Deflate compresses at most 1032 bytes into one; an entry that promises more is damaged."""
+
+
+NPZ_ALLOWED, NPZ_RATIO = 2**28, 20
+"""Bytes that the arrays of an NPZ may take: so many, and so many times its size, with 8 for each
+number. Coordinates compress 2 to 10 fold."""
+
+NUMBER = 8
+"""Bytes of a number in a point cloud."""
 
 
 def _nonempty(path: Path) -> bytes:
@@ -103,8 +113,13 @@ def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointClou
     return replace(cloud, source=ARRAY_SOURCE)
 
 
-def _load(path: Path, file: IO[bytes], left: int) -> NDArray[Any]:
-    """Read one ``.npy`` from an open file of `left` bytes; its header may not promise more."""
+def _load(
+    path: Path, file: IO[bytes], left: int, spend: Callable[[int], None] = lambda count: None
+) -> NDArray[Any]:
+    """Read one ``.npy`` from an open file of `left` bytes; its header may not promise more.
+
+    Its numbers are counted by `spend` before they are read.
+    """
     version = np.lib.format.read_magic(file)
     reader = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -120,6 +135,7 @@ def _load(path: Path, file: IO[bytes], left: int) -> NDArray[Any]:
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if size > left:
         raise ReadError(f"{path}: promises {size} bytes of data, the file holds {left} in all")
+    spend(max(size, NUMBER * size // dtype.itemsize))
     body = file.read(size)
     if len(body) < size:
         raise ReadError(f"{path}: promises {size} bytes of data, the file holds {len(body)}")
@@ -146,6 +162,7 @@ def read_npz(path: Path) -> PointCloud:
     """
     data = _nonempty(path)
     arrays: dict[str, NDArray[Any]] = {}
+    spend = allowance(path, len(data), NPZ_ALLOWED, NPZ_RATIO)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for entry in archive.infolist():
@@ -158,7 +175,7 @@ def read_npz(path: Path) -> PointCloud:
                 if len(archive.infolist()) > 1 and not _has_meaning(name):
                     continue
                 with archive.open(entry) as file:
-                    arrays[name] = _load(path, file, entry.file_size)
+                    arrays[name] = _load(path, file, entry.file_size, spend)
     except ReadError:
         raise
     except Exception as error:

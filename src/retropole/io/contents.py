@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud
 from ..sensors import SENSORS, Sensor, auto_threshold
-from . import FrameHeader, ReadRecording, read_recording, topics_of
+from . import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
 from .beam_origin import with_beam_origin
 from .rings import MAX_RING_SPREAD, elevations, rings_fault, with_trusted_rings
 
@@ -116,10 +117,11 @@ def describe(path: str | Path, *, topic: str | None = None, frames: slice | None
     names: list[str | None] = [topic]
     if topic is None:
         names = [own.name for own in topics if own.of_clouds and own.count] or [None]
+    read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS)
     return InfoDoc(
         path=str(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
-        clouds=[_cloud(read_recording(path, topic=name, frames=frames)) for name in names],
+        clouds=[_cloud(read(topic=name)) for name in names],
     )
 
 
@@ -137,7 +139,7 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         rate_hz=rate,
         duration_s=None if rate is None else (count - 1) / rate,
         fields=dict(cloud.fields),
-        points=len(cloud),
+        points=len(cloud) + cloud.thinned,
         dropped=cloud.dropped,
         rings=None if given.ring is None else len(np.unique(given.ring)),
         rings_ignored=rings_fault(given),

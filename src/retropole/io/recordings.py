@@ -135,7 +135,9 @@ class ReadRecording:
     recording
         What was read.
     numbers
-        Which frames were asked for.
+        Which frames were read.
+    left_out
+        How many more were asked for, and left out since all together have too many points.
     headers
         Of each frame that was read. The points are in `cloud` alone, so that none is in memory
         twice.
@@ -147,6 +149,7 @@ class ReadRecording:
     numbers: range
     headers: tuple[FrameHeader, ...]
     cloud: PointCloud
+    left_out: int = 0
 
     @property
     def is_whole(self) -> bool:
@@ -229,6 +232,7 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
         frame=numbers.astype(np.int64) if len(frames) > 1 else None,
         recorded=_recorded([frame.stamp for frame in full]),
         dropped=dropped,
+        thinned=sum(cloud.thinned for cloud in clouds),
         source=str(recording.path),
     )
 

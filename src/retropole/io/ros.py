@@ -1,4 +1,4 @@
-"""ROS bags: .bag, .db3, .mcap and folders of ROS 2 bags, by rosbags and mcap (the extra ``ros``).
+"""Point clouds in ROS bags: topics, frames, and the layout of a message (the extra ``ros``).
 
 ``sensor_msgs/PointCloud2`` has had one layout in ROS 1 and another in every ROS 2 so far, so the
 definitions in a bag, if any, are not used. No ROS is needed.
@@ -7,33 +7,20 @@ definitions in a bag, if any, are not used. No ROS is needed.
 from __future__ import annotations
 
 import functools
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import MissingExtraError, ReadError
+from ..errors import ReadError
+from .bag_files import opened
 from .fields import Columns, frame_from_columns
-from .recordings import CLOUDS, Frame, Recording, Topic, reported
-
-BAGS = (".bag", ".db3", ".mcap")
-"""Suffixes of bags."""
+from .recordings import CLOUDS, Frame, Recording, Topic
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """From the number of a type in a PointField to its name in NumPy."""
-
-REPAIR = (
-    "; one that was cut short can be repaired by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a "
-    "folder) or 'mcap recover' (.mcap)"
-)
-
-SPECIAL = frozenset("%?#")
-"""Characters of a path that mean something else in an address."""
 
 MAX_LISTED = 10
 """Topics that a message names."""
@@ -42,25 +29,9 @@ NANOSECONDS = 1e9
 """In a second; bags count them."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Bag:
-    """An open bag: its topics, and time (ns), bytes and encoding of the messages of a topic.
-
-    The encoding is ``ros1`` or ``cdr``.
-    """
-
-    topics: tuple[Topic, ...]
-    messages: Callable[[str], Iterator[tuple[int, bytes, str]]]
-
-
-def is_rosbag2(path: Path) -> bool:
-    """Whether a folder is a ROS 2 bag."""
-    return path.is_dir() and (path / "metadata.yaml").is_file()
-
-
 def bag_topics(path: Path) -> tuple[Topic, ...]:
     """List the topics of a bag by name."""
-    with _opened(path) as bag:
+    with opened(path) as bag:
         return bag.topics
 
 
@@ -123,9 +94,9 @@ def _listed(topics: tuple[Topic, ...] | list[Topic], *, kinds: bool = False) -> 
 
 def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
     """Decode the chosen messages of a topic, each when it is requested."""
-    with _opened(path) as bag:
+    with opened(path) as bag:
         number = -1
-        for number, (stamp, data, encoding) in enumerate(bag.messages(topic.name)):
+        for number, (stamp, data, encoding) in enumerate(bag.messages(topic.name, topic.kind)):
             if number in numbers:
                 yield _frame(path, topic, number, stamp, data, encoding)
             if number == numbers[-1]:
@@ -215,101 +186,3 @@ def _record(fields: Any, step: int, order: str) -> np.dtype[np.void]:
         kinds.append((kind, (count,)) if count > 1 else kind)
         offsets.append(entry.offset)
     return np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": step})
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[_Bag]:
-    """Open a bag of any format; a failure names the file and what to do."""
-    if path.is_file() and path.stat().st_size == 0:
-        raise ReadError(f"{path}: is empty, expected a bag")
-    try:
-        import mcap.reader  # noqa: F401
-        import rosbags.rosbag1
-        import rosbags.rosbag2
-    except ImportError:
-        raise MissingExtraError("ros", "reading ROS bags") from None
-    with reported(path, "bag", REPAIR):
-        if path.suffix.lower() == ".mcap" and path.is_file():
-            with _mcap(path) as bag:
-                yield bag
-        elif path.suffix.lower() == ".bag" and path.is_file():
-            with rosbags.rosbag1.Reader(path) as reader:
-                yield _from_rosbags(reader, "ros1")
-        else:
-            with _plainly_named(path) as plain, rosbags.rosbag2.Reader(plain) as reader:
-                yield _from_rosbags(reader, "cdr")
-
-
-@contextmanager
-def _plainly_named(path: Path) -> Iterator[Path]:
-    """Give a ROS 2 bag a name that rosbags opens as it is.
-
-    It opens SQLite files by address: of ``run%41.db3`` it would read ``runA.db3``, and of what has
-    a ``?`` or ``#`` the part before.
-    """
-    inside = path.iterdir() if path.is_dir() else ()
-    for file in inside:
-        if SPECIAL & set(file.name) and file.suffix.lower() == ".db3":
-            raise ReadError(
-                f"{path}: {file.name} has one of {' '.join(sorted(SPECIAL))} in its name, by which "
-                "another file would be read: rename it, also in metadata.yaml"
-            )
-    if not SPECIAL & set(str(path)) and (path.is_dir() or path.suffix in BAGS):
-        yield path
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        plain = Path(folder) / ("bag" if path.is_dir() else f"bag{path.suffix.lower()}")
-        plain.symlink_to(path.resolve())
-        yield plain
-
-
-def _from_rosbags(reader: Any, encoding: str) -> _Bag:
-    counts: dict[tuple[str, str], int] = {}
-    for own in reader.connections:
-        key = own.topic, own.msgtype
-        counts[key] = counts.get(key, 0) + own.msgcount
-
-    def messages(name: str) -> Iterator[tuple[int, bytes, str]]:
-        wanted = [own for own in reader.connections if (own.topic, own.msgtype) == (name, CLOUDS)]
-        for _, stamp, data in reader.messages(connections=wanted):
-            yield stamp, data, encoding
-
-    return _Bag(tuple(Topic(*key, count) for key, count in sorted(counts.items())), messages)
-
-
-@contextmanager
-def _mcap(path: Path) -> Iterator[_Bag]:
-    """Open an MCAP file with messages of ROS 1 or ROS 2, with or without an index."""
-    from mcap.reader import make_reader
-
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        summary = reader.get_summary()
-        indexed = summary is not None and summary.statistics is not None
-        counts: dict[tuple[str, str], int] = {}
-        if summary is not None and summary.statistics is not None:
-            for number, channel in summary.channels.items():
-                schema = summary.schemas.get(channel.schema_id)
-                key = channel.topic, _kind(schema.name if schema else "")
-                own = summary.statistics.channel_message_counts.get(number, 0)
-                counts[key] = counts.get(key, 0) + own
-        else:
-            for schema, channel, _ in reader.iter_messages(log_time_order=False):
-                key = channel.topic, _kind(schema.name if schema else "")
-                counts[key] = counts.get(key, 0) + 1
-
-        def messages(name: str) -> Iterator[tuple[int, bytes, str]]:
-            # Without an index, sorting by time would hold the whole file in memory.
-            for schema, channel, message in reader.iter_messages(
-                topics=[name], log_time_order=indexed
-            ):
-                if schema is not None and _kind(schema.name) == CLOUDS:
-                    yield message.log_time, message.data, channel.message_encoding
-
-        yield _Bag(tuple(Topic(*key, count) for key, count in sorted(counts.items())), messages)
-
-
-def _kind(name: str) -> str:
-    """Name a type as ROS 2 does; ROS 1 has no ``msg`` in it."""
-    package, slash, kind = name.partition("/")
-    return f"{package}/msg/{kind}" if slash and "/" not in kind else name

@@ -15,6 +15,7 @@ from .certainty import radius_words
 from .crosssections import cross_sections
 from .markup import MISSING, number, table
 from .names import LIDARS, pair_name, pole_name
+from .text import left_out_words
 
 UNFOLDED_CLUSTERS = 4
 """Up to so many rejected clusters are listed unfolded."""
@@ -157,7 +158,7 @@ def provenance(result: ResultDoc) -> str:
             f"{LIDARS[k % 2]} {k // 2 + 1}" if several else LIDARS[k % 2],
             item.path,
             f"{item.points:,}",
-            f"{item.dropped:,}",
+            f"{item.dropped:,}" + (f" ({left_out_words(item)})" if left_out_words(item) else ""),
             item.sensor,
             MISSING if item.threshold is None else f"{item.threshold:g}",
             item.sha256,

@@ -131,7 +131,7 @@ def _differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
 def _read(path: Path, topic: str | None, config: RunConfig) -> PointCloud:
     """Read a recording, of a bag the topic and frames of the run."""
     frames = None if config.frames is None else slice(*config.frames)
-    return read_cloud(path, topic=topic, frames=frames)
+    return read_cloud(path, topic=topic, frames=frames, max_points=config.max_points)
 
 
 def _search(cloud: PointCloud, item: InputDoc, config: RunConfig) -> Scan:

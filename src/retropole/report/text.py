@@ -42,10 +42,25 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
+def left_out_words(document: InputDoc) -> str:
+    """Say how many points and frames of too many were left out; nothing where none were."""
+    parts = [
+        f"{count:,} {what}"
+        for count, what in (
+            (document.thinned, "points"),
+            (document.frames_left_out, "frames"),
+        )
+        if count
+    ]
+    return f"{' and '.join(parts)} left out as too many" if parts else ""
+
+
 def _input_line(name: str, document: InputDoc) -> str:
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
+    left_out = left_out_words(document)
     return (
-        f"{name}  {document.path}: {document.points:,} points ({document.dropped:,} dropped), "
+        f"{name}  {document.path}: {document.points:,} points ({document.dropped:,} dropped"
+        f"{', ' + left_out if left_out else ''}), "
         f"sensor {document.sensor}, threshold {threshold}"
     )
 

@@ -21,6 +21,7 @@ from ..datatypes import (
     Placement,
     PoseEstimate,
 )
+from ..io.thinning import LEAST_POINTS, MAX_POINTS
 from .bounded import LONGEST_LIST, Count, Covariance, Number, Pose, Share, Size, Status, Text
 from .certainty import (
     BudgetEntryDoc,
@@ -112,6 +113,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     target_topic: Text | None = None
     source_topic: Text | None = None
     frames: tuple[int | None, int | None, int | None] | None = None
+    max_points: Annotated[int, Meta(ge=LEAST_POINTS, le=2**53)] = MAX_POINTS
 
 
 DEFAULT_CONFIG = RunConfig()

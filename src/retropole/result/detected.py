@@ -38,7 +38,7 @@ class PolesDoc(msgspec.Struct, frozen=True):
 
 
 class InputDoc(msgspec.Struct, frozen=True):
-    """What was read."""
+    """What was read, and how many points and frames of too many were left out."""
 
     path: Text
     sha256: Text
@@ -46,6 +46,8 @@ class InputDoc(msgspec.Struct, frozen=True):
     dropped: Count
     sensor: Text
     threshold: Number | None
+    thinned: Count = 0
+    frames_left_out: Count = 0
 
 
 class DetectionDoc(msgspec.Struct, frozen=True):

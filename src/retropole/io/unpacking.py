@@ -1,0 +1,106 @@
+"""Decompressing what a bag holds, within bounds: a file of some KB may unpack to GiB.
+
+What the file itself says of its sizes is not trusted: the bytes are counted as they come.
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from ..errors import ReadError
+
+MAX_UNPACKED = 2**27
+"""Bytes that one chunk, or one message, may unpack to. Recorders end a chunk after 0.8 to 4 MiB,
+and a sweep of a sensor with 128 rings has 10 MiB."""
+
+ALLOWED, ALLOWED_RATIO = 2**29, 100
+"""Bytes that all of a bag may unpack to: so many, and so many times its size. Scans compress 2 to
+20 fold."""
+
+BLOCK = 2**20
+"""Bytes that are unpacked at a time."""
+
+Spend = Callable[[int], None]
+"""Counts bytes, and raises where a file has used up what it is allowed."""
+
+
+def allowance(path: Path, size: int, base: int = ALLOWED, ratio: int = ALLOWED_RATIO) -> Spend:
+    """Make the account of a file of `size` bytes, with `base` bytes and `ratio` times its size."""
+    allowed = base + ratio * size
+    spent = 0
+
+    def spend(count: int) -> None:
+        nonlocal spent
+        spent += count
+        if spent > allowed:
+            raise ReadError(
+                f"{path}: its {size:,} bytes unpack to more than {allowed:,}, which no recording "
+                "does"
+            )
+
+    return spend
+
+
+def unpacked(path: Path, kind: str, data: bytes, spend: Spend) -> bytes:
+    """Decompress a chunk or a message.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    kind
+        ``bz2``, ``lz4`` or ``zstd``; anything else is not compressed.
+    data
+        The compressed bytes.
+    spend
+        Where the decompressed ones are counted.
+
+    Raises
+    ------
+    ReadError
+        Where there are more than `MAX_UNPACKED`, or than the file may have in all.
+    """
+    if kind not in ("bz2", "lz4", "zstd"):
+        spend(len(data))
+        return data
+    out = io.BytesIO()
+    with _stream(kind, io.BytesIO(data)) as stream:
+        while block := stream.read(BLOCK):
+            spend(len(block))
+            if out.tell() + len(block) > MAX_UNPACKED:
+                raise ReadError(
+                    f"{path}: {len(data):,} bytes of it unpack to more than {MAX_UNPACKED:,}, "
+                    "which no chunk of a recording does"
+                )
+            out.write(block)
+    return out.getvalue()
+
+
+def unpack_file(packed: Path, to: Path, kind: str, spend: Spend) -> None:
+    """Decompress a whole file into another."""
+    with packed.open("rb") as file, _stream(kind, file) as stream, to.open("wb") as written:
+        while block := stream.read(BLOCK):
+            spend(len(block))
+            written.write(block)
+
+
+def _stream(kind: str, file: BinaryIO) -> Any:
+    """Open a compressed file as one of the bytes that it holds."""
+    stream: Any
+    if kind == "bz2":
+        stream = bz2.BZ2File(file)
+    elif kind == "lz4":
+        import lz4.frame
+
+        stream = lz4.frame.open(file)
+    else:
+        import zstandard
+
+        # A frame may ask for a window of GiB.
+        own = zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED)
+        stream = own.stream_reader(file, read_across_frames=True)
+    return stream
