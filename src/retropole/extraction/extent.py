@@ -69,8 +69,8 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
         raise Refusal(
             "far_from_lidar",
             f"{near} of {len(cloud)} points are within {within:g} m of where the beams are taken "
-            f"to start, half are beyond {away:.0f} m: no pole is seen so far away; give the cloud in "
-            "the LiDAR's own frame, or with rings or a PCD viewpoint, which tell where it was",
+            f"to start, half are beyond {away:.0f} m: no pole is seen so far away; give the cloud "
+            "in the LiDAR's own frame, or with rings or a PCD viewpoint, which tell where it was",
             {"near": near, "points": len(cloud), "median_m": away},
         )
     x, y, z = np.round(found.origin, -3)
