@@ -41,6 +41,7 @@ from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import align_consistent, check_contradiction
 from .scene.confirmation import check_confirmation, confirm
+from .scene.copies import check_two_recordings, without_copies
 from .scene.refinement import Refinement, refine
 from .scene.similarity import check_similarity, explained
 from .scene.static import check_static, check_still, remove_dynamic_points
@@ -158,7 +159,7 @@ def find_poles(
     elsewhere is not lost.
     """
     try:
-        cloud = remove_dynamic_points(located(cloud, radius))
+        cloud = remove_dynamic_points(located(without_copies(cloud), radius))
         detection = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
         return Scan(cloud, sensor, None, refusal)
@@ -166,12 +167,12 @@ def find_poles(
 
 
 def check_poles(placements: Sequence[Placement]) -> None:
-    """Refuse clouds that could not be searched, LiDARs or poles that moved while they recorded.
+    """Refuse clouds that could not be searched, what moved meanwhile, and one for both LiDARs.
 
     Raises
     ------
     Refusal
-        ``no_intensity``, ``moving_lidar`` or ``moving_pole``.
+        ``no_intensity``, ``moving_lidar``, ``moving_pole``, ``same_recording`` and others.
     """
     for placement in placements:
         for name, scan in (("target", placement.target), ("source", placement.source)):
@@ -179,6 +180,7 @@ def check_poles(placements: Sequence[Placement]) -> None:
                 raise scan.refusal
             check_still(name, scan.cloud)
             check_static(name, scan.cloud, scan.poles)
+        check_two_recordings(placement.target.cloud, placement.source.cloud)
 
 
 def choose(

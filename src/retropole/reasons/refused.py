@@ -10,6 +10,7 @@ RefusedCode = Literal[
     "no_intensity",
     "threshold_too_low",
     "far_from_lidar",
+    "same_recording",
     "too_few_poles",
     "parallel_poles",
     "no_match",
@@ -68,6 +69,15 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "the same offset from all points before they are stored as 32-bit floats.",
             "Bring the cloud to metres.",
             "A few points far beyond all others are damaged: leave them out.",
+        ),
+    ),
+    "same_recording": Explanation(
+        "Target and source are one recording",
+        "More than half of the source's points are in the target, too, number for number. Two "
+        "LiDARs never measure alike to the last digit.",
+        (
+            "Give the recording of one LiDAR as the target and that of the other as the source.",
+            "If both LiDARs' points were joined in one cloud, take them apart first.",
         ),
     ),
     "too_few_poles": Explanation(
