@@ -89,6 +89,8 @@ def _check_within(cloud: PointCloud, most: float, advice: str) -> None:
         np.maximum(reach, np.abs(cloud.xyz[:, axis]), out=reach)
     np.maximum(reach, np.abs(cloud.origin).max(), out=reach)
     far = int(np.count_nonzero(reach > most))
+    if 2 * far < len(cloud):
+        advice = "so few are damaged or no returns; leave them out"
     if far:
         raise Refusal(
             "far_from_lidar",
