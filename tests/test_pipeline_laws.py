@@ -30,8 +30,12 @@ FEW, MANY = 3, 500
 FEW_SEEDS, MANY_SEEDS = 3, 1000
 """From so many seeds of each scene they are drawn: few, so that they share their scenes."""
 
-MAX_DEGREES, MAX_METRES = 2.0, 0.2
+WRONG = se3.PoseDifference(float(np.radians(2.0)), 0.2)
 """An answer that is off by more, where the poles are, is wrong, whatever it states."""
+
+SMALL = se3.PoseDifference(float(np.radians(0.25)), 0.03)
+"""One that is off by less is not, though it may be surer than it should: how often it is, coverage
+says (docs/accuracy.md). One in between must have stated so."""
 
 FIVE_SIGMA = 39.6
 """χ² with 6 degrees of freedom is above this as often as a normal number beyond five σ."""
@@ -71,26 +75,41 @@ def distance_sq(answer: Calibration, T: Array) -> float:
     return float(step @ np.linalg.solve(answer.covariance, step))
 
 
+def exceeds(off: se3.PoseDifference, limit: se3.PoseDifference) -> bool:
+    return off.rotation > limit.rotation or off.translation > limit.translation
+
+
+def off_at_poles(answer: Calibration, T: Array) -> se3.PoseDifference:
+    assert answer.T_target_source is not None
+    at = np.array([pole.point for pole in answer.placements[0].source.poles])
+    return se3.difference_at(answer.T_target_source, T, at)
+
+
 def check_right(answer: Calibration, T: Array) -> None:
-    """No answer is wrong, and none that is ok is further off than it states."""
+    """No answer is wrong, and none that is ok is off by more than it states."""
     if answer.T_target_source is None:
         assert answer.status == "refused"
         assert answer.reasons
         assert all(len(reason.message) <= 300 for reason in answer.reasons)
         return
-    at = np.array([pole.point for pole in answer.placements[0].source.poles])
-    off = se3.difference_at(answer.T_target_source, T, at)
-    assert np.degrees(off.rotation) < MAX_DEGREES, answer.reasons
-    assert off.translation < MAX_METRES, answer.reasons
-    if answer.status == "ok":
-        assert distance_sq(answer, T) < FIVE_SIGMA
+    off = off_at_poles(answer, T)
+    assert not exceeds(off, WRONG), (off, answer.reasons)
+    if answer.status == "ok" and exceeds(off, SMALL):
+        assert distance_sq(answer, T) < FIVE_SIGMA, off
 
 
 def check_same(one: Calibration, other: Calibration, A: Array, B: Array, most: float) -> None:
     """Moved by A and B, the clouds give the same pose, within what it states."""
     if one.T_target_source is not None and other.T_target_source is not None:
         back = se3.inverse(A) @ other.T_target_source @ B
-        assert distance_sq(one, back) < most
+        assert distance_sq(one, back) < most or not exceeds(off_at_poles(one, back), SMALL)
+
+
+def check_equal(one: Calibration, other: Calibration) -> None:
+    """The same pose to a hundredth of what it states."""
+    assert (one.T_target_source is None) == (other.T_target_source is None)
+    if other.T_target_source is not None:
+        assert distance_sq(one, other.T_target_source) < 0.01
 
 
 def log_uniform(rng: np.random.Generator, least: float, most: float) -> float:
@@ -164,8 +183,9 @@ def swapping_the_clouds_inverts_the_pose(
     pair, forth = pair_of(scene, seed), plain(scene, seed)
     answer = calibrate(pair.source, pair.target)
     check_right(answer, se3.inverse(pair.T_target_source))
-    if answer.T_target_source is not None and forth.T_target_source is not None:
-        assert distance_sq(forth, se3.inverse(answer.T_target_source)) < THOUSANDTH
+    if answer.T_target_source is not None:
+        back = replace(answer, T_target_source=se3.inverse(answer.T_target_source))
+        check_same(forth, back, np.eye(4), np.eye(4), THOUSANDTH)
     return answer
 
 
@@ -178,7 +198,7 @@ def the_order_of_the_points_does_not_matter(
     answer = calibrate(*clouds)
     assert answer.status == before.status
     assert [each.code for each in answer.reasons] == [each.code for each in before.reasons]
-    check_same(before, answer, np.eye(4), np.eye(4), 0.01)
+    check_equal(before, answer)
     return answer
 
 
@@ -191,7 +211,7 @@ def points_given_twice_count_once(scene: str, seed: int, rng: np.random.Generato
     ]
     answer = calibrate(*clouds)
     assert answer.status == before.status
-    check_same(before, answer, np.eye(4), np.eye(4), 0.01)
+    check_equal(before, answer)
     if answer.covariance is not None and before.covariance is not None:
         np.testing.assert_allclose(
             np.sqrt(np.diag(answer.covariance)), np.sqrt(np.diag(before.covariance)), rtol=0.05
@@ -231,7 +251,8 @@ def the_scale_of_the_intensity_does_not_matter(
 
 def offset_case(pair: SimulatedPair, rng: np.random.Generator, *, known: bool) -> Case:
     """Both clouds in the frame of one map or of two, stored as doubles or as 32-bit floats."""
-    A, B = (se3.from_rt(np.eye(3), rng.normal(size=3) * log_uniform(rng, 1, 1e6)) for _ in "ab")
+    most = rng.choice([1e3, 1e6])
+    A, B = (se3.from_rt(np.eye(3), rng.normal(size=3) * log_uniform(rng, 1, most)) for _ in "ab")
     B = A if rng.random() < 0.5 else B
     clouds = [pair.target.transformed(A), pair.source.transformed(B)]
     if not known:
