@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from .alignment.adjustment import BeamAlignment, align_beams
 from .alignment.observations import beams_of
+from .alignment.origins import beam_origins
 from .datatypes import (
     DEFAULT_RADIUS,
     Array,
@@ -23,9 +24,8 @@ from .datatypes import (
     Scan,
 )
 from .errors import Reason, Refusal
+from .extraction.extent import located
 from .extraction.poles import extract_poles
-from .io.beam_origin import with_beam_origin
-from .io.rings import with_trusted_rings
 from .matching import correspondence
 from .matching.confirmation import Chosen, choose_with_doubtful, counts_doubtful
 from .matching.placements import (
@@ -41,6 +41,7 @@ from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import align_consistent, check_contradiction
 from .scene.confirmation import check_confirmation, confirm
+from .scene.copies import check_two_recordings, without_copies
 from .scene.refinement import Refinement, refine
 from .scene.similarity import check_similarity, explained
 from .scene.static import check_static, check_still, remove_dynamic_points
@@ -112,7 +113,9 @@ def calibrate(
     # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the way.
     with threadpool_limits(1, user_api="blas"):
         with step("extract"):
-            placements = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
+            found = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
+            origins = beam_origins(found)
+            placements = origins.about(found)
         try:
             check_poles(placements)
             choose_from = partial(choose, count=poles, prior=prior, step=step)
@@ -141,8 +144,10 @@ def calibrate(
         except Refusal as refusal:
             with step("explain"):
                 cause = explained(refusal, placements, hypotheses, (find_target, find_source))
-            return refused(cause, placements, hypotheses, seconds, confirmation)
-    return answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
+            answer = refused(cause, placements, hypotheses, seconds, confirmation)
+            return origins.moved_back(answer)
+    answer = answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
+    return origins.moved_back(answer)
 
 
 def find_poles(
@@ -153,21 +158,21 @@ def find_poles(
     Never raises a refusal: the scan holds it, and `check_poles` raises it, so that what was found
     elsewhere is not lost.
     """
-    static = remove_dynamic_points(with_beam_origin(with_trusted_rings(cloud)))
     try:
-        detection = extract_poles(static, sensor=sensor, threshold=threshold, radius=radius)
+        cloud = remove_dynamic_points(located(without_copies(cloud), radius))
+        detection = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
     except Refusal as refusal:
-        return Scan(static, sensor, None, refusal)
-    return Scan(static, sensor, detection)
+        return Scan(cloud, sensor, None, refusal)
+    return Scan(cloud, sensor, detection)
 
 
 def check_poles(placements: Sequence[Placement]) -> None:
-    """Refuse clouds that could not be searched, LiDARs or poles that moved while they recorded.
+    """Refuse clouds that could not be searched, what moved meanwhile, and one for both LiDARs.
 
     Raises
     ------
     Refusal
-        ``no_intensity``, ``moving_lidar`` or ``moving_pole``.
+        ``no_intensity``, ``moving_lidar``, ``moving_pole``, ``same_recording`` and others.
     """
     for placement in placements:
         for name, scan in (("target", placement.target), ("source", placement.source)):
@@ -175,6 +180,7 @@ def check_poles(placements: Sequence[Placement]) -> None:
                 raise scan.refusal
             check_still(name, scan.cloud)
             check_static(name, scan.cloud, scan.poles)
+        check_two_recordings(placement.target.cloud, placement.source.cloud)
 
 
 def choose(

@@ -1,11 +1,14 @@
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retropole import se3
-from retropole.datatypes import Array
+from retropole.datatypes import Array, Match, Pole
 from retropole.errors import Refusal
+from retropole.matching import correspondence, extension
 from retropole.matching.correspondence import line_pair, match_poles, pair_starts, widest_angle
 from tests.conftest import PoleMaker
 
@@ -157,3 +160,56 @@ def test_a_pole_that_the_others_deny_is_left_out_where_it_may_be(make_pole: Pole
         same(match.T_target_source, T_true) and len(match.pairs) > 2
         for match in match_poles(target, source)
     )
+
+
+def row_beside_two_poles(make_pole: PoleMaker, T: Array | None = None) -> list[Pole]:
+    """Eleven upright posts, a metre apart, beside two poles that lean alike to either side."""
+    posts = [make_pole((k - 5.0, 2.0, 1.0), (0, 0, 1), length=1.0, T=T) for k in range(11)]
+    leaning = [
+        make_pole((-1.0, 0.3, 1.0), (0.3, 0.05, 1), T=T),
+        make_pole((1.2, 0.0, 1.0), (-0.3, 0.1, 1), T=T),
+    ]
+    return [*leaning, *posts]
+
+
+def test_a_row_of_posts_is_matched_in_bounded_time(
+    make_pole: PoleMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solved = 0
+
+    def counted(*arguments: Any) -> Match:
+        nonlocal solved
+        solved += 1
+        return extension.solved(*arguments)
+
+    monkeypatch.setattr(correspondence, "solved", counted)
+    T = se3.random(np.random.default_rng(4))
+    target = row_beside_two_poles(make_pole)
+    source = row_beside_two_poles(make_pole, se3.inverse(T))
+    matches = match_poles(target, source)
+    assert len(matches[0].pairs) == 13
+    np.testing.assert_allclose(matches[0].T_target_source, T, atol=1e-6)
+    # Each pair of pairs is solved in eight ways, and again with the poles that it takes in.
+    assert 8 * 20 < solved <= 16 * correspondence.MANY_PAIR_MATCHES
+
+
+def test_poles_are_paired_as_one_by_one(make_pole: PoleMaker) -> None:
+    """By the distances between each two, written out."""
+    rng = np.random.default_rng(7)
+    target = row_beside_two_poles(make_pole)
+    for _ in range(20):
+        T = se3.retract(se3.random(rng), np.zeros(6))
+        source = row_beside_two_poles(make_pole, se3.inverse(T))[::-1]
+        off = se3.retract(T, np.r_[rng.normal(size=3) * 0.03, rng.normal(size=3) * 0.1])
+        expected = set()
+        for i, pole in enumerate(target):
+            for j, other in enumerate(source):
+                ends = se3.apply(off, np.stack([other.xyz[0], other.point, other.xyz[-1]]))
+                across = np.cross(ends - pole.point, pole.direction)
+                leaning = np.linalg.norm(np.cross(off[:3, :3] @ other.direction, pole.direction))
+                along = abs((ends[1] - pole.point) @ pole.direction)
+                gap = along - (pole.length + other.length) / 2
+                misfit = np.linalg.norm(across, axis=1).max()
+                if misfit <= 0.15 and leaning < np.sin(np.radians(10.0)) and gap < 1.0:
+                    expected.add((i, j))
+        assert set(extension.extended(target, source, off, 0.15)) == expected

@@ -12,6 +12,7 @@ from ..evaluation.entropy import KERNEL_WIDTH
 from ..evaluation.metrics import Alignment
 from ..evaluation.metrics import evaluate as score
 from ..export import read_transform
+from ..extraction.extent import check_coordinates
 from ..se3 import rigid
 from .inputs import CloudSource, read_input
 from .result import CalibrationResult
@@ -53,8 +54,8 @@ def evaluate(
     UsageError
         For a matrix that is not a rigid transform, and for arrays of another shape.
     Refusal
-        ``too_few_points`` where a cloud is too small, and where the transform is that of a refused
-        result.
+        ``too_few_points`` where a cloud is too small, ``far_from_lidar`` where a coordinate is
+        none, and where the transform is that of a refused result.
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
@@ -66,6 +67,8 @@ def evaluate(
             (source, source_topic, "source"),
         )
     ]
+    for each in given:
+        check_coordinates(each.cloud)
     rng = np.random.default_rng(seed)
     return score(given[0].cloud, given[1].cloud, T, rng=rng, sigma=sigma)
 

@@ -43,6 +43,7 @@ from .acceptance_surroundings import surroundings_failure
 from .beams import Beams, beams_by
 from .certainty import doubt_of
 from .clustering import LINK, clusters, on_surface
+from .extent import check_coordinates
 from .lines import (
     MAX_PROPOSING_POINTS,
     MIN_LINE_POINTS,
@@ -120,8 +121,8 @@ def extract_poles(
     Raises
     ------
     Refusal
-        ``no_intensity`` where the cloud has none, or the same one everywhere, and
-        ``threshold_too_low`` where most of it passes the threshold.
+        ``no_intensity`` where the cloud has none, or the same one everywhere,
+        ``threshold_too_low`` where most of it passes the threshold, and ``far_from_lidar``.
     """
     if cloud.intensity is None or len(cloud) == 0 or np.ptp(cloud.intensity) == 0:
         raise Refusal(
@@ -140,6 +141,7 @@ def extract_poles(
             "tenth, or none",
             {"bright": bright, "points": len(cloud), "threshold": chosen.value},
         )
+    check_coordinates(cloud)
     cloud = with_beam_origin(with_trusted_rings(cloud))
     assert cloud.intensity is not None
     knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD

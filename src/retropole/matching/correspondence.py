@@ -37,6 +37,10 @@ of the axis of a 2 cm pole, towards itself."""
 MAX_PAIR_MATCHES = 200
 """How many pairs of pole pairs are tried, the most alike first."""
 
+MANY_PAIR_MATCHES = 72
+"""After so many a match of three poles or more is enough: twice what four poles have on each side.
+Beside a row of posts hundreds are alike, and the right one is among the first."""
+
 MAX_HYPOTHESES = 16
 """How many hypotheses go on to be scored by the scene: most poles, least expected error first."""
 
@@ -223,7 +227,9 @@ def match_poles(
     two_and_two = len(target) == len(source) == 2
     found: list[tuple[Match, Match]] = []
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)
-    for row, column in _alike(pairs_target, pairs_source):
+    for tried, (row, column) in enumerate(_alike(pairs_target, pairs_source)):
+        if tried >= MANY_PAIR_MATCHES and any(len(w.pairs) > 2 and w.exact for _, w in found):
+            break
         (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
         for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):
             to_i, to_j = (k, l) if order == (0, 1) else (l, k)

@@ -49,20 +49,20 @@ def extended(
     # Imported here: it takes a quarter of a second, and two poles on each side do not need it.
     from scipy.optimize import linear_sum_assignment
 
-    distance = np.empty((len(target), len(source)))
-    for j, pole in enumerate(source):
-        moved = se3.apply(T, np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]))
-        ends = np.stack([pole.point - pole.direction, pole.point + pole.direction])
-        along = np.diff(se3.apply(T, ends), axis=0)[0] / 2
-        for i, other in enumerate(target):
-            across = np.cross(moved - other.point, other.direction)
-            gap = abs((moved[1] - other.point) @ other.direction)
-            gap -= (pole.length + other.length) / 2
-            misfit = float(np.linalg.norm(across, axis=1).max())
-            leaning = float(np.linalg.norm(np.cross(along, other.direction)))
-            distance[i, j] = (
-                misfit if leaning < np.sin(MAX_MATCH_LEAN) and gap < MAX_MATCH_GAP else np.inf
-            )
+    # Between all poles (T) of the target and all (S) of the source at once.
+    ends = np.stack([np.stack([pole.xyz[0], pole.point, pole.xyz[-1]]) for pole in source])
+    moved = se3.apply(T, ends.reshape(-1, 3)).reshape(-1, 3, 3)
+    along = np.stack([pole.direction for pole in source]) @ T[:3, :3].T
+    points = np.stack([pole.point for pole in target])
+    directions = np.stack([pole.direction for pole in target])
+    offset = moved[None] - points[:, None, None]
+    across = np.cross(offset, directions[:, None, None])
+    gap = np.abs(np.einsum("tsi,ti->ts", offset[:, :, 1], directions))
+    gap -= np.add.outer([pole.length for pole in target], [pole.length for pole in source]) / 2
+    misfit = np.linalg.norm(across, axis=-1).max(axis=-1)
+    leaning = np.linalg.norm(np.cross(along[None], directions[:, None]), axis=-1)
+    is_one = (leaning < np.sin(MAX_MATCH_LEAN)) & (gap < MAX_MATCH_GAP)
+    distance = np.where(is_one, misfit, np.inf)
     rows, columns = linear_sum_assignment(np.where(np.isfinite(distance), distance, 1e6))
     return tuple(
         (int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= gate

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from .. import se3
 from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud, PoseEstimate
-from ..errors import Reason, UsageError
+from ..errors import Reason, Refusal, UsageError
 from ..matching.prior import RotationPrior
 from ..pipeline import calibrate
 from ..quantities import error
@@ -45,6 +45,9 @@ PARTS = ROTATION, TRANSLATION
 
 NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
 """Warnings of a new calibration by poles that leave the scene alone to answer."""
+
+NO_RECORDINGS = ("far_from_lidar", "same_recording")
+"""Refusals of a new calibration that leave the scene nothing to answer by either."""
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
 """1 σ about the stored pose from which the scene starts, rad and m: wide beside whatever the scene
@@ -127,6 +130,8 @@ def check(
     ------
     UsageError
         Where the stored pose has no covariance.
+    Refusal
+        ``far_from_lidar`` or ``same_recording``: no two recordings of two LiDARs.
     """
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
@@ -138,6 +143,9 @@ def check(
         thresholds=thresholds,
     )
     again = calibrate_again(target, source)
+    for reason in again.reasons:
+        if reason.code in NO_RECORDINGS:
+            raise Refusal(reason.code, reason.message, reason.values)
     clouds = _Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
     by_poles = _by_poles(stored, clouds, again, calibrate_again)
     answer = _tested(stored, uncertainty, clouds, by_poles, tolerance, sensors)

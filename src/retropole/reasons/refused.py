@@ -9,6 +9,8 @@ from .explanation import Explanation
 RefusedCode = Literal[
     "no_intensity",
     "threshold_too_low",
+    "far_from_lidar",
+    "same_recording",
     "too_few_poles",
     "parallel_poles",
     "no_match",
@@ -53,6 +55,29 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "or the cloud.",
             "`retropole info FILE` shows the range of the intensities; "
             "[`retropole view`](viewer.md) shows what each threshold does.",
+        ),
+    ),
+    "far_from_lidar": Explanation(
+        "The points are too far away from the LiDAR",
+        "Hardly a point is so near to where the beams are taken to start that a pole could be seen "
+        "there (100 m with a radius of 2 cm), or a coordinate is beyond 10 km. Clouds in the frame "
+        "of a map are like that.",
+        (
+            "Give the cloud in the LiDAR's own frame, as its driver writes it.",
+            "A cloud in another frame needs its rings, or a PCD its viewpoint: they tell "
+            "[where the LiDAR was](formats.md#where-the-beams-start). Of map coordinates, subtract "
+            "the same offset from all points before they are stored as 32-bit floats.",
+            "Bring the cloud to metres.",
+            "A few points far beyond all others are damaged: leave them out.",
+        ),
+    ),
+    "same_recording": Explanation(
+        "Target and source are one recording",
+        "More than half of the source's points are in the target, too, number for number. Two "
+        "LiDARs never measure alike to the last digit.",
+        (
+            "Give the recording of one LiDAR as the target and that of the other as the source.",
+            "If both LiDARs' points were joined in one cloud, take them apart first.",
         ),
     ),
     "too_few_poles": Explanation(

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .. import se3
 from ..datatypes import Array, Hypothesis, Placement, PointCloud, Scan
 from ..errors import Refusal
 from ..matching.similar import Change, changed_cloud
@@ -22,7 +23,7 @@ from .similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
 EXPLAINED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
     *("placements_disagree", "poor_fit", "poles_inconsistent", "degenerate_poles"),
-    *("poles_scene_contradict", "scene_contradicts", "prior_contradicted"),
+    *("poles_scene_contradict", "scene_contradicts", "prior_contradicted", "far_from_lidar"),
 }
 """Refusals that a mirrored or scaled cloud may cause."""
 
@@ -133,7 +134,7 @@ def _in_other_units(
     In feet a pole of 4 cm is as thick as one of 13 cm, and is none.
     """
     clouds = placement.target.cloud, placement.source.cloud
-    if any(len(cloud) == 0 for cloud in clouds):
+    if any(len(cloud) == 0 or np.abs(cloud.xyz).max() > se3.FARTHEST for cloud in clouds):
         return
     far = [float(np.median(np.linalg.norm(each.xyz - each.origin, axis=1))) for each in clouds]
     for unit in UNITS.values():

@@ -1,0 +1,132 @@
+"""The method counts from where the beams start; its answer is moved back into the clouds' frames.
+
+In the frame of a map a small turn moves everything by metres: nothing there tells a pose that is
+free from one that is sure, and sums of squares lose the digits that count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import (
+    Array,
+    Calibration,
+    Detection,
+    Hypothesis,
+    Placement,
+    PointCloud,
+    Pole,
+    PoseEstimate,
+    Scan,
+)
+from ..uncertainty import Uncertainty, covariance_at
+
+
+@dataclass(frozen=True, eq=False)
+class BeamOrigins:
+    """(3,) where the beams of the target and of the source start, each in its cloud's frame."""
+
+    target: Array
+    source: Array
+
+    def about(self, placements: Sequence[Placement]) -> tuple[Placement, ...]:
+        """Express placements about the beam origins; those that are there already stay as are."""
+        return tuple(_shifted(each, -self.target, -self.source) for each in placements)
+
+    def moved_back(self, answer: Calibration) -> Calibration:
+        """Express an answer that was found about the beam origins in the frames of the clouds."""
+        if not (self.target.any() or self.source.any()):
+            return answer
+        T, covariance, uncertainty = answer.T_target_source, answer.covariance, answer.uncertainty
+        if T is not None and covariance is not None:
+            covariance = self._covariance(covariance, T)
+        if T is not None and uncertainty is not None:
+            uncertainty = Uncertainty(
+                self._covariance(uncertainty.random, T),
+                self._covariance(uncertainty.systematic, T),
+                uncertainty.budget,
+            )
+        return replace(
+            answer,
+            T_target_source=None if T is None else self._pose(T),
+            covariance=covariance,
+            poles=self._estimate(answer.poles),
+            refined=self._estimate(answer.refined),
+            hypotheses=tuple(self._hypothesis(each) for each in answer.hypotheses),
+            placements=tuple(
+                _shifted(each, self.target, self.source) for each in answer.placements
+            ),
+            uncertainty=uncertainty,
+        )
+
+    def _pose(self, T: Array) -> Array:
+        return se3.from_rt(T[:3, :3], T[:3, 3] + self.target - T[:3, :3] @ self.source)
+
+    def _covariance(self, covariance: Array, T: Array) -> Array:
+        """Express a covariance about the origin of the source cloud's frame instead."""
+        return covariance_at(covariance, T, se3.apply(T, -self.source[None])[0])
+
+    def _estimate(self, pose: PoseEstimate | None) -> PoseEstimate | None:
+        if pose is None:
+            return None
+        T, covariance = pose.T_target_source, pose.covariance
+        moved = None if covariance is None else self._covariance(covariance, T)
+        return PoseEstimate(self._pose(T), moved, pose.rms)
+
+    def _hypothesis(self, hypothesis: Hypothesis) -> Hypothesis:
+        match = hypothesis.match
+        T = match.T_target_source
+        # Information changes by the inverse of what a covariance changes by.
+        back = np.eye(6)
+        back[3:, :3] = -se3.hat(T[:3, :3] @ self.source)
+        moved = replace(
+            match,
+            T_target_source=self._pose(T),
+            information=np.asarray(back.T @ match.information @ back),
+        )
+        return replace(hypothesis, match=moved)
+
+
+def beam_origins(placements: Sequence[Placement]) -> BeamOrigins:
+    """Take the beam origins of the first placement; the LiDARs stood still in all of them."""
+    return BeamOrigins(placements[0].target.cloud.origin, placements[0].source.cloud.origin)
+
+
+def _shifted(placement: Placement, by_target: Array, by_source: Array) -> Placement:
+    if not (by_target.any() or by_source.any()):
+        return placement
+    return replace(
+        placement,
+        target=_scan(placement.target, by_target),
+        source=_scan(placement.source, by_source),
+    )
+
+
+def _scan(scan: Scan, by: Array) -> Scan:
+    found = scan.detection
+    return replace(
+        scan,
+        cloud=_cloud(scan.cloud, by),
+        detection=None if found is None else _detection(found, by),
+    )
+
+
+def _cloud(cloud: PointCloud, by: Array) -> PointCloud:
+    return replace(cloud, xyz=cloud.xyz + by, origin=cloud.origin + by)
+
+
+def _detection(found: Detection, by: Array) -> Detection:
+    return replace(
+        found,
+        poles=tuple(_pole(pole, by) for pole in found.poles),
+        rejected=tuple(replace(each, centre=each.centre + by) for each in found.rejected),
+        doubtful=tuple(_pole(pole, by) for pole in found.doubtful),
+    )
+
+
+def _pole(pole: Pole, by: Array) -> Pole:
+    return replace(pole, point=pole.point + by, xyz=pole.xyz + by)

@@ -1,0 +1,108 @@
+"""Whether the points of a cloud can be what a LiDAR saw from where its beams are said to start.
+
+Clouds in the frame of a map are far from its origin. Where the LiDAR stood, only the file or its
+rings can say; a pose depends on it, and so does what is known of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..datatypes import Array, PointCloud
+from ..errors import Refusal
+from ..io.beam_origin import with_beam_origin
+from ..io.rings import with_trusted_rings
+from ..se3 import FARTHEST
+from .acceptance_shape import MIN_POLE_POINTS
+
+FARTHEST_ORIGIN = 10_000.0
+"""No pose is given about an origin that is farther from the points, metres. One that is known to
+1 mm and 0.1 mrad has, 10 km away, a covariance whose least and largest eigenvalue are 1e-14 apart:
+doubles tell no more. The LiDAR with the longest range measures 6 km (RIEGL VZ-6000, data sheet)."""
+
+THINNEST_POLE = 0.0004
+"""No pole is seen where it is thinner, rad: 100 m away with a radius of 2 cm. The narrowest beam of
+the table of sensors is four times as wide, the least step eight times."""
+
+
+def check_coordinates(cloud: PointCloud) -> None:
+    """Refuse coordinates that no frame has.
+
+    Raises
+    ------
+    Refusal
+        ``far_from_lidar`` where one is beyond `FARTHEST`, which no map reaches.
+    """
+    _check_within(cloud, FARTHEST, "the file is damaged, or a field is not what it is called")
+
+
+def located(cloud: PointCloud, radius: float) -> PointCloud:
+    """Give the cloud the rings that are rings and the beam origin they tell, or say it is too far.
+
+    Parameters
+    ----------
+    cloud
+        In any frame.
+    radius
+        Of the poles that are looked for in it, metres.
+
+    Raises
+    ------
+    Refusal
+        ``far_from_lidar`` where hardly a point is so near to the beam origin that a pole could be
+        seen there, and where a coordinate is beyond `FARTHEST_ORIGIN`.
+    """
+    check_coordinates(cloud)
+    within = 2 * radius / THINNEST_POLE
+    cloud = with_trusted_rings(cloud)
+    found = with_beam_origin(cloud)
+    if _count_near(found, within) < min(MIN_POLE_POINTS, len(cloud)) and cloud.ring is not None:
+        # Seen from far away all points of a ring have one elevation, from wherever they were seen.
+        middle = replace(cloud, origin=np.median(cloud.xyz, axis=0))
+        told = with_beam_origin(middle)
+        found = found if told is middle else told
+    near = _count_near(found, within)
+    if near < min(MIN_POLE_POINTS, len(cloud)):
+        away = float(np.median(_ranges(cloud)))
+        raise Refusal(
+            "far_from_lidar",
+            f"{near} of {len(cloud)} points are within {within:g} m of where the beams are taken "
+            f"to start, half are beyond {away:.0f} m: no pole is seen so far away; give the cloud "
+            "in the LiDAR's own frame, or with rings or a PCD viewpoint, which tell where it was",
+            {"near": near, "points": len(cloud), "median_m": away},
+        )
+    x, y, z = np.round(found.origin, -3)
+    _check_within(
+        found,
+        FARTHEST_ORIGIN,
+        "no pose is precise about an origin so far away; give the clouds in metres and in the "
+        f"LiDARs' own frames, or subtract an offset such as ({x:.0f}, {y:.0f}, {z:.0f})",
+    )
+    return found
+
+
+def _check_within(cloud: PointCloud, most: float, advice: str) -> None:
+    reach = np.zeros(len(cloud))
+    for axis in range(3):
+        np.maximum(reach, np.abs(cloud.xyz[:, axis]), out=reach)
+    np.maximum(reach, np.abs(cloud.origin).max(), out=reach)
+    far = int(np.count_nonzero(reach > most))
+    if 2 * far < len(cloud):
+        advice = "so few are damaged or no returns; leave them out"
+    if far:
+        raise Refusal(
+            "far_from_lidar",
+            f"{far} of {len(cloud)} points have a coordinate beyond {most:g} m, up to "
+            f"{reach.max():.3g}: {advice}",
+            {"far": far, "points": len(cloud), "largest_m": float(reach.max())},
+        )
+
+
+def _count_near(cloud: PointCloud, within: float) -> int:
+    return int(np.count_nonzero(_ranges(cloud) <= within))
+
+
+def _ranges(cloud: PointCloud) -> Array:
+    return np.asarray(np.linalg.norm(cloud.xyz - cloud.origin, axis=1))

@@ -1,0 +1,58 @@
+"""Poles that do not stand alike: which are left out in turn."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from retropole.alignment.factor import AxesTest
+from retropole.errors import Refusal
+from retropole.matching.placements import PairedPlacement
+from retropole.scene.agreement import MOST_LEFT_OUT, align_consistent
+
+
+class Paired:
+    """A placement by its pairs alone."""
+
+    def __init__(self, pairs: tuple[tuple[int, int], ...]) -> None:
+        self.hypothesis = SimpleNamespace(match=SimpleNamespace(pairs=pairs))
+        self.target_poles = pairs
+
+    def without(self, pair: tuple[int, int]) -> "Paired":
+        return Paired(tuple(each for each in self.target_poles if each != pair))
+
+
+def aligned(chi2: float, by_pole: list[float]) -> Any:
+    pose = SimpleNamespace(T_target_source=np.eye(4))
+    return SimpleNamespace(pose=pose, axes_test=AxesTest(chi2, 4, np.array(by_pole)))
+
+
+@pytest.mark.parametrize(("poles", "tries"), [(2, 0), (3, 3), (6, 6), (13, MOST_LEFT_OUT)])
+def test_of_many_poles_the_worst_are_left_out(poles: int, tries: int) -> None:
+    by_pole = [float(k) for k in np.random.default_rng(poles).permutation(poles)]
+    tried: list[int] = []
+
+    def align(paired: Any, T: Any) -> Any:
+        left = {k for k, _ in paired[0].target_poles}
+        missing = set(range(poles)) - left
+        tried.extend(missing)
+        return aligned(1000.0, by_pole)
+
+    every = Paired(tuple((k, k) for k in range(poles)))
+    with pytest.raises(Refusal) as refused:
+        align_consistent([cast(PairedPlacement, every)], np.eye(4), align, lambda one: None)
+    assert refused.value.code == "poles_inconsistent"
+    assert sorted(tried) == sorted(np.argsort(by_pole)[::-1][:tries])
+
+
+def test_the_pole_that_mends_it_is_left_out() -> None:
+    moved = 4
+
+    def align(paired: Any, T: Any) -> Any:
+        is_mended = all(k != moved for k, _ in paired[0].target_poles)
+        return aligned(1.0 if is_mended else 1000.0, [1.0, 5.0, 2.0, 3.0, 9.0])
+
+    every = Paired(tuple((k, k) for k in range(5)))
+    paired, _ = align_consistent([cast(PairedPlacement, every)], np.eye(4), align, lambda one: None)
+    assert paired[0].hypothesis.match.pairs == ((0, 0), (1, 1), (2, 2), (3, 3))

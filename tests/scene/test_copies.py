@@ -1,0 +1,60 @@
+"""What is there twice was measured once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.datatypes import PointCloud
+from retropole.errors import Refusal
+from retropole.scene.copies import check_two_recordings, without_copies
+
+
+def cloud(seed: int, count: int = 4000) -> PointCloud:
+    rng = np.random.default_rng(seed)
+    return PointCloud(rng.normal(size=(count, 3)) * 10, rng.uniform(0, 255, count))
+
+
+def test_points_given_twice_count_once() -> None:
+    once = cloud(1)
+    assert without_copies(once) is once
+    twice = once.select(np.repeat(np.arange(len(once)), 3))
+    np.testing.assert_array_equal(without_copies(twice).xyz, once.xyz)
+
+
+def test_the_same_point_of_two_sweeps_was_measured_twice() -> None:
+    sweep = cloud(1)
+    both = replace(
+        sweep.select(np.tile(np.arange(len(sweep)), 2)),
+        frame=np.repeat(np.arange(2), len(sweep)),
+    )
+    assert without_copies(both) is both
+
+
+def test_points_that_differ_in_one_coordinate_differ() -> None:
+    xyz = np.array([[1.0, 2, 3], [1, 2, 4], [1, 3, 2], [2, 1, 3], [3, 2, 1], [-1, 2, 3]])
+    assert len(without_copies(PointCloud(xyz))) == len(xyz)
+    assert len(without_copies(PointCloud(np.array([[0.0, 1, 1], [-0.0, 1, 1]])))) == 1
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.3, False), (0.45, False), (0.6, True)])
+def test_a_recording_that_is_mostly_the_other_is_refused(share: float, refused: bool) -> None:
+    target, other = cloud(1), cloud(2)
+    count = int(share * len(target))
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(target))
+    source = PointCloud(np.concatenate([target.xyz[:count], other.xyz[count:]])[order])
+    if not refused:
+        check_two_recordings(target, source)
+        return
+    with pytest.raises(Refusal) as why:
+        check_two_recordings(target, source)
+    assert why.value.code == "same_recording"
+    assert why.value.values["shared"] == pytest.approx(share, abs=0.05)
+
+
+def test_nothing_is_no_copy() -> None:
+    empty = PointCloud(np.zeros((0, 3)))
+    check_two_recordings(empty, cloud(1))
+    check_two_recordings(cloud(1), empty)
+    assert len(without_copies(empty)) == 0
