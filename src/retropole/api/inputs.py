@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
 from ..errors import UsageError
+from ..files import path_in_text
 from ..io import (
     ARRAY_SOURCE,
     ReadRecording,
@@ -197,7 +198,7 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
     hash_of = cache(sha256_of)
     return [
         InputDoc(
-            path=each.name,
+            path=path_in_text(each.name),
             sha256=hash_of(each.name) if each.read else _hash_of_arrays(each.given),
             points=len(each.cloud),
             dropped=each.cloud.dropped,

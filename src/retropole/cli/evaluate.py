@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, METRES, frames_option, progress_on_terminal, topic_options
+from .common import (
+    CLOUD,
+    CONTEXT,
+    METRES,
+    frames_option,
+    progress_on_terminal,
+    show,
+    topic_options,
+)
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -104,7 +112,7 @@ def evaluate(
         error["translation_error_m"] = errors.translation
     if as_json:
         scene = {"confirmation": to_builtins(confirmation_document(aligned.confirmation))}
-        click.echo(json.dumps(figures | scene | error))
+        show(json.dumps(figures | scene | error))
         return 0
     residual = aligned.plane_residual
     lines = [
@@ -121,5 +129,5 @@ def evaluate(
             f"{np.degrees(error['rotation_error_rad']):.3f} deg, "
             f"{100 * error['translation_error_m']:.2f} cm"
         )
-    click.echo("\n".join(lines))
+    show("\n".join(lines))
     return 0

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud
+from ..files import path_in_text
 from ..sensors import SENSORS, Sensor, auto_threshold
 from . import FrameHeader, ReadRecording, read_recording, topics_of
 from .beam_origin import with_beam_origin
@@ -117,7 +118,7 @@ def describe(path: str | Path, *, topic: str | None = None, frames: slice | None
     if topic is None:
         names = [own.name for own in topics if own.of_clouds and own.count] or [None]
     return InfoDoc(
-        path=str(path),
+        path=path_in_text(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
         clouds=[_cloud(read_recording(path, topic=name, frames=frames)) for name in names],
     )

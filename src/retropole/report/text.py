@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from .. import se3
+from ..errors import printable
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
 from ..quantities import error
 from ..reasons import explain, plain
@@ -27,6 +30,18 @@ ACTIONS = 2
 
 BAR = 40
 """Characters of the longest bar of a histogram."""
+
+
+def legible(value: Any) -> Any:
+    """Write every text of a document so that it steers no terminal and stays on its line."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, msgspec.Struct):
+        fields = {name: legible(getattr(value, name)) for name in value.__struct_fields__}
+        return msgspec.structs.replace(value, **fields)
+    if isinstance(value, dict):
+        return {legible(key): legible(each) for key, each in value.items()}
+    return type(value)(map(legible, value)) if isinstance(value, list | tuple) else value
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -126,6 +141,7 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
     written
         Paths of the files that hold it.
     """
+    result, written = legible(result), [printable(path) for path in written]
     parts = [_input_line(LIDARS[k % 2], document) for k, document in enumerate(result.inputs)]
     parts.append("")
     poles = _pole_rows("target", result.poles.target) + _pole_rows("source", result.poles.source)
@@ -203,6 +219,7 @@ def reason_lines(reason: ReasonDoc) -> list[str]:
 
 def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     """Write what was found in one cloud as a person reads it."""
+    detection, written = legible(detection), [printable(path) for path in written]
     parts = [
         _input_line("file", detection.input),
         f"  {detection.retro_points:,} retro-reflective points "
@@ -232,6 +249,7 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
 
 def describe_info(document: InfoDoc) -> str:
     """Write what is in a recording as a person reads it."""
+    document = legible(document)
     parts = [document.path]
     if document.topics:
         rows = [[topic.name, topic.type, str(topic.messages)] for topic in document.topics]
