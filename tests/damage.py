@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from importlib.util import find_spec
-from io import StringIO
+from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +88,7 @@ def pcd(encoding: str) -> bytes:
     header = header.replace(b" 3\n", f" {len(table)}\n".encode())
     plain = table.T.tobytes()
     packed = lzf.compress(plain)
-    return header + struct.pack("<II", len(packed), len(plain)) + packed
+    return bytes(header + struct.pack("<II", len(packed), len(plain)) + packed)
 
 
 def ply(order: str) -> bytes:
@@ -259,7 +259,7 @@ def hold_reader(path: Path) -> str:
     for name in PER_POINT:
         column = getattr(cloud, name)
         assert column is None or len(column) == len(cloud)
-    assert 0 < len(cloud)
+    assert len(cloud) > 0
     assert np.isfinite(cloud.xyz).all()
     assert cloud.intensity is None or np.isfinite(cloud.intensity).all()
     most = path.stat().st_size * UNPACKED.get(path.suffix, 1) / 3
@@ -276,7 +276,7 @@ def hold_command(path: Path, dice: random.Random) -> str:
             ["calibrate", str(path), str(path), "--out", str(path.parent / "out")],
         )
     )
-    out, err = StringIO(), StringIO()
+    out, err = TextIOWrapper(BytesIO(), "utf-8"), StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = run(words)
     assert code in (0, 2, 3), f"{words[0]} ended with {code}"
@@ -318,13 +318,12 @@ def main(first: int, last: int, folder: Path) -> int:
         except Exception as error:
             wrong += 1
             place = traceback.extract_tb(error.__traceback__)[-1]
-            print(f"seed {seed}: {type(error).__name__}: {error!s:.300} ({place})", flush=True)
+            print(f"seed {seed}: {type(error).__name__}: {error!s:.300}", flush=True)
+            print(f"  {place.filename}:{place.lineno} {place.line}", flush=True)
         finally:
             faulthandler.cancel_dump_traceback_later()
     memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(
-        f"{last - first} files, {wrong} wrong, {memory / 2**20:.0f} MiB: {dict(sorted(came.items()))}"
-    )
+    print(f"{last - first} files, {wrong} wrong, {memory / 2**20:.0f} MiB: {sorted(came.items())}")
     return 0 if not wrong and memory < MOST_MEMORY else 1
 
 

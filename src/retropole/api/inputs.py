@@ -204,6 +204,7 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
             dropped=each.cloud.dropped,
             sensor="auto" if each.sensor is None else each.sensor.name,
             threshold=each.threshold,
+            notes=list(each.cloud.notes),
         )
         for each in inputs
     ]

@@ -105,9 +105,10 @@ def run(words: Sequence[str] | None = None) -> int:
     try:
         code = cli.main(args, prog_name="retropole", standalone_mode=False)
     except click.ClickException as error:
-        error.message = shortened(printable(error.message))
+        context = getattr(error, "ctx", None)
+        plain = click.UsageError(shortened(printable(error.format_message())), context)
         with suppress(OSError):
-            error.show()
+            plain.show()
         return EXIT_USAGE
     except Refusal as refusal:
         echo_refusal(refusal.code, refusal.message)

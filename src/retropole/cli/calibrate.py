@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -25,6 +26,9 @@ from .common import (
     show,
     topic_options,
 )
+
+if TYPE_CHECKING:
+    from ..api.inputs import Input
 
 
 @click.command(context_settings=CONTEXT)
@@ -161,7 +165,11 @@ def calibrate(
         source_topic=source_topic,
         frames=None if frames is None else (frames.start, frames.stop, frames.step),
     )
-    tell = (lambda given: None) if quiet or frames is not None else echo_left_out
+
+    def tell(given: Input) -> None:
+        if not quiet:
+            echo_left_out(given, asked=frames is not None)
+
     with progress_on_terminal(quiet) as progress:
         result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)
         written = result.save(out)

@@ -177,15 +177,17 @@ def read_input(
     from ..api.inputs import read_input as read
 
     given = read(path, sensor=sensor_name, threshold=threshold, topic=topic, frames=frames)
-    if frames is None and not quiet:
-        echo_left_out(given)
+    if not quiet:
+        echo_left_out(given, asked=frames is not None)
     return given
 
 
-def echo_left_out(given: Input) -> None:
-    """Say on stderr which frames of a long recording were left out."""
+def echo_left_out(given: Input, *, asked: bool) -> None:
+    """Say on stderr what of a recording is damaged, and which frames were left out unasked."""
     read = given.read
-    if read is not None and not read.is_whole:
+    for note in given.cloud.notes:
+        say(f"retropole: {given.name}: {note}")
+    if read is not None and not read.is_whole and not asked:
         say(
             f"retropole: {given.name}: read {len(read.numbers)} of {read.recording.count} frames, "
             f"every {read.numbers.step}th; --frames A:B reads others"

@@ -77,6 +77,7 @@ class CloudDoc(msgspec.Struct):
     fields: dict[str, str]
     points: int
     dropped: int
+    notes: list[str]
     rings: int | None
     rings_ignored: str
     beam_origin_m: list[float]
@@ -140,6 +141,7 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         fields=dict(cloud.fields),
         points=len(cloud),
         dropped=cloud.dropped,
+        notes=list(cloud.notes),
         rings=None if given.ring is None else len(np.unique(given.ring)),
         rings_ignored=rings_fault(given),
         beam_origin_m=cloud.origin.tolist(),

@@ -229,6 +229,7 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
         frame=numbers.astype(np.int64) if len(frames) > 1 else None,
         recorded=_recorded([frame.stamp for frame in full]),
         dropped=dropped,
+        notes=tuple(dict.fromkeys(note for frame in full for note in frame.cloud.notes)),
         source=str(recording.path),
     )
 

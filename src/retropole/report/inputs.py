@@ -122,9 +122,9 @@ def _differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
     """Say which recordings are not those that the run read; each is hashed once."""
     hashes = {path: sha256_of(path) for path in dict.fromkeys(paths)}
     return tuple(
-        f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 begins "
-        f"{hashes[path][:12]}, that of the run {item.sha256[:12]}; the picture may not be that of "
-        "the figures"
+        f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 "
+        f"begins {hashes[path][:12]}, that of the run {item.sha256[:12]}; the picture may not be "
+        "that of the figures"
         for path, item in zip(paths, result.inputs, strict=True)
         if hashes[path] != item.sha256
     )

@@ -59,10 +59,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _input_line(name: str, document: InputDoc) -> str:
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
-    return (
+    line = (
         f"{name}  {document.path}: {document.points:,} points ({document.dropped:,} dropped), "
         f"sensor {document.sensor}, threshold {threshold}"
     )
+    return "\n".join([line, *(f"  {note}" for note in document.notes)])
 
 
 def _pole_rows(name: str, poles: Sequence[PoleDoc]) -> list[list[str]]:
@@ -275,6 +276,7 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         f"fields     {fields}",
         f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
         f"{cloud.points / cloud.frames_read:,.0f} a frame",
+        *(f"lost       {note}" for note in cloud.notes),
         f"rings      {'none' if cloud.rings is None else cloud.rings}"
         + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
         *([_beams_line(cloud.beam_origin_m)] if cloud.told_by_rings else []),

@@ -38,7 +38,7 @@ class PolesDoc(msgspec.Struct, frozen=True):
 
 
 class InputDoc(msgspec.Struct, frozen=True):
-    """What was read."""
+    """What was read, and in `notes` what of it was lost."""
 
     path: Text
     sha256: Text
@@ -46,6 +46,7 @@ class InputDoc(msgspec.Struct, frozen=True):
     dropped: Count
     sensor: Text
     threshold: Number | None
+    notes: list[Text] = []
 
 
 class DetectionDoc(msgspec.Struct, frozen=True):
