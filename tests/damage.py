@@ -40,6 +40,9 @@ COMMAND_EVERY = 50
 UNPACKED = {".npz": 1100, ".laz": 1000, ".pcd": 300, ".mcap": 300, ".bag": 300, ".db3": 300}
 """Bytes that one byte of a format can hold, where it is compressed."""
 
+MOST_ADDED = 2**20
+"""Bytes that are added to a file: more only takes time."""
+
 NUMBERS = (
     *(b"0", b"-1", b"1", b"2", b"255", b"65536", b"2147483647", b"4294967295", b"1e308", b"1e999"),
     *(b"9223372036854775807", b"18446744073709551616", b"9" * 400, b"nan", b"inf", b"-inf", b""),
@@ -214,7 +217,8 @@ def lines(data: bytearray, dice: random.Random) -> None:
     elif what == 2:
         all_lines[k], all_lines[j] = all_lines[j], all_lines[k]
     else:
-        all_lines[k:k] = [all_lines[k]] * dice.choice((10, 1000))
+        times = min(dice.choice((10, 1000)), MOST_ADDED // (1 + len(all_lines[k])))
+        all_lines[k:k] = [all_lines[k]] * times
     data[:] = b"\n".join(all_lines)
 
 
@@ -293,10 +297,15 @@ def hold(seed: int, found: dict[str, bytes], folder: Path) -> str:
     path.write_bytes(damaged(found[name], dice))
     for left in folder.glob(f"{path.name}-*"):
         left.unlink()
-    came = hold_reader(path)
-    if seed % COMMAND_EVERY == 0:
-        return hold_command(path, dice)
-    return f"{path.suffix} {came}"
+    # In C code as well: no exception would end that.
+    faulthandler.dump_traceback_later(LONGEST, exit=True)
+    try:
+        came = hold_reader(path)
+        if seed % COMMAND_EVERY == 0:
+            return hold_command(path, dice)
+        return f"{path.suffix} {came}"
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def main(first: int, last: int, folder: Path) -> int:
@@ -309,8 +318,6 @@ def main(first: int, last: int, folder: Path) -> int:
     wrong = 0
     for seed in range(first, last):
         (folder / "seed").write_text(str(seed))
-        # In C code as well: no exception would end that.
-        faulthandler.dump_traceback_later(LONGEST, exit=True)
         try:
             came[hold(seed, found, folder)] += 1
         except MissingExtraError:
@@ -320,8 +327,6 @@ def main(first: int, last: int, folder: Path) -> int:
             place = traceback.extract_tb(error.__traceback__)[-1]
             print(f"seed {seed}: {type(error).__name__}: {error!s:.300}", flush=True)
             print(f"  {place.filename}:{place.lineno} {place.line}", flush=True)
-        finally:
-            faulthandler.cancel_dump_traceback_later()
     memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(f"{last - first} files, {wrong} wrong, {memory / 2**20:.0f} MiB: {sorted(came.items())}")
     return 0 if not wrong and memory < MOST_MEMORY else 1

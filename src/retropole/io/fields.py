@@ -30,6 +30,11 @@ REAL_KINDS = "fiub"
 Columns = Mapping[str, NDArray[Any]]
 
 
+def left_out(promised: int, more: int) -> str:
+    """Say that a file holds more points than its header promises, which are not read."""
+    return f"the header promises {promised:,} points, the {more:,} that follow them are left out"
+
+
 def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
     """Find the first column with one of the names, in any case; the exact spelling goes first.
 
