@@ -5,6 +5,7 @@ A command is a module of this folder with a function of the same name, and a lin
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator, MutableMapping, Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -117,15 +118,18 @@ def run(words: Sequence[str] | None = None) -> int:
         say(f"retropole: {error}")
         return EXIT_USAGE
     except OSError as error:
-        words_of = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        # Help and tables are printed by click and rich: only they leave out where.
+        unnamed = "standard output" if error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO) else ""
+        place = error.filename or unnamed
+        words_of = f"{place}: {error.strerror}" if place else str(error)
         say(f"retropole: {shortened(printable(words_of))}")
         return EXIT_USAGE
     except MemoryError as error:
         say(f"retropole: there is not enough memory: {shortened(printable(str(error)))}")
         return EXIT_USAGE
     except SystemExit as error:
-        # So click ends where the reader of a pipe has gone, with a code that has a meaning here.
-        if isinstance(error.__context__, BrokenPipeError):
+        # click and rich end so where the reader of a pipe has gone; here 1 has another meaning.
+        if error.code == 1:
             return EXIT_PIPE
         raise
     except (KeyboardInterrupt, click.Abort):

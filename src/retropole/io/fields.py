@@ -24,6 +24,10 @@ LAST_SECOND = 1e11
 MAX_RING = 2**31 - 1
 """Larger numbers, from fields of 8 bytes, are not rings."""
 
+LARGEST = 1e9
+"""Of a coordinate, metres, or an intensity: no place on Earth is farther, also where a file means
+millimetres, and no sensor counts so far. Squares and products of larger numbers overflow."""
+
 REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""
 
@@ -139,14 +143,14 @@ def frame_from_columns(
 
 
 def _is_return(xyz: Array, origin: Array) -> BoolArray:
-    """Find the points that are returns (N,): finite, and neither at zero nor at the origin."""
+    """Find the points that are returns (N,): places, and neither zero nor at the origin."""
     # Axis by axis, which is several times faster than along the short side of (N, 3).
-    finite, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
+    places, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
     for axis in range(3):
-        finite &= np.isfinite(xyz[:, axis])
+        places &= np.abs(xyz[:, axis]) <= LARGEST
         at_zero &= xyz[:, axis] == 0
         at_origin &= xyz[:, axis] == origin[axis]
-    return finite & ~at_zero & ~at_origin
+    return places & ~at_zero & ~at_origin
 
 
 def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
@@ -175,7 +179,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
         )
     intensity = cloud.intensity
     if intensity is not None and not (
-        intensity.dtype == np.float64 and np.isfinite(intensity).all()
+        intensity.dtype == np.float64 and np.all(np.abs(intensity) <= LARGEST)
     ):
         intensity = _intensity(intensity)
     if kept.all() and cloud.xyz.dtype == np.float64 and intensity is cloud.intensity:
@@ -210,8 +214,8 @@ def _intensity(values: NDArray[Any] | None) -> Array | None:
     if values is None:
         return None
     intensity = _floats(values)
-    finite = np.isfinite(intensity)
-    return np.where(finite, intensity, 0.0) if finite.any() else None
+    measured = np.abs(intensity) <= LARGEST
+    return np.where(measured, intensity, 0.0) if measured.any() else None
 
 
 def _ring(values: NDArray[Any] | None) -> IntArray | None:

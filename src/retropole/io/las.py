@@ -79,6 +79,7 @@ def read_las(path: Path) -> PointCloud:
                 compressed=header.are_points_compressed,
             )
             for record in header.vlrs.get("LasZipVlr"):
+                _check_items(path, header.point_format.size, record.record_data)
                 _check_layers(path, header.offset_to_point_data, record.record_data)
             names = _wanted(header.point_format.dimension_names)
             # In blocks, so that memory follows what is in the file, not what its header promises.
@@ -171,6 +172,21 @@ def _chunk_table(path: Path, file: BinaryIO, start: int) -> int:
     return table
 
 
+def _check_items(path: Path, size: int, record: bytes) -> None:
+    """Refuse a LAZ whose items do not make up a point: its decoder reads past the end of one."""
+    sizes = [length for _, length, _ in _items(record)]
+    if sum(sizes) != size:
+        raise ReadError(
+            f"{path}: its {len(sizes)} compressed items have {sum(sizes)} bytes, a point has {size}"
+        )
+
+
+def _items(record: bytes) -> list[tuple[int, int, int]]:
+    """Kind, bytes and version of each item of a point, as LAZ's own record has them."""
+    count = max(len(record) - ITEMS_AT, 0) // ITEM_SIZE
+    return list(struct.iter_unpack("<HHH", record[ITEMS_AT : ITEMS_AT + count * ITEM_SIZE]))
+
+
 def _check_layers(path: Path, start: int, record: bytes) -> None:
     """Refuse LAZ layers that the file cannot hold, for the same reason as chunks.
 
@@ -179,8 +195,7 @@ def _check_layers(path: Path, start: int, record: bytes) -> None:
     """
     if len(record) < ITEMS_AT or struct.unpack_from("<H", record)[0] != LAYERED:
         return
-    count = (len(record) - ITEMS_AT) // ITEM_SIZE
-    items = list(struct.iter_unpack("<HHH", record[ITEMS_AT : ITEMS_AT + count * ITEM_SIZE]))
+    items = _items(record)
     first = sum(length for _, length, _ in items)
     layers = sum(
         length if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, length, _ in items

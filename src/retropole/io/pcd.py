@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..datatypes import Array, PointCloud
 from ..errors import ReadError, UsageError
 from ..files import write_atomically
-from .fields import Columns, cloud_from_columns, left_out
+from .fields import LARGEST, Columns, cloud_from_columns, left_out
 from .table import read_table
 
 MAX_HEADER = 64 * 1024
@@ -187,7 +187,7 @@ def _viewpoint(path: Path, entries: dict[str, tuple[int, list[str]]]) -> Array:
         values = np.array([float(word) for word in words])
     except ValueError:
         values = np.zeros(0)
-    if len(values) != 7 or not np.all(np.isfinite(values)):
+    if len(values) != 7 or not np.all(np.abs(values) <= LARGEST):
         raise ReadError(
             f"{path}, line {line}: VIEWPOINT {' '.join(words)}, expected seven numbers tx ty tz qw "
             "qx qy qz"
