@@ -34,7 +34,7 @@ LONGEST = 10.0
 MOST_MEMORY = 2**30
 """Bytes that no process may reach, however damaged the files are that it reads."""
 
-COMMAND_EVERY = 50
+COMMAND_EVERY = 20
 """Every so many files are also given to a command, which takes longer than reading alone."""
 
 UNPACKED = {".npz": 1100, ".laz": 1000, ".pcd": 300, ".mcap": 300, ".bag": 300, ".db3": 300}

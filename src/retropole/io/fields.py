@@ -28,6 +28,9 @@ LARGEST = 1e9
 """Of a coordinate, metres, or an intensity: no place on Earth is farther, also where a file means
 millimetres, and no sensor counts so far. Squares and products of larger numbers overflow."""
 
+SMALLEST = 1e-9
+"""Nearer than this, metres, is zero range: where the beams start. Squares of smaller ones vanish."""
+
 REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""
 
@@ -148,8 +151,8 @@ def _is_return(xyz: Array, origin: Array) -> BoolArray:
     places, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
     for axis in range(3):
         places &= np.abs(xyz[:, axis]) <= LARGEST
-        at_zero &= xyz[:, axis] == 0
-        at_origin &= xyz[:, axis] == origin[axis]
+        at_zero &= np.abs(xyz[:, axis]) < SMALLEST
+        at_origin &= np.abs(xyz[:, axis] - origin[axis]) < SMALLEST
     return places & ~at_zero & ~at_origin
 
 
