@@ -29,7 +29,7 @@ LARGEST = 1e9
 millimetres, and no sensor counts so far. Squares and products of larger numbers overflow."""
 
 SMALLEST = 1e-9
-"""Nearer than this, metres, is zero range: where the beams start. Squares of smaller ones vanish."""
+"""Nearer than this, metres, is zero range: where the beams start. Squares of less vanish."""
 
 REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""

@@ -45,6 +45,9 @@ EXTRA_BYTES = 14
 ITEMS_AT, ITEM_SIZE = 34, 6
 """Byte of LAZ's own record at which the items of a point begin, and bytes of an item."""
 
+COUNT_OF_ITEMS = 2
+"""Bytes of the number of items, just before them."""
+
 FIRST_CHUNK = 8
 """Bytes from the start of the points to the first chunk: the place of the table of chunks."""
 
@@ -183,7 +186,10 @@ def _check_items(path: Path, size: int, record: bytes) -> None:
 
 def _items(record: bytes) -> list[tuple[int, int, int]]:
     """Kind, bytes and version of each item of a point, as LAZ's own record has them."""
-    count = max(len(record) - ITEMS_AT, 0) // ITEM_SIZE
+    if len(record) < ITEMS_AT:
+        return []
+    held = (len(record) - ITEMS_AT) // ITEM_SIZE
+    count = min(held, struct.unpack_from("<H", record, ITEMS_AT - COUNT_OF_ITEMS)[0])
     return list(struct.iter_unpack("<HHH", record[ITEMS_AT : ITEMS_AT + count * ITEM_SIZE]))
 
 
