@@ -79,7 +79,7 @@ def _of_velodyne(packets: Iterator[bytes]) -> tuple[bool, int]:
         content = packet[-VELODYNE_SIZE:]
         is_velodyne = is_velodyne or content.startswith(VELODYNE_START)
         # What says that this is IP and UDP, how long it is, and where blocks begin.
-        protocols = packet[ip - 2 : ip + 1] + packet[ip + 9 : ip + 10] + packet[ip + 24 : ip + 26]
+        protocols = packet[ip - 2 : ip + 1] + packet[ip + 9 : ip + 10] + packet[ip + 2 : ip + 4]
         alike[len(packet), protocols + content[: BLOCKS * BLOCK_SIZE : BLOCK_SIZE]] += 1
     if not is_velodyne:
         return False, 0
