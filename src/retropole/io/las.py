@@ -39,6 +39,9 @@ LAYERED = 3
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Number of layers of the items of a point: the point itself, RGB, RGB and NIR, wave packet."""
 
+ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
+"""Bytes of each kind of item, after LASzip's specification; extra bytes (0 and 14) have any."""
+
 EXTRA_BYTES = 14
 """The item of which each byte is a layer."""
 
@@ -177,10 +180,12 @@ def _chunk_table(path: Path, file: BinaryIO, start: int) -> int:
 
 def _check_items(path: Path, size: int, record: bytes) -> None:
     """Refuse a LAZ whose items do not make up a point: its decoder reads past the end of one."""
-    sizes = [length for _, length, _ in _items(record)]
-    if sum(sizes) != size:
+    items = _items(record)
+    sizes = [length for _, length, _ in items]
+    known = all(ITEM_SIZES.get(kind, length) == length for kind, length, _ in items)
+    if sum(sizes) != size or not known:
         raise ReadError(
-            f"{path}: its {len(sizes)} compressed items have {sum(sizes)} bytes, a point has {size}"
+            f"{path}: its {len(sizes)} compressed items have {sizes} bytes, a point has {size}"
         )
 
 
