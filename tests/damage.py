@@ -14,8 +14,8 @@ import sys
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from importlib.util import find_spec
 from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
@@ -28,8 +28,8 @@ from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import read_cloud
 from tests.io.files import INTENSITY, WRITERS, XYZ
 
-LONGEST = 10.0
-"""Seconds that no file may take."""
+LONGEST, LONGEST_COMMAND = 10.0, 120.0
+"""Seconds that no file may take to be read, and no command with it."""
 
 MOST_MEMORY = 2**30
 """Bytes that no process may reach, however damaged the files are that it reads."""
@@ -297,13 +297,20 @@ def hold(seed: int, found: dict[str, bytes], folder: Path) -> str:
     path.write_bytes(damaged(found[name], dice))
     for left in folder.glob(f"{path.name}-*"):
         left.unlink()
-    # In C code as well: no exception would end that.
-    faulthandler.dump_traceback_later(LONGEST, exit=True)
-    try:
+    with ended_after(LONGEST):
         came = hold_reader(path)
-        if seed % COMMAND_EVERY == 0:
-            return hold_command(path, dice)
+    if seed % COMMAND_EVERY:
         return f"{path.suffix} {came}"
+    with ended_after(LONGEST_COMMAND):
+        return hold_command(path, dice)
+
+
+@contextmanager
+def ended_after(seconds: float) -> Iterator[None]:
+    """End the process where something hangs, in C code as well: no exception would do that."""
+    faulthandler.dump_traceback_later(seconds, exit=True)
+    try:
+        yield
     finally:
         faulthandler.cancel_dump_traceback_later()
 
