@@ -12,6 +12,8 @@ from retropole.errors import ReadError
 from retropole.files import (
     LARGEST_DOCUMENT,
     UNFINISHED,
+    path_in_text,
+    path_of_text,
     read_document,
     unfinished,
     write_atomically,
@@ -142,3 +144,27 @@ def test_a_document_is_not_read_without_end(tmp_path: Path) -> None:
         read_document(path)
     path.write_bytes(b" " * LARGEST_DOCUMENT)
     assert len(read_document(path)) == LARGEST_DOCUMENT
+
+
+@posix
+def test_a_path_of_any_bytes_is_text_and_found_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in (b"caf\xe9 \xff.pcd", b"plain.pcd", b"\\xff literally", "é\n".encode()):
+        path = Path(os.fsdecode(name))
+        path.write_bytes(name)
+        text = path_in_text(path)
+        assert text.encode().decode() == text
+        assert path_of_text(text).read_bytes() == name
+    assert path_in_text(os.fsdecode(b"caf\xe9")) == "caf\\xe9"
+
+
+@posix
+def test_an_error_names_the_file_that_was_asked_for(tmp_path: Path) -> None:
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("this system has no full device")
+    with pytest.raises(OSError, match="/dev/full") as caught:
+        write_atomically(full, b"x" * 10**6)
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, "/dev/full")

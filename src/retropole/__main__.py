@@ -33,15 +33,36 @@ def _end(number: int, frame: object) -> None:
         os._exit(128 + number)
 
 
+def _open_standard_streams() -> None:
+    """Give each standard stream that is closed a place, which no other file may take.
+
+    Reading finds nothing there, what is said goes nowhere, and printing an answer is an error.
+    """
+    for number, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, mode)
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
+
+
 def main() -> None:
     """Run the command line, and end the process with its exit code."""
+    _open_standard_streams()
     for number in WORDS:
         # Who starts a command in the background has it ignore interrupts.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _end)
     from .cli import run
 
-    sys.exit(run())
+    code = run()
+    with suppress(OSError):
+        sys.stdout.flush()
+        sys.exit(code)
+    # What could not be printed was said; Python would try again, and end with 120.
+    sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -56,9 +56,9 @@ class PointCloud:
         (3,) where the beams start, and the unit vector about which they turn.
     recorded
         First and last time by the recorder's clock, Unix seconds; None where the file has none.
-    dropped, thinned, source, fields
+    dropped, thinned, source, fields, notes
         How many points were dropped (not finite, or at zero range), and left out of too many; the
-        file or folder it came from, and what that calls its values, with their types.
+        file it came from, what that calls its values, with their types; in words what was lost.
     """
 
     xyz: Array
@@ -73,6 +73,7 @@ class PointCloud:
     thinned: int = 0
     source: str = ""
     fields: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that all arrays are as long as `xyz`."""
@@ -161,10 +162,9 @@ class Detection:
         Accepted poles, the best supported first.
     rejected
         Every other cluster, each with its reason.
-    threshold
-        Intensity from which a return counts as retro-reflective, on the sensor's own scale.
-    threshold_source
-        Where it comes from: ``given``, ``VLP-16``, ``auto: …``.
+    threshold, threshold_source
+        Intensity from which a return counts as retro-reflective, on the sensor's own scale; and
+        where it comes from: ``given``, ``VLP-16``, ``auto: …``.
     retro_points
         How many points passed it.
     doubtful

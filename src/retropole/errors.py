@@ -10,9 +10,43 @@ from dataclasses import dataclass
 
 from .reasons import Code
 
+LONGEST_MESSAGE = 300
+"""Characters of a message that quotes what others wrote: a file, its name, an option."""
+
+ESCAPED_BYTES = range(0xDC80, 0xDD00)
+"""What Python makes of the bytes of a file name that are not UTF-8 (PEP 383), from 0x80 on."""
+
+
+def printable(text: str) -> str:
+    """Write line ends, control characters and marks of direction as escapes, on one line.
+
+    What others wrote then shows as text, and steers no terminal.
+    """
+    if text.isprintable():
+        return text
+    return "".join(sign if sign.isprintable() else escaped(sign) for sign in text)
+
+
+def escaped(sign: str) -> str:
+    """Write a sign in ASCII, as Python has it; a byte of a file name as that byte."""
+    if ord(sign) in ESCAPED_BYTES:
+        return f"\\x{ord(sign) - 0xDC00:02x}"
+    return ascii(sign)[1:-1]
+
+
+def shortened(text: str, most: int = LONGEST_MESSAGE) -> str:
+    """Leave out the middle of a long text: what it is about stands first, what to do last."""
+    if len(text) <= most:
+        return text
+    first = most // 2 - 1
+    return f"{text[:first]} … {text[len(text) - (most - first - 3) :]}"
+
 
 class RetropoleError(Exception):
-    """Base of all errors raised by retropole."""
+    """Base of all errors raised by retropole; the message is one line that can be printed."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(shortened(printable(message)))
 
 
 class ReadError(RetropoleError):
@@ -55,9 +89,10 @@ class Refusal(RetropoleError):
     def __init__(
         self, code: Code, message: str, values: Mapping[str, float | int | str] | None = None
     ) -> None:
-        super().__init__(message)
+        # These are our own words: none of them is left out.
+        Exception.__init__(self, printable(message))
         self.code: Code = code
-        self.message = message
+        self.message = str(self)
         self.values = dict(values or {})
 
     def __reduce__(self) -> tuple[type[Refusal], tuple[Code, str, dict[str, float | int | str]]]:

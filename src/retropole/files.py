@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 import signal
 import stat
 import tempfile
@@ -74,8 +75,19 @@ def write_together(files: Mapping[Path, bytes]) -> None:
             _replace({place: data for place, data in regular.items() if place.parent == folder})
     for place, data in places.items():
         if place not in regular:
-            with place.open("wb") as device:
+            with _named(place), place.open("wb") as device:
                 device.write(data)
+
+
+@contextmanager
+def _named(place: Path) -> Iterator[None]:
+    """Have an error of the system name the file that it is about."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(place)) from None
 
 
 def _is_file(place: Path) -> bool:
@@ -119,15 +131,16 @@ def _replace(files: Mapping[Path, bytes]) -> None:
     written: dict[Path, str] = {}
     try:
         for place, data in files.items():
-            descriptor, written[place] = tempfile.mkstemp(
-                dir=place.parent, prefix=f".{place.name[:100]}.", suffix=UNFINISHED
-            )
-            unfinished.add(written[place])
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            _permit_as(place, written[place])
+            with _named(place):
+                descriptor, written[place] = tempfile.mkstemp(
+                    dir=place.parent, prefix=f".{place.name[:100]}.", suffix=UNFINISHED
+                )
+                unfinished.add(written[place])
+                with os.fdopen(descriptor, "wb") as file:
+                    file.write(data)
+                    file.flush()
+                    os.fsync(file.fileno())
+                _permit_as(place, written[place])
         with _signals_wait():
             for place in list(files)[1:]:
                 place.unlink(missing_ok=True)
@@ -141,6 +154,21 @@ def _replace(files: Mapping[Path, bytes]) -> None:
         for temporary in written.values():
             Path(temporary).unlink(missing_ok=True)
             unfinished.discard(temporary)
+
+
+def path_in_text(path: str | Path) -> str:
+    """Write a path so that any document can hold it: bytes that are not UTF-8 as ``\\xff``."""
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
+
+
+def path_of_text(text: str) -> Path:
+    """Undo `path_in_text`, where there is no path that is called so."""
+    path = Path(text)
+    if path.exists() or "\\x" not in text:
+        return path
+    data = os.fsencode(text)
+    named = re.sub(rb"\\x([89a-f][0-9a-f])", lambda found: bytes([int(found[1], 16)]), data)
+    return Path(os.fsdecode(named))
 
 
 def _sweep(place: Path) -> None:

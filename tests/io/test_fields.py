@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from retropole.errors import ReadError
 from retropole.io import read_cloud
+from retropole.io.fields import cloud_from_columns
 from tests.io.files import XYZ
 
 
@@ -84,3 +85,12 @@ class TestNames:
     def test_fractions_are_no_rings(self, tmp_path: Path) -> None:
         np.savez(tmp_path / "a.npz", xyz=XYZ, ring=[0.5, 1, 2])
         assert read_cloud(tmp_path / "a.npz").ring is None
+
+
+def test_coordinates_that_are_no_places_are_dropped() -> None:
+    x = np.array([1.0, 1e300, -1e10, 1e-200, 5e6])
+    zero = np.zeros(5)
+    cloud = cloud_from_columns("a", {"x": x, "y": zero, "z": zero, "intensity": np.full(5, 1e300)})
+    np.testing.assert_array_equal(cloud.xyz[:, 0], [1.0, 5e6])
+    assert cloud.dropped == 3
+    assert cloud.intensity is None, "no sensor counts so far"

@@ -82,3 +82,19 @@ def test_laz_chunks_are_checked_before_memory_is_allocated(tmp_path: Path) -> No
     path.write_bytes(bytes(content))
     with pytest.raises(ReadError, match="table of chunks"):
         read_cloud(path)
+
+
+@pytest.mark.parametrize(("offset", "value"), [(-2, 0), (-2, 1), (0, 9), (2, 21)])
+def test_items_that_make_up_no_point_are_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], offset: int, value: int
+) -> None:
+    """The decoder would panic, and print a trace of its own."""
+    make_las(tmp_path / "a.laz")
+    data = bytearray((tmp_path / "a.laz").read_bytes())
+    # The items of a point of format 3: itself, its time, its colour; before them, their number.
+    first = data.index(struct.pack("<HHHHHH", 6, 20, 2, 7, 8, 2))
+    struct.pack_into("<H", data, first + offset, value)
+    (tmp_path / "a.laz").write_bytes(data)
+    with pytest.raises(ReadError, match=r"a\.laz: its \d compressed items have .* a point has 34"):
+        read_cloud(tmp_path / "a.laz")
+    assert capfd.readouterr().err == ""

@@ -283,3 +283,18 @@ class TestWrite:
             with pytest.raises(UsageError, match=r"a\.pcd.*runs from"):
                 write_pcd(tmp_path / "a.pcd", cloud)
         assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_points_that_the_header_does_not_promise_are_said(tmp_path: Path, encoding: str) -> None:
+    header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\n"
+    header += f"POINTS 2\nDATA {encoding}\n"
+    row = b"1 2 3\n" if encoding == "ascii" else np.array([1, 2, 3], "<f4").tobytes()
+    path = tmp_path / "a.pcd"
+    path.write_bytes(header.encode() + row * 5)
+    cloud = read_cloud(path)
+    assert len(cloud) == 2
+    assert cloud.notes == ("the header promises 2 points, the 3 that follow them are left out",)
+    # Some writers fill up the last page of a binary file.
+    path.write_bytes(header.encode() + row * 2 + (b"\n" if encoding == "ascii" else bytes(4096)))
+    assert read_cloud(path).notes == ()

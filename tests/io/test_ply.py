@@ -143,3 +143,22 @@ def test_no_ply(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.ply").write_bytes(content)
     with pytest.raises(ReadError, match="'ply' to 'end_header'"):
         read_cloud(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_vertices_that_the_header_does_not_promise_are_said(tmp_path: Path, encoding: str) -> None:
+    body = pack(encoding, VERTEX_KINDS, [*VERTICES, *VERTICES[:2]])
+    write(tmp_path / "a.ply", encoding, VERTEX, body)
+    (note,) = read_cloud(tmp_path / "a.ply").notes
+    assert note == "the header promises 3 points, the 2 that follow them are left out"
+    # What follows the vertices may be another element.
+    write(tmp_path / "a.ply", encoding, VERTEX + "element face 0\n", body)
+    assert read_cloud(tmp_path / "a.ply").notes == ()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_header_of_many_properties_is_refused(tmp_path: Path, encoding: str) -> None:
+    properties = "".join(f"property uchar p{k}\n" for k in range(40_000))
+    write(tmp_path / "a.ply", encoding, VERTEX + properties, bytes(3 * 50_000))
+    with pytest.raises(ReadError, match=r"a\.ply: a header of 400.. lines, expected 10000 at most"):
+        read_cloud(tmp_path / "a.ply")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
 from ..errors import UsageError
+from ..files import path_in_text
 from ..io import (
     ARRAY_SOURCE,
     MAX_POINTS,
@@ -206,7 +207,7 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
     hash_of = cache(sha256_of)
     return [
         InputDoc(
-            path=each.name,
+            path=path_in_text(each.name),
             sha256=hash_of(each.name) if each.read else _hash_of_arrays(each.given),
             points=len(each.cloud),
             dropped=each.cloud.dropped,
@@ -214,6 +215,7 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
             frames_left_out=0 if each.read is None else each.read.left_out,
             sensor="auto" if each.sensor is None else each.sensor.name,
             threshold=each.threshold,
+            notes=list(each.cloud.notes),
         )
         for each in inputs
     ]

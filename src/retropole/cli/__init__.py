@@ -5,13 +5,24 @@ A command is a module of this folder with a function of the same name, and a lin
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator, MutableMapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 
 import click
 
-from ..errors import Refusal, RetropoleError
-from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, echo_refusal
+from ..errors import Refusal, RetropoleError, printable, shortened
+from .common import (
+    CONTEXT,
+    EXIT_INTERRUPTED,
+    EXIT_PIPE,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    echo_refusal,
+    never_fail_to_encode,
+    say,
+)
 
 COMMANDS = (
     "calibrate",
@@ -91,18 +102,37 @@ def run(words: Sequence[str] | None = None) -> int:
         What follows ``retropole``; None takes it from `sys.argv`.
     """
     args = None if words is None else list(words)
+    never_fail_to_encode()
     try:
         code = cli.main(args, prog_name="retropole", standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        context = getattr(error, "ctx", None)
+        plain = click.UsageError(shortened(printable(error.format_message())), context)
+        with suppress(OSError):
+            plain.show()
         return EXIT_USAGE
     except Refusal as refusal:
         echo_refusal(refusal.code, refusal.message)
         return EXIT_REFUSED
-    except (RetropoleError, OSError) as error:
-        click.echo(f"retropole: {error}", err=True)
+    except RetropoleError as error:
+        say(f"retropole: {error}")
         return EXIT_USAGE
+    except OSError as error:
+        # Help and tables are printed by click and rich: only they leave out where.
+        unnamed = "standard output" if error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO) else ""
+        place = error.filename or unnamed
+        words_of = f"{place}: {error.strerror}" if place else str(error)
+        say(f"retropole: {shortened(printable(words_of))}")
+        return EXIT_USAGE
+    except MemoryError as error:
+        say(f"retropole: there is not enough memory: {shortened(printable(str(error)))}")
+        return EXIT_USAGE
+    except SystemExit as error:
+        # click and rich end so where the reader of a pipe has gone; here 1 has another meaning.
+        if error.code == 1:
+            return EXIT_PIPE
+        raise
     except (KeyboardInterrupt, click.Abort):
-        click.echo("retropole: interrupted", err=True)
+        say("retropole: interrupted")
         return EXIT_INTERRUPTED
     return int(code or 0)

@@ -24,6 +24,7 @@ from .common import (
     progress_on_terminal,
     radius_option,
     sensor_options,
+    show,
     topic_options,
 )
 
@@ -177,9 +178,9 @@ def calibrate(
         result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)
         written = result.save(out)
     if as_json:
-        click.echo(encode(result.document), nl=False)
+        show(encode(result.document))
     elif not quiet:
-        click.echo(describe_result(result.document, [str(path) for path in written]))
+        show(describe_result(result.document, [str(path) for path in written]))
     if result.status != "refused":
         return 0
     for reason in result.reasons:

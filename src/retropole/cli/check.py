@@ -21,6 +21,7 @@ from .common import (
     TOPIC_HELP,
     progress_on_terminal,
     read_input,
+    show,
 )
 
 if TYPE_CHECKING:
@@ -160,9 +161,9 @@ def check(
             )
             answer = replace(answer, reasons=(*answer.reasons, *stored.warnings))
     if as_json:
-        click.echo(json_line(answer))
+        show(json_line(answer))
     elif not quiet:
-        click.echo(in_words(answer))
+        show(in_words(answer))
     return EXITS[answer.status]
 
 
@@ -267,6 +268,7 @@ def json_line(answer: CheckResult) -> str:
 
 def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
+    from ..errors import printable
     from ..monitoring.movement import FALSE_ALARM
     from ..quantities import value_and_error
 
@@ -290,7 +292,7 @@ def in_words(answer: CheckResult) -> str:
         lines.append(
             f"  what stands in the scene, under the stored pose: {answer.confirmation.words}"
         )
-    lines += [f"  {reason.code}: {reason.message}" for reason in answer.reasons]
+    lines += [f"  {reason.code}: {printable(reason.message)}" for reason in answer.reasons]
     return "\n".join(lines)
 
 

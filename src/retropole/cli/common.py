@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import math
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS
+from ..errors import escaped, printable
 from ..io.thinning import LEAST_POINTS
 from ..reasons import explain, plain
 from ..result import DEFAULT_CONFIG
@@ -20,7 +23,12 @@ from ..sensors import SENSORS
 if TYPE_CHECKING:
     from ..api.inputs import Input
 
-EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED = 2, 3, 130
+EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 3, 130, 141
+"""The last one is 128 + SIGPIPE, as of any program whose reader has gone."""
+
+ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ": "chi", "²": "^2"}
+ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
+"""What stands for our own signs where a terminal has them not."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -131,6 +139,42 @@ max_points_option = click.option(
 )
 
 
+def never_fail_to_encode() -> None:
+    """Have stdout and stderr write what their encoding lacks in ASCII, rather than fail."""
+    codecs.register_error("retropole", _in_ascii)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="retropole")
+
+
+def _in_ascii(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    signs = error.object[error.start : error.end]
+    return "".join(ASCII.get(sign) or escaped(sign) for sign in signs), error.end
+
+
+def show(words: str | bytes) -> None:
+    """Print what a command was asked for on stdout.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written; names the standard output.
+    """
+    try:
+        click.echo(words, nl=isinstance(words, str) and not words.endswith("\n"))
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from None
+
+
+def say(line: str) -> None:
+    """Say something on stderr as one line; who cannot hear it gets the exit code all the same."""
+    with suppress(OSError):
+        click.echo(printable(line), err=True)
+
+
 def read_input(
     path: Path,
     sensor_name: str,
@@ -158,9 +202,9 @@ def read_input(
 
 
 def echo_left_out(given: Input, frames: slice | None) -> None:
-    """Say on stderr which frames, and which points, were left out unasked."""
+    """Say on stderr what of a recording is damaged, and what was left out unasked."""
     read = given.read
-    lines = []
+    lines = list(given.cloud.notes)
     if read is not None and read.left_out:
         lines.append(
             f"read {len(read.numbers)} of {len(read.numbers) + read.left_out} frames, one in "
@@ -178,16 +222,16 @@ def echo_left_out(given: Input, frames: slice | None) -> None:
             f"{len(given.cloud):,}, the brightest kept; --max-points N keeps more"
         )
     for line in lines:
-        click.echo(f"retropole: {given.name}: {line}", err=True)
+        say(f"retropole: {given.name}: {line}")
 
 
 def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:
     """Say on stderr why there is no answer and, unless stdout does, what to do about it."""
-    click.echo(f"retropole: refused ({code}): {message}", err=True)
+    say(f"retropole: refused ({code}): {message}")
     explanation = explain(code) if advise else None
     lead = "what to do: "
     for action in explanation.advice if explanation else ():
-        click.echo(lead + plain(action), err=True)
+        say(lead + plain(action))
         lead = " " * len(lead)
 
 

@@ -26,7 +26,9 @@ from .common import (
     progress_on_terminal,
     radius_option,
     read_input,
+    say,
     sensor_options,
+    show,
     topic_options,
 )
 
@@ -123,6 +125,7 @@ def compare(
     """Run the methods, print a table or JSON, and tell by the exit code whether one answered."""
     from ..evaluation.comparison import compare as run
     from ..export import read_transform
+    from ..files import path_in_text
 
     names = list(ALL_METHODS) if methods is None else [name.strip() for name in methods.split(",")]
     for name in names:
@@ -152,19 +155,19 @@ def compare(
     if as_json:
         document = {
             "schema": COMPARE_SCHEMA,
-            "inputs": [str(target), str(source)],
-            "truth": None if truth is None else str(truth),
+            "inputs": [path_in_text(target), path_in_text(source)],
+            "truth": None if truth is None else path_in_text(truth),
             "seed": seed,
             "methods": [_document(each) for each in found],
         }
-        click.echo(json.dumps(document, indent=1))
+        show(json.dumps(document, indent=1))
     else:
         _print_table(found, truth is not None)
     for each in found:
         if each.status == "refused":
-            click.echo(f"{each.method}: refused ({each.codes[0]}): {each.message}", err=True)
+            say(f"{each.method}: refused ({each.codes[0]}): {each.message}")
         elif each.status == "missing":
-            click.echo(f"{each.method}: not installed: {each.message}", err=True)
+            say(f"{each.method}: not installed: {each.message}")
     if any(each.T_target_source is not None for each in found):
         return 0
     return EXIT_USAGE if all(each.status == "missing" for each in found) else EXIT_REFUSED

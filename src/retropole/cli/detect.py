@@ -17,6 +17,8 @@ from .common import (
     progress_on_terminal,
     radius_option,
     read_input,
+    say,
+    show,
     topic_option,
 )
 
@@ -73,7 +75,7 @@ def detect(
 
     from ..api.detection import detect_in
     from ..api.inputs import input_documents
-    from ..errors import MissingExtraError
+    from ..errors import MissingExtraError, printable
     from ..report.figures import draw_detection
     from ..report.text import describe_detection
     from ..result import detection_document, encode
@@ -94,14 +96,14 @@ def detect(
         written: list[str] = []
         progress("draw")
         try:
-            draw_detection(given.cloud, found, out / "detect.png", title=file.name)
+            draw_detection(given.cloud, found, out / "detect.png", title=printable(file.name))
             written.append(str(out / "detect.png"))
         except MissingExtraError as error:
-            click.echo(f"retropole: no picture: {error}", err=True)
+            say(f"retropole: no picture: {error}")
     used = replace(given, threshold=found.threshold)
     result = detection_document(found, input_documents([used])[0])
     if as_json:
-        click.echo(encode(result), nl=False)
+        show(encode(result))
     elif not quiet:
-        click.echo(describe_detection(result, written))
+        show(describe_detection(result, written))
     return 0

@@ -14,6 +14,7 @@ from .common import (
     frames_option,
     progress_on_terminal,
     read_input,
+    show,
     topic_options,
 )
 
@@ -113,7 +114,7 @@ def evaluate(
         error["translation_error_m"] = errors.translation
     if as_json:
         scene = {"confirmation": to_builtins(confirmation_document(aligned.confirmation))}
-        click.echo(json.dumps(figures | scene | error))
+        show(json.dumps(figures | scene | error))
         return 0
     residual = aligned.plane_residual
     lines = [
@@ -130,5 +131,5 @@ def evaluate(
             f"{np.degrees(error['rotation_error_rad']):.3f} deg, "
             f"{100 * error['translation_error_m']:.2f} cm"
         )
-    click.echo("\n".join(lines))
+    show("\n".join(lines))
     return 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMATS
-from .common import CONTEXT
+from .common import CONTEXT, say, show
 
 if TYPE_CHECKING:
     from ..export import Transform
@@ -91,7 +91,7 @@ def export(
         return 0
     text = FORMATS[fmt or "urdf"].write(transform)
     if out is None:
-        click.echo(text, nl=False)
+        show(text)
     else:
         write_atomically(out, text.encode())
     return 0
@@ -102,7 +102,7 @@ def _warn(path: Path) -> None:
     from ..export import read_verdict
 
     for reason in read_verdict(path):
-        click.echo(f"retropole: warning ({reason.code}): {reason.message}", err=True)
+        say(f"retropole: warning ({reason.code}): {reason.message}")
 
 
 def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:

@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, frames_option, progress_on_terminal
+from .common import (
+    CLOUD,
+    CONTEXT,
+    frames_option,
+    progress_on_terminal,
+    show,
+)
 
 
 @click.command(context_settings=CONTEXT)
@@ -38,5 +44,5 @@ def info(file: Path, topic: str | None, frames: slice | None, as_json: bool) -> 
     with progress_on_terminal(as_json) as progress:
         progress("read")
         document = describe(file, topic=topic, frames=frames)
-    click.echo(encode(document) if as_json else describe_info(document), nl=not as_json)
+    show(encode(document) if as_json else describe_info(document))
     return 0

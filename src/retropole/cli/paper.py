@@ -6,7 +6,12 @@ from pathlib import Path
 
 import click
 
-from .common import CONTEXT, OUT, progress_on_terminal
+from .common import (
+    CONTEXT,
+    OUT,
+    progress_on_terminal,
+    show,
+)
 
 
 @click.command(context_settings=CONTEXT)
@@ -41,6 +46,7 @@ def paper(out: Path, seeds: int, data: Path | None, quiet: bool) -> int:
       retropole paper --out paper
       retropole paper --seeds 10 --data recordings/
     """
+    from ..errors import printable
     from ..evaluation.paper import reproduce, write_exhibit
     from ..files import write_atomically
 
@@ -55,5 +61,5 @@ def paper(out: Path, seeds: int, data: Path | None, quiet: bool) -> int:
     index = out / "index.md"
     write_atomically(index, "\n".join(["# Xue et al. 2019, reproduced\n", *pages]).encode())
     if not quiet:
-        click.echo(f"written: {index} and {len(written)} tables and figures beside it")
+        show(f"written: {printable(str(index))} and {len(written)} tables and figures beside it")
     return 0

@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, progress_on_terminal
+from .common import (
+    CLOUD,
+    CONTEXT,
+    progress_on_terminal,
+    say,
+    show,
+)
 
 
 @click.command(context_settings=CONTEXT)
@@ -39,6 +45,7 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
       130  interrupted
     """
     from ..api.result import REPORT_FILE, load_result
+    from ..errors import printable
     from ..export.documents import result_file
     from ..report import write_report
     from ..report.inputs import placements_of
@@ -50,7 +57,7 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
         progress("write")
         write_report(page, document, stored.placements, notes=stored.notes)
     for note in stored.notes:
-        click.echo(f"retropole: {note}", err=True)
+        say(f"retropole: {note}")
     if not quiet:
-        click.echo(f"written: {page}")
+        show(f"written: {printable(str(page))}")
     return 0

@@ -7,7 +7,14 @@ from pathlib import Path
 import click
 
 from ..datatypes import MAX_POLES
-from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option
+from .common import (
+    CLOUD,
+    CONTEXT,
+    OUT,
+    progress_on_terminal,
+    radius_option,
+    show,
+)
 
 
 @click.command(context_settings=CONTEXT)
@@ -71,6 +78,7 @@ def simulate(
     """
     from ..api.simulation import insert
     from ..api.simulation import simulate as run
+    from ..errors import printable
     from ..simulation import InsertedPair, SimulatedPair, write_pair
 
     if (scene is None) == (into is None):
@@ -103,5 +111,5 @@ def simulate(
         write_pair(pair, out)
     if not quiet:
         names = ", ".join(str(out / name) for name in ("lidar0.pcd", "lidar1.pcd", "truth.json"))
-        click.echo(f"written: {names}")
+        show(f"written: {printable(names)}")
     return 0

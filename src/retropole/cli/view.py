@@ -15,6 +15,8 @@ from .common import (
     progress_on_terminal,
     radius_option,
     read_input,
+    say,
+    show,
     topic_option,
 )
 
@@ -66,6 +68,7 @@ def view(
     """
     import time
 
+    from ..errors import printable
     from ..report.viewer import Shown, serve
 
     with progress_on_terminal(quiet) as progress:
@@ -76,14 +79,14 @@ def view(
         ]
         progress("extract")
         shown = [
-            Shown(str(file), given.cloud, given.sensor, threshold)
+            Shown(printable(str(file)), given.cloud, given.sensor, threshold)
             for file, given in zip(files, inputs, strict=True)
         ]
         viewer = serve(shown, radius=radius, port=port)
     try:
-        click.echo(viewer.url)
+        show(viewer.url)
         if not quiet:
-            click.echo("Open the address in a browser; Ctrl-C ends.", err=True)
+            say("Open the address in a browser; Ctrl-C ends.")
         while True:
             time.sleep(1.0)
     finally:

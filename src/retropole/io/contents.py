@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from ..datatypes import Array, IntArray, PointCloud
+from ..files import path_in_text
 from ..sensors import SENSORS, Sensor, auto_threshold
 from . import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
 from .beam_origin import with_beam_origin
@@ -77,6 +78,7 @@ class CloudDoc(msgspec.Struct):
     fields: dict[str, str]
     points: int
     dropped: int
+    notes: list[str]
     rings: int | None
     rings_ignored: str
     beam_origin_m: list[float]
@@ -119,7 +121,7 @@ def describe(path: str | Path, *, topic: str | None = None, frames: slice | None
         names = [own.name for own in topics if own.of_clouds and own.count] or [None]
     read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS)
     return InfoDoc(
-        path=str(path),
+        path=path_in_text(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
         clouds=[_cloud(read(topic=name)) for name in names],
     )
@@ -141,6 +143,7 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         fields=dict(cloud.fields),
         points=len(cloud) + cloud.thinned,
         dropped=cloud.dropped,
+        notes=list(cloud.notes),
         rings=None if given.ring is None else len(np.unique(given.ring)),
         rings_ignored=rings_fault(given),
         beam_origin_m=cloud.origin.tolist(),

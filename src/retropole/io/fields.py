@@ -24,10 +24,22 @@ LAST_SECOND = 1e11
 MAX_RING = 2**31 - 1
 """Larger numbers, from fields of 8 bytes, are not rings."""
 
+LARGEST = 1e9
+"""Of a coordinate, metres, or an intensity: no place on Earth is farther, also where a file means
+millimetres, and no sensor counts so far. Squares and products of larger numbers overflow."""
+
+SMALLEST = 1e-9
+"""Nearer than this, metres, is zero range: where the beams start. Squares of less vanish."""
+
 REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""
 
 Columns = Mapping[str, NDArray[Any]]
+
+
+def left_out(promised: int, more: int) -> str:
+    """Say that a file holds more points than its header promises, which are not read."""
+    return f"the header promises {promised:,} points, the {more:,} that follow them are left out"
 
 
 def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
@@ -134,14 +146,14 @@ def frame_from_columns(
 
 
 def _is_return(xyz: Array, origin: Array) -> BoolArray:
-    """Find the points that are returns (N,): finite, and neither at zero nor at the origin."""
+    """Find the points that are returns (N,): places, and neither zero nor at the origin."""
     # Axis by axis, which is several times faster than along the short side of (N, 3).
-    finite, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
+    places, at_zero, at_origin = (np.ones(len(xyz), bool) for _ in range(3))
     for axis in range(3):
-        finite &= np.isfinite(xyz[:, axis])
-        at_zero &= xyz[:, axis] == 0
-        at_origin &= xyz[:, axis] == origin[axis]
-    return finite & ~at_zero & ~at_origin
+        places &= np.abs(xyz[:, axis]) <= LARGEST
+        at_zero &= np.abs(xyz[:, axis]) < SMALLEST
+        at_origin &= np.abs(xyz[:, axis] - origin[axis]) < SMALLEST
+    return places & ~at_zero & ~at_origin
 
 
 def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
@@ -170,7 +182,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
         )
     intensity = cloud.intensity
     if intensity is not None and not (
-        intensity.dtype == np.float64 and np.isfinite(intensity).all()
+        intensity.dtype == np.float64 and np.all(np.abs(intensity) <= LARGEST)
     ):
         intensity = _intensity(intensity)
     if kept.all() and cloud.xyz.dtype == np.float64 and intensity is cloud.intensity:
@@ -205,8 +217,8 @@ def _intensity(values: NDArray[Any] | None) -> Array | None:
     if values is None:
         return None
     intensity = _floats(values)
-    finite = np.isfinite(intensity)
-    return np.where(finite, intensity, 0.0) if finite.any() else None
+    measured = np.abs(intensity) <= LARGEST
+    return np.where(measured, intensity, 0.0) if measured.any() else None
 
 
 def _ring(values: NDArray[Any] | None) -> IntArray | None:

@@ -39,11 +39,17 @@ LAYERED = 3
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Number of layers of the items of a point: the point itself, RGB, RGB and NIR, wave packet."""
 
+ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
+"""Bytes of each kind of item, after LASzip's specification; extra bytes (0 and 14) have any."""
+
 EXTRA_BYTES = 14
 """The item of which each byte is a layer."""
 
 ITEMS_AT, ITEM_SIZE = 34, 6
 """Byte of LAZ's own record at which the items of a point begin, and bytes of an item."""
+
+COUNT_OF_ITEMS = 2
+"""Bytes of the number of items, just before them."""
 
 FIRST_CHUNK = 8
 """Bytes from the start of the points to the first chunk: the place of the table of chunks."""
@@ -79,6 +85,7 @@ def read_las(path: Path) -> PointCloud:
                 compressed=header.are_points_compressed,
             )
             for record in header.vlrs.get("LasZipVlr"):
+                _check_items(path, header.point_format.size, record.record_data)
                 _check_layers(path, header.offset_to_point_data, record.record_data)
             names = _wanted(header.point_format.dimension_names)
             # In blocks, so that memory follows what is in the file, not what its header promises.
@@ -171,6 +178,26 @@ def _chunk_table(path: Path, file: BinaryIO, start: int) -> int:
     return table
 
 
+def _check_items(path: Path, size: int, record: bytes) -> None:
+    """Refuse a LAZ whose items do not make up a point: its decoder reads past the end of one."""
+    items = _items(record)
+    sizes = [length for _, length, _ in items]
+    known = all(ITEM_SIZES.get(kind, length) == length for kind, length, _ in items)
+    if sum(sizes) != size or not known:
+        raise ReadError(
+            f"{path}: its {len(sizes)} compressed items have {sizes} bytes, a point has {size}"
+        )
+
+
+def _items(record: bytes) -> list[tuple[int, int, int]]:
+    """Kind, bytes and version of each item of a point, as LAZ's own record has them."""
+    if len(record) < ITEMS_AT:
+        return []
+    held = (len(record) - ITEMS_AT) // ITEM_SIZE
+    count = min(held, struct.unpack_from("<H", record, ITEMS_AT - COUNT_OF_ITEMS)[0])
+    return list(struct.iter_unpack("<HHH", record[ITEMS_AT : ITEMS_AT + count * ITEM_SIZE]))
+
+
 def _check_layers(path: Path, start: int, record: bytes) -> None:
     """Refuse LAZ layers that the file cannot hold, for the same reason as chunks.
 
@@ -179,8 +206,7 @@ def _check_layers(path: Path, start: int, record: bytes) -> None:
     """
     if len(record) < ITEMS_AT or struct.unpack_from("<H", record)[0] != LAYERED:
         return
-    count = (len(record) - ITEMS_AT) // ITEM_SIZE
-    items = list(struct.iter_unpack("<HHH", record[ITEMS_AT : ITEMS_AT + count * ITEM_SIZE]))
+    items = _items(record)
     first = sum(length for _, length, _ in items)
     layers = sum(
         length if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, length, _ in items

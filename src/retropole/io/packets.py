@@ -6,9 +6,10 @@ Velodyne are decoded by velodyne-decoder (the extra ``velodyne``), Ouster by the
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -16,30 +17,21 @@ import numpy as np
 
 from ..datatypes import Array
 from ..errors import MissingExtraError, ReadError
+from .captures import mended, packets, sizes_in_words, walk
 from .fields import Columns, frame_from_columns
 from .recordings import Frame, Recording, reported
 
 PACKETS = (".pcap",)
 """Suffixes of packet captures."""
 
-PROBED_PACKETS = 1000
-"""Number of first packets by which the sensor is recognized."""
-
 VELODYNE_SIZE, VELODYNE_START = 1206, b"\xff\xee"
 """Bytes of a Velodyne packet of returns, and its first bytes."""
 
-PCAP_ORDERS = {b"\xd4\xc3\xb2\xa1": "<", b"\xa1\xb2\xc3\xd4": ">"}
-PCAP_ORDERS |= {b"\x4d\x3c\xb2\xa1": "<", b"\xa1\xb2\x3c\x4d": ">"}
-"""First bytes of a capture, and the byte order that they show; microseconds, then nanoseconds."""
+BLOCKS, BLOCK_SIZE = 12, 100
+"""Of a Velodyne packet of returns: its blocks, and the bytes of each."""
 
-PCAPNG_START = b"\x0a\x0d\x0d\x0a"
-"""First bytes of a pcapng."""
-
-CAPTURE_HEADER, PACKET_HEADER = 24, 16
-"""Bytes before the first packet, and before each."""
-
-MAX_PACKET = 2**17
-"""Bytes that no packet reaches: UDP carries 65,507 at most."""
+IP_UDP = 28
+"""Bytes of the headers of IP and UDP before what a sensor sends."""
 
 
 def open_packets(path: Path) -> Recording:
@@ -53,55 +45,55 @@ def open_packets(path: Path) -> Recording:
         Where the file is not a capture of such packets, or an Ouster's metadata are missing.
     """
     with reported(path, "capture"):
-        sizes, velodyne = _first_packets(path)
-    read = _velodyne(path) if velodyne else _ouster(path, _metadata(path, sizes))
+        capture = walk(path)
+    velodyne, unreadable = _of_velodyne(packets(path, capture))
+    note = capture.note(unreadable)
+    if velodyne:
+        read = _velodyne(path, mended(path, capture) if len(capture.gaps) else None)
+    else:
+        read = _ouster(path, _metadata(path, sizes_in_words(capture)))
     count = sum(1 for _ in read())
     if not count:
-        raise ReadError(f"{path}: holds no sweep, its packets have {sizes}")
+        raise ReadError(f"{path}: holds no sweep, its packets have {sizes_in_words(capture)}")
 
     def frames(numbers: range) -> Iterator[Frame]:
         for number, (stamp, columns, origin) in enumerate(read()):
             if number in numbers:
                 where = f"{path}: sweep {number}"
-                yield Frame(number, frame_from_columns(where, columns(), origin), stamp)
+                cloud = frame_from_columns(where, columns(), origin)
+                yield Frame(number, replace(cloud, notes=(note,) if note else ()), stamp)
             if number == numbers[-1]:
                 return
 
     return Recording(path, count, frames)
 
 
-def _first_packets(path: Path) -> tuple[str, bool]:
-    """Give the sizes of the first packets in words, and whether they are Velodyne's."""
-    with path.open("rb") as file:
-        head = file.read(CAPTURE_HEADER)
-        if not head:
-            raise ReadError(f"{path}: is empty, expected a capture of packets")
-        if head[:4] == PCAPNG_START:
-            raise ReadError(f"{path}: is a pcapng, expected a pcap; 'editcap -F pcap' converts it")
-        order = PCAP_ORDERS.get(head[:4])
-        if order is None:
-            raise ReadError(f"{path}: starts with {head[:4]!r}, expected a capture of packets")
-        sizes: Counter[int] = Counter()
-        velodyne = False
-        for _ in range(PROBED_PACKETS):
-            record = file.read(PACKET_HEADER)
-            if len(record) < PACKET_HEADER:
-                break
-            (size,) = struct.unpack_from(f"{order}I", record, 8)
-            if size > MAX_PACKET:
-                raise ReadError(f"{path}: a packet of {size} bytes, expected 65,536 at most")
-            packet = file.read(size)
-            sizes[size] += 1
-            velodyne |= packet[-VELODYNE_SIZE : 2 - VELODYNE_SIZE] == VELODYNE_START
-    words = ", ".join(f"{size} ({count} times)" for size, count in sizes.most_common(3))
-    return f"{words or 'no'} bytes with their headers", velodyne
+def _of_velodyne(packets: Iterator[bytes]) -> tuple[bool, int]:
+    """Tell whether packets are a Velodyne's, and how many of these the decoder would pass over."""
+    is_velodyne = False
+    alike: Counter[tuple[int, bytes]] = Counter()
+    for packet in packets:
+        ip = len(packet) - VELODYNE_SIZE - IP_UDP
+        if ip < 2:
+            continue
+        content = packet[-VELODYNE_SIZE:]
+        is_velodyne = is_velodyne or content.startswith(VELODYNE_START)
+        # What says that this is IP and UDP, how long it is, and where blocks begin.
+        protocols = packet[ip - 2 : ip + 1] + packet[ip + 9 : ip + 10] + packet[ip + 2 : ip + 4]
+        alike[len(packet), protocols + content[: BLOCKS * BLOCK_SIZE : BLOCK_SIZE]] += 1
+    if not is_velodyne:
+        return False, 0
+    # In packets of one sensor, all of this is the same.
+    (length, _), count = alike.most_common(1)[0]
+    return True, sum(n for (each, _), n in alike.items() if each == length) - count
 
 
 Sweep = tuple[float, Any, Array]
 """Time of recording, s; function that gives its columns; origin (3,) of its beams."""
 
 
-def _velodyne(path: Path) -> Any:
+def _velodyne(path: Path, content: bytes | None) -> Any:
+    """Decode a capture, or other bytes in its place."""
     try:
         import velodyne_decoder
     except ImportError:
@@ -109,7 +101,8 @@ def _velodyne(path: Path) -> Any:
 
     def sweeps() -> Iterator[Sweep]:
         with reported(path, "capture"):
-            for stamp, points in velodyne_decoder.read_pcap(path, as_pcl_structs=True):
+            source = path if content is None else BytesIO(content)
+            for stamp, points in velodyne_decoder.read_pcap(source, as_pcl_structs=True):
 
                 def columns(points: Any = points, start: float = stamp.host) -> Columns:
                     own: Columns = {name: points[name] for name in points.dtype.names}

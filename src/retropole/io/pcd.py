@@ -7,7 +7,7 @@ allocated; the data are one NumPy record array. Only the decompression is a libr
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..datatypes import Array, PointCloud
 from ..errors import ReadError, UsageError
 from ..files import write_atomically
-from .fields import Columns, cloud_from_columns
+from .fields import LARGEST, Columns, cloud_from_columns, left_out
 from .table import read_table
 
 MAX_HEADER = 64 * 1024
@@ -85,12 +85,13 @@ def read_pcd(path: Path) -> PointCloud:
     if header.points == 0:
         raise ReadError(f"{path}: POINTS is 0, expected at least one point")
     if header.encoding == "ascii":
-        columns = _read_ascii(path, data[header.start :], header)
+        columns, more = _read_ascii(path, data[header.start :], header)
     elif header.encoding == "binary":
-        columns = _read_binary(path, data, header)
+        columns, more = _read_binary(path, data, header)
     else:
-        columns = _read_compressed(path, data, header)
-    return cloud_from_columns(path, columns, header.origin)
+        columns, more = _read_compressed(path, data, header), 0
+    cloud = cloud_from_columns(path, columns, header.origin)
+    return replace(cloud, notes=(left_out(header.points, more),)) if more else cloud
 
 
 def _parse_header(path: Path, data: bytes) -> Header:
@@ -186,7 +187,7 @@ def _viewpoint(path: Path, entries: dict[str, tuple[int, list[str]]]) -> Array:
         values = np.array([float(word) for word in words])
     except ValueError:
         values = np.zeros(0)
-    if len(values) != 7 or not np.all(np.isfinite(values)):
+    if len(values) != 7 or not np.all(np.abs(values) <= LARGEST):
         raise ReadError(
             f"{path}, line {line}: VIEWPOINT {' '.join(words)}, expected seven numbers tx ty tz qw "
             "qx qy qz"
@@ -194,7 +195,8 @@ def _viewpoint(path: Path, entries: dict[str, tuple[int, list[str]]]) -> Array:
     return values[:3]
 
 
-def _read_ascii(path: Path, body: bytes, header: Header) -> Columns:
+def _read_ascii(path: Path, body: bytes, header: Header) -> tuple[Columns, int]:
+    """Read a text, and count the lines that the header does not promise."""
     values = sum(header.counts)
     # Each value takes a character and a blank or line end; the last line may lack its end.
     if len(body) + 1 < 2 * values * header.points:
@@ -207,13 +209,14 @@ def _read_ascii(path: Path, body: bytes, header: Header) -> Columns:
         raise ReadError(
             f"{path}: the header promises {header.points} points, the file holds {len(table)} lines"
         )
-    table = table[: header.points]
+    points = table[: header.points]
     ends = np.cumsum(header.counts)
     names = header.record.names or ()
-    return {
-        name: _as_declared(table[:, end - count : end], kind)
+    columns = {
+        name: _as_declared(points[:, end - count : end], kind)
         for name, kind, end, count in zip(names, header.kinds, ends, header.counts, strict=True)
     }
+    return columns, len(table) - len(points)
 
 
 def _as_declared(values: Array, kind: str) -> NDArray[Any]:
@@ -226,7 +229,8 @@ def _as_declared(values: Array, kind: str) -> NDArray[Any]:
         return typed if kind[1] == "f" or np.array_equal(typed, values) else values
 
 
-def _read_binary(path: Path, data: bytes, header: Header) -> Columns:
+def _read_binary(path: Path, data: bytes, header: Header) -> tuple[Columns, int]:
+    """Read records, and count those that the header does not promise; zeros are padding."""
     record = header.record
     size, left = header.points * record.itemsize, len(data) - header.start
     if left < size:
@@ -235,7 +239,8 @@ def _read_binary(path: Path, data: bytes, header: Header) -> Columns:
             f"{size} in all, the file holds {left} after it"
         )
     points = np.frombuffer(data, record, header.points, header.start)
-    return {name: points[name] for name in record.names or ()}
+    rest = data[header.start + size :].rstrip(b"\0")
+    return {name: points[name] for name in record.names or ()}, len(rest) // record.itemsize
 
 
 def _read_compressed(path: Path, data: bytes, header: Header) -> Columns:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..datatypes import PointCloud
 from ..errors import ReadError
-from .fields import cloud_from_columns
+from .fields import cloud_from_columns, left_out
 from .table import read_table
 
 PLY_TYPES = {
@@ -21,6 +22,9 @@ PLY_TYPES = {
     **{"int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4"},
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
+MAX_HEADER = 10_000
+"""Lines of a header: more properties are an error in it, and would take the time."""
+
 MAX_COUNT = 2**62
 """Larger counts in a header do not fit NumPy's sizes."""
 
@@ -70,12 +74,17 @@ def read_ply(path: Path) -> PointCloud:
             f"all; the {len(data) - start} bytes after it cannot hold them"
         )
     if encoding == "ascii":
-        columns = _read_ascii(path, data[start:], before, vertex, lines + 1)
+        columns, rest = _read_ascii(path, data[start:], before, vertex, lines + 1)
+        more = sum(1 for line in BytesIO(rest) if line.strip())
     else:
         for element in before:
             _, start = _read_element(path, data, start, element, ORDERS[encoding])
-        columns, _ = _read_element(path, data, start, vertex, ORDERS[encoding])
-    return cloud_from_columns(path, columns)
+        columns, end = _read_element(path, data, start, vertex, ORDERS[encoding])
+        more = (len(data) - end) * vertex.count // (end - start)
+    cloud = cloud_from_columns(path, columns)
+    if more and vertex is elements[-1]:
+        return replace(cloud, notes=(left_out(vertex.count, more),))
+    return cloud
 
 
 def _read_element(
@@ -147,6 +156,9 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
     encoding, elements = "", list[_Element]()
     header = data[: end.start()].decode("ascii", errors="replace")
     lines = header.replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
+    names = set[str]()
+    if len(lines) > MAX_HEADER:
+        raise ReadError(f"{path}: a header of {len(lines)} lines, expected {MAX_HEADER} at most")
     for number, line in enumerate(lines, 1):
         words = line.split()
         try:
@@ -155,13 +167,15 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
                     encoding = name
                 case ["element", name, count] if 0 <= int(count) <= MAX_COUNT:
                     elements.append(_Element(name, int(count), []))
+                    names = set()
                 case ["property", "list", length, kind, name] if PLY_TYPES[length][0] != "f":
                     elements[-1].properties.append(
                         _Property(name, PLY_TYPES[kind], PLY_TYPES[length])
                     )
                 case ["property", kind, name]:
-                    if any(name == prop.name for prop in elements[-1].properties):
+                    if name in names:
                         raise ValueError
+                    names.add(name)
                     elements[-1].properties.append(_Property(name, PLY_TYPES[kind]))
                 case [] | ["ply"] | ["comment" | "obj_info", *_]:
                     pass
@@ -179,27 +193,39 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
 
 def _read_ascii(
     path: Path, body: bytes, before: list[_Element], vertex: _Element, line: int
-) -> dict[str, NDArray[Any]]:
+) -> tuple[dict[str, NDArray[Any]], bytes]:
+    """Read the vertices of a text, and give what follows them."""
     # One row per line, as all writers have it; blank lines do not count.
-    rows = [(k, row) for k, row in enumerate(body.splitlines()) if row.strip()]
+    if b"\r" in body:
+        body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     skipped = sum(element.count for element in before)
-    rows = rows[skipped : skipped + vertex.count]
-    if len(rows) < vertex.count:
-        raise ReadError(
-            f"{path}: holds {len(rows)} lines of vertices, the header promises {vertex.count}"
-        )
+    rows, start, end, lines_before = 0, 0, 0, 0
+    for k, row in enumerate(BytesIO(body)):
+        if row.strip():
+            rows += 1
+            if rows == skipped + 1:
+                start, lines_before = end, k
+        end += len(row)
+        if rows == skipped + vertex.count:
+            break
+    text = body[start:end]
     names = [prop.name for prop in vertex.properties if not prop.length]
+    line += lines_before
     if any(prop.length for prop in vertex.properties):
-        rows = [(k, _without_lists(path, row, vertex, line + k)) for k, row in rows]
-    # Blank lines are kept, so that messages name the right line of the file.
-    first, texts = rows[0][0], dict(rows)
-    body = b"\n".join(texts.get(k, b"") for k in range(first, rows[-1][0] + 1))
-    table = read_table(path, body, len(names), line=line + first)
-    if len(table) != vertex.count:
-        raise ReadError(
-            f"{path}: holds {len(table)} lines of vertices, the header promises {vertex.count}"
+        # Blank lines are kept, so that messages name the right line of the file.
+        text = b"\n".join(
+            _without_lists(path, row, vertex, line + k) if row.strip() else b""
+            for k, row in enumerate(BytesIO(text))
         )
-    return {name: table[:, k] for k, name in enumerate(names)}
+    found = max(rows - skipped, 0)
+    if found == vertex.count:
+        table = read_table(path, text, len(names), line=line)
+        found = len(table)
+    if found != vertex.count:
+        raise ReadError(
+            f"{path}: holds {found} lines of vertices, the header promises {vertex.count}"
+        )
+    return {name: table[:, k] for k, name in enumerate(names)}, body[end:]
 
 
 def _without_lists(path: Path, row: bytes, vertex: _Element, line: int) -> bytes:

@@ -233,6 +233,7 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
         recorded=_recorded([frame.stamp for frame in full]),
         dropped=dropped,
         thinned=sum(cloud.thinned for cloud in clouds),
+        notes=tuple(dict.fromkeys(note for frame in full for note in frame.cloud.notes)),
         source=str(recording.path),
     )
 

@@ -43,15 +43,17 @@ def read_table(
     ReadError
         Naming the first line that does not have `columns` numbers.
     """
-    text = body.decode("ascii", errors="replace").replace("�", "?")
     # Only these end a line for NumPy and for editors; str.splitlines knows many others.
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if not any(part.split("#", 1)[0].strip() for part in text.split("\n")):
+    if b"\r" in body:
+        body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if not any(part.split(b"#", 1)[0].strip() for part in io.BytesIO(body)):
         return np.empty((0, columns))
+    # Line by line: the whole as a string takes several times the memory of the file.
+    lines = io.TextIOWrapper(io.BytesIO(body), "ascii", errors="replace", newline="\n")
     try:
-        table = np.loadtxt(io.StringIO(text), delimiter=separator, ndmin=2, dtype=np.float64)
+        table = np.loadtxt(lines, delimiter=separator, ndmin=2, dtype=np.float64)
     except ValueError:
-        bad = _first_bad(text, columns, separator)
+        bad = _first_bad(body, columns, separator)
         if bad is None:
             raise ReadError(f"{path}: its lines are not {columns} numbers each") from None
         number, content = bad
@@ -59,7 +61,7 @@ def read_table(
             f"{path}, line {line + number}: {content[:60]!r}, expected {columns} numbers"
         ) from None
     if table.shape[1] != columns:
-        number, content = _first_bad(text, columns, separator) or (0, "")
+        number, _ = _first_bad(body, columns, separator) or (0, "")
         raise ReadError(
             f"{path}, line {line + number}: holds {table.shape[1]} values, expected {columns}"
         )
@@ -76,9 +78,10 @@ def is_number(word: str) -> bool:
     return "_" not in word
 
 
-def _first_bad(text: str, columns: int, separator: str | None) -> tuple[int, str] | None:
+def _first_bad(body: bytes, columns: int, separator: str | None) -> tuple[int, str] | None:
     """Find the first line without `columns` numbers: its index, and what it contains."""
-    for k, content in enumerate(text.split("\n")):
+    for k, line in enumerate(io.BytesIO(body)):
+        content = line.rstrip(b"\n").decode("ascii", errors="replace").replace("�", "?")
         plain = content.split("#", 1)[0].strip(None if separator is None else " ")
         words = plain.split(separator)
         if plain and (len(words) != columns or not all(is_number(w.strip()) for w in words)):

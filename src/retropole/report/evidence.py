@@ -166,12 +166,18 @@ def provenance(result: ResultDoc) -> str:
         for k, item in enumerate(result.inputs)
     ]
     header = ("input", "path", "points", "dropped", "sensor", "threshold", "sha256")
+    notes = [
+        f"{row[0]}: {note}"
+        for row, item in zip(inputs, result.inputs, strict=True)
+        for note in item.notes
+    ]
     times = [(step, number(seconds, 3)) for step, seconds in result.seconds.items()]
     times.append(("sum", number(float(sum(result.seconds.values())), 3)))
     return (
         '<section aria-labelledby="run"><h2 id="run">This run</h2>'
         f"<p>retropole {escape(result.version)}, {escape(result.created)}</p>"
         + table("Inputs", header, inputs, (1, 4, 6))
+        + "".join(f"<p>{escape(note)}</p>" for note in notes)
         + '<div class="columns">'
         + table("Options", ("option", "value"), _options(result.config), (1,))
         + table("Time", ("step", "seconds"), times)

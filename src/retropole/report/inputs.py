@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..datatypes import Placement, PointCloud, Scan
-from ..errors import ReadError, UsageError
+from ..errors import ReadError, UsageError, printable
+from ..files import path_of_text
 from ..io import ARRAY_SOURCE, read_cloud, sha256_of
 from ..pipeline import find_poles
 from ..result import InputDoc, PoleDoc, ResultDoc, RunConfig
@@ -108,7 +109,8 @@ def _find(item: InputDoc, beside: Path) -> Path:
             "a cloud of the run was an array, which is in no file; give TARGET and SOURCE"
         )
     path = Path(item.path)
-    places = list(dict.fromkeys([path, beside / path, beside / path.name]))
+    names = dict.fromkeys([path, beside / path, beside / path.name])
+    places = [path_of_text(str(name)) for name in names]
     for place in places:
         if place.exists():
             return place
@@ -120,9 +122,9 @@ def _differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
     """Say which recordings are not those that the run read; each is hashed once."""
     hashes = {path: sha256_of(path) for path in dict.fromkeys(paths)}
     return tuple(
-        f"{path} is not the file that the run read ({item.path}): its SHA-256 begins "
-        f"{hashes[path][:12]}, that of the run {item.sha256[:12]}; the picture may not be that of "
-        "the figures"
+        f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 "
+        f"begins {hashes[path][:12]}, that of the run {item.sha256[:12]}; the picture may not be "
+        "that of the figures"
         for path, item in zip(paths, result.inputs, strict=True)
         if hashes[path] != item.sha256
     )

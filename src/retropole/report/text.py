@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from .. import se3
+from ..errors import printable
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
 from ..quantities import error
 from ..reasons import explain, plain
@@ -27,6 +30,18 @@ ACTIONS = 2
 
 BAR = 40
 """Characters of the longest bar of a histogram."""
+
+
+def legible(value: Any) -> Any:
+    """Write every text of a document so that it steers no terminal and stays on its line."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, msgspec.Struct):
+        fields = {name: legible(getattr(value, name)) for name in value.__struct_fields__}
+        return msgspec.structs.replace(value, **fields)
+    if isinstance(value, dict):
+        return {legible(key): legible(each) for key, each in value.items()}
+    return type(value)(map(legible, value)) if isinstance(value, list | tuple) else value
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -58,11 +73,12 @@ def left_out_words(document: InputDoc) -> str:
 def _input_line(name: str, document: InputDoc) -> str:
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
     left_out = left_out_words(document)
-    return (
+    line = (
         f"{name}  {document.path}: {document.points:,} points ({document.dropped:,} dropped"
         f"{', ' + left_out if left_out else ''}), "
         f"sensor {document.sensor}, threshold {threshold}"
     )
+    return "\n".join([line, *(f"  {note}" for note in document.notes)])
 
 
 def _pole_rows(name: str, poles: Sequence[PoleDoc]) -> list[list[str]]:
@@ -141,6 +157,7 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
     written
         Paths of the files that hold it.
     """
+    result, written = legible(result), [printable(path) for path in written]
     parts = [_input_line(LIDARS[k % 2], document) for k, document in enumerate(result.inputs)]
     parts.append("")
     poles = _pole_rows("target", result.poles.target) + _pole_rows("source", result.poles.source)
@@ -218,6 +235,7 @@ def reason_lines(reason: ReasonDoc) -> list[str]:
 
 def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     """Write what was found in one cloud as a person reads it."""
+    detection, written = legible(detection), [printable(path) for path in written]
     parts = [
         _input_line("file", detection.input),
         f"  {detection.retro_points:,} retro-reflective points "
@@ -247,6 +265,7 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
 
 def describe_info(document: InfoDoc) -> str:
     """Write what is in a recording as a person reads it."""
+    document = legible(document)
     parts = [document.path]
     if document.topics:
         rows = [[topic.name, topic.type, str(topic.messages)] for topic in document.topics]
@@ -272,6 +291,7 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         f"fields     {fields}",
         f"points     {cloud.points:,} ({cloud.dropped:,} dropped), "
         f"{cloud.points / cloud.frames_read:,.0f} a frame",
+        *(f"lost       {note}" for note in cloud.notes),
         f"rings      {'none' if cloud.rings is None else cloud.rings}"
         + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
         *([_beams_line(cloud.beam_origin_m)] if cloud.told_by_rings else []),

@@ -38,7 +38,7 @@ class PolesDoc(msgspec.Struct, frozen=True):
 
 
 class InputDoc(msgspec.Struct, frozen=True):
-    """What was read, and how many points and frames of too many were left out."""
+    """What was read, what was left out of too many, and in `notes` what was lost."""
 
     path: Text
     sha256: Text
@@ -48,6 +48,7 @@ class InputDoc(msgspec.Struct, frozen=True):
     threshold: Number | None
     thinned: Count = 0
     frames_left_out: Count = 0
+    notes: list[Text] = []
 
 
 class DetectionDoc(msgspec.Struct, frozen=True):

@@ -54,7 +54,9 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
     figure.suptitle(
         f"{title}: poles {len(detection.poles)}, rejected clusters {len(detection.rejected)}, "
         f"{detection.retro_points:,} of {len(cloud):,} returns at or above "
-        f"{detection.threshold:g} ({detection.threshold_source})"
+        f"{detection.threshold:g} ({detection.threshold_source})",
+        # A file name with dollar signs is no formula.
+        parse_math=False,
     )
     middle, half_width = _frame(cloud, detection)
     offset = cloud.xyz - middle
