@@ -15,9 +15,9 @@ from tests.io import bombs
 MAX_SECONDS, MAX_MIB = 10, 1024
 
 REASONS = {
-    "zstd.mcap": "unpack to more than 134,217,728",
-    "bz2.bag": "unpack to more than 134,217,728",
-    "packed message": "unpack to more than 134,217,728",
+    "zstd.mcap": "unpack to more than 67,108,864",
+    "bz2.bag": "unpack to more than 67,108,864",
+    "packed message": "unpack to more than 67,108,864",
     "endless tree": "takes more steps than a database of",
     "messages are a view": "messages is not a table of plain columns",
     "computed columns": "messages is not a table of plain columns",

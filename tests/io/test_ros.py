@@ -421,3 +421,22 @@ def test_a_file_inside_a_bag_is_read_whatever_its_name_means_in_an_address(
     metadata = folder / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace(file.name, odd.name))
     assert_same(read_cloud(folder), cloud)
+
+
+def test_more_points_than_bytes_for_them_are_refused() -> None:
+    made = message(points_of(random_cloud()), get_typestore(ROS1))
+    count = 2**22 + 1
+    for entry in made.fields:
+        object.__setattr__(entry, "offset", 0)
+        object.__setattr__(entry, "datatype", 2)
+    for name, value in {
+        "width": count,
+        "point_step": 1,
+        "row_step": count,
+        "data": np.ones(count, np.uint8),
+    }.items():
+        object.__setattr__(made, name, value)
+    with pytest.raises(ReadError, match="4,194,305 points of 1 bytes"):
+        columns_of(made)
+    object.__setattr__(made, "width", count - 1)
+    assert len(columns_of(made)["x"]) == count - 1

@@ -15,9 +15,12 @@ from pathlib import Path
 
 from ..errors import ReadError
 from .bag import MAX_MESSAGES, Bag, counted
-from .unpacking import MAX_UNPACKED, allowance
+from .unpacking import allowance
 
 TABLES = ("topics", "messages")
+
+MAX_LENGTH = 10**9
+"""Bytes of the longest message, SQLite's own limit; none is longer than its file."""
 
 MAX_TOPICS = 10_000
 """More are not read."""
@@ -41,7 +44,7 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
     address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
     with closing(sqlite3.connect(address, uri=True)) as database:
         database.text_factory = lambda text: text.decode(errors="replace")
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_UNPACKED)
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(path.stat().st_size, MAX_LENGTH))
         database.execute("PRAGMA trusted_schema=OFF")
         with _counted_steps(path, database):
             _check_tables(path, database)

@@ -22,6 +22,10 @@ from .recordings import CLOUDS, Frame, Recording, Topic
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """From the number of a type in a PointField to its name in NumPy."""
 
+SMALLEST_POINT, MAX_SMALL_POINTS = 12, 2**22
+"""Bytes of a point as drivers write it, and how many may be smaller: in memory a point takes 24
+bytes and more, so that one of a byte would take many times its file."""
+
 MAX_LISTED = 10
 """Topics that a message names."""
 
@@ -151,6 +155,11 @@ def columns_of(message: Any) -> Columns:
     record = _record(message.fields, step, ">" if message.is_bigendian else "<")
     if height * width == 0:
         return {name: np.zeros(0, kind) for name, (kind, *_) in (record.fields or {}).items()}
+    if step < SMALLEST_POINT and height * width > MAX_SMALL_POINTS:
+        raise ReadError(
+            f"{height * width:,} points of {step} bytes; of more than {MAX_SMALL_POINTS:,}, each "
+            f"has {SMALLEST_POINT} or more: x, y and z as float32"
+        )
     # Drivers set row_step wrong; it matters only where there are several rows with padding.
     if height == 1 or len(data) == height * width * step:
         row = width * step

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 from ..errors import ReadError
 
-MAX_UNPACKED = 2**27
+MAX_UNPACKED = 2**26
 """Bytes that one chunk, or one message, may unpack to. Recorders end a chunk after 0.8 to 4 MiB,
 and a sweep of a sensor with 128 rings has 10 MiB."""
 
