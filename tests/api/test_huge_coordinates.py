@@ -1,4 +1,4 @@
-"""Coordinates that no frame has: refused with the reason, quickly and without much memory."""
+"""Coordinates that no frame has are no returns, or refused; quickly, and in little memory."""
 
 import subprocess
 import sys
@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import retropole
 from retropole.datatypes import PoseEstimate
+from retropole.io import only_returns
 from retropole.monitoring.drift import check
 from retropole.simulation import simulate_pair
 
@@ -24,22 +25,41 @@ size, count = float(sys.argv[1]), int(sys.argv[2])
 xyz = pair.target.xyz.copy()
 xyz[:count] = size * np.sign(xyz[:count])
 broken = replace(pair.target, xyz=xyz)
-print(retropole.calibrate(broken, pair.source).document.reasons[0].code)
-print(retropole.calibrate(pair.source, broken).document.reasons[0].code)
+
+def calibrated(target, source):
+    document = retropole.calibrate(target, source).document
+    if document.status == "refused":
+        raise retropole.Refusal(document.reasons[0].code, "")
+    assert document.inputs[0].dropped + document.inputs[1].dropped == count
+
 for work in (
+    lambda: calibrated(broken, pair.source),
+    lambda: calibrated(pair.source, broken),
     lambda: retropole.detect(broken),
     lambda: retropole.evaluate(broken, pair.source, pair.T_target_source),
-    lambda: check(stored, broken, pair.source),
+    lambda: check(stored, only_returns(broken, "a"), pair.source),
 ):
     try:
         work()
     except retropole.Refusal as refusal:
         print(refusal.code)
+    except retropole.UsageError:
+        print("usage")
+    else:
+        print("answered")
 """
 
 
-@pytest.mark.parametrize(("size", "count"), [("1e30", 1), ("1e300", 10**6)])
-def test_huge_coordinates_are_refused(size: str, count: int) -> None:
+@pytest.mark.parametrize(
+    ("size", "count", "said"),
+    [
+        ("2e8", 1, "far_from_lidar"),
+        ("2e8", 10**6, "far_from_lidar"),
+        ("1e30", 1, "answered"),
+        ("1e300", 10**6, "usage"),
+    ],
+)
+def test_huge_coordinates(size: str, count: int, said: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", CODE, size, str(count)],
         capture_output=True,
@@ -47,5 +67,5 @@ def test_huge_coordinates_are_refused(size: str, count: int) -> None:
         timeout=120,
         check=False,
     )
-    assert done.stdout.split() == ["far_from_lidar"] * 5, done.stderr
+    assert done.stdout.split() == [said] * 5, done.stderr
     assert done.stderr == ""
