@@ -34,6 +34,9 @@ MAX_FLATNESS = 0.1
 MIN_THICKNESS = 0.001
 """Least RMS thickness of a patch, metres: no surface is flatter, nor any LiDAR finer."""
 
+NO_THICKNESS = 1e-6
+"""RMS thickness of a plane without noise, metres: rounding leaves less, or less than nothing."""
+
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
 
@@ -117,6 +120,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / PATCH_NEIGHBOURS
     values, vectors = np.linalg.eigh(spread)
+    values = np.maximum(values, NO_THICKNESS**2)
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < MAX_FLATNESS * values[:, 1]
     # The plane of one ring and a point beside it goes through that point, whatever its error.
