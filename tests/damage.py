@@ -7,6 +7,7 @@ Run as a program, it holds readers and commands against them:
 from __future__ import annotations
 
 import faulthandler
+import json
 import random
 import resource
 import struct
@@ -28,8 +29,11 @@ from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import read_cloud
 from tests.io.files import INTENSITY, WRITERS, XYZ
 
-LONGEST, LONGEST_COMMAND = 10.0, 120.0
+LONGEST = 10.0
 """Seconds that no file may take to be read, and no command with it."""
+
+RIGHT_DEG, RIGHT_M = 1.0, 0.1
+"""A pose so near to the truth is right: ten times what such scans leave open."""
 
 MOST_MEMORY = 2**30
 """Bytes that no process may reach, however damaged the files are that it reads."""
@@ -273,24 +277,63 @@ def hold_reader(path: Path) -> str:
 
 def hold_command(path: Path, dice: random.Random) -> str:
     """Give a file to a command: it answers, refuses, or says what is wrong in one line."""
-    words = dice.choice(
-        (
-            ["info", str(path)],
-            ["info", str(path), "--json"],
-            ["calibrate", str(path), str(path), "--out", str(path.parent / "out")],
-        )
-    )
+    words = ["info", str(path), *dice.choice(([], ["--json"]))]
+    code, _ = ran(words)
+    return f"info: exit {code}"
+
+
+def ran(words: list[str]) -> tuple[int, str]:
+    """Run a command; what it prints with an answer."""
     out, err = TextIOWrapper(BytesIO(), "utf-8"), StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = run(words)
     assert code in (0, 2, 3), f"{words[0]} ended with {code}"
     if code == 2:
         assert err.getvalue().count("\n") == 1, err.getvalue()
-    return f"exit {code}"
+    out.seek(0)
+    return code, out.read()
 
 
-def hold(seed: int, found: dict[str, bytes], folder: Path) -> str:
-    """Damage a file of any format, and read it."""
+def scans(folder: Path) -> dict[str, bytes]:
+    """Write the scans of two LiDARs, and give that of the first in several formats."""
+    words = "simulate corridor --seed 3 --sensor-target VLP-16 --sensor-source VLP-16 -q --out"
+    assert run([*words.split(), str(folder)]) == 0
+    cloud = read_cloud(folder / "lidar0.pcd")
+    assert cloud.intensity is not None
+    table = np.column_stack([cloud.xyz, cloud.intensity]).astype("<f4")
+    text, array = BytesIO(), BytesIO()
+    np.savetxt(text, table, "%.4f", ",", header="x,y,z,intensity", comments="")
+    np.save(array, table)
+    plain = (folder / "lidar0.pcd").read_bytes()
+    return {
+        "scan.pcd": plain,
+        "scan.csv": text.getvalue(),
+        "scan.npy": array.getvalue(),
+        "scan.bin": table.tobytes(),
+    }
+
+
+def hold_calibration(found: dict[str, bytes], folder: Path, dice: random.Random) -> str:
+    """Calibrate with a damaged scan: an error, or a pose that is right or not called ok."""
+    name = dice.choice(sorted(found))
+    path = folder / f"damaged-{name}"
+    path.write_bytes(damaged(found[name], dice))
+    words = ["calibrate", str(path), str(folder / "lidar1.pcd"), "--json", "--out"]
+    code, said = ran([*words, str(folder / "out")])
+    if code:
+        return f"calibrate: exit {code}"
+    result = json.loads(said)
+    truth = json.loads((folder / "truth.json").read_text())["T_target_source"]
+    off = np.array(truth) @ np.linalg.inv(result["T_target_source"])
+    turned = np.degrees(np.arccos(np.clip((np.trace(off[:3, :3]) - 1) / 2, -1, 1)))
+    moved = np.linalg.norm(np.subtract(truth, result["T_target_source"])[:3, 3])
+    is_right = turned < RIGHT_DEG and moved < RIGHT_M
+    assert is_right or result["status"] != "ok", f"ok, but off by {turned:.2f} deg, {moved:.3f} m"
+    return f"calibrate: {result['status']}{'' if is_right else ', wrong'}"
+
+
+def hold(seed: int, found: dict[str, bytes], scanned: dict[str, bytes], folder: Path) -> str:
+    """Damage a file of any format, and read it; some are given to a command."""
     dice = random.Random(seed)
     name = dice.choice(sorted(found))
     path = folder / f"damaged{Path(name).suffix}"
@@ -301,8 +344,8 @@ def hold(seed: int, found: dict[str, bytes], folder: Path) -> str:
         came = hold_reader(path)
     if seed % COMMAND_EVERY:
         return f"{path.suffix} {came}"
-    with ended_after(LONGEST_COMMAND):
-        return hold_command(path, dice)
+    with ended_after(LONGEST):
+        return hold_calibration(scanned, folder, dice) if seed % 3 else hold_command(path, dice)
 
 
 @contextmanager
@@ -320,13 +363,13 @@ def main(first: int, last: int, folder: Path) -> int:
     # An array that NumPy cannot fill stops here; what counts is the memory that is in use.
     resource.setrlimit(resource.RLIMIT_AS, (8 * MOST_MEMORY, resource.RLIM_INFINITY))
     warnings.simplefilter("error", RuntimeWarning)
-    found = recordings(folder)
+    found, scanned = recordings(folder), scans(folder)
     came: Counter[str] = Counter()
     wrong = 0
     for seed in range(first, last):
         (folder / "seed").write_text(str(seed))
         try:
-            came[hold(seed, found, folder)] += 1
+            came[hold(seed, found, scanned, folder)] += 1
         except MissingExtraError:
             came["extra missing"] += 1
         except Exception as error:

@@ -51,3 +51,13 @@ def test_thinning_keeps_one_point_per_cube() -> None:
     xyz = np.random.default_rng(1).uniform(0.01, 0.99, (500, 3))
     assert len(voxel_downsample(xyz, 1.0)) == 1
     np.testing.assert_allclose(voxel_downsample(xyz, 1.0)[0], xyz.mean(axis=0))
+
+
+def test_what_lies_beyond_all_cubes_is_left_out_without_a_word(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    near = room(np.random.default_rng(2), 200)
+    far = np.array([[1e8, 0.0, 0.0], [0.0, 0.0, -1e8]])
+    found = voxel_downsample(np.concatenate([far, near]), 0.1)
+    np.testing.assert_array_equal(found, voxel_downsample(near, 0.1))
+    assert capfd.readouterr() == ("", "")

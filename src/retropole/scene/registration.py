@@ -27,6 +27,10 @@ MIN_CLOUD_POINTS = 50
 NORMAL_NEIGHBOURS = 10
 """Points that a surface normal is estimated from (small_gicp's default when it prepares clouds)."""
 
+MAX_CELLS = 2**20 - 1
+"""Cubes that small_gicp numbers on each side of the origin: 100 km of 0.1 m. What is beyond, it
+leaves out too, and prints a line for each point."""
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -65,7 +69,13 @@ class Registration:
 
 
 def voxel_downsample(xyz: Array, voxel: float) -> Array:
-    """Keep the mean of the points in each cube of side ``voxel`` metres: (N, 3) to (M, 3)."""
+    """Keep the mean of the points in each cube of side ``voxel`` metres: (N, 3) to (M, 3).
+
+    Points more than `MAX_CELLS` cubes from the origin are left out.
+    """
+    reach = voxel * MAX_CELLS
+    if len(xyz) and max(xyz.max(), -xyz.min()) > reach:
+        xyz = xyz[np.abs(xyz).max(axis=1) <= reach]
     if len(xyz) == 0:
         return np.zeros((0, 3))
     # One thread: with more, small_gicp's result differs from run to run.
