@@ -49,7 +49,7 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
         with _counted_steps(path, database):
             _check_tables(path, database)
             topics = database.execute(
-                "SELECT id, substr(name, 1, 1000), substr(type, 1, 1000) FROM topics LIMIT ?",
+                f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?",
                 [MAX_TOPICS + 1],
             ).fetchall()
             counts = dict(
@@ -84,6 +84,11 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
                 counted((name, kind, counts.get(number, 0)) for number, name, kind in topics),
                 messages,
             )
+
+
+def _text(column: str) -> str:
+    """Take the text of a column, whatever is in it: SQLite lets any value be of any type."""
+    return f"substr(CAST(coalesce({column}, '') AS TEXT), 1, 1000)"
 
 
 def _check_tables(path: Path, database: sqlite3.Connection) -> None:
