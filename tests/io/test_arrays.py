@@ -170,3 +170,15 @@ class TestMemory:
         points = np.ones(2, [("x", "f4"), ("y", "f4"), ("intensity", "f4")])
         with pytest.raises(UsageError, match="front: field z is missing"):
             cloud_from_array(points, "front")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"\n" * 2_000_000, b"# x\n" * 500_000, b" " * 2_000_000, b"1 " * 1_000_000 + b"\n1 2 3 4\n"],
+    ids=["blank lines", "comments", "blanks", "one line"],
+)
+def test_a_text_of_endless_heads_or_lines_is_refused(body: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(body)
+    with pytest.raises(ReadError, match=r"1,048,576 bytes|2,000,000 bytes"):
+        read_cloud(path)

@@ -33,12 +33,14 @@ TABLE_KEYS = ("xyz", "points", "arr_0")
 SEPARATORS = ";\t,"
 """What separates the values of a text: the first of these that occurs, else blanks."""
 
+MAX_HEAD = 2**20
+"""Bytes that comments and names of columns, and the first line of numbers, may take."""
+
 ARRAY_SOURCE = "<array>"
 """Source of a cloud that was made of an array."""
 
 MAX_DEFLATE_RATIO = 1100
 """Deflate compresses at most 1032 bytes into one; an entry that promises more is damaged."""
-
 
 NPZ_ALLOWED, NPZ_RATIO = 2**28, 20
 """Bytes that the arrays of an NPZ may take: so many, and so many times its size, with 8 for each
@@ -215,7 +217,10 @@ def read_text(path: Path) -> PointCloud:
     body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     names, first, position = _names(path, body)
     end = body.find(b"\n", position)
-    line = body[position : end if end >= 0 else len(body)].decode("ascii", errors="replace")
+    end = end if end >= 0 else len(body)
+    if end - position > MAX_HEAD:
+        raise ReadError(f"{path}, line {first}: {end - position:,} bytes, expected x y z and more")
+    line = body[position:end].decode("ascii", errors="replace")
     separator = _separator(line)
     columns = len(names) or len(line.split("#")[0].split(separator))
     table = read_table(path, body[position:], columns, line=first, separator=separator)
@@ -229,7 +234,10 @@ def read_text(path: Path) -> PointCloud:
 def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
     """Find the names of the columns, if any, and line and position of the first numbers."""
     names, commented, position = list[str](), True, 0
-    for number, raw in enumerate(body.splitlines(keepends=True), 1):
+    for number, raw in enumerate(body[:MAX_HEAD].splitlines(keepends=True), 1):
+        if raw.isspace():
+            position += len(raw)
+            continue
         line = raw.decode("utf-8", errors="replace").strip()
         plain = line.lstrip("#/").strip()
         words = [word.strip(" \"'") for word in plain.split(_separator(plain))]
@@ -246,7 +254,10 @@ def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
             # Of the comments, only one that names the coordinates names the columns.
             names = words
         position += len(raw)
-    raise ReadError(f"{path}: holds no lines of numbers, expected x y z and more in columns")
+    raise ReadError(
+        f"{path}: holds no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
+        "expected x y z and more in columns"
+    )
 
 
 def _separator(line: str) -> str | None:
