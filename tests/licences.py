@@ -20,7 +20,7 @@ PROJECT = "retropole"
 
 PERMISSIVE = re.compile(
     r"\b(MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|CC0|Public Domain|MPL"
-    r"|Mozilla Public|LGPL|Lesser General Public|HPND)\b",
+    r"|Mozilla Public|LGPL|Lesser General Public|HPND|Zope)\b",
     re.IGNORECASE,
 )
 
