@@ -57,11 +57,11 @@ def main() -> None:
     from .cli import run
 
     code = run()
-    with suppress(OSError):
+    try:
         sys.stdout.flush()
-        sys.exit(code)
-    # What could not be printed was said; Python would try again, and end with 120.
-    sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    except OSError:
+        # What could not be printed was said; Python would try again, and end with 120.
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
     sys.exit(code)
 
 

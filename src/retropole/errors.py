@@ -42,11 +42,16 @@ def shortened(text: str, most: int = LONGEST_MESSAGE) -> str:
     return f"{text[:first]} … {text[len(text) - (most - first - 3) :]}"
 
 
+def quoting(text: str) -> str:
+    """Make a message that quotes what others wrote one line that is not too long."""
+    return shortened(printable(text))
+
+
 class RetropoleError(Exception):
     """Base of all errors raised by retropole; the message is one line that can be printed."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(shortened(printable(message)))
+        super().__init__(quoting(message))
 
 
 class ReadError(RetropoleError):

@@ -12,7 +12,7 @@ from importlib import import_module
 
 import click
 
-from ..errors import Refusal, RetropoleError, printable, shortened
+from ..errors import Refusal, RetropoleError, quoting
 from .common import (
     CONTEXT,
     EXIT_INTERRUPTED,
@@ -107,7 +107,7 @@ def run(words: Sequence[str] | None = None) -> int:
         code = cli.main(args, prog_name="retropole", standalone_mode=False)
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
-        plain = click.UsageError(shortened(printable(error.format_message())), context)
+        plain = click.UsageError(quoting(error.format_message()), context)
         with suppress(OSError):
             plain.show()
         return EXIT_USAGE
@@ -122,10 +122,10 @@ def run(words: Sequence[str] | None = None) -> int:
         unnamed = "standard output" if error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO) else ""
         place = error.filename or unnamed
         words_of = f"{place}: {error.strerror}" if place else str(error)
-        say(f"retropole: {shortened(printable(words_of))}")
+        say(f"retropole: {quoting(words_of)}")
         return EXIT_USAGE
     except MemoryError as error:
-        say(f"retropole: there is not enough memory: {shortened(printable(str(error)))}")
+        say(f"retropole: there is not enough memory: {quoting(str(error))}")
         return EXIT_USAGE
     except SystemExit as error:
         # click and rich end so where the reader of a pipe has gone; here 1 has another meaning.

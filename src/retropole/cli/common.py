@@ -207,9 +207,9 @@ def echo_left_out(given: Input, frames: slice | None) -> None:
     lines = list(given.cloud.notes)
     if read is not None and read.left_out:
         lines.append(
-            f"read {len(read.numbers)} of {len(read.numbers) + read.left_out} frames, one in "
-            f"{2 ** round(math.log2(1 + read.left_out / len(read.numbers)))}, since all have too "
-            "many points; --max-points N reads more"
+            f"read {len(read.numbers)} of {len(read.asked)} frames, one in "
+            f"{read.numbers.step // read.asked.step}, since all have too many points; "
+            "--max-points N reads more"
         )
     elif read is not None and frames is None and not read.is_whole:
         lines.append(

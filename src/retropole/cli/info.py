@@ -6,13 +6,7 @@ from pathlib import Path
 
 import click
 
-from .common import (
-    CLOUD,
-    CONTEXT,
-    frames_option,
-    progress_on_terminal,
-    show,
-)
+from .common import CLOUD, CONTEXT, frames_option, progress_on_terminal, show
 
 
 @click.command(context_settings=CONTEXT)

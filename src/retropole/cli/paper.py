@@ -6,12 +6,7 @@ from pathlib import Path
 
 import click
 
-from .common import (
-    CONTEXT,
-    OUT,
-    progress_on_terminal,
-    show,
-)
+from .common import CONTEXT, OUT, progress_on_terminal, show
 
 
 @click.command(context_settings=CONTEXT)

@@ -6,13 +6,7 @@ from pathlib import Path
 
 import click
 
-from .common import (
-    CLOUD,
-    CONTEXT,
-    progress_on_terminal,
-    say,
-    show,
-)
+from .common import CLOUD, CONTEXT, progress_on_terminal, say, show
 
 
 @click.command(context_settings=CONTEXT)

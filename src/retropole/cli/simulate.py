@@ -7,14 +7,7 @@ from pathlib import Path
 import click
 
 from ..datatypes import MAX_POLES
-from .common import (
-    CLOUD,
-    CONTEXT,
-    OUT,
-    progress_on_terminal,
-    radius_option,
-    show,
-)
+from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option, show
 
 
 @click.command(context_settings=CONTEXT)

@@ -68,7 +68,6 @@ def view(
     """
     import time
 
-    from ..errors import printable
     from ..report.viewer import Shown, serve
 
     with progress_on_terminal(quiet) as progress:
@@ -79,7 +78,7 @@ def view(
         ]
         progress("extract")
         shown = [
-            Shown(printable(str(file)), given.cloud, given.sensor, threshold)
+            Shown(str(file), given.cloud, given.sensor, threshold)
             for file, given in zip(files, inputs, strict=True)
         ]
         viewer = serve(shown, radius=radius, port=port)

@@ -213,7 +213,7 @@ def read_recording(
     numbers, read = read_within(recording, asked, sys.maxsize if max_points is None else max_points)
     headers = tuple(frame.header for frame in read)
     cloud = joined(recording, read)
-    return ReadRecording(recording, numbers, headers, cloud, len(asked) - len(numbers))
+    return ReadRecording(recording, asked, numbers, headers, cloud)
 
 
 def _files(path: Path) -> list[Path]:

@@ -134,10 +134,8 @@ class ReadRecording:
     ----------
     recording
         What was read.
-    numbers
-        Which frames were read.
-    left_out
-        How many more were asked for, and left out since all together have too many points.
+    asked, numbers
+        Which frames were asked for, and which of them were read.
     headers
         Of each frame that was read. The points are in `cloud` alone, so that none is in memory
         twice.
@@ -146,10 +144,15 @@ class ReadRecording:
     """
 
     recording: Recording
+    asked: range
     numbers: range
     headers: tuple[FrameHeader, ...]
     cloud: PointCloud
-    left_out: int = 0
+
+    @property
+    def left_out(self) -> int:
+        """How many frames were asked for, and not read since all have too many points."""
+        return len(self.asked) - len(self.numbers)
 
     @property
     def is_whole(self) -> bool:

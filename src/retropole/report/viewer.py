@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datatypes import DEFAULT_RADIUS, Array, Detection, PointCloud, Pole
-from ..errors import MissingExtraError
+from ..errors import MissingExtraError, printable
 from ..extraction.poles import extract_poles
 from ..sensors import Sensor
 from .viewer_access import guarded
@@ -246,7 +246,7 @@ def _add(
     root = f"/cloud{number}"
     frame = server.scene.add_frame(root, show_axes=False, visible=number == 0)
     # A file's name need not be text, and viser ends the connection at what is none.
-    with server.gui.add_folder(shown.name.encode("utf-8", "replace").decode()):
+    with server.gui.add_folder(printable(shown.name)):
         seen = server.gui.add_checkbox("Show", initial_value=number == 0)
         slider = server.gui.add_slider(
             "Threshold", span.low, span.high, span.step, initial_value=first.threshold
