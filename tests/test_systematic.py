@@ -1,6 +1,6 @@
 """Systematic errors: their order, their groups, their sizes, and what they do to a return."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from retropole.systematic import (
     RADIUS,
     RANGE_TO_OFFSET,
     SHARED_ERRORS,
+    STATED_WIDTH,
     ErrorModel,
     Layout,
     Sizes,
@@ -86,7 +87,7 @@ def test_groups_have_one_kind_of_one_lidar() -> None:
 
 
 def test_sigmas_are_those_of_their_lidar() -> None:
-    sizes = [Sizes(*(scale * (k + 1) for k in range(8))) for scale in (1.0, 100.0)]
+    sizes = [Sizes(*(scale * (k + 1) for k in range(DEVICE))) for scale in (1.0, 100.0)]
     groups = groups_of(OTHER)
     sigma = ErrorModel(sizes[0], sizes[1], 7.5).sigmas(groups)
     for kind, lidar, value in zip(groups.kinds, groups.sensors, sigma, strict=True):
@@ -104,9 +105,10 @@ def test_sizes_follow_the_manufacturer() -> None:
     assert sizes_of(None) == Sizes()
     for sensor in SENSORS.values():
         sizes = sizes_of(sensor)
+        assert sizes.width == STATED_WIDTH < Sizes().width
         assert sizes.zero >= MIN_ZERO
         if sensor.range_accuracy is None:
-            assert sizes == Sizes()
+            assert sizes == replace(Sizes(), width=STATED_WIDTH)
         else:
             stated = sensor.range_accuracy / RANGE_TO_OFFSET
             assert sizes.zero == pytest.approx(max(stated, MIN_ZERO))
@@ -139,7 +141,8 @@ def test_derivative_by_the_errors(tape: bool) -> None:
     ranges, tangent = rng.uniform(1.0, 60.0, n), rng.uniform(0.0, 2 * MAX_TANGENT, n)
 
     def true_return(b: Array) -> Array:
-        zero, scale, slant, encoder_c, encoder_s, wobble_c, wobble_s, on_tape = b[:DEVICE]
+        # The width of the beam moves no return.
+        zero, scale, slant, encoder_c, encoder_s, wobble_c, wobble_s, on_tape, _ = b[:DEVICE]
         ring_range, ring_elevation = b[DEVICE:]
         rho = ranges - zero - scale * ranges - slant * ranges * np.minimum(tangent, MAX_TANGENT)
         rho = rho - (on_tape if tape else 0.0) - ring_range

@@ -8,8 +8,9 @@ true return lies at
 
     range      ρ − zero − scale·ρ − slant·ρ·tan(incidence) − [tape] − ring_range(ring)
     azimuth    α + encoder_c cos α + encoder_s sin α
-    elevation  ε + wobble_c cos α + wobble_s sin α + ring_elevation(ring).
+    elevation  ε + wobble_c cos α + wobble_s sin α + ring_elevation(ring),
 
+and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
 A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show.
 """
 
@@ -38,6 +39,11 @@ share: the bound that hardly any device exceeds."""
 USUAL_TAPE = 0.007
 """1 σ of the range offset on tape, metres, of a LiDAR that is known and whose manufacturer states
 nothing of retro-reflectors: an assumption."""
+
+USUAL_WIDTH, STATED_WIDTH = 0.5, 0.2
+"""1 σ of the logarithm of the width of a beam: of a LiDAR that is not known, since manufacturers'
+figures range from 1.5 to 8 mrad, and of one that is, since some state the width at half of the
+power and others that at an eighth, 1.7 times as much."""
 
 MIN_ZERO = 0.005
 """Least 1 σ of the range offset, metres, whatever the manufacturer says."""
@@ -71,6 +77,8 @@ class Sizes:
         Range offset of retro-reflective returns beside all others, metres.
     ring_range, ring_elevation
         Of each ring, metres and rad.
+    width
+        Of the beam, as a part of it: of its logarithm.
     """
 
     zero: float = 0.010
@@ -81,15 +89,18 @@ class Sizes:
     tape: float = 0.010
     ring_range: float = 0.004
     ring_elevation: float = float(np.radians(0.02))
+    width: float = USUAL_WIDTH
 
 
 def sizes_of(sensor: Sensor | None) -> Sizes:
     """Give the sizes of the errors of a sensor; the defaults where nothing is stated of it."""
-    if sensor is None or sensor.range_accuracy is None:
+    if sensor is None:
         return Sizes()
+    if sensor.range_accuracy is None:
+        return replace(Sizes(), width=STATED_WIDTH)
     zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
     tape = USUAL_TAPE if sensor.retro_accuracy is None else sensor.retro_accuracy / RANGE_TO_OFFSET
-    return replace(Sizes(), zero=zero, tape=tape)
+    return replace(Sizes(), zero=zero, tape=tape, width=STATED_WIDTH)
 
 
 class Kind(NamedTuple):
@@ -109,6 +120,7 @@ DEVICE_KINDS = (
     Kind("wobble of the axis", "wobble", "rad"),
     Kind("wobble of the axis", "wobble", "rad"),
     Kind("range offset on tape", "tape", "m"),
+    Kind("width of the beam", "width", "1"),
 )
 """Of the parameters of a whole LiDAR, in their order."""
 
@@ -119,8 +131,8 @@ RING_KINDS = (
 """Of the parameters of each ring."""
 
 DEVICE = len(DEVICE_KINDS)
-TAPE = DEVICE - 1
-"""Parameters of a whole LiDAR, and which of them only tape has."""
+TAPE, WIDTH = DEVICE - 2, DEVICE - 1
+"""Parameters of a whole LiDAR, and which of them only tape has, and only edges show."""
 
 RADIUS = 2 * DEVICE
 """Where the error of the poles' radius stands, after those of the target and of the source."""
@@ -247,7 +259,7 @@ def by_error(
     Returns
     -------
     device, ring
-        (N, …, 8) by the errors of the whole LiDAR, (N, …, 2) by those of the return's ring.
+        (N, …, 9) by the errors of the whole LiDAR, (N, …, 2) by those of the return's ring.
     """
     # From where azimuths count makes no difference: their cosine and sine have one size.
     start = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
@@ -264,7 +276,7 @@ def by_error(
         *times(by_range, -one, -ranges, -stretch),
         *times(by_azimuth, cosine, sine),
         *times(by_elevation, cosine, sine),
-        *times(by_range, -one if tape else 0.0 * one),
+        *times(by_range, -one if tape else 0.0 * one, 0.0 * one),
     ]
     return np.stack(device, axis=-1), np.stack([-by_range, by_elevation], axis=-1)
 
@@ -289,5 +301,5 @@ class ErrorModel:
         return np.asarray(np.maximum(known, MIN_ERROR_SIGMA))
 
 
-NO_ERRORS = Sizes(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_ERRORS = Sizes(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a LiDAR without any."""

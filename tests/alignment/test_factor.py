@@ -32,6 +32,7 @@ from retropole.systematic import (
     NO_ERRORS,
     RADIUS,
     TAPE,
+    WIDTH,
     ErrorModel,
     Layout,
     band_of,
@@ -92,7 +93,7 @@ def corrected(
     """Directions and ranges without the errors b, as the head of `systematic` defines them."""
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     elevation = np.arcsin(directions[:, 2])
-    zero, scale, _, encoder_c, encoder_s, wobble_c, wobble_s, tape = b[layout.device(lidar)]
+    zero, scale, _, encoder_c, encoder_s, wobble_c, wobble_s, tape, _ = b[layout.device(lidar)]
     by_band = np.zeros((2, len(directions)))
     for kind in (0, 1):
         for band, value in zip(layout.bands[lidar], b[layout.rings(lidar, kind)], strict=True):
@@ -114,6 +115,7 @@ def log_likelihood(
     state: State, b: Array, beams: Beams, lidar: int, layout: Layout, sigma: Array
 ) -> Array:
     """Logarithm of the likelihood of one LiDAR's beams, sigma (N,) in depth and 3 mm sideways."""
+    beams = beams.wider(float(b[layout.device(lidar)][WIDTH]))
     directions, ranges = corrected(beams.directions, beams.ranges, b, lidar, layout)
     seen = beam_geometry(state, lidar, beams.origin, directions, ranges, beams.pole)
     radius = state.radius
@@ -172,9 +174,10 @@ def test_the_gradient_is_that_of_the_likelihood_of_corrected_beams(surroundings:
 
 
 def parts_of(layout: Layout, lidar: int) -> list[slice]:
-    """Rotation, translation, the errors of one LiDAR, the radius, and the axes."""
-    errors = [layout.device(lidar), layout.rings(lidar, 0), layout.rings(lidar, 1)]
-    errors.append(slice(RADIUS, RADIUS + 1))
+    """Rotation, translation, the errors of one LiDAR, its width, the radius, and the axes."""
+    first = layout.device(lidar).start
+    errors = [slice(first, first + WIDTH), slice(first + WIDTH, first + WIDTH + 1)]
+    errors += [layout.rings(lidar, 0), layout.rings(lidar, 1), slice(RADIUS, RADIUS + 1)]
     moved = [slice(POSE + part.start, POSE + part.stop) for part in errors]
     return [slice(0, 3), slice(3, 6), *moved, slice(POSE + layout.size, None)]
 

@@ -21,6 +21,7 @@ from ..systematic import MIN_ERROR_SIGMA, RADIUS, ErrorModel, Sizes, groups_of
 from ..uncertainty import RadiusEstimate, Uncertainty
 from .certainty import (
     Scatter,
+    considered,
     group_scales,
     prior_precision,
     solve_factor,
@@ -198,10 +199,13 @@ class _ReturnsRadius:
 def _radius_of_returns(expansion: Expansion, model: ErrorModel, radius: float) -> _ReturnsRadius:
     """Ask the returns for the radius without what was given."""
     factor, groups = pole_factor(expansion), groups_of(expansion.layout)
-    precision = prior_precision(groups, model.sigmas(groups))
+    known = model.sigmas(groups)
+    precision = prior_precision(groups, known)
     precision[RADIUS] = MIN_RADIUS_PRECISION
     estimate = solve_factor(factor, precision)
-    variance = float(estimate.inverse[POSE + RADIUS, POSE + RADIUS])
+    row = estimate.inverse[POSE + RADIUS]
+    passed = row[POSE:] * precision * considered(groups, known)
+    variance = float(row[POSE + RADIUS] + passed @ passed)
     return _ReturnsRadius(
         radius + float(estimate.errors[RADIUS]),
         float(np.sqrt(variance + RADIUS_MODEL**2 + (RADIUS_EDGE * radius) ** 2)),
@@ -261,7 +265,7 @@ def _answer(
         end.state.directions,
         radius,
         radius_denied,
-        compare_axes(expansion, prior_precision(groups, sigma)),
+        compare_axes(expansion, prior_precision(groups, sigma), considered(groups, sigma)),
         (float(noise[0, 0]), float(noise[1, 0])),
         (float(noise[0, 1]), float(noise[1, 1])),
         found.converged,

@@ -10,20 +10,23 @@ eliminated (Schur complement). The prior of b is no part of it, so that the scen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..datatypes import Array, IntArray, PoseEstimate
-from ..systematic import DEVICE, RADIUS, TAPE, Layout, band_of, by_error
+from ..systematic import DEVICE, RADIUS, TAPE, WIDTH, Layout, band_of, by_error
 from .likelihood import closest_approach
 from .observations import Beams
 from .posterior import SHARED, BeamGeometry, State, own_geometry
-from .views import View, average_passed, average_returns
+from .views import Average, View, average_passed, average_returns
 
 POSE = 6
 """Parameters of the pose."""
+
+WIDTH_STEP = 0.01
+"""Of the logarithm of the width of a beam, over which its derivatives are taken as differences."""
 
 MANY = 1e3
 """Degrees of freedom of a covariance that is given, not estimated."""
@@ -168,7 +171,7 @@ class AxesTest:
     by_pole: Array
 
 
-def compare_axes(expansion: Expansion, precision: Array) -> AxesTest:
+def compare_axes(expansion: Expansion, precision: Array, considered: Array) -> AxesTest:
     """Test whether the poles stood alike when each LiDAR recorded them (score test, Rao 1948).
 
     The source's axes get a displacement of their own, beside pose, errors and common axes. Six of
@@ -180,10 +183,14 @@ def compare_axes(expansion: Expansion, precision: Array) -> AxesTest:
         About the maximum.
     precision
         (B,) of the prior of the errors.
+    considered
+        (B,) 1 σ of errors that are not estimated, and may be the cause all the same; 0 of others.
     """
     axes = POSE + expansion.layout.size
     poles = len(expansion.state.points)
     both = expansion.information[0] + expansion.information[1]
+    errors = POSE + np.flatnonzero(considered)
+    by_errors = both[:, errors]
     gradient = expansion.gradient[0] + expansion.gradient[1]
     index = np.arange(POSE, axes)
     both[index, index] += precision
@@ -193,8 +200,11 @@ def compare_axes(expansion: Expansion, precision: Array) -> AxesTest:
     def gain(own: slice) -> float:
         cross = source[:, own]
         known = np.linalg.solve(both, np.column_stack([cross, gradient]))
-        left = source[own, own] - cross.T @ known[:, :-1]
         score = expansion.gradient[1][own] - cross.T @ known[:, -1]
+        left = source[own, own] - cross.T @ known[:, :-1]
+        # What is considered moves the score by so much.
+        by = (source[own, errors] - known[:, :-1].T @ by_errors) * considered[errors - POSE]
+        left = left + by @ by.T
         return float(score @ np.linalg.pinv(left, rcond=1e-9, hermitian=True) @ score)
 
     by_pole = [gain(slice(axes + 4 * k, axes + 4 * k + 4)) for k in range(poles)]
@@ -208,8 +218,8 @@ def _of_lidar(
 ) -> tuple[Array, Array, Array]:
     """Information, gradient, and inliers on each pole, of the beams of one LiDAR."""
     seen, beside = own_geometry(state, lidar, one)
-    on = average_returns(seen, one, state.radius, view)
-    passed = average_passed(beside, one, state.radius, view)
+    on = with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view))
+    passed = with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view))
     J = _jacobian(state, lidar, seen, one.directions, one.ranges, one, one.pole, layout)
     size = J.shape[2]
     flat = J.reshape(-1, size)
@@ -224,6 +234,27 @@ def _of_lidar(
         gradient = gradient + passed.score.reshape(-1) @ flat
     inliers = np.bincount(one.pole, on.inlier, len(state.points)).astype(np.float64)
     return _not_negative(information), np.asarray(gradient), inliers
+
+
+def with_width(average_at: Callable[[float], Average]) -> Average:
+    """Add the logarithm of the beams' width to what an average is derived by, as the last.
+
+    Parameters
+    ----------
+    average_at
+        The average where the beams are ``exp(by)`` times as wide.
+    """
+    less, now, more = (average_at(by) for by in (-WIDTH_STEP, 0.0, WIDTH_STEP))
+    slope = (more.log - less.log) / (2 * WIDTH_STEP)
+    mixed = (less.score - more.score) / (2 * WIDTH_STEP)
+    bent = (2 * now.log - less.log - more.log) / WIDTH_STEP**2
+    information = np.concatenate([now.information, mixed[:, None, :]], axis=1)
+    last = np.concatenate([mixed, bent[:, None]], axis=1)
+    return replace(
+        now,
+        score=np.concatenate([now.score, slope[:, None]], axis=1),
+        information=np.concatenate([information, last[:, :, None]], axis=2),
+    )
 
 
 def _not_negative(information: Array) -> Array:
@@ -248,7 +279,7 @@ def _jacobian(
     own: IntArray,
     layout: Layout,
 ) -> Array:
-    """Derivative (N, 3, P) of depth, lateral offset and radius by pose, errors and axes."""
+    """Derivative (N, 4, P) of depth, offset, radius and log-width by pose, errors and axes."""
     T = state.T if lidar else np.eye(4)
     R, t = T[:3, :3], T[:3, 3]
     q, n = ((state.points - t) @ R)[own], (state.directions @ R)[own]
@@ -278,10 +309,11 @@ def _jacobian(
         tape=True,
     )
     axes = POSE + layout.size
-    J = np.zeros((len(own), 3, axes + seen.jacobian.shape[2] - SHARED))
+    J = np.zeros((len(own), 4, axes + seen.jacobian.shape[2] - SHARED))
     J[:, :2, :POSE] = seen.jacobian[:, :, :POSE]
     J[:, :2, POSE:axes][:, :, layout.device(lidar)] = device
     J[:, 2, POSE + RADIUS] = 1.0
+    J[:, 3, POSE + layout.device(lidar).start + WIDTH] = 1.0
     J[:, :2, axes:] = seen.jacobian[:, :, SHARED:]
     bands = band_of(directions, beams.axis)
     # Beams that passed may lie in bands that no return is in.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,8 +51,7 @@ class Beams:
         (N,) share of the beams beside the pole, at each return, that are recorded: 1 where
         something stands behind on both sides, ½ on one, 0 before the sky.
     passed_directions, passed_pole
-        (M, 3) directions of beams that went on behind a pole, and (M,) which pole; none where the
-        sensor is not known.
+        (M, 3) directions of beams that went on behind a pole, and (M,) which pole.
     passed_half_width
         (M,) half of their width at the pole.
     """
@@ -68,6 +67,15 @@ class Beams:
     passed_pole: IntArray
     passed_half_width: Array
 
+    def wider(self, by: float) -> Beams:
+        """Give the same beams, ``exp(by)`` times as wide."""
+        times = np.exp(by)
+        return replace(
+            self,
+            half_width=times * self.half_width,
+            passed_half_width=times * self.passed_half_width,
+        )
+
 
 def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = None) -> Beams:
     """Turn the returns on poles, and those from close behind them, into beams.
@@ -78,19 +86,13 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
         One LiDAR's poles, each with the cloud that it was found in. All clouds share the beam
         origin.
     sensor
-        What recorded them. Where it is known, the width of its beams is, and beams that passed
-        close beside a pole are told from those that met its edge.
+        What recorded them, and how wide its beams are; `DIVERGENCE` where it is not known.
     """
     origin = seen[0][1].origin
     divergence = DIVERGENCE if sensor is None else sensor.divergence
     ray = np.concatenate([pole.xyz for pole, _ in seen]) - origin
     ranges = np.linalg.norm(ray, axis=1)
-    found = [
-        (np.zeros((0, 3)), np.zeros(len(pole.xyz)))
-        if sensor is None
-        else _passed(pole, cloud, divergence)
-        for pole, cloud in seen
-    ]
+    found = [_passed(pole, cloud, divergence) for pole, cloud in seen]
     passed = [directions for directions, _ in found]
     passed_pole = np.repeat(np.arange(len(seen)), [len(rays) for rays in passed])
     away = np.array([np.linalg.norm(pole.point - origin) for pole, _ in seen])

@@ -76,12 +76,15 @@ class Average:
 
     Attributes
     ----------
+    log
+        (N,) the average itself.
     score, information
         (N, C) and (N, C, C) by depth, lateral offset and radius, or by the last two of them.
     inlier, noise
         (N,) and (N, 2) as in `ArcLikelihood`; empty for beams that passed.
     """
 
+    log: Array
     score: Array
     information: Array
     inlier: Array
@@ -131,7 +134,7 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     noise /= np.maximum(inlier, 1e-300)[:, None]
     noise[:, 0] += rest
     score = _averaged(arc.score, _WEIGHT) + np.einsum("nce,ne->nc", information[:, :, :2], moved)
-    return Average(score, information, inlier, noise)
+    return Average(_averaged(arc.log, _WEIGHT), score, information, inlier, noise)
 
 
 def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) -> Average:
@@ -148,7 +151,8 @@ def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) 
     )
     information = _averaged(free.information, _WEIGHT)
     score = _averaged(free.score, _WEIGHT) + information[:, :, 0] * moved[:, None]
-    return Average(score, information, np.zeros(0), np.zeros((0, 2)))
+    log = _averaged(free.log, _WEIGHT)
+    return Average(log, score, information, np.zeros(0), np.zeros((0, 2)))
 
 
 def _averaged(values: Array, weight: Array) -> Array:

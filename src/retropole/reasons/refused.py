@@ -209,9 +209,8 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "If that one is another object, a post or a bollard, cover it. All poles must have the "
             "radius that `--radius` says.",
             "Record both LiDARs at the same time.",
-            "Name the sensors with `--sensor-target` and `--sensor-source`: how wide the beams of "
-            "an unknown one are is not known, and in many sweeps that shows. `--frames 0` takes "
-            "one sweep.",
+            "Name the sensors with `--sensor-target` and `--sensor-source`: how wide their beams "
+            "are is then known.",
         ),
     ),
     "degenerate_poles": Explanation(
