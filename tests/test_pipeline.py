@@ -55,7 +55,7 @@ def test_a_refusal_carries_what_the_scene_says_once_it_was_asked() -> None:
     pair = simulate_pair("harbor", np.random.default_rng(1))
     on_poles = pair.labels[1] >= len(pair.surfaces) - len(pair.poles)
     xyz = pair.source.xyz.copy()
-    xyz[on_poles] += [2.0, 1.0, 0.0]
+    xyz[on_poles] += [3.0, -2.0, 0.0]
     carried = calibrate(pair.target, replace(pair.source, xyz=xyz))
     assert_refused(carried, "scene_contradicts")
     assert carried.confirmation is not None
