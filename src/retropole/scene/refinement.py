@@ -15,6 +15,7 @@ the pose is still uncertain there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,10 +49,13 @@ SEVERAL = 16.8
 """Squared Mahalanobis distance from which two ends are two minima: χ² with 6 degrees of freedom
 exceeds it once in a hundred times."""
 
-DISAGREE = 12.6
-"""Squared Mahalanobis distance of the poles' pose from which it is not taken for chance that the
-scene has another: the covariance then covers both."""
+DOUBT = 6.0
+"""Squared Mahalanobis distance of the poles' pose, its mean, from which the search is started again
+with other parts of the patches."""
 
+DISAGREE = 12.6
+"""… and from which it is not taken for chance that the scene has another: the covariance then covers
+both."""
 
 SCALE = next(k for k, kind in enumerate(DEVICE_KINDS) if kind.field == "scale")
 """Which of the errors of a whole LiDAR is that of the scale of its ranges."""
@@ -155,41 +159,38 @@ def refine(
     if near is None:
         return None
     starts = [near, *_other_approaches(problem, near, poles, source)]
-    ends = [settle(problem, each, poles.covariance) for each in starts]
-    settled = [each for each in ends if each is not None]
+    settled = _settled(problem, starts, poles.covariance)
     if not settled:
         return None
     best = max(settled, key=support_of)
-    highest = best.T
-    mahalanobis_sq = _distance_sq(poles.covariance, poles.T_target_source, best.T)
-    # Poles that are sure of a wrong pose hold the search where the true surfaces are out of reach:
-    # the scene is asked again with the poles hardly counted.
-    alone = replace(problem, factor=problem.factor.weakened(UNSURE))
-    far = approach(alone, best.T, poles.covariance / UNSURE)
-    if far is not None:
-        # What the scene alone does not hold is no denial.
-        unsure = poles.covariance + far.search
-        mahalanobis_sq = max(mahalanobis_sq, _distance_sq(unsure, poles.T_target_source, far.T))
-    apart: tuple[tuple[str, Array], ...] = ()
-    if mahalanobis_sq > DISAGREE:
-        # One of both is wrong by more than it states (Birge 1932): the poles count
-        # for as much less, and what is stated reaches from one to the other.
+    mahalanobis_sq = _denial(problem, best, poles)
+    if mahalanobis_sq > DOUBT:
+        starts = _approaches_of_parts(problem, first, settled, poles.covariance)
+        settled += _settled(problem, starts, poles.covariance)
+        best = max(settled, key=support_of)
+        mahalanobis_sq = _denial(problem, best, poles, within=True)
+    highest = best
+    disagree = mahalanobis_sq > DISAGREE
+    if disagree:
+        # One of both is wrong by more than it states (Birge 1932): the poles count for as much less.
         share = POSE / mahalanobis_sq
         problem = replace(problem, factor=problem.factor.weakened(share))
-        wide = poles.covariance / share
-        again = approach(problem, best.T, wide)
-        best = (again and settle(problem, again, wide)) or best
+        best = _settled_anew(problem, best, poles.covariance / share) or best
         moved = _distance_sq(poles.covariance, poles.T_target_source, best.T)
         mahalanobis_sq = max(mahalanobis_sq, moved)
+    uncertainty = own = _uncertainty(best, problem, ())
+    if disagree:
+        # Which of both is not known: what is stated reaches from one to the other, and as far
+        # beyond as the poles alone are unsure.
         e = se3.local(poles.T_target_source, best.T)
-        apart = (("poles and scene disagree", np.outer(e, e)),)
-    uncertainty = _uncertainty(best, problem, apart)
+        apart = ("poles and scene disagree", np.outer(e, e) + poles.covariance)
+        uncertainty = _uncertainty(best, problem, (apart,))
     pairs, weights = best.linear.pairs, best.linear.weights
     rms = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     minima = [
-        se3.local(highest, one.T)
+        se3.local(highest.T, one.T)
         for one in settled
-        if _distance_sq(uncertainty.covariance, highest, one.T) > SEVERAL
+        if _distance_sq(own.covariance, highest.T, one.T) > SEVERAL
     ]
     return Refinement(
         PoseEstimate(best.T, uncertainty.covariance, rms),
@@ -202,6 +203,64 @@ def refine(
         best.iterations,
         _scale_wanted(best, problem),
     )
+
+
+def _settled(problem: RefinementProblem, starts: Sequence[End], covariance: Array) -> list[End]:
+    ends = [settle(problem, each, covariance) for each in starts]
+    return [each for each in ends if each is not None]
+
+
+def _denial(
+    problem: RefinementProblem, best: End, poles: PoseEstimate, *, within: bool = False
+) -> float:
+    """How far poles and scene are apart, squared, in units of what the poles state.
+
+    Poles that are sure of a wrong pose hold the search where the true surfaces are out of reach: the
+    scene is asked again with the poles hardly counted, as far as they may then be off. Asked also
+    `within` what the search left, its other minima are no denial where they have less support.
+    """
+    assert poles.covariance is not None
+    T = poles.T_target_source
+    apart = _distance_sq(poles.covariance, T, best.T)
+    alone = replace(problem, factor=problem.factor.weakened(UNSURE))
+    reach = [poles.covariance / UNSURE, best.search] if within else [poles.covariance / UNSURE]
+    found = [approach(alone, best.T, each) for each in reach]
+    far = max((each for each in found if each is not None), key=support_of, default=None)
+    if far is None:
+        return apart
+    # What the scene alone does not hold is no denial.
+    return max(apart, _distance_sq(poles.covariance + far.search, T, far.T))
+
+
+def _approaches_of_parts(
+    problem: RefinementProblem, T: Array, known: Sequence[End], covariance: Array
+) -> list[End]:
+    """Approach with the parts of the patches not yet asked, and keep what comes out elsewhere.
+
+    Few patches may hold a direction, the ground between two façades: a part of them leads past a
+    minimum that the others are caught in, where other starts do not.
+    """
+    parts = [replace(problem, few=thinned(problem.sets, FEW, k)) for k in range(1, FEW)]
+    kept: list[End] = []
+    for end in (approach(each, T, covariance) for each in parts):
+        if end is not None and _elsewhere(end, [*known, *kept]):
+            kept.append(end)
+    return kept
+
+
+def _settled_anew(problem: RefinementProblem, best: End, covariance: Array) -> End | None:
+    """Settle under poles that count for less: from where the search was, and from as far as they reach.
+
+    The wider search may leave a good minimum for one with less support.
+    """
+    again = approach(problem, best.T, covariance)
+    starts = [best] if again is None or not _elsewhere(again, [best]) else [best, again]
+    return max(_settled(problem, starts, covariance), key=support_of, default=None)
+
+
+def _elsewhere(end: End, known: Sequence[End]) -> bool:
+    """Whether an end is another minimum than any that is known."""
+    return all(_distance_sq(one.search, one.T, end.T) > SEVERAL for one in known)
 
 
 def _scale_wanted(end: End, problem: RefinementProblem) -> tuple[float, float] | None:
