@@ -37,8 +37,8 @@ downsampling, which keeps more of the far tail of the noise than of the middle."
 
 DOUBT = 6.0
 """Squared Mahalanobis distance from the poles' pose, the mean of χ² with 6 degrees of freedom, from
-which the search starts again with other parts of the patches. In 538 recordings of simulated
-streets, corridors and harbors it was larger in one of twenty."""
+which the search starts again with other parts of the patches. In 700 recordings of simulated
+streets, corridors and harbors it was larger in 6 %."""
 
 DISAGREE = 12.6
 """… and from which it is not taken for chance that the scene has another: the covariance then
@@ -169,7 +169,8 @@ def refine(
     uncertainty = own = _uncertainty(best, problem, ())
     if disagree:
         # Which of both is not known: what is stated reaches from one to the other, and as far
-        # beyond as the poles alone are unsure.
+        # beyond as the poles alone are unsure. Of 17 poses drawn from the poles' uncertainty under
+        # a scene that denied them none was within what the scene alone states.
         e = se3.local(poles.T_target_source, best.T)
         apart = ("poles and scene disagree", np.outer(e, e) + poles.covariance)
         uncertainty = _uncertainty(best, problem, (apart,))
@@ -194,6 +195,7 @@ def refine(
 
 
 def _settled(problem: RefinementProblem, starts: Sequence[End], covariance: Array) -> list[End]:
+    """Settle each, and leave out what comes to nothing."""
     ends = [settle(problem, each, covariance) for each in starts]
     return [each for each in ends if each is not None]
 
