@@ -170,7 +170,7 @@ def refine(
     if disagree:
         # Which of both is not known: what is stated reaches from one to the other, and as far
         # beyond as the poles alone are unsure. Of 17 poses drawn from the poles' uncertainty under
-        # a scene that denied them none was within what the scene alone states.
+        # a scene that denied them none was within what the scene and the line between them state.
         e = se3.local(poles.T_target_source, best.T)
         apart = ("poles and scene disagree", np.outer(e, e) + poles.covariance)
         uncertainty = _uncertainty(best, problem, (apart,))
