@@ -170,6 +170,46 @@ def test_scene_and_poles_that_disagree_are_warned_of() -> None:
     assert check_agreement(None) == []
 
 
+def test_poles_and_scene_that_disagree_are_both_within_what_is_stated() -> None:
+    """In every direction, not along the line between them alone, and not much beyond."""
+    pair = simulate_pair("street", np.random.default_rng(23))
+    tight = 1e-6 * np.eye(6)
+    step = np.array([0.0, 0, 0.01, 0.05, 0, 0])
+    off = se3.retract(pair.T_target_source, step)
+    refined = refine(pair.target, pair.source, PoseEstimate(off, tight, 0.01))
+    assert refined is not None
+    covariance = covariance_of(refined.pose)
+    assert np.linalg.eigvalsh(covariance - tight).min() > -1e-12
+    e = se3.local(off, refined.pose.T_target_source)
+    assert np.abs(e + step).max() < 0.02
+    assert e @ np.linalg.solve(covariance, e) < 1.0
+    across = np.linalg.eigvalsh(covariance)[:-1]
+    assert across.max() < 10 * 1e-6
+
+
+def test_swapped_clouds_give_the_inverse_pose() -> None:
+    """Where few patches lie on the ground, it fits at two poses 0.6° apart, and poles are unlucky.
+
+    Only the order of the clouds decides which of them the search comes to first.
+    """
+    pair = simulate_pair(
+        "street", np.random.default_rng(72), sensor_target="VLP-16", sensor_source="VLP-16"
+    )
+    T = pair.T_target_source
+    forth, back = calibrate(pair.target, pair.source), calibrate(pair.source, pair.target)
+    found = []
+    for answer, truth in ((forth, T), (back, se3.inverse(T))):
+        assert answer.refined is not None
+        assert mahalanobis_sq(answer.refined, truth) < CHI2_6_95
+        # Not because it would state that it knows nothing.
+        assert np.sqrt(np.diag(covariance_of(answer.refined))).max() < 0.01
+        assert "several_minima" in [reason.code for reason in answer.reasons]
+        found.append(answer.refined.T_target_source)
+    apart = se3.difference(found[0] @ found[1], np.eye(4))
+    assert apart.rotation < np.radians(0.05)
+    assert apart.translation < 0.005
+
+
 def test_the_pipeline_reports_both_stages() -> None:
     pair = simulate_pair("street", np.random.default_rng(24))
     answer = calibrate(pair.target, pair.source)

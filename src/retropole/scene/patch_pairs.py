@@ -122,9 +122,9 @@ def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSe
     )
 
 
-def thinned(sets: PatchSets, every: int) -> PatchSets:
-    """Give the same with every n-th patch of the source only."""
-    some = slice(None, None, every)
+def thinned(sets: PatchSets, every: int, first: int = 0) -> PatchSets:
+    """Give the same with every n-th patch of the source only, from the first on."""
+    some = slice(first, None, every)
     return replace(
         sets,
         source=selected(sets.source, some),

@@ -1,0 +1,75 @@
+"""From where the search for the refined pose starts again, and when two ends are two minima."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, PointCloud, PoseEstimate
+from .descent import FEW, End, RefinementProblem, approach
+from .patch_pairs import thinned
+
+WIDE, START_SIGMAS = 0.1, 2.0
+"""From which 1 σ of the poles at the middle of the cloud, metres, the search is also started from
+so many σ to either side."""
+
+SEVERAL = 16.8
+"""Squared Mahalanobis distance from which two ends are two minima: χ² with 6 degrees of freedom
+exceeds it once in a hundred times."""
+
+
+def distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
+    """Squared Mahalanobis distance of one pose (4, 4) from another with a covariance (6, 6)."""
+    step = se3.local(T, T_other)
+    return float(step @ np.linalg.solve(covariance, step))
+
+
+def approaches_from_afar(
+    problem: RefinementProblem, near: End, poles: PoseEstimate, source: PointCloud
+) -> list[End]:
+    """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
+
+    Under a wide uncertainty patches correspond over decimetres, and what the search ends at may
+    depend on where it started.
+    """
+    assert poles.covariance is not None
+    lever = float(np.median(np.linalg.norm(source.xyz - source.origin, axis=1)))
+    scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
+    values, vectors = np.linalg.eigh(poles.covariance / np.outer(scale, scale))
+    widest = float(np.sqrt(max(values[-1], 0.0)))
+    if widest < WIDE:
+        return []
+    step = START_SIGMAS * widest * vectors[:, -1] * scale
+    found = [
+        approach(problem, se3.retract(poles.T_target_source, sign * step), poles.covariance)
+        for sign in (1.0, -1.0)
+    ]
+    return [
+        end
+        for end in found
+        if end is not None and distance_sq(near.search, near.T, end.T) > SEVERAL
+    ]
+
+
+def approaches_of_parts(
+    problem: RefinementProblem, T: Array, known: Sequence[End], covariance: Array
+) -> list[End]:
+    """Approach with the parts of the patches not yet asked, and keep what comes out elsewhere.
+
+    Few patches may hold a direction, the ground between two façades: a part of them leads past a
+    minimum that the others are caught in, where other starts do not.
+    """
+    parts = [replace(problem, few=thinned(problem.sets, FEW, k)) for k in range(1, FEW)]
+    kept: list[End] = []
+    for end in (approach(each, T, covariance) for each in parts):
+        if end is not None and elsewhere(end, [*known, *kept]):
+            kept.append(end)
+    return kept
+
+
+def elsewhere(end: End, known: Sequence[End]) -> bool:
+    """Whether an end is another minimum than any that is known."""
+    return all(distance_sq(one.search, one.T, end.T) > SEVERAL for one in known)
