@@ -210,7 +210,8 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "radius that `--radius` says.",
             "Record both LiDARs at the same time.",
             "Name the sensors with `--sensor-target` and `--sensor-source`: how wide their beams "
-            "are is then known.",
+            "are is then known. Where `--frames` asks for millions of points, take fewer: what all "
+            "sweeps have wrong alike does not average out.",
         ),
     ),
     "degenerate_poles": Explanation(
