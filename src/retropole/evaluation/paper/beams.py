@@ -21,7 +21,7 @@ PAPER_POSE = np.array([0.306, 0.177, 0.306, 0.884])
 DISTANCE, RADIUS = 2.0, 0.3
 """Of LiDAR and pole, metres: the paper gives none; near and thick, so that beams stand apart."""
 
-DRAWN_STEP = 4
+DRAWN_STEP = 8
 """Steps of 0.2° between the beams drawn: all of them would cover each other."""
 
 
@@ -47,10 +47,11 @@ def two_matlab() -> Exhibit:
         ("ring deg", "points", "least θ deg", "most", "least z m", "most"),
         tuple(rows),
         f"x_p = {DISTANCE:g} m and r = {RADIUS:g} m, which the paper does not state; q is w first. "
-        "Beams are cast on their cones. Each colour is a ring; every fourth beam is drawn, and "
-        f"every point. The pole is visible for θ within ± {_widest():.2f}°, ± arccos(r/x_p).",
+        "Beams are cast on their cones. Each colour is a ring; every eighth beam is drawn, and in "
+        "perspective every point. The LiDAR sees the pole for θ within ± arccos(r/x_p), "
+        f"± {_widest():.2f}°.",
         lambda figure: _draw(figure, rings),
-        (13.0, 6.0),
+        (13.0, 7.0),
     )
 
 
@@ -59,37 +60,45 @@ def _widest() -> float:
 
 
 def _draw(figure: Figure, rings: list[Array]) -> None:
-    """Draw both views."""
+    """Draw the beams in perspective, from above, and from above near the pole."""
     from matplotlib import colormaps
 
     colors = colormaps["turbo"](np.linspace(0.05, 0.95, len(rings)))
-    sensor = np.array([DISTANCE, 0.0, 0.0])
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.1, 1))
-    space: Any = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)
-    above = figure.add_subplot(grid[1])
-    seen = np.concatenate([points for points in rings if len(points)])
-    heights = np.array([min(seen[:, 2].min(), 0.0) - 0.1, max(seen[:, 2].max(), 0.0) + 0.1])
+    grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.25), height_ratios=(1, 1.6))
+    space: Any = figure.add_subplot(grid[:, 0], projection="3d", computed_zorder=False)
+    views = [figure.add_subplot(grid[row, 1]) for row in (0, 1)]
+    heights = np.array([-0.1, max(points[:, 2].max() for points in rings if len(points)) + 0.1])
     angle = np.linspace(0, 2 * np.pi, 73)
     x, y = (np.tile(RADIUS * f(angle), (2, 1)) for f in (np.cos, np.sin))
     z = np.repeat(heights[:, None], len(angle), axis=1)
-    space.plot_surface(x, y, z, color="#c8ccd0", alpha=0.6, linewidth=0, zorder=1)
-    above.fill(x[0], y[0], color="#e3e6e8", ec="#9aa0a6")
-    for points, color in zip(rings, colors, strict=True):
-        if not len(points):
-            continue
-        middle = int(np.argmin(np.abs(points[:, 1])))
-        for end in points[middle % DRAWN_STEP :: DRAWN_STEP]:
-            line = np.stack([sensor, end])
-            space.plot(*line.T, color=color, lw=0.5, alpha=0.7, zorder=2)
-            above.plot(line[:, 0], line[:, 1], color=color, lw=0.4, alpha=0.6)
-        space.plot(*points.T, ".", color=color, ms=3, zorder=3)
-        above.plot(points[:, 0], points[:, 1], ".", color=color, ms=4)
-    space.plot(*sensor[:, None], "k^", ms=8, zorder=4)
-    space.text(DISTANCE, 0.0, 0.12, "LiDAR", ha="center")
+    space.plot_surface(x, y, z, color="#d5d9dc", alpha=0.5, linewidth=0, zorder=1)
+    for above in views:
+        above.fill(x[0], y[0], color="#e3e6e8", ec="#9aa0a6")
+    for k, (points, color) in enumerate(zip(rings, colors, strict=True)):
+        # Rings lie above each other: each draws other beams than its neighbours, so that all
+        # colours are seen from above.
+        for end in points[(5 * k) % DRAWN_STEP :: DRAWN_STEP]:
+            line = np.stack([[DISTANCE, 0.0, 0.0], end])
+            space.plot(*line.T, color=color, lw=0.6, alpha=0.8, zorder=2)
+            for above in views:
+                above.plot(line[:, 0], line[:, 1], color=color, lw=0.7, alpha=0.8)
+                above.plot(*end[:2], ".", color=color, ms=5)
+        space.plot(*points.T, ".", color=color, ms=2.5, zorder=3)
+    _label(space, views)
+
+
+def _label(space: Any, views: list[Any]) -> None:
+    """Name the LiDAR and the axes, and choose what is seen."""
+    space.plot([DISTANCE], [0.0], [0.0], "k^", ms=8, zorder=4)
+    space.text(DISTANCE, 0.0, -0.3, "LiDAR", ha="center")
     space.set(xlabel="x, m", ylabel="y, m", zlabel="z, m", title="perspective")
+    space.set(yticks=[-RADIUS, RADIUS], xticks=[0, 1, 2], zticks=[0, 1, 2])
     space.set_aspect("equal")
-    space.view_init(elev=18, azim=-55)
-    above.plot(*sensor[:2], "k^", ms=8)
-    above.annotate("LiDAR", (DISTANCE, 0.0), (0, 9), textcoords="offset points", ha="center")
-    above.set(title="from above", xlabel="x, m", ylabel="y, m", ylim=(-0.6, 0.6))
-    above.set_aspect("equal")
+    space.view_init(elev=14, azim=-38)
+    whole, near = views
+    whole.plot(DISTANCE, 0.0, "k^", ms=8)
+    whole.annotate("LiDAR", (DISTANCE, 0.0), (0, 9), textcoords="offset points", ha="center")
+    whole.set(title="from above", ylabel="y, m", xlim=(-0.35, 2.15), ylim=(-0.36, 0.36))
+    near.set(xlabel="x, m", ylabel="y, m", xlim=(-0.32, 0.75), ylim=(-0.33, 0.33))
+    for view in views:
+        view.set_aspect("equal")

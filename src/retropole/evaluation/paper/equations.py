@@ -103,7 +103,8 @@ def arc_walk() -> Exhibit:
         tuple(rows),
         "dθ of eq. 5 by a trust-region (dogleg) solver, from θ = 0 to both ends of the arc. The "
         "plane of eq. 3 is taken through the beam at θ = 0 along the direction in which the ring "
-        "turns there. Points are compared with their partners in the order from θ = 0. The angle c "
+        "turns there. Points are compared with their partners in the order from θ = 0; those "
+        "without a partner drop out. The angle c "
         "between neighbours is an angle in the plane, but a step of azimuth on the cone, so a ring "
         "off the middle has no more points on its plane than on its cone, and none but the one at "
         "θ = 0 is the same.",
@@ -218,10 +219,11 @@ def _draw_apart(axes: Any) -> None:
     colors = {10: "#d55e00", 6: "#0072b2", 4: "#009e73"}
     for distance, color in colors.items():
         most = [_compared(distance, 0.3, np.eye(3), e)[3] for e in elevations]
-        axes.semilogy(np.degrees(elevations), most, ".-", color=color, label=f"x_p = {distance} m")
-    axes.set(xlabel="elevation of the ring, deg", ylabel="largest distance, m")
+        millimetres = 1e3 * np.array(most)
+        axes.plot(np.degrees(elevations), millimetres, ".-", color=color, label=f"{distance} m")
+    axes.set(xlabel="elevation of the ring, deg", ylabel="largest distance, mm")
     axes.set_title("walk to cone, r = 0.3 m, q2", fontsize=11)
-    axes.legend(fontsize=9)
+    axes.legend(title="x_p", fontsize=9)
 
 
 def _title(what: str, distance: float, radius: float) -> str:

@@ -149,13 +149,13 @@ def line_bias() -> Exhibit:
         "the next table says. All follow "
         "(π r/4)²: returns lie π r/4 in front of the axis on average, towards the LiDAR.",
         lambda figure: _draw(figure, rows),
-        (13.0, 5.0),
+        (14.0, 5.0),
     )
 
 
 def _draw(figure: Figure, rows: Sequence[tuple[Any, ...]]) -> None:
-    """Draw the points from the side and from above, and the expected error over the table."""
-    side, above, errors = figure.subplots(1, 3, width_ratios=(1, 1, 1.3))
+    """Draw the points from the side and from above, and the cells as ratios to the paper's."""
+    side, above, errors = figure.subplots(1, 3, width_ratios=(0.8, 1, 1.7))
     points = points_on_pole(6, 0.3, "q1")
     side.scatter(points[:, 0], points[:, 2], s=6, color="#0072b2", linewidths=0)
     side.axvline(0.0, color="#9aa0a6", lw=1)
@@ -174,21 +174,17 @@ def _draw(figure: Figure, rows: Sequence[tuple[Any, ...]]) -> None:
 
 
 def _draw_errors(axes: Any, rows: Sequence[tuple[Any, ...]]) -> None:
-    """Draw the table over the radius, with the expected error."""
-    radius = np.linspace(0.08, 0.35, 50)
-    axes.plot(radius, (np.pi * radius / 4) ** 2, "k-", lw=1, label="(π r/4)²")
-    styles = {10: ("o", "#d55e00"), 6: ("s", "#0072b2"), 4: ("^", "#009e73")}
-    for distance, r, orientation, _, paper, ours, _, least, most, _ in rows:
-        marker, color = styles[distance]
-        # Cells of one radius stand side by side.
-        near = r * (0.97 if orientation == "q1" else 1.03) * {10: 0.985, 6: 1.0, 4: 1.015}[distance]
-        axes.plot([near, near], [least, most], color=color, lw=3, alpha=0.4)
-        axes.plot(near, paper, marker, mfc="none", mec=color, ms=8)
-        name = f"{distance} m" if (r, orientation) == (0.3, "q1") else ""
-        axes.plot(near, ours, marker, color=color, ms=4, label=name)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xticks([0.1, 0.2, 0.3], ["0.1", "0.2", "0.3"])
-    axes.minorticks_off()
-    axes.set(title="filled: ours; open: paper; bars: all phases", xlabel="r, m", ylabel="E, m²")
-    axes.legend(fontsize=8)
+    """Draw each cell, its range over the phase and (π r/4)², as ratios to the paper's figure."""
+    colors = {"q1": "#d55e00", "q2": "#0072b2"}
+    names = []
+    for k, (distance, r, orientation, _, paper, ours, _, least, most, expected) in enumerate(rows):
+        color = colors[orientation]
+        axes.plot([k, k], [least / paper, most / paper], color=color, lw=4, alpha=0.35)
+        label = f"{orientation}: ours, bar: all phases" if k < len(colors) else ""
+        axes.plot(k, ours / paper, "o", color=color, ms=5, label=label)
+        axes.plot(k, expected / paper, "k_", ms=9, label="(π r/4)²" if k == 0 else "")
+        names.append(f"{distance} m, {r}")
+    axes.axhline(1.0, color="#9aa0a6", lw=1)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
+    axes.set(title="E over the paper's", xlabel="x_p, r", ylim=(0.65, 1.15))
+    axes.legend(fontsize=8, loc="upper left", ncols=3)

@@ -45,12 +45,14 @@ def turn_upright(direction: Array) -> Array:
     A pole has no direction, so −e_z stands it upright as e_z does. Its axis is
     a = (−n_x, −n_y, 1 − n_z)/‖·‖. At n = e_z that is 0/0, and every level axis does: e_x is taken.
     """
-    level = float(np.hypot(direction[0], direction[1]))
+    x, y, z = direction
+    if z <= 0:
+        return half_turn(np.array([-x, -y, 1.0 - z]))
+    level = float(np.hypot(x, y))
     if level == 0.0:
-        return half_turn(np.array([1.0, 0.0, 0.0]) if direction[2] > 0 else np.array([0, 0, 1.0]))
-    # 1 − n_z loses all its digits near n = e_z.
-    rise = level**2 / (1.0 + direction[2]) if direction[2] > 0 else 1.0 - direction[2]
-    return half_turn(np.array([-direction[0] / level, -direction[1] / level, rise / level]))
+        return half_turn(np.array([1.0, 0.0, 0.0]))
+    # 1 − n_z = level²/(1 + n_z) loses all its digits near n = e_z.
+    return half_turn(np.array([-x / level, -y / level, level / (1.0 + z)]))
 
 
 def turn_onto_x(position: Array) -> Array:
@@ -68,12 +70,12 @@ def turn_onto_x(position: Array) -> Array:
     if length == 0.0:
         raise ValueError("the LiDAR is on the axis of the pole: it has no direction from it")
     x, y, z = position / length
+    if x >= 0:
+        return half_turn(np.array([x + 1.0, y, z]))
     across = float(np.hypot(y, z))
     if across == 0.0:
-        return half_turn(np.array([1.0, 0.0, 0.0]) if x > 0 else np.array([0.0, 1.0, 0.0]))
-    if x > 0:
-        return half_turn(np.array([x + 1.0, y, z]))
-    # x + 1 loses all its digits near −x.
+        return half_turn(np.array([0.0, 1.0, 0.0]))
+    # v_x + ‖v‖, here x + 1 = across²/(1 − x), loses all its digits near −x.
     return half_turn(np.array([across / (1.0 - x), y / across, z / across]))
 
 
