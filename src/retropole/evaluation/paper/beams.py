@@ -21,7 +21,7 @@ PAPER_POSE = np.array([0.306, 0.177, 0.306, 0.884])
 DISTANCE, RADIUS = 2.0, 0.3
 """Of LiDAR and pole, metres: the paper gives none; near and thick, so that beams stand apart."""
 
-DRAWN_STEP = 8
+DRAWN_STEP = 12
 """Steps of 0.2° between the beams drawn: all of them would cover each other."""
 
 
@@ -47,11 +47,11 @@ def two_matlab() -> Exhibit:
         ("ring deg", "points", "least θ deg", "most", "least z m", "most"),
         tuple(rows),
         f"x_p = {DISTANCE:g} m and r = {RADIUS:g} m, which the paper does not state; q is w first. "
-        "Beams are cast on their cones. Each colour is a ring; every eighth beam is drawn, and in "
+        "Beams are cast on their cones. Each colour is a ring; every twelfth beam is drawn, and in "
         "perspective every point. The LiDAR sees the pole for θ within ± arccos(r/x_p), "
         f"± {_widest():.2f}°.",
         lambda figure: _draw(figure, rings),
-        (13.0, 7.0),
+        (11.0, 6.2),
     )
 
 

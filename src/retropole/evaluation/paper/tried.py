@@ -122,7 +122,7 @@ def table_two_tried() -> Exhibit:
         tuple(rows),
         "The cells x_p = 6 m, r = 0.3 m and x_p = 4 m, r = 0.2 m are one drawing at two scales, so "
         "without noise and on an endless pole E/r² is the same in both. In the paper it is "
-        f"{q2[0]:.5f} and {q2[1]:.5f} under q2, the same to the digits printed, so noise is not "
+        f"{q2[0]:.5f} and {q2[1]:.5f} under q2, the same to its rounding, so noise is not "
         f"the reason; under q1 it is {q1[0]:.5f} and {q1[1]:.5f}. Of all that was tried, counting "
         "the middle point of each ring more than once comes nearest: twice, as it happens where "
         "the two halves of an arc are walked from θ = 0 and joined, and nearer still three times, "
