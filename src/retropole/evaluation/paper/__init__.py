@@ -7,12 +7,15 @@ from pathlib import Path
 
 from ...files import write_atomically
 from ...report.figures import new_figure, save_figure
+from .beams import two_matlab
 from .choosing import choosing, four_hypotheses
 from .comparing import comparing_real, comparing_simulated
+from .equations import arc_points, arc_walk, transforms
 from .estimator import simulated_error
 from .exhibit import Exhibit
 from .line_bias import line_bias
 from .thresholds import thresholds
+from .tried import table_two_tried
 
 __all__ = ["Exhibit", "reproduce", "write_exhibit"]
 
@@ -42,7 +45,10 @@ def reproduce(
     """
     runs: list[tuple[str, Callable[[], Iterable[Exhibit]]]] = [
         ("Table I", lambda: [thresholds()]),
-        ("Table II", lambda: [line_bias()]),
+        ("Equations 3 to 5", lambda: [arc_points(), arc_walk()]),
+        ("Section IV-A", lambda: [transforms()]),
+        ("Figure two_matlab", lambda: [two_matlab()]),
+        ("Table II", lambda: [line_bias(), table_two_tried()]),
         ("Fig. 4", lambda: [four_hypotheses()]),
         ("simulated e_rt", lambda: [simulated_error(SET_UPS_PER_SEED * seeds)]),
         ("Table III", lambda: choosing(seeds)),
