@@ -6,15 +6,12 @@ of the target frame. `retract` and `local` are the two directions of that chart.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ReadError
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -82,7 +79,7 @@ def rigid(matrix: Array) -> Array:
     return from_rt(U @ Vt, T[:3, 3])
 
 
-def _rotation() -> type[Rotation]:
+def _rotation() -> Any:
     """SciPy's rotations, imported when first used: that takes longer than a command's start."""
     from scipy.spatial.transform import Rotation
 
@@ -97,6 +94,14 @@ def exp_so3(phi: Array) -> Array:
 def log_so3(R: Array) -> Array:
     """Rotation vector (3,) in radians of a rotation matrix (3, 3), of length at most π."""
     return np.asarray(_rotation().from_matrix(R).as_rotvec())
+
+
+def lengths(vectors: Array) -> Array:
+    """Lengths (N,) of vectors (N, 3), column by column: `np.linalg.norm` takes four times as long
+    over rows so short, for the same digits.
+    """
+    x, y, z = vectors.T
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def hat(v: Array) -> Array:
@@ -173,7 +178,8 @@ def quaternion_xyzw(R: Array) -> Array:
 
 def from_quaternion_xyzw(quaternion: Array, translation: Array) -> Array:
     """Build a 4×4 transform from a quaternion ``x y z w`` (normalised here) and a translation."""
-    return from_rt(np.asarray(_rotation().from_quat(quaternion).as_matrix()), np.asarray(translation))
+    rotation = _rotation().from_quat(quaternion)
+    return from_rt(np.asarray(rotation.as_matrix()), np.asarray(translation))
 
 
 def random(rng: np.random.Generator, max_translation: float = 10.0) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .. import se3
 from ..datatypes import Array, IntArray, PointCloud, Pole
 from ..sensors import Sensor
 from .likelihood import closest_approach
@@ -116,7 +117,7 @@ def _passed(pole: Pole, cloud: PointCloud, divergence: float) -> tuple[Array, Ar
     And for each return (N,) on the pole, the share of its two sides that have such beams.
     """
     ray = cloud.xyz - cloud.origin
-    ranges = np.linalg.norm(ray, axis=1)
+    ranges = se3.lengths(ray)
     away = float(np.linalg.norm(pole.point - cloud.origin))
     sine = np.sin(np.arctan2(0.5 * pole.length + SEARCH_MARGIN, away))
     toward = ray @ ((pole.point - cloud.origin) / away)

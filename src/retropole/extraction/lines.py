@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..se3 import lengths
 from ..uncertainty import MAD_TO_SIGMA
 from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
 
@@ -163,7 +164,7 @@ def propose_lines(
     centroid = xyz.mean(axis=0)
     points = xyz[:: 1 + (len(xyz) - 1) // MAX_PROPOSING_POINTS] - centroid
     i, j = np.triu_indices(len(points), 1)
-    apart = np.linalg.norm(points[i] - points[j], axis=1)
+    apart = lengths(points[i] - points[j])
     usable = np.flatnonzero((apart >= shortest) & (apart <= longest))
     if len(usable) == 0:
         return []
