@@ -172,13 +172,14 @@ def propose_lines(
     start = points[i[usable]]
     direction = (points[j[usable]] - start) / apart[usable, None]
     # Squared distance of every point from every line: |v|² − (v·n)², expanded to matrix products.
-    along = direction @ points.T - np.einsum("pi,pi->p", direction, start)[:, None]
-    square = (
-        np.einsum("ni,ni->n", points, points)[None]
-        - 2 * start @ points.T
-        + np.einsum("pi,pi->p", start, start)[:, None]
-    )
-    across = square - along**2
+    # In place: these are the largest arrays of the search.
+    along = direction @ points.T
+    along -= np.einsum("pi,pi->p", direction, start)[:, None]
+    along *= along
+    across = 2 * start @ points.T
+    np.subtract(np.einsum("ni,ni->n", points, points), across, out=across)
+    across += np.einsum("pi,pi->p", start, start)[:, None]
+    across -= along
     inside = across <= tube**2
     beside = (across > shell[0] ** 2) & (across < shell[1] ** 2)
     size = np.count_nonzero(inside, axis=1)

@@ -20,7 +20,7 @@ from ..datatypes import Array, BoolArray, IntArray, PointCloud, Pole
 from ..uncertainty import Confirmation
 from .patch_pairs import labels_of
 from .registration import voxel_downsample
-from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image
+from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image, tree_of
 
 VOXEL, PLACE_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,
@@ -112,7 +112,7 @@ def standing_in(
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
     place = labels_of(np.floor(standing / PLACE_SIDE)) if len(standing) else np.zeros(0, np.int64)
-    return Standing(standing, place, cKDTree(points), range_image(cloud), ground, up)
+    return Standing(standing, place, tree_of(points), range_image(cloud), ground, up)
 
 
 def _is_near(points: Array, pole: Pole) -> BoolArray:

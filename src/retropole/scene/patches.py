@@ -116,7 +116,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     tree = small_gicp.KdTree(points)
     index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
     index = np.asarray(index, dtype=np.intp)
-    neighbours = points[index]
+    neighbours = points.take(index, axis=0)
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / PATCH_NEIGHBOURS

@@ -155,6 +155,13 @@ def _seen_by(image: RangeImage, points: Array) -> _Seen:
     return _Seen(ranges, is_in_the_way, np.isfinite(nearest))
 
 
+def tree_of(points: Array) -> cKDTree:
+    """Tree of points (N, 3) that is asked a few thousand times: split in the middle and not at the
+    median it is built in half the time, and answers the same.
+    """
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """What one LiDAR saw, prepared to be compared with another's view.
@@ -200,7 +207,7 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
     image = range_image(cloud)
     ranges = se3.lengths(points - image.origin)
     reach = float(np.quantile(ranges, REACH_QUANTILE)) if len(points) else 0.0
-    return View(points[::step], cKDTree(points), image, reach)
+    return View(points[::step], tree_of(points), image, reach)
 
 
 @dataclass(frozen=True, eq=False)
