@@ -7,15 +7,14 @@ from retropole import se3
 from retropole.datatypes import Array, PoseEstimate
 from retropole.export.transform import Transform, inverted
 from retropole.monitoring.movement import (
-    DEFAULT_TOLERANCE,
     FALSE_ALARM,
     MIN_POWER,
     CheckResult,
-    Tolerance,
     compare_poses,
     detection_power,
 )
 from retropole.monitoring.repeated import REPEATED
+from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
 from retropole.uncertainty import Uncertainty
 
 

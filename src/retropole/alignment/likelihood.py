@@ -77,6 +77,11 @@ class ClosestApproach:
     sine_by_axis: Array
 
 
+def _dot(a: Array, b: Array) -> Array:
+    """Scalar products of (N, 3) rows; a sum over so short an axis takes four times as long."""
+    return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
 def _cross(a: Array, b: Array) -> Array:
     """Cross products of (N, 3) rows; np.cross takes twice as long over so few."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
@@ -105,20 +110,21 @@ def closest_approach(
     """
     d, n = np.broadcast_arrays(directions, axis)
     w = np.broadcast_to(origin - point, d.shape)
-    cosine = np.sum(d * n, axis=1)
-    w_axis = np.sum(w * n, axis=1)
+    across = _cross(d, n)
+    cosine = _dot(d, n)
+    w_axis = _dot(w, n)
     square = 1.0 - cosine**2
     with np.errstate(divide="ignore", invalid="ignore"):
         sine = np.sqrt(square)
-        b = np.sum(w * d, axis=1) - w_axis * cosine
+        b = _dot(w, d) - w_axis * cosine
         ranges = -b / square
-        lateral_offset = np.sum(w * _cross(d, n), axis=1) / sine
+        lateral_offset = _dot(w, across) / sine
         sine_n = -(cosine / sine)[:, None] * d
         b_q = -d + cosine[:, None] * n
         b_n = -cosine[:, None] * w - w_axis[:, None] * d
         ranges_q = -b_q / square[:, None]
         ranges_n = -b_n / square[:, None] + (2 * b / (square * sine))[:, None] * sine_n
-        lateral_q = -_cross(d, n) / sine[:, None]
+        lateral_q = -across / sine[:, None]
         lateral_n = _cross(w, d) / sine[:, None] - (lateral_offset / sine)[:, None] * sine_n
     return ClosestApproach(
         ranges,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .. import se3
 from ..datatypes import Array, IntArray, PointCloud, Pole
 from ..sensors import Sensor
 from .likelihood import closest_approach
@@ -92,7 +93,13 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     divergence = DIVERGENCE if sensor is None else sensor.divergence
     ray = np.concatenate([pole.xyz for pole, _ in seen]) - origin
     ranges = np.linalg.norm(ray, axis=1)
-    found = [_passed(pole, cloud, divergence) for pole, cloud in seen]
+    # Several poles are in one cloud, which is large.
+    rays = {id(cloud): cloud.xyz - cloud.origin for _, cloud in seen}
+    lengths = {key: se3.lengths(each) for key, each in rays.items()}
+    found = [
+        _passed(pole, cloud, divergence, rays[id(cloud)], lengths[id(cloud)])
+        for pole, cloud in seen
+    ]
     passed = [directions for directions, _ in found]
     passed_pole = np.repeat(np.arange(len(seen)), [len(rays) for rays in passed])
     away = np.array([np.linalg.norm(pole.point - origin) for pole, _ in seen])
@@ -110,13 +117,14 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     )
 
 
-def _passed(pole: Pole, cloud: PointCloud, divergence: float) -> tuple[Array, Array]:
+def _passed(
+    pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: Array
+) -> tuple[Array, Array]:
     """Directions (M, 3) of the beams that passed close beside a pole and returned from behind.
 
-    And for each return (N,) on the pole, the share of its two sides that have such beams.
+    And for each return (N,) on the pole, the share of its two sides that have such beams. The
+    cloud's rays (P, 3) and ranges (P,) are given, metres.
     """
-    ray = cloud.xyz - cloud.origin
-    ranges = np.linalg.norm(ray, axis=1)
     away = float(np.linalg.norm(pole.point - cloud.origin))
     sine = np.sin(np.arctan2(0.5 * pole.length + SEARCH_MARGIN, away))
     toward = ray @ ((pole.point - cloud.origin) / away)

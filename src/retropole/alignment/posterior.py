@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class State:
     points: Array
     directions: Array
 
-    @property
+    @cached_property
     def tangents(self) -> Array:
         """(K, 3, 2) two directions across each axis."""
         return np.linalg.svd(self.directions[:, None, :])[2][:, 1:, :].transpose(0, 2, 1)
@@ -81,6 +82,11 @@ class BeamGeometry:
     lateral_offset: Array
     sine: Array
     jacobian: Array
+
+    def part(self, some: slice) -> BeamGeometry:
+        """Give a part of the beams."""
+        fields = self.depth, self.lateral_offset, self.sine, self.jacobian
+        return BeamGeometry(*(field[some] for field in fields))
 
 
 def beam_geometry(
@@ -129,13 +135,18 @@ def beam_geometry(
 
 def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, BeamGeometry]:
     """Geometry of a LiDAR's beams that met poles, and of those that passed beside them."""
+    # All at once: the arrays are small, and calls cost as much as what they compute.
     any_range = np.zeros(len(beams.passed_pole))
-    return (
-        beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole),
-        beam_geometry(
-            state, lidar, beams.origin, beams.passed_directions, any_range, beams.passed_pole
-        ),
+    both = beam_geometry(
+        state,
+        lidar,
+        beams.origin,
+        np.concatenate([beams.directions, beams.passed_directions]),
+        np.concatenate([beams.ranges, any_range]),
+        np.concatenate([beams.pole, beams.passed_pole]),
     )
+    on_pole, beside = slice(0, len(beams.pole)), slice(len(beams.pole), None)
+    return both.part(on_pole), both.part(beside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +221,11 @@ def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Pri
     noise_step, inliers = np.zeros((2, 2)), 0.0
     for lidar, one in enumerate(beams):
         noise = np.exp(log_noise[lidar])
-        on_poles = _on_poles(state, lidar, one, noise)
+        seen, beside = own_geometry(state, lidar, one)
+        on_poles = _on_poles(state, seen, one, noise)
         noise_step[lidar] = on_poles.noise_step
         inliers += on_poles.inliers
-        for terms in (on_poles.terms, _passed(state, lidar, one, noise)):
+        for terms in (on_poles.terms, _passed(state, beside, one, noise)):
             log += terms.log
             score = score + terms.score
             information = information + terms.information
@@ -239,10 +251,9 @@ class _OnPoles:
     inliers: float
 
 
-def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
+def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> _OnPoles:
     """Evaluate the returns on the poles."""
     size = SHARED + 4 * len(state.points)
-    seen = beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole)
     sigma_depth = np.hypot(noise[0] * seen.sine, noise[1] * np.sqrt(1.0 - seen.sine**2))
     sigma_lateral = np.full_like(sigma_depth, noise[1])
     arc = arc_likelihood(
@@ -256,14 +267,8 @@ def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
     )
     J = np.concatenate([seen.jacobian, np.zeros((len(beams.pole), 1, size))], axis=1)
     J[:, 2, 8] = 1.0
-    flat = J.reshape(-1, size)
     least = RETURN_CURVATURE * arc.inlier / sigma_depth**2
-    terms = _Terms(
-        float(arc.log.sum()),
-        arc.score.reshape(-1) @ flat,
-        flat.T @ (arc.information @ J).reshape(-1, size),
-        flat.T @ (lifted(arc.information, least) @ J).reshape(-1, size),
-    )
+    terms = _terms(arc.log, arc.score, arc.information, J, least)
     # Newton in the logarithm of the noise; expectation-maximisation where that is not concave.
     gradient = arc.inlier @ (arc.noise - 1.0)
     curvature = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
@@ -271,16 +276,13 @@ def _on_poles(state: State, lidar: int, beams: Beams, noise: Array) -> _OnPoles:
     return _OnPoles(terms, noise_step, float(arc.inlier.sum()))
 
 
-def _passed(state: State, lidar: int, beams: Beams, noise: Array) -> _Terms:
+def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> _Terms:
     """What the beams that passed beside the poles say."""
     size = SHARED + 4 * len(state.points)
     if not len(beams.passed_pole):
         nothing = np.zeros((size, size))
         return _Terms(0.0, np.zeros(size), nothing, nothing)
     zero = np.zeros(len(beams.passed_pole))
-    seen = beam_geometry(
-        state, lidar, beams.origin, beams.passed_directions, zero, beams.passed_pole
-    )
     free = passed_beam_likelihood(
         seen.lateral_offset,
         np.full_like(zero, noise[1]),
@@ -290,16 +292,27 @@ def _passed(state: State, lidar: int, beams: Beams, noise: Array) -> _Terms:
     J = np.zeros_like(seen.jacobian)
     J[:, 0] = seen.jacobian[:, 1]
     J[:, 1, 8] = 1.0
+    return _terms(free.log, free.score, free.information, J, zero)
+
+
+def _terms(log: Array, score: Array, information: Array, J: Array, least: Array) -> _Terms:
+    """Sum what beams say; no eigenvalue of their lifted information is below the least (N,)."""
+    size = J.shape[2]
     flat = J.reshape(-1, size)
-    return _Terms(
-        float(free.log.sum()),
-        free.score.reshape(-1) @ flat,
-        flat.T @ (free.information @ J).reshape(-1, size),
-        flat.T @ (lifted(free.information, zero) @ J).reshape(-1, size),
-    )
+    total = flat.T @ (information @ J).reshape(-1, size)
+    lift = lift_of(information, least)
+    raised = np.flatnonzero(lift)
+    rows = (np.sqrt(lift[raised])[:, None, None] * J[raised]).reshape(-1, size)
+    return _Terms(float(log.sum()), score.reshape(-1) @ flat, total, total + rows.T @ rows)
 
 
-def lifted(information: Array, least: Array) -> Array:
-    """Raise all eigenvalues of each (N, C, C) by so much that none is below the least (N,)."""
-    lift = np.maximum(least - np.linalg.eigvalsh(information)[:, 0], 0.0)
-    return np.asarray(information + lift[:, None, None] * np.eye(information.shape[1]))
+def lift_of(information: Array, least: Array) -> Array:
+    """By how much (N,) to raise all eigenvalues of each (N, C, C), so that none is below the least
+    (N,).
+    """
+    if information.shape[1] == 2:
+        a, b, c = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
+        lowest = np.asarray(0.5 * (a + c) - np.hypot(0.5 * (a - c), b))
+    else:
+        lowest = np.asarray(np.linalg.eigvalsh(information)[:, 0])
+    return np.asarray(np.maximum(least - lowest, 0.0))

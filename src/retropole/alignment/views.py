@@ -21,7 +21,7 @@ import numpy as np
 from ..datatypes import Array, IntArray
 from .likelihood import arc_likelihood, passed_beam_likelihood
 from .observations import Beams
-from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lifted, own_geometry
+from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lift_of, own_geometry
 
 MIN_NOISE = 2e-5
 """Least noise of a return, metres."""
@@ -197,8 +197,8 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
         if precision is None:
             # At a single place there may be no curvature at all: start with that of the climb.
             least = RETURN_CURVATURE * on.inlier / view.noise[0] ** 2
-            more = lifted(bent, least) - bent
-            np.add.at(now, beams.pole, J.transpose(0, 2, 1) @ more @ J)
+            more = lift_of(bent, least)[:, None, None]
+            np.add.at(now, beams.pole, J.transpose(0, 2, 1) @ (more * J))
         size, way = np.linalg.eigh(now)
         size = np.maximum(size, WIDEST**-2)
         now = np.einsum("kij,kj,klj->kil", way, size, way)

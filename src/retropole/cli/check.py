@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 from msgspec import to_builtins
 
-from ..monitoring.movement import DEFAULT_TOLERANCE
+from ..monitoring.tolerance import DEFAULT_TOLERANCE
 from ..result import DEFAULT_CONFIG, confirmation_document
 from .common import (
     CLOUD,
@@ -114,7 +114,8 @@ def check(
 
     from ..errors import Reason, Refusal
     from ..monitoring.drift import check as run
-    from ..monitoring.movement import CheckResult, Tolerance
+    from ..monitoring.movement import CheckResult
+    from ..monitoring.tolerance import Tolerance
     from ..reasons import prefixed
 
     if (sigma_deg is None) != (sigma_m is None):

@@ -44,7 +44,11 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     low, high = float(line.along.min()), float(line.along.max())
     beyond = max(BEYOND, line.step)
     half = max(high, -low) + 2 * beyond + line.step
-    near = np.flatnonzero(np.all(np.abs(cloud.xyz - line.point) < np.hypot(half, AIR), axis=1))
+    # Axis by axis: the first leaves few for the others.
+    near = np.arange(len(cloud))
+    for axis in range(3):
+        away = np.abs(cloud.xyz[near, axis] - line.point[axis])
+        near = near[away < np.hypot(half, AIR)]
     distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
     body = (distance > line.tube) & (distance <= REACH)
     around = (distance > REACH) & (distance <= AIR)

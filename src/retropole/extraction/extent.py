@@ -14,7 +14,7 @@ from ..datatypes import Array, PointCloud
 from ..errors import Refusal
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import with_trusted_rings
-from ..se3 import FARTHEST
+from ..se3 import FARTHEST, lengths
 from .acceptance_shape import MIN_POLE_POINTS
 
 FARTHEST_ORIGIN = 10_000.0
@@ -105,4 +105,4 @@ def _count_near(cloud: PointCloud, within: float) -> int:
 
 
 def _ranges(cloud: PointCloud) -> Array:
-    return np.asarray(np.linalg.norm(cloud.xyz - cloud.origin, axis=1))
+    return lengths(cloud.xyz - cloud.origin)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..se3 import lengths
 from ..uncertainty import MAD_TO_SIGMA
 from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
 
@@ -163,7 +164,7 @@ def propose_lines(
     centroid = xyz.mean(axis=0)
     points = xyz[:: 1 + (len(xyz) - 1) // MAX_PROPOSING_POINTS] - centroid
     i, j = np.triu_indices(len(points), 1)
-    apart = np.linalg.norm(points[i] - points[j], axis=1)
+    apart = lengths(points[i] - points[j])
     usable = np.flatnonzero((apart >= shortest) & (apart <= longest))
     if len(usable) == 0:
         return []
@@ -171,13 +172,14 @@ def propose_lines(
     start = points[i[usable]]
     direction = (points[j[usable]] - start) / apart[usable, None]
     # Squared distance of every point from every line: |v|² − (v·n)², expanded to matrix products.
-    along = direction @ points.T - np.einsum("pi,pi->p", direction, start)[:, None]
-    square = (
-        np.einsum("ni,ni->n", points, points)[None]
-        - 2 * start @ points.T
-        + np.einsum("pi,pi->p", start, start)[:, None]
-    )
-    across = square - along**2
+    # In place: these are the largest arrays of the search.
+    along = direction @ points.T
+    along -= np.einsum("pi,pi->p", direction, start)[:, None]
+    along *= along
+    across = 2 * start @ points.T
+    np.subtract(np.einsum("ni,ni->n", points, points), across, out=across)
+    across += np.einsum("pi,pi->p", start, start)[:, None]
+    across -= along
     inside = across <= tube**2
     beside = (across > shell[0] ** 2) & (across < shell[1] ** 2)
     size = np.count_nonzero(inside, axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..datatypes import Array, IntArray, PointCloud
+from ..se3 import lengths
 
 MAX_RINGS = 256
 """No LiDAR of the table of sensors has more than 128 rings; more numbers are columns or packets."""
@@ -76,7 +77,7 @@ def ring_spread(cloud: PointCloud) -> float:
 
 def elevations(rays: Array, axis: Array) -> Array:
     """Elevations (N,) of rays (N, 3) above the plane across a unit axis (3,), rad."""
-    return np.asarray(np.arcsin(np.clip(rays @ axis / np.linalg.norm(rays, axis=1), -1.0, 1.0)))
+    return np.asarray(np.arcsin(np.clip(rays @ axis / lengths(rays), -1.0, 1.0)))
 
 
 def off_ring(elevation: Array, ring: IntArray) -> Array:

@@ -32,14 +32,13 @@ from ..uncertainty import Confirmation, Uncertainty
 from ..verdict import MIN_OVERLAP
 from .fit import preferences
 from .movement import (
-    DEFAULT_TOLERANCE,
     ROTATION,
     TRANSLATION,
     CheckResult,
     Method,
-    Tolerance,
     compare_poses,
 )
+from .tolerance import DEFAULT_TOLERANCE, Tolerance
 
 PARTS = ROTATION, TRANSLATION
 

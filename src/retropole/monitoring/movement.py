@@ -25,6 +25,7 @@ from ..errors import Reason
 from ..quantities import error
 from ..uncertainty import Confirmation, Uncertainty
 from .repeated import in_parts, step_covariance
+from .tolerance import DEFAULT_TOLERANCE, Tolerance
 
 FALSE_ALARM = 0.01
 """How often the test may find a movement where there was none."""
@@ -43,17 +44,6 @@ ROTATION, TRANSLATION = slice(0, 3), slice(3, 6)
 
 Status = Literal["same", "moved", "cannot_tell"]
 Method = Literal["poles", "scene"]
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """The movement that matters: of the rotation, rad, and of the translation, m."""
-
-    rotation: float = float(np.radians(0.3))
-    translation: float = 0.03
-
-
-DEFAULT_TOLERANCE = Tolerance()
 
 
 @dataclass(frozen=True)

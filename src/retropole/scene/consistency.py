@@ -20,7 +20,7 @@ from ..datatypes import Array, BoolArray, IntArray, PointCloud, Pole
 from ..uncertainty import Confirmation
 from .patch_pairs import labels_of
 from .registration import voxel_downsample
-from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image
+from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image, tree_of
 
 VOXEL, PLACE_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,
@@ -106,20 +106,20 @@ def standing_in(
     The random numbers choose the planes that are tried for the ground.
     """
     points = voxel_downsample(cloud.xyz, VOXEL)
-    ranges = np.linalg.norm(points - cloud.origin, axis=1)
+    ranges = se3.lengths(points - cloud.origin)
     on_ground, ground, up = _ground(points, ranges, cloud.axis, rng)
     standing = points[(ranges > OWN_VEHICLE) & ~on_ground]
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
     place = labels_of(np.floor(standing / PLACE_SIDE)) if len(standing) else np.zeros(0, np.int64)
-    return Standing(standing, place, cKDTree(points), range_image(cloud), ground, up)
+    return Standing(standing, place, tree_of(points), range_image(cloud), ground, up)
 
 
 def _is_near(points: Array, pole: Pole) -> BoolArray:
     """Which points (N, 3) are the pole's, or lie beside it."""
     away = points - pole.point
     along = away @ pole.direction
-    across = np.linalg.norm(away - along[:, None] * pole.direction, axis=1)
+    across = se3.lengths(away - along[:, None] * pole.direction)
     beyond = np.abs(along) - pole.length / 2
     return np.asarray((across < POLE_CLEARANCE) & (beyond < POLE_CLEARANCE))
 
@@ -137,7 +137,7 @@ def _ground(
         return np.zeros(len(points), dtype=bool), np.zeros(3), axis
     a, b, c = (sample[rng.integers(len(sample), size=GROUND_DRAWS)] for _ in range(3))
     normals = np.cross(b - a, c - a)
-    area = np.linalg.norm(normals, axis=1)
+    area = se3.lengths(normals)
     normals /= np.maximum(area, MIN_AREA)[:, None]
     is_level = np.abs(normals @ axis) > np.cos(MAX_TILT)
     tried = np.argsort(~(is_level & (area > MIN_AREA)), kind="stable")[:GROUND_TRIALS]
@@ -201,7 +201,7 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
     """Hold the points of the other cloud against what the seer saw."""
     moved = se3.apply(T, other.points)
     rays = moved - seer.image.origin
-    ranges = np.linalg.norm(rays, axis=1)
+    ranges = se3.lengths(rays)
     tolerance = np.minimum(DEPTH_TOLERANCE + RELATIVE_TOLERANCE * ranges, MAX_TOLERANCE)
     agrees = seer.tree.query(moved, distance_upper_bound=MAX_TOLERANCE)[0] < tolerance
     cells = cells_of(rays)

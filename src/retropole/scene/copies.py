@@ -36,8 +36,12 @@ def without_copies(cloud: PointCloud) -> PointCloud:
     keys = _keys(cloud.xyz)
     if cloud.frame is not None:
         keys = keys ^ (cloud.frame.astype(np.uint64) * MIX)
-    first = np.unique(keys, return_index=True)[1]
-    return cloud if len(first) == len(cloud) else cloud.select(np.sort(first))
+    order = np.argsort(keys)
+    ordered = keys[order]
+    starts = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1])[: len(ordered)])
+    if len(starts) == len(cloud):
+        return cloud
+    return cloud.select(np.sort(np.minimum.reduceat(order, starts)))
 
 
 def check_two_recordings(target: PointCloud, source: PointCloud) -> None:
@@ -51,7 +55,9 @@ def check_two_recordings(target: PointCloud, source: PointCloud) -> None:
     if len(target) == 0 or len(source) == 0:
         return
     part = source.xyz[:: 1 + (len(source) - 1) // SAMPLE]
-    shared = float(np.mean(np.isin(_keys(part), _keys(target.xyz))))
+    keys, ordered = _keys(part), np.sort(_keys(target.xyz))
+    place = np.minimum(np.searchsorted(ordered, keys), len(ordered) - 1)
+    shared = float(np.mean(ordered[place] == keys))
     if shared > MAX_SHARED:
         raise Refusal(
             "same_recording",

@@ -185,7 +185,7 @@ def pair_patches(
     kernel[outside[:, :-1]] = 0.0
     near = near[:, :-1]
     normal_source = source.normals[s] @ T[:3, :3].T
-    cosine = np.einsum("mi,mki->mk", normal_source, target.normals[near])
+    cosine = np.einsum("mi,mki->mk", normal_source, target.normals.take(near, axis=0))
     sign = np.ones_like(cosine)
     if not origins_known:
         sign, cosine = np.where(cosine < 0, -1.0, 1.0), np.abs(cosine)
@@ -203,19 +203,24 @@ def pair_patches(
     weight = weight / total[:, None]
 
     def blended(values: Array) -> Array:
-        return np.asarray(np.einsum("mk,mk...->m...", weight, values[near]))
+        return np.asarray(np.einsum("mk,mk...->m...", weight, values.take(near, axis=0)))
 
-    normal = normal_source + np.einsum("mk,mki->mi", weight * sign, target.normals[near])
+    normal = normal_source + np.einsum(
+        "mk,mki->mi", weight * sign, target.normals.take(near, axis=0)
+    )
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     between = moved[s] - blended(target.centres)
     residuals = np.einsum("mi,mi->m", normal, between)
     agreement = agreement * _smooth(residuals / limit[s])
-    by_target = -np.einsum("mi,mij->mj", normal, blended(target.by_error))
     by_source = np.einsum("mi,mij->mj", normal @ T[:3, :3], source.by_error[s])
     rows = np.repeat(np.arange(len(s)), BLENDED)
     blend = csr_matrix(
         (weight.reshape(-1), (rows, near.reshape(-1))), shape=(len(s), len(target.centres))
     )
+    by_error_there = (blend @ target.by_error.reshape(len(target.centres), -1)).reshape(
+        len(s), *target.by_error.shape[1:]
+    )
+    by_target = -np.einsum("mi,mij->mj", normal, by_error_there)
     by_error = np.zeros((len(s), sets.layout.size))
     for lidar, (by, share) in enumerate(
         ((by_target, blend @ sets.shares[0]), (by_source, sets.shares[1][s]))

@@ -9,6 +9,7 @@ import small_gicp
 from scipy.spatial import cKDTree
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..se3 import lengths
 from ..systematic import DEVICE, band_of, by_error
 from .registration import voxel_downsample
 
@@ -115,7 +116,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     tree = small_gicp.KdTree(points)
     index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
     index = np.asarray(index, dtype=np.intp)
-    neighbours = points[index]
+    neighbours = points.take(index, axis=0)
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / PATCH_NEIGHBOURS
@@ -127,7 +128,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
     flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
     centres, normals = centres[flat], vectors[flat, :, 0]
-    ranges = np.linalg.norm(centres - origin, axis=1)
+    ranges = lengths(centres - origin)
     rays = (centres - origin) / ranges[:, None]
     cosine = np.einsum("mi,mi->m", normals, rays)
     # A plane goes through a point that lies apart from the others, whatever its error: a patch is
@@ -144,7 +145,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     by_elevation = (ranges / level)[:, None] * np.cross(rays, around)
     device, ring = by_error(rays, by_azimuth, by_elevation, rays, axis, ranges, tangent, tape=False)
     ray = points - origin
-    band = band_of(ray / np.linalg.norm(ray, axis=1, keepdims=True), axis)
+    band = band_of(ray / lengths(ray)[:, None], axis)
     return Patches(
         centres,
         normals,

@@ -36,7 +36,7 @@ def approaches_from_afar(
     depend on where it started.
     """
     assert poles.covariance is not None
-    lever = float(np.median(np.linalg.norm(source.xyz - source.origin, axis=1)))
+    lever = float(np.median(se3.lengths(source.xyz - source.origin)))
     scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
     values, vectors = np.linalg.eigh(poles.covariance / np.outer(scale, scale))
     widest = float(np.sqrt(max(values[-1], 0.0)))

@@ -80,7 +80,9 @@ def nearest_around(cells: Cells, ranges: Array) -> Nearest:
     A point beside an edge may fall into the cell of what lies behind, hence the neighbours.
     """
     image = np.full(IMAGE_SHAPE, np.inf)
-    np.minimum.at(image, cells, ranges)
+    # The last value that is written to a cell stays: the nearest. A third of minimum.at's time.
+    order = np.argsort(ranges)[::-1]
+    image[cells.row[order], cells.column[order]] = ranges[order]
     rows = np.pad(image, ((1, 1), (0, 0)), constant_values=np.inf)
     nearest = np.minimum(np.minimum(rows[:-2], rows[1:-1]), rows[2:])
     nearest = np.minimum(np.minimum(np.roll(nearest, 1, 1), nearest), np.roll(nearest, -1, 1))
@@ -111,7 +113,7 @@ class RangeImage:
 def range_image(cloud: PointCloud) -> RangeImage:
     """Sort a cloud's ranges into cells of direction about its beam origin."""
     rays = cloud.xyz - cloud.origin
-    return RangeImage(cloud.origin, nearest_around(cells_of(rays), np.linalg.norm(rays, axis=1)))
+    return RangeImage(cloud.origin, nearest_around(cells_of(rays), se3.lengths(rays)))
 
 
 def free_space_violation(image: RangeImage, points: Array) -> float:
@@ -131,11 +133,33 @@ def free_space_violation(image: RangeImage, points: Array) -> float:
     the other LiDAR measured has that surface in its direction from wherever one looks, so the right
     hypothesis is not contradicted.
     """
+    return float(np.mean(_seen_by(image, points).is_in_the_way))
+
+
+class _Seen(NamedTuple):
+    """Points by what a LiDAR saw: their ranges from it, metres, whether they stand where it looked
+    through, and whether it has returns in their direction.
+    """
+
+    ranges: Array
+    is_in_the_way: BoolArray
+    is_in_view: BoolArray
+
+
+def _seen_by(image: RangeImage, points: Array) -> _Seen:
     rays = points - image.origin
-    ranges = np.linalg.norm(rays, axis=1)
+    ranges = se3.lengths(rays)
     cells = cells_of(rays)
-    behind = image.nearest.ranges[cells] > ranges + range_margin(ranges)
-    return float(np.mean(behind & image.nearest.seen[cells]))
+    nearest = image.nearest.ranges[cells]
+    is_in_the_way = (nearest > ranges + range_margin(ranges)) & image.nearest.seen[cells]
+    return _Seen(ranges, is_in_the_way, np.isfinite(nearest))
+
+
+def tree_of(points: Array) -> cKDTree:
+    """Tree of points (N, 3) that is asked a few thousand times: split in the middle and not at the
+    median it is built in half the time, and answers the same.
+    """
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +205,9 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
     points = voxel_downsample(cloud.xyz, voxel)
     step = 1 if sample is None else 1 + len(points) // sample
     image = range_image(cloud)
-    ranges = np.linalg.norm(points - image.origin, axis=1)
+    ranges = se3.lengths(points - image.origin)
     reach = float(np.quantile(ranges, REACH_QUANTILE)) if len(points) else 0.0
-    return View(points[::step], cKDTree(points), image, reach)
+    return View(points[::step], tree_of(points), image, reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,23 +253,20 @@ def compare_views(
         tree.query(points, distance_upper_bound=bound, workers=CORES)[0]
         for tree, points in ((target.tree, there), (source.tree, back))
     ]
-    violation = np.mean(
-        [free_space_violation(target.image, there), free_space_violation(source.image, back)]
-    )
+    seen = _seen_by(target.image, there), _seen_by(source.image, back)
+    violation = np.mean([np.mean(each.is_in_the_way) for each in seen])
     could_see = np.concatenate(
-        [_covisible(source, target, there), _covisible(target, source, back)]
+        [_covisible(source, target, seen[0]), _covisible(target, source, seen[1])]
     )
     near = np.concatenate(distances) <= within
     covisible = float(np.mean(near[could_see])) if could_see.any() else 0.0
     return Agreement(overlap(distances, within), float(violation), covisible, distances[0])
 
 
-def _covisible(view: View, other: View, moved: Array) -> BoolArray:
-    """Which points of a view the other LiDAR could see; ``moved`` (S, 3) are they in its frame."""
-    rays = moved - other.image.origin
-    is_own = np.linalg.norm(view.points - view.image.origin, axis=1) < OWN_VEHICLE
-    is_in_view = np.isfinite(other.image.nearest.ranges[cells_of(rays)])
-    return np.asarray(~is_own & is_in_view & (np.linalg.norm(rays, axis=1) <= other.reach))
+def _covisible(view: View, other: View, seen: _Seen) -> BoolArray:
+    """Which points of a view the other LiDAR could see."""
+    is_own = se3.lengths(view.points - view.image.origin) < OWN_VEHICLE
+    return np.asarray(~is_own & seen.is_in_view & (seen.ranges <= other.reach))
 
 
 def overlap(distances: Sequence[Array], within: float) -> float:
