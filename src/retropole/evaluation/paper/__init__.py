@@ -51,7 +51,7 @@ def reproduce(
         ("simulated error, ten trials", lambda: [ten_trials(few)]),
         ("simulated error, pole length", lambda: [pole_lengths(seeds)]),
         ("Table III", lambda: choosing(seeds)),
-        ("Table IV, simulated", lambda: [comparing_simulated(few)]),
+        ("Table IV, simulated", lambda: comparing_simulated(few)),
     ]
     if data is not None:
         runs.append(("Table IV, recorded", lambda: [comparing_real(data)]))

@@ -118,8 +118,8 @@ def eight_starts(seeds: int) -> Exhibit:
         rows,
         "Two skew lines that are not perpendicular have four exact matches: the identity, and the "
         "rotations by 180° about their common perpendicular and about the two bisectors of their "
-        f"directions. Drawn is the corridor of seed {EXAMPLE_SEED}. Of {seeds} corridors (seeds from "
-        f"0), {len(found)} show two poles to both LiDARs. In {four} of these the best ends are four "
+        f"directions. Drawn is the corridor of seed {EXAMPLE_SEED}. Of {seeds} corridors (seeds "
+        f"from 0), {len(found)} show two poles to both LiDARs. In {four} the best ends are four "
         f"different poses. In {only} the other four starts, which pair the angle of the poles with "
         f"its supplement, all end in worse optima; of all {4 * len(found)} other starts "
         f"{len(ratios)} do{worse}, and {further} run on into one of the four exact matches.",
@@ -157,5 +157,4 @@ def _draw(figure: Figure, poles: tuple[list[Pole], list[Pole]], ends: list[End])
         axes.axis("equal")
         axes.tick_params(labelsize=6)
         if k == 0:
-            figure.legend(loc="lower center", ncols=4, fontsize=9)
-    figure.subplots_adjust(left=0.01, right=0.97, top=0.93, bottom=0.06, wspace=0.08, hspace=0.14)
+            figure.legend(loc="outside lower center", ncols=4, fontsize=9)

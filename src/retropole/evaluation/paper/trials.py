@@ -156,7 +156,8 @@ def pole_lengths(setups: int) -> Exhibit:
         f"The {used} of {setups} set-ups (seeds from 0) in which both LiDARs see both poles with "
         f"{MIN_RETURNS} returns on {MIN_RINGS} rings at every length; one draw of isotropic noise "
         "of 6 mm; the beam model is told that the LiDARs have no systematic errors. Centres of the "
-        "poles lie in z = 0, as in the paper, which states no length. Nearly parallel poles that the beam model refuses count as infinite.",
+        "poles lie in z = 0, as in the paper, which states no length. "
+        "Nearly parallel poles that the beam model refuses count as infinite.",
     )
 
 
