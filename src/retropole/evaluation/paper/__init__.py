@@ -11,6 +11,7 @@ from .choosing import choosing
 from .comparing import comparing_real, comparing_simulated
 from .estimator import simulated_error
 from .exhibit import Exhibit
+from .failures import failures
 from .line_bias import line_bias
 from .starts import eight_starts
 from .thresholds import thresholds
@@ -51,6 +52,7 @@ def reproduce(
         ("simulated error, ten trials", lambda: [ten_trials(few)]),
         ("simulated error, pole length", lambda: [pole_lengths(seeds)]),
         ("Table III", lambda: choosing(seeds)),
+        ("Sec. V", lambda: [failures(few)]),
         ("Table IV, simulated", lambda: comparing_simulated(few)),
     ]
     if data is not None:

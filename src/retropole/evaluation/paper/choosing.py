@@ -15,7 +15,7 @@ from ...extraction.poles import extract_poles
 from ...matching.correspondence import match_poles
 from ...report.figures import BLUE, GREEN, ORANGE
 from ...scene.disambiguation import SCORING_VOXEL, score_hypotheses
-from ...scene.registration import as_surface, register, voxel_downsample
+from ...scene.registration import Surface, as_surface, register, voxel_downsample
 from ...simulation import SimulatedPair, simulate_pair
 from .exhibit import Exhibit
 
@@ -124,30 +124,28 @@ def score_corridor(seed: int) -> ScoredCorridor:
     )
 
 
-def unlimited_icp(pair: SimulatedPair, hypotheses: Sequence[Hypothesis]) -> list[Moved]:
-    """Run ICP from each hypothesis with every point paired, however far its neighbour is.
+def icp_of_any_reach(target: Surface, source: Surface, T: Array) -> Moved:
+    """How far ICP moves a hypothesis (4, 4) when every point is paired, however far its nearest."""
+    found = register(
+        target,
+        source,
+        T,
+        method="ICP",
+        max_correspondence_distance=np.inf,
+        max_iterations=UNLIMITED_ITERATIONS,
+    )
+    by = found.T_target_source @ se3.inverse(T)
+    e_r, e_t = se3.rotation_angle(by[:3, :3]), float(np.linalg.norm(by[:3, 3]))
+    return Moved(e_r, e_t, found.converged)
 
-    Both clouds are downsampled to `SCORING_VOXEL`, as for the other measures.
-    """
+
+def unlimited_icp(pair: SimulatedPair, hypotheses: Sequence[Hypothesis]) -> list[Moved]:
+    """Run ICP of any reach from each hypothesis, on clouds downsampled to `SCORING_VOXEL`."""
     target, source = (
         as_surface(voxel_downsample(cloud.xyz, SCORING_VOXEL))
         for cloud in (pair.target, pair.source)
     )
-    moved = []
-    for h in hypotheses:
-        T = h.match.T_target_source
-        found = register(
-            target,
-            source,
-            T,
-            method="ICP",
-            max_correspondence_distance=np.inf,
-            max_iterations=UNLIMITED_ITERATIONS,
-        )
-        by = found.T_target_source @ se3.inverse(T)
-        e_r, e_t = se3.rotation_angle(by[:3, :3]), float(np.linalg.norm(by[:3, 3]))
-        moved.append(Moved(e_r, e_t, found.converged))
-    return moved
+    return [icp_of_any_reach(target, source, h.match.T_target_source) for h in hypotheses]
 
 
 def choosing(seeds: int) -> tuple[Exhibit, Exhibit]:

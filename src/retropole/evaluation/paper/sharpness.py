@@ -54,7 +54,10 @@ SHARPNESS_TOLERANCE = 1e-4
 SHOWN_RANGE, SHOWN_POINTS = 12.0, 9_000
 """Figures show so much around the target, metres, and so many points of each cloud."""
 
-EYE = np.radians([28.0, -62.0])
+CAMERA_DISTANCE = 3.0
+"""Of the camera of the lower pictures from the middle, in half widths of the upper ones."""
+
+EYE = np.radians([30.0, 15.0])
 """Elevation and azimuth from which the lower pictures look, rad."""
 
 
@@ -118,7 +121,7 @@ def sharpness_exhibits(corridors: Sequence[Corridor]) -> tuple[Exhibit, Exhibit]
             sums = float(thinned[name][usual]), float(raw[name][usual])
             rows.append((corridor.seed, name, *sums, error, "answered"))
     header = tuple(f"{first} > {second}" for first, second in RELATIONS)
-    counted = tuple(
+    counted: tuple[tuple[Cell, ...], ...] = tuple(
         (kind, sigma, *_counts(kept, k))
         for kind, kept in by_kind.items()
         for k, sigma in enumerate(KERNEL_WIDTHS)
@@ -162,24 +165,30 @@ def draw_views(figure: Figure, corridor: Corridor, paper: Mapping[str, float]) -
     """Draw both clouds under the paper's methods, from above and in perspective."""
     pair, poses = corridor.pair, corridor.poses()
     target = pair.target.xyz[np.abs(pair.target.xyz).max(axis=1) < SHOWN_RANGE]
+    middle = (target.min(axis=0) + target.max(axis=0)) / 2
+    half = 0.6 * float(np.ptp(target[:, :2], axis=0).max())
     for k, (name, value) in enumerate(paper.items()):
-        T = poses[name]
-        source = se3.apply(T, pair.source.xyz)
-        source = source[np.abs(source).max(axis=1) < SHOWN_RANGE]
-        shown = [xyz[:: 1 + len(xyz) // SHOWN_POINTS] for xyz in (target, source)]
+        source = se3.apply(poses[name], pair.source.xyz)
+        source = source[np.abs(source[:, :2] - middle[:2]).max(axis=1) < half]
         above = figure.add_subplot(2, len(paper), k + 1)
-        oblique: Any = figure.add_subplot(
-            2, len(paper), len(paper) + k + 1, projection="3d", proj_type="persp"
-        )
-        for xyz, color in zip(shown, (BLUE, ORANGE), strict=True):
-            style: Any = {"c": color, "linewidths": 0, "rasterized": True}
-            above.scatter(xyz[:, 0], xyz[:, 1], s=0.8, **style)
-            oblique.scatter(*xyz.T, s=0.8, depthshade=False, **style)
-        error = e_rt(T, pair.T_target_source)
-        above.set_title(f"{name}: e_rt {error:.2f} m (entropy in the paper {value})", fontsize=9)
-        above.set(xlim=(-SHOWN_RANGE, SHOWN_RANGE), ylim=(-SHOWN_RANGE, SHOWN_RANGE))
-        above.set_aspect("equal")
+        oblique = figure.add_subplot(2, len(paper), len(paper) + k + 1)
+        for cloud, color in ((target, BLUE), (source, ORANGE)):
+            xyz = cloud[:: 1 + len(cloud) // SHOWN_POINTS] - middle
+            style: Any = {"s": 1.2, "c": color, "linewidths": 0, "rasterized": True}
+            above.scatter(xyz[:, 0], xyz[:, 1], **style)
+            across, up = _perspective(xyz, CAMERA_DISTANCE * half).T
+            oblique.scatter(across, up, **style)
+        error = e_rt(poses[name], pair.T_target_source)
+        above.set_title(f"{name}: e_rt {error:.2f} m\n(paper: entropy's sum {value})", fontsize=10)
+        above.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
         above.tick_params(labelsize=7)
-        oblique.view_init(*np.degrees(EYE))
-        oblique.axis("equal")
-        oblique.set_axis_off()
+        edge = 0.85 / CAMERA_DISTANCE
+        oblique.set(xlim=(-edge, edge), ylim=(-edge, edge), aspect="equal", xticks=[], yticks=[])
+
+
+def _perspective(xyz: Array, distance: float) -> Array:
+    """Project points (N, 3) about the origin into the picture (N, 2) of a camera in `EYE`."""
+    (ce, ca), (se, sa) = np.cos(EYE), np.sin(EYE)
+    right, up = np.array([-sa, ca, 0.0]), np.array([-se * ca, -se * sa, ce])
+    depth = distance - xyz @ np.array([ce * ca, ce * sa, se])
+    return np.asarray(xyz @ np.stack([right, up], axis=1) / depth[:, None])

@@ -56,23 +56,34 @@ Ends = tuple[tuple[list[Pole], list[Pole]], list[End]]
 """The two poles of target and source, and the eight ends, best fit first, a the right one."""
 
 
+def solve_starts(target: list[Pole], source: list[Pole]) -> list[End]:
+    """Solve the eight starts of two poles on two, the best fit first.
+
+    Raises
+    ------
+    Refusal
+        ``parallel_poles`` or ``degenerate_poles``.
+    """
+    lines = [(pole.point, pole.direction) for pole in target]
+    starts = pair_starts((target[0], target[1]), (source[0], source[1]))
+    fits = [(order, align_poles(lines, [source[k].xyz for k in order], T)) for T, order in starts]
+    limit = SAME_RMS * min(fit.rms for _, fit in fits)
+    ends = [End(order, fit.T_target_source, fit.rms, fit.rms <= limit) for order, fit in fits]
+    return sorted(ends, key=lambda end: end.rms)
+
+
 def eight_ends(seed: int) -> Ends | None:
     """Solve all eight starts of a simulated corridor; None where a LiDAR finds other than two."""
     pair = simulate_pair("corridor", np.random.default_rng(seed))
     target, source = (list(extract_poles(cloud).poles) for cloud in (pair.target, pair.source))
     if len(target) != 2 or len(source) != 2:
         return None
-    lines = [(pole.point, pole.direction) for pole in target]
-    starts = pair_starts((target[0], target[1]), (source[0], source[1]))
-    fits = [(order, align_poles(lines, [source[k].xyz for k in order], T)) for T, order in starts]
-    limit = SAME_RMS * min(fit.rms for _, fit in fits)
-    ends = [End(order, fit.T_target_source, fit.rms, fit.rms <= limit) for order, fit in fits]
 
     def off(end: End) -> tuple[bool, float]:
         angle = se3.difference(end.T_target_source, pair.T_target_source).rotation
         return not end.exact, angle if end.exact else end.rms
 
-    return (target, source), sorted(ends, key=off)
+    return (target, source), sorted(solve_starts(target, source), key=off)
 
 
 def different(ends: list[End]) -> int:
