@@ -127,7 +127,7 @@ def by_ours(pair: SimulatedPair) -> Array:
     return answer.T_target_source
 
 
-METHODS: dict[str, Callable[[SimulatedPair], Array]] = {"paper's": by_paper, "ours": by_ours}
+METHODS: dict[str, Callable[[SimulatedPair], Array]] = {"the paper's": by_paper, "ours": by_ours}
 
 
 def judge(method: Callable[[SimulatedPair], Array], pair: SimulatedPair) -> Answer:
@@ -160,8 +160,8 @@ class Trouble:
     change: Callable[[SimulatedPair, np.random.Generator], SimulatedPair]
 
 
-BASE = replace(FIELD, intensity_falloff=False, ring_bias=0.0, ring_elevation=0.0)
-"""The noise of the field without what is tried one by one."""
+BASE = replace(FIELD, intensity_falloff=False, ring_bias=0.0, ring_elevation=0.0, movers=0)
+"""The noise of the field without what is tried one by one, and with nobody before the poles."""
 
 TAPE, POST = Material(0.9, retro=True), Material(0.4)
 """Of what is put into the scene."""
@@ -273,7 +273,7 @@ TROUBLES = (
     ),
     *(
         Trouble("falling intensity", f"tape saturates to {reach:g} m", with_fading_tape(reach))
-        for reach in (TAPE_REACH, 8.0, 6.0, 4.0)
+        for reach in (TAPE_REACH, 6.0, 4.0)
     ),
 )
 """What is tried, each on the same scenes."""
@@ -284,8 +284,9 @@ def failures(seeds: int) -> Exhibit:
     answers: dict[tuple[str, str], list[Answer]] = {}
     for seed in range(seeds):
         pair = simulate_pair("corridor", np.random.default_rng(seed), noise=BASE)
-        for k, trouble in enumerate(TROUBLES):
-            worse = trouble.change(pair, np.random.default_rng([seed, k]))
+        for trouble in TROUBLES:
+            # The same generator, so that rows differ by the trouble and not by the draw of noise.
+            worse = trouble.change(pair, np.random.default_rng([seed, 1]))
             for name, method in METHODS.items():
                 answers.setdefault((trouble.name, name), []).append(judge(method, worse))
     rows = []
@@ -304,8 +305,8 @@ def failures(seeds: int) -> Exhibit:
         ("weakness", "what is done", "method", "success", "wrong", "refused", "median e_rt m"),
         tuple(rows),
         f"The same {seeds} corridors (seeds from 0) in every row, with all errors of the field but "
-        "those that are tried. Wrong: off by more than 5° or 0.5 m; the median is over successes. "
-        "The paper's method: thresholds of its Table I, clusters of the shape of a pole "
+        "those that are tried, and nobody in the way. Wrong: off by more than 5° or "
+        "0.5 m; the median is over successes. The paper's method: thresholds of its Table I, clusters of the shape of a pole "
         f"({POLE_LENGTH:g} m long, {100 * POLE_RMS:g} cm rms thick; it names no figures), the two "
         "with the most returns, its least squares, and the hypothesis with the least e_r of an ICP "
         "of any reach, of the four best ends; it refuses only where it has no two poles. Ours: "
@@ -321,7 +322,7 @@ def _draw(figure: Figure, answers: dict[tuple[str, str], list[Answer]]) -> None:
     names = [f"{t.weakness}: {t.name}" if t.weakness != "none" else t.name for t in TROUBLES]
     at = np.arange(len(names))[::-1]
     colors = {"success": GREEN, "refused": GREY, "wrong": RED}
-    for axes, method in ((left, "paper's"), (right, "ours")):
+    for axes, method in ((left, "the paper's"), (right, "ours")):
         start = np.zeros(len(names))
         for kind, color in colors.items():
             count = np.array(
@@ -332,7 +333,7 @@ def _draw(figure: Figure, answers: dict[tuple[str, str], list[Answer]]) -> None:
                 if n:
                     axes.text(x + n / 2, y, str(n), ha="center", va="center", fontsize=8)
             start += count
-        axes.set_title(f"{method} method", fontsize=10)
+        axes.set_title(f"{method[0].upper()}{method[1:]}", fontsize=10)
         axes.set_xlabel("corridors")
         axes.set_yticks(at, names, fontsize=8)
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
