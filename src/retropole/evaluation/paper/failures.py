@@ -306,8 +306,9 @@ def failures(seeds: int) -> Exhibit:
         tuple(rows),
         f"The same {seeds} corridors (seeds from 0) in every row, with all errors of the field but "
         "those that are tried, and nobody in the way. Wrong: off by more than 5° or "
-        "0.5 m; the median is over successes. The paper's method: thresholds of its Table I, clusters of the shape of a pole "
-        f"({POLE_LENGTH:g} m long, {100 * POLE_RMS:g} cm rms thick; it names no figures), the two "
+        "0.5 m; the median is over successes. The paper's method: thresholds of its "
+        f"Table I, clusters of the shape of a pole ({POLE_LENGTH:g} m "
+        f"long, {100 * POLE_RMS:g} cm rms thick; it names no figures), the two "
         "with the most returns, its least squares, and the hypothesis with the least e_r of an ICP "
         "of any reach, of the four best ends; it refuses only where it has no two poles. Ours: "
         "`calibrate`, told the sensors.",
