@@ -123,7 +123,7 @@ def _medians(corridors: list[Corridor]) -> Exhibit:
         "wrong hypothesis > ICP. Sharp is not right: a corridor that ICP translates along itself, "
         "or rotates by 180°, lies on itself all the same, and the e_rt beside it shows so.",
         None if shown is None else lambda figure: draw_views(figure, shown, PAPER_TABLE_IV),
-        (14.0, 8.5),
+        (14.0, 6.5),
     )
 
 

@@ -182,8 +182,10 @@ def draw_views(figure: Figure, corridor: Corridor, paper: Mapping[str, float]) -
         above.set_title(f"{name}: e_rt {error:.2f} m\n(paper: entropy's sum {value})", fontsize=10)
         above.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
         above.tick_params(labelsize=7)
-        edge = 0.85 / CAMERA_DISTANCE
-        oblique.set(xlim=(-edge, edge), ylim=(-edge, edge), aspect="equal", xticks=[], yticks=[])
+        edge = 1.05 / CAMERA_DISTANCE
+        oblique.set(
+            xlim=(-edge, edge), ylim=(-0.6 * edge, 0.6 * edge), aspect="equal", xticks=[], yticks=[]
+        )
 
 
 def _perspective(xyz: Array, distance: float) -> Array:
