@@ -135,7 +135,7 @@ def eight_starts(seeds: int) -> Exhibit:
         f"its supplement, all end in worse optima; of all {4 * len(found)} other starts "
         f"{len(ratios)} do{worse}, and {further} run on into one of the four exact matches.",
         lambda figure: _draw(figure, *example),
-        (14.0, 8.0),
+        (12.0, 6.8),
     )
 
 
@@ -166,6 +166,7 @@ def _draw(figure: Figure, poles: tuple[list[Pole], list[Pole]], ends: list[End])
         axes.set_title(f"{name}: {kind}\nrms {end.rms:.3f} m", fontsize=10)
         axes.set_box_aspect((1, 1, 1))
         axes.axis("equal")
-        axes.tick_params(labelsize=6)
+        axes.locator_params(nbins=4)
+        axes.tick_params(labelsize=6, pad=-2)
         if k == 0:
             figure.legend(loc="outside lower center", ncols=4, fontsize=9)
