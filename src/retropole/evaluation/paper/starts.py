@@ -163,10 +163,10 @@ def _draw(figure: Figure, poles: tuple[list[Pole], list[Pole]], ends: list[End])
                 tip = pose[:3, 3] + 0.8 * pose[:3, column]
                 axes.plot(*np.stack([pose[:3, 3], tip]).T, color=color, lw=2)
         kind = ("exact, right" if k == 0 else "exact") if end.exact else "worse"
-        axes.set_title(f"{name}: {kind}\nrms {end.rms:.3f} m", fontsize=10)
+        axes.set_title(f"{name}: {kind}, rms {end.rms:.3f} m", fontsize=10, y=0.97)
+        axes.locator_params(nbins=5)
         axes.set_box_aspect((1, 1, 1))
         axes.axis("equal")
-        axes.locator_params(nbins=4)
         axes.tick_params(labelsize=6, pad=-2)
         if k == 0:
             figure.legend(loc="outside lower center", ncols=4, fontsize=9)
