@@ -145,7 +145,8 @@ def simulated_error(setups: int) -> Exhibit:
         f"{np.median(isotropic):.3f} m: its limit is a bias. "
         f"Poles are of {PAPER_POLE_LENGTH:g} m. Where the beam model refuses poles that are "
         f"nearly parallel, its error counts as infinite in median and 90 %. In "
-        f"{not_converged} of all runs an estimator used up its iterations; its last pose counts. The paper also places both poles on the y axis, which "
+        f"{not_converged} of all runs an estimator used up its iterations; its last "
+        "pose counts. The paper also places both poles on the y axis, which "
         "contradicts its distances: they are drawn anywhere in z = 0.",
         lambda figure: _draw(figure, errors),
     )
