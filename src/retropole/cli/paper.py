@@ -33,8 +33,8 @@ from .common import CONTEXT, OUT, progress_on_terminal, show
 def paper(out: Path, seeds: int, data: Path | None, quiet: bool) -> int:
     """Reproduce the tables and figures of the method's paper, its figures beside ours.
 
-    Tables I to IV, Fig. 4 and the simulated error of Xue et al. 2019: each a table as Markdown
-    and CSV, and a figure as PNG and SVG. index.md holds all tables.
+    Equations, tables, figures and failures of Xue et al. 2019: each a table as Markdown and CSV,
+    and a figure as PNG and SVG. index.md holds all tables. 100 seeds take about ten minutes.
 
     \b
     Examples:
