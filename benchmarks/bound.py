@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 
 import numpy as np
@@ -47,8 +47,8 @@ from retropole.evaluation.paper.estimator import (
     poles_of,
     solve,
 )
-from retropole.simulation import EXACT, SimulatedPair, simulate_pair
-from retropole.simulation.recording import Arrangement, Recorders, record
+from retropole.evaluation.paper.trials import set_up
+from retropole.simulation import SimulatedPair
 from retropole.systematic import sizes_of
 
 POLE_LENGTHS = (2.0, 6.0)
@@ -70,16 +70,6 @@ COLUMNS = (
     "Cramér–Rao",
     "best possible",
 )
-
-
-def pair_of(seed: int, length: float) -> SimulatedPair:
-    """The set-up of a seed, with poles of some length."""
-    pair = simulate_pair("paper", np.random.default_rng(seed), noise=EXACT)
-    poles = [replace(pole, length=length) for pole in pair.poles]
-    poses = pair.T_world_target, pair.T_world_source
-    at = Arrangement(pair.surroundings, poles, poses, pair.clear)
-    recorders = Recorders(pair.sensors, pair.devices, EXACT, 1)
-    return record(at, recorders, np.random.default_rng([seed, 2]))
 
 
 def truth_of(pair: SimulatedPair) -> State:
@@ -273,7 +263,7 @@ def run(job: tuple[int, NoiseKind, float, int]) -> list[list[float]]:
     seed, noise, length, trials = job
     with threadpool_limits(1, user_api="blas"):
         rng, sampler = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 3])
-        pair = pair_of(seed, length)
+        pair = set_up(seed, length)
         T, radius = pair.T_target_source, pair.poles[0].radius
         exact = as_beams(pair, poles_of(pair, "none", rng))
         limit = np.zeros((6, 6)) if noise == "none" else bound(pair, noise, rng)
