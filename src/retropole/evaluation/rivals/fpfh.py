@@ -18,7 +18,7 @@ from ...errors import MissingExtraError, Refusal
 from ...scene.registration import MIN_CLOUD_POINTS, voxel_downsample
 from .registration import register_clouds
 
-FPFH_VOXELS = (1.0, 0.7)
+FPFH_VOXELS = (0.7, 0.5)
 """Tried one after the other, metres: clouds are downsampled to one point per cube of this side (see
 docs/compare.md for what set these)."""
 
@@ -42,7 +42,7 @@ RANSAC_ITERATIONS, RANSAC_CONFIDENCE = 100_000, 0.999
 
 MIN_FITNESS = 0.1
 """Least share of the source's points that correspond under a pose (chosen: of right answers it is
-0.26 and more). Open3D names none. Wrong answers often have more than right ones, so that a larger
+0.36 and more). Open3D names none. Wrong answers often have more than right ones, so that a larger
 least share would refuse right answers before wrong ones."""
 
 FPFH_CORRESPONDENCE_DISTANCES = (1.0, 0.3)

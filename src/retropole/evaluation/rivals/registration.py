@@ -25,9 +25,13 @@ REGISTRATION_VOXEL = 0.2
 """Clouds are downsampled to one point per cube of this side, metres."""
 
 MAX_REGISTRATION_ITERATIONS = 300
-"""For each distance: what converges at all is not refused for want of steps. At the last distance,
-ICP and GICP took up to 227 from the identity and 65 from a match (simulated corridors, streets and
-harbours, seeds 100 to 107); what took longer still moved after 2000."""
+"""At the last distance: what converges at all is not refused for want of steps. ICP and GICP took
+up to 227 from the identity and 65 from a match (simulated corridors, streets and harbours, seeds
+100 to 107); what took longer still moved after 2000."""
+
+MAX_APPROACH_ITERATIONS = 100
+"""At each distance before it: enough for every match of the same scenes. From the identity it cuts
+off an approach of up to 2000 steps, which the last distance goes on with."""
 
 RESIDUAL_DISTANCE = 0.3
 """Points with a neighbour in the other cloud within this distance count in the residual, metres."""
@@ -57,7 +61,7 @@ def register_clouds(
         Metres, one after the other. Only the last registration has to converge: those before it
         bring its start nearer.
     max_iterations
-        At most, for each distance.
+        At most, at the last distance; `MAX_APPROACH_ITERATIONS` before it.
 
     Returns
     -------
@@ -112,13 +116,15 @@ def _refined(
 ) -> Registration:
     """Register the source's surfaces to the target's, each distance from where the last ended."""
     end = Registration(T_start, 0, converged=False)
-    for distance in max_correspondence_distances:
+    *approach, last = max_correspondence_distances
+    before = min(MAX_APPROACH_ITERATIONS, max_iterations)
+    for distance, at_most in [*((each, before) for each in approach), (last, max_iterations)]:
         end = register(
             *surfaces,
             end.T_target_source,
             method=method,
             max_correspondence_distance=distance,
-            max_iterations=max_iterations,
+            max_iterations=at_most,
             threads=CORES,
         )
     return end
