@@ -47,7 +47,7 @@ def test_the_voxel_with_the_most_inliers_decides(best: float) -> None:
     found = best_match(matching, CLOUD, CLOUD)
     assert matching.tried == list(KISS_VOXELS), "none has enough: all are tried"
     assert found.inliers == ENOUGH_INLIERS - 1
-    assert found.T_target_source[0, 3] == best
+    assert found.start[0, 3] == best
 
 
 def test_no_further_voxel_is_tried_once_there_are_enough() -> None:
@@ -58,5 +58,5 @@ def test_no_further_voxel_is_tried_once_there_are_enough() -> None:
 
 def test_what_it_calls_invalid_does_not_count() -> None:
     matching = FakeMatching(dict.fromkeys(KISS_VOXELS, 100), invalid=KISS_VOXELS[:1])
-    assert best_match(matching, CLOUD, CLOUD).T_target_source[0, 3] == KISS_VOXELS[1]
+    assert best_match(matching, CLOUD, CLOUD).start[0, 3] == KISS_VOXELS[1]
     assert best_match(FakeMatching({}, invalid=KISS_VOXELS), CLOUD, CLOUD).inliers == 0

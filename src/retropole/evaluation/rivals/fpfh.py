@@ -50,9 +50,9 @@ FPFH_CORRESPONDENCE_DISTANCES = (1.0, 0.3)
 
 
 class Matched(NamedTuple):
-    """What one voxel ends with: the pose (4, 4), target from source, and its share of points."""
+    """What one voxel ends with: a start (4, 4) of GICP, and its share of points."""
 
-    T_target_source: Array
+    start: Array
     fitness: float
 
 
@@ -82,7 +82,7 @@ def fpfh_ransac(target: PointCloud, source: PointCloud, rng: np.random.Generator
     open3d.utility.random.seed(int(rng.integers(2**31)))
     found = [_matched(open3d, target, source, voxel) for voxel in FPFH_VOXELS]
     fit = max(each.fitness for each in found)
-    starts = [each.T_target_source for each in found if each.fitness >= MIN_FITNESS]
+    starts = [each.start for each in found if each.fitness >= MIN_FITNESS]
     if not starts:
         raise Refusal(
             "unmatched",

@@ -34,9 +34,9 @@ KISS_CORRESPONDENCE_DISTANCES = (1.0, 0.3)
 
 
 class Matched(NamedTuple):
-    """What one voxel ends with: the pose (4, 4), target from source, and its final inliers."""
+    """What one voxel ends with: a start (4, 4) of GICP, and its final inliers."""
 
-    T_target_source: Array
+    start: Array
     inliers: int
 
 
@@ -82,7 +82,7 @@ def kiss_matcher(target: PointCloud, source: PointCloud, rng: np.random.Generato
     return register_clouds(
         target,
         source,
-        [best.T_target_source],
+        [best.start],
         method="GICP",
         max_correspondence_distances=KISS_CORRESPONDENCE_DISTANCES,
     )

@@ -25,13 +25,12 @@ REGISTRATION_VOXEL = 0.2
 """Clouds are downsampled to one point per cube of this side, metres."""
 
 MAX_REGISTRATION_ITERATIONS = 300
-"""At the last distance: what converges at all is not refused for want of steps. ICP and GICP took
-up to 227 from the identity and 65 from a match (simulated corridors, streets and harbours, seeds
-100 to 107); what took longer still moved after 2000."""
+"""At the last distance: what converges at all is not refused for want of steps (docs/compare.md
+states how many were taken)."""
 
 MAX_APPROACH_ITERATIONS = 100
-"""At each distance before it: enough for every match of the same scenes. From the identity it cuts
-off an approach of up to 2000 steps, which the last distance goes on with."""
+"""At each distance before it: enough after a match (the same). From the identity it may cut off an
+approach, which the last distance goes on with."""
 
 RESIDUAL_DISTANCE = 0.3
 """Points with a neighbour in the other cloud within this distance count in the residual, metres."""
