@@ -67,8 +67,9 @@ def grow(scene: str, what: str, method: str, size: int) -> Growth:
     target, source = pair.target, pair.source
     if what == "points":
         target, source = resized(target, size, rng), resized(source, size, rng)
-    _, code, seconds = timed(method, target, source)
-    return Growth(what, method, size, seconds, code, peak_megabytes(), len(target) + len(source))
+    found = timed(method, target, source)
+    points = len(target) + len(source)
+    return Growth(what, method, size, found.wall_seconds, found.code, peak_megabytes(), points)
 
 
 def alone(scene: str, what: str, method: str, size: int, timeout: float) -> Growth:

@@ -2,10 +2,12 @@
 
 A run succeeds where e_rt (Xue et al. 2019, eq. 12) is at most 0.1 m. It is wrong but confident
 where it answered, with a warning or without, and is off by more than 1° or 0.3 m. Errors are those
-of the runs that answered. Times are of one call with libraries imported and clouds in memory.
-Memory is the peak of the process during the call, interpreter and clouds included. The GICP that
-ends a rival counts in its time. Where it has not converged after 30 steps the rival refuses, so the
-table does not show how often its match alone would have been wrong. Prints Markdown.
+of the runs that answered. What counts as an answer of a rival is its own word, see docs/compare.md.
+Times are of one call with libraries imported and clouds in memory: CPU time is user and system time
+of all threads of the process, wall time is what passes meanwhile. Both are of the same call. All
+that a rival does counts: every voxel that it tries, and the GICP that ends it. Memory is the peak
+of the process during the call, interpreter and clouds included. Prints Markdown. With more than
+one process, runs share the machine, and wall times are longer than those of a single one.
 
     python benchmarks/rivals.py --seeds 25
     python benchmarks/rivals.py --seeds 3 --scenes corridor street harbor --methods poles+scene kiss
@@ -22,10 +24,11 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,9 +46,12 @@ SUCCESS_M = 0.1
 WRONG_DEG, WRONG_M = 1.0, 0.3
 """An answer further than either from the truth is wrong."""
 
-OURS, RIVAL, TIME_RATIO = "poles+scene", "kiss", 0.6
-"""The target: ours succeeds more often than this rival, is never wrong, and takes this part of its
-time at most."""
+OURS, RIVAL, CPU_RATIO, WALL_RATIO = "poles+scene", "kiss", 0.6, 0.8
+"""The target: ours succeeds in `MIN_SUCCESS` of the runs and more often than this rival, is never
+wrong, and takes these parts of its CPU and wall time at most."""
+
+MIN_SUCCESS = 0.98
+"""Least share of the runs in which ours succeeds."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,8 @@ class Run:
     degrees: float
     metres: float
     e_rt: float
-    seconds: float
+    cpu_seconds: float
+    wall_seconds: float
     megabytes: float
 
     @property
@@ -108,19 +115,28 @@ def peak_megabytes() -> float:
     return float(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
-def timed(method: str, target: PointCloud, source: PointCloud) -> tuple[Array | None, str, float]:
+class Timed(NamedTuple):
+    """What one call gave, or the code of its refusal, and what it took."""
+
+    T: Array | None
+    code: str
+    cpu_seconds: float
+    wall_seconds: float
+
+
+def timed(method: str, target: PointCloud, source: PointCloud) -> Timed:
     if method in RIVALS:
         load_rival(method)
         extra = RIVALS[method].extra
         if extra is not None:
             importlib.import_module(extra.module)
     reset_peak()
-    start = time.perf_counter()
+    cpu, wall = time.process_time(), time.perf_counter()
     try:
         T, code = answer(method, target, source), ""
     except Refusal as refusal:
         T, code = None, refusal.code
-    return T, code, time.perf_counter() - start
+    return Timed(T, code, time.process_time() - cpu, time.perf_counter() - wall)
 
 
 def run(job: tuple[str, str, int, str]) -> Run:
@@ -129,20 +145,21 @@ def run(job: tuple[str, str, int, str]) -> Run:
     pair = simulate_pair(
         scene, np.random.default_rng(seed), sensor_target=names[0], sensor_source=names[1]
     )
-    T, code, seconds = timed(method, pair.target, pair.source)
+    found = timed(method, pair.target, pair.source)
     megabytes = peak_megabytes()
     nan = float("nan")
-    errors = Errors(nan, nan, nan) if T is None else errors_of(T, pair.T_target_source)
+    errors = Errors(nan, nan, nan) if found.T is None else errors_of(found.T, pair.T_target_source)
     return Run(
         method,
         scene,
         seed,
         sensors,
-        code,
+        found.code,
         degrees=float(np.degrees(errors.rotation)),
         metres=errors.translation,
         e_rt=errors.e_rt,
-        seconds=seconds,
+        cpu_seconds=found.cpu_seconds,
+        wall_seconds=found.wall_seconds,
         megabytes=megabytes,
     )
 
@@ -153,7 +170,8 @@ def quantile(values: Sequence[float], q: float, digits: int) -> str:
 
 
 def row(name: str, runs: Sequence[Run]) -> str:
-    errors, seconds = [r.e_rt for r in runs], [r.seconds for r in runs]
+    errors = [r.e_rt for r in runs]
+    cpu, wall = [r.cpu_seconds for r in runs], [r.wall_seconds for r in runs]
     cells = [
         name,
         str(len(runs)),
@@ -162,8 +180,10 @@ def row(name: str, runs: Sequence[Run]) -> str:
         f"{100 * np.mean([not r.answered for r in runs]):.0f} %",
         quantile(errors, 0.5, 4),
         quantile(errors, 0.95, 4),
-        quantile(seconds, 0.5, 2),
-        quantile(seconds, 0.95, 2),
+        quantile(cpu, 0.5, 2),
+        quantile(cpu, 0.95, 2),
+        quantile(wall, 0.5, 2),
+        quantile(wall, 0.95, 2),
         quantile([r.megabytes for r in runs], 0.5, 0),
     ]
     return "| " + " | ".join(cells) + " |"
@@ -171,7 +191,7 @@ def row(name: str, runs: Sequence[Run]) -> str:
 
 HEADER = (
     f"runs | e_rt ≤ {SUCCESS_M} m | wrong but confident | refused | median e_rt m | 95 % | "
-    "median time s | 95 % | peak MB |\n" + "| --- " * 10 + "|"
+    "median CPU s | 95 % | median wall s | 95 % | peak MB |\n" + "| --- " * 12 + "|"
 )
 
 
@@ -189,21 +209,30 @@ def report(runs: Sequence[Run], methods: Sequence[str]) -> None:
                 ]
                 print(row(f"{scene}, {sensors}, {method}", group))
     if {OURS, RIVAL} <= set(methods):
-        ours, rival = ([r for r in runs if r.method == m] for m in (OURS, RIVAL))
-        seconds = [[r.seconds for r in runs] for runs in (ours, rival)]
+        compare_times([r for r in runs if r.method == OURS], [r for r in runs if r.method == RIVAL])
+
+
+def compare_times(ours: Sequence[Run], rival: Sequence[Run]) -> None:
+    """Print the target and whether it is met, a line for each of its parts."""
+    right, its = (sum(r.success for r in runs) for runs in (ours, rival))
+    verdict = {True: "met", False: "not met"}
+    print(
+        f"\n{OURS} against {RIVAL}:\n\n"
+        f"- success {right} against {its} of {len(ours)} (target {100 * MIN_SUCCESS:.0f} % and "
+        f"more than its): {verdict[right >= MIN_SUCCESS * len(ours) and right > its]}\n"
+        f"- wrong but confident {sum(r.wrong for r in ours)} against "
+        f"{sum(r.wrong for r in rival)} (target 0): {verdict[not any(r.wrong for r in ours)]}"
+    )
+    for name, target, field in (
+        ("CPU", CPU_RATIO, "cpu_seconds"),
+        ("wall", WALL_RATIO, "wall_seconds"),
+    ):
+        seconds = [[getattr(r, field) for r in runs] for runs in (ours, rival)]
         ratio = np.sum(seconds[0]) / np.sum(seconds[1])
-        middle = np.median(seconds[0]) / np.median(seconds[1])
-        met = (
-            sum(r.success for r in ours) > sum(r.success for r in rival)
-            and not any(r.wrong for r in ours)
-            and ratio <= TIME_RATIO
-        )
         print(
-            f"\n{OURS} against {RIVAL}: success {sum(r.success for r in ours)} against "
-            f"{sum(r.success for r in rival)} of {len(ours)}, wrong but confident "
-            f"{sum(r.wrong for r in ours)} against {sum(r.wrong for r in rival)}, time of all runs "
-            f"{ratio:.2f} of its (target {TIME_RATIO}): {'met' if met else 'not met'}; median time "
-            f"{middle:.2f} of its"
+            f"- {name} time of all runs {ratio:.2f} of its (target {target}): "
+            f"{verdict[bool(ratio <= target)]}; median time "
+            f"{np.median(seconds[0]) / np.median(seconds[1]):.2f} of its"
         )
 
 
@@ -216,6 +245,33 @@ def installed(names: Sequence[str]) -> list[str]:
         if extra is not None:
             print(f"{name} is left out: pip install 'retropole[{extra}]'", file=sys.stderr)
     return [name for name in names if missing.get(name) is None]
+
+
+def in_own_processes(
+    jobs: Sequence[tuple[str, str, int, str]], methods: Sequence[str], count: int
+) -> list[Run]:
+    """Run so many jobs at a time, each method in processes that run nothing else.
+
+    What one method leaves in memory must not count for the next.
+    """
+    with contextlib.ExitStack() as stack:
+        pools = {
+            method: stack.enter_context(
+                ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=quiet)
+            )
+            for method in methods
+        }
+
+        def wait_for(job: tuple[str, str, int, str]) -> Run:
+            return pools[job[0]].submit(run, job).result()
+
+        runs = []
+        with ThreadPoolExecutor(count) as waiting:
+            for done in waiting.map(wait_for, jobs):
+                runs.append(done)
+                if done.method == methods[-1]:
+                    print(f"{done.scene} {done.seed}, {done.sensors}: done", file=sys.stderr)
+        return runs
 
 
 def main() -> None:
@@ -232,20 +288,15 @@ def main() -> None:
     arguments = parser.parse_args()
     methods = installed(arguments.methods)
     seeds = range(arguments.first, arguments.first + arguments.seeds)
-    runs: list[Run] = []
-    for method in methods:
-        jobs = [
-            (method, scene, seed, sensors)
-            for scene in arguments.scenes
-            for sensors in arguments.sensors
-            for seed in seeds
-        ]
-        # Separate processes for each method: what one leaves in memory must not count for the next.
-        with ProcessPoolExecutor(
-            arguments.processes, mp_context=get_context("spawn"), initializer=quiet
-        ) as pool:
-            runs += pool.map(run, jobs)
-        print(f"{method}: {len(jobs)} runs", file=sys.stderr)
+    # One after the other on each pair of clouds: a load that comes and goes meets every method.
+    jobs = [
+        (method, scene, seed, sensors)
+        for scene in arguments.scenes
+        for sensors in arguments.sensors
+        for seed in seeds
+        for method in methods
+    ]
+    runs = in_own_processes(jobs, methods, arguments.processes)
     if arguments.csv:
         with arguments.csv.open("w", newline="") as file:
             writer = csv.writer(file)

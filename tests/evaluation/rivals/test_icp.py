@@ -50,10 +50,29 @@ def test_where_iterations_run_out_there_is_no_answer(corridor: SimulatedPair) ->
         register_clouds(
             corridor.target,
             corridor.source,
-            start,
+            [start],
             method="GICP",
             max_correspondence_distances=(1.0,),
             max_iterations=1,
         )
     assert refusal.value.code == "not_converged"
     assert refusal.value.values == {"iterations": 1}
+
+
+@pytest.mark.parametrize("right", [0, 1])
+def test_of_several_starts_the_one_that_ends_with_most_points_decides(
+    corridor: SimulatedPair, right: int
+) -> None:
+    far = se3.from_rt(np.eye(3), np.array([3.0, 2.0, 1.0])) @ corridor.T_target_source
+    starts = [far, far]
+    starts[right] = se3.retract(corridor.T_target_source, STEP)
+    found = register_clouds(
+        corridor.target,
+        corridor.source,
+        starts,
+        method="GICP",
+        max_correspondence_distances=(1.0, 0.3),
+    )
+    error = se3.difference(found.T_target_source, corridor.T_target_source)
+    assert np.degrees(error.rotation) < 0.2
+    assert error.translation < 0.02

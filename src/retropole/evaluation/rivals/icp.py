@@ -17,9 +17,6 @@ ICP_CORRESPONDENCE_DISTANCES = (3.0, 1.0, 0.3)
 """Largest distances of corresponding points, one after the other, metres (chosen: from the error
 of a bad start to that of a good one)."""
 
-MAX_ICP_ITERATIONS = 100
-"""For each of these distances: the identity may be far off."""
-
 
 def icp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
     """Register two clouds by point-to-point ICP.
@@ -63,8 +60,7 @@ def _from_identity(
     return register_clouds(
         target,
         source,
-        np.eye(4),
+        [np.eye(4)],
         method=method,
         max_correspondence_distances=ICP_CORRESPONDENCE_DISTANCES,
-        max_iterations=MAX_ICP_ITERATIONS,
     )

@@ -1,8 +1,9 @@
-"""Registration of whole clouds from a start: what every rival but the planar one ends with."""
+"""Registration of whole clouds from given starts: what every rival but the planar one ends with."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -11,13 +12,25 @@ from scipy.spatial import cKDTree
 from ... import se3
 from ...datatypes import Array, PointCloud, PoseEstimate
 from ...errors import Refusal
-from ...scene.registration import CORES, MIN_CLOUD_POINTS, prepare, register
+from ...scene.registration import (
+    CORES,
+    MIN_CLOUD_POINTS,
+    Registration,
+    Surface,
+    prepare,
+    register,
+)
 
 REGISTRATION_VOXEL = 0.2
 """Clouds are downsampled to one point per cube of this side, metres."""
 
-MAX_REGISTRATION_ITERATIONS = 30
-"""From a start that is nearly right; a third of them is what it takes."""
+MAX_REGISTRATION_ITERATIONS = 300
+"""At the last distance: what converges at all is not refused for want of steps (docs/compare.md
+states how many were taken)."""
+
+MAX_APPROACH_ITERATIONS = 100
+"""At each distance before it: enough after a match (the same). From the identity it may cut off an
+approach, which the last distance goes on with."""
 
 RESIDUAL_DISTANCE = 0.3
 """Points with a neighbour in the other cloud within this distance count in the residual, metres."""
@@ -26,27 +39,28 @@ RESIDUAL_DISTANCE = 0.3
 def register_clouds(
     target: PointCloud,
     source: PointCloud,
-    T_start: Array,
+    starts: Sequence[Array],
     *,
     method: Literal["ICP", "GICP"],
     max_correspondence_distances: Sequence[float],
     max_iterations: int = MAX_REGISTRATION_ITERATIONS,
 ) -> PoseEstimate:
-    """Register two clouds from a start, with ever closer correspondences.
+    """Register two clouds from each of the starts, with ever closer correspondences.
 
     Parameters
     ----------
     target, source
         Clouds, each in its own frame.
-    T_start
-        (4, 4) start, target from source.
+    starts
+        (4, 4) each, target from source; at least one. The answer is from the one that ends with
+        the most points that correspond, of those that converge.
     method
         ``ICP`` is point to point, ``GICP`` plane to plane.
     max_correspondence_distances
         Metres, one after the other. Only the last registration has to converge: those before it
         bring its start nearer.
     max_iterations
-        At most, for each distance.
+        At most, at the last distance; `MAX_APPROACH_ITERATIONS` before it.
 
     Returns
     -------
@@ -65,23 +79,18 @@ def register_clouds(
         prepare(target.xyz, REGISTRATION_VOXEL, threads=CORES),
         prepare(source.xyz, REGISTRATION_VOXEL, threads=CORES),
     )
-    T, converged = T_start, False
-    for distance in max_correspondence_distances:
-        result = register(
-            *surfaces,
-            T,
-            method=method,
-            max_correspondence_distance=distance,
-            max_iterations=max_iterations,
-            threads=CORES,
-        )
-        T, converged = result.T_target_source, result.converged
+    ends = [
+        _refined(surfaces, start, method, max_correspondence_distances, max_iterations)
+        for start in starts
+    ]
+    converged = [end for end in ends if end.converged]
     if not converged:
         raise Refusal(
             "not_converged",
             f"{method} still moves after {max_iterations} iterations; it needs a better start",
             {"iterations": max_iterations},
         )
+    T = max(converged, key=attrgetter("inliers")).T_target_source
     tree = cKDTree(surfaces[0].xyz)
     aligned = se3.apply(T, surfaces[1].xyz)
     distances = tree.query(aligned, distance_upper_bound=RESIDUAL_DISTANCE, workers=CORES)[0]
@@ -95,3 +104,26 @@ def register_clouds(
             {"points": len(near), "needed": MIN_CLOUD_POINTS},
         )
     return PoseEstimate(T, None, float(np.sqrt(np.mean(near**2))))
+
+
+def _refined(
+    surfaces: tuple[Surface, Surface],
+    T_start: Array,
+    method: Literal["ICP", "GICP"],
+    max_correspondence_distances: Sequence[float],
+    max_iterations: int,
+) -> Registration:
+    """Register the source's surfaces to the target's, each distance from where the last ended."""
+    end = Registration(T_start, 0, converged=False)
+    *approach, last = max_correspondence_distances
+    before = min(MAX_APPROACH_ITERATIONS, max_iterations)
+    for distance, at_most in [*((each, before) for each in approach), (last, max_iterations)]:
+        end = register(
+            *surfaces,
+            end.T_target_source,
+            method=method,
+            max_correspondence_distance=distance,
+            max_iterations=at_most,
+            threads=CORES,
+        )
+    return end
