@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from retropole.quantities import Unit, duration, error, percent, value, value_and_error
 
-SCALES = {" mm": 1e-3, " m": 1.0, "°": 3.141592653589793 / 180, " ‰": 1e-3}
+SCALES = {" mm": 1e-3, " m": 1.0, "°": 3.141592653589793 / 180, " ‰": 1e-3, " %": 1e-2}
 sigmas = st.floats(1e-7, 1e3)
 units: st.SearchStrategy[Unit] = st.sampled_from(["m", "rad", "1"])
 
 
 def read(text: str) -> tuple[str, float]:
     """Take what was written apart: its digits, and the unit in SI."""
-    found = re.fullmatch(r"(-?[\d.]+)( mm| m|°| ‰)", text)
+    found = re.fullmatch(r"(-?[\d.]+)( mm| m|°| ‰| %)", text)
     assert found is not None, text
     return found[1], SCALES[found[2]]
 
@@ -64,6 +64,7 @@ def test_a_value_ends_where_its_error_does(number: float, sigma: float, unit: Un
         (error(float("nan")), "–"),
         (error(6e-4, "rad"), "0.034°"),
         (error(0.0005, "1"), "0.50 ‰"),
+        (error(0.5, "1"), "50 %"),
         (value(-0.00412, 0.003), "-4.1 mm"),
         (value(-0.00001, 0.003), "0.0 mm"),
         (value(None, 0.003), "–"),
