@@ -5,7 +5,7 @@ import pytest
 
 from retropole import se3
 from retropole.evaluation.entropy import KERNEL_WIDTH
-from retropole.evaluation.paper.comparing import RIVAL_NAMES
+from retropole.evaluation.paper.comparing import RIVAL_NAMES, comparing_real
 from retropole.evaluation.paper.sharpness import KERNEL_WIDTHS, RELATIONS, sums_of
 from retropole.evaluation.rivals import RIVALS
 from retropole.simulation import EXACT, simulate_pair
@@ -53,6 +53,6 @@ def test_every_rival_of_the_table_is_registered() -> None:
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the real recordings of ../shared/data are absent")
 def test_the_reference_of_a_real_recording_is_sharper() -> None:
-    rows = all_exhibits()["table4_recorded"].rows
+    rows = comparing_real(SHARED).rows
     sums = {row[1]: row[2] for row in rows if row[0] == "pandaset"}
     assert number(sums["reference"]) > number(sums["wrong hypothesis"])
