@@ -47,11 +47,7 @@ def approaches_from_afar(
         approach(problem, se3.retract(poles.T_target_source, sign * step), poles.covariance)
         for sign in (1.0, -1.0)
     ]
-    return [
-        end
-        for end in found
-        if end is not None and distance_sq(near.search, near.T, end.T) > SEVERAL
-    ]
+    return [end for end in found if end is not None and elsewhere(end, [near])]
 
 
 def approaches_of_parts(
