@@ -29,6 +29,12 @@ recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 
 NEAREST_PASSED = 0.7
 """Returns nearer than this part of the pole's range are not looked at: they hide the pole."""
 
+MOST_BEAMS = 1000
+"""Of one pole, no more returns and no more beams that passed are worked on: their noise then leaves
+1 mm of its axis open, less than the errors that all of them share. Of streets recorded with 10 and
+30 sweeps (seeds 501 to 504), the poses are as near the truth as with all returns, and the model,
+which knows no smaller errors, is not held to what it cannot explain."""
+
 RMS_MARGIN = 2.0
 """Beams within so many times the pole's rms of its surface count as close: the axis is not known
 better."""
@@ -89,6 +95,7 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     sensor
         What recorded them, and how wide its beams are; `DIVERGENCE` where it is not known.
     """
+    seen = [(_thinned(pole), cloud) for pole, cloud in seen]
     origin = seen[0][1].origin
     divergence = DIVERGENCE if sensor is None else sensor.divergence
     ray = np.concatenate([pole.xyz for pole, _ in seen]) - origin
@@ -117,6 +124,20 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     )
 
 
+def _thinned(pole: Pole) -> Pole:
+    """Leave out returns of a pole that has more than `MOST_BEAMS`."""
+    kept = _evenly((pole.xyz - pole.point) @ pole.direction)
+    return replace(pole, xyz=pole.xyz[kept], index=pole.index[kept])
+
+
+def _evenly(along: Array) -> IntArray:
+    """Choose `MOST_BEAMS` of places (N,) along a pole, evenly, with both ends; all of fewer."""
+    if len(along) <= MOST_BEAMS:
+        return np.arange(len(along))
+    rank = np.linspace(0, len(along) - 1, MOST_BEAMS).astype(np.int64)
+    return np.asarray(np.sort(np.argsort(along)[rank]))
+
+
 def _passed(
     pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: Array
 ) -> tuple[Array, Array]:
@@ -138,7 +159,8 @@ def _passed(
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
     behind = ranges[nearby] > by.ranges + PASSED_BEHIND
     within = (along > own.min()) & (along < own.max())
-    passed = directions[behind & within & (np.abs(by.lateral_offset) < room)]
+    beside_pole = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
+    passed = directions[beside_pole[_evenly(along[beside_pole])]]
     stretches = max(int(np.ptp(own) / STRETCH), 1)
     length = max(float(np.ptp(own)) / stretches, STRETCH)
 

@@ -17,6 +17,10 @@ from .rings import RING_SAMPLE, elevations, off_ring
 SAMPLE = 20_000
 """Points, evenly taken, that the cones are fitted to: 150 on each of 128 rings."""
 
+FEW = 4
+"""Every so many of them tell first whether there are cones at all, within twice the spread: where a
+sweep was undistorted in motion, there are none, from whichever start."""
+
 MOST, CONE_SPREAD = 0.9, float(np.radians(0.1))
 """Rings are cones where so many of their points lie so near to them, rad. Drivers compute points
 from the angles of the beams, so that all of them do: 0.0004° on a Pandar64. Of 144 moved clouds,
@@ -66,7 +70,10 @@ def with_beam_origin(cloud: PointCloud) -> PointCloud:
     if ring.max() == 0:
         return cloud
     for start in (cloud.origin, _densest(points), np.median(points, axis=0)):
-        found = fit_cones(points, ring, start)
+        about = fit_cones(points[::FEW], ring[::FEW], start)
+        if about.spread > 2 * CONE_SPREAD:
+            continue
+        found = fit_cones(points, ring, about.apex)
         near, far = np.quantile(np.linalg.norm(points - found.apex, axis=1), [0.05, 0.95])
         if found.spread <= CONE_SPREAD and far > LEAST_RATIO * near:
             along = found.axis if found.axis @ cloud.axis >= 0.0 else -found.axis

