@@ -27,7 +27,6 @@ from retropole import se3
 from retropole.datatypes import Array, PointCloud
 from retropole.io import write_pcd
 from retropole.simulation import simulate_pair
-from retropole.simulation.noise import NOISE_MODELS
 
 MIB = 2**20
 
@@ -69,9 +68,7 @@ def measure(words: list[str]) -> tuple[float, int, int, str]:
 
 def write_all(folder: Path, scene: str, seed: int, frames: int, size: int, points: int) -> Truth:
     """Simulate the scene and write its files; give the true transform and the sensors."""
-    pair = simulate_pair(
-        scene, np.random.default_rng(seed), frames=frames, noise=NOISE_MODELS["none"]
-    )
+    pair = simulate_pair(scene, np.random.default_rng(seed), frames=frames)
     for role, cloud in (("target", pair.target), ("source", pair.source)):
         count = write_frames(folder / role, cloud, size)
         print(f"{role}: {count} frames of {len(cloud) // frames:,} points", flush=True)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole.alignment.observations import MOST_BEAMS, Beams, beams_of
-from retropole.datatypes import Array, IntArray, PointCloud, Pole
+from retropole.alignment import observations
+from retropole.alignment.observations import FEW_RETURNS, MOST_RETURNS, Beams, beams_of
+from retropole.datatypes import Array, PointCloud, Pole
 from retropole.sensors import find_sensor
 
 RANGE, RADIUS = 5.0, 0.02
@@ -48,21 +49,54 @@ def test_of_an_unknown_sensor_nothing_is_known_beside_a_pole() -> None:
     assert len(beams.beside) == len(xyz)
 
 
-def test_of_very_many_returns_a_part_is_taken_evenly_whatever_their_order() -> None:
+@pytest.fixture(scope="module")
+def many() -> tuple[Array, Array]:
+    """Returns on a pole, and on the wall behind it."""
     rng = np.random.default_rng(0)
-    xyz = np.array([RANGE, 0.0, 0.0]) + rng.uniform(-1, 1, (5 * MOST_BEAMS, 3)) * [0.005, 0.015, 1]
-    wall = np.array([2 * RANGE, 0.0, 0.0]) + rng.uniform(-1, 1, (60_000, 3)) * [0.0, 0.2, 2.0]
+    pole = np.array([RANGE, 0.0, 0.0]) + rng.uniform(-1, 1, (5 * MOST_RETURNS, 3)) * [
+        0.005,
+        0.015,
+        1,
+    ]
+    wall = np.array([2 * RANGE, 0.0, 0.0]) + rng.uniform(-1, 1, (200_000, 3)) * [0.0, 1.0, 2.0]
+    return pole, wall
 
-    def beams(order: IntArray) -> Beams:
-        index = np.arange(len(xyz))
-        pole = Pole(xyz.mean(axis=0), np.array([0.0, 0.0, 1.0]), xyz[order], 2.0, 0.01, 9, index)
-        cloud = np.concatenate([xyz[order], wall])
-        return beams_of([(pole, PointCloud(cloud, np.ones(len(cloud))))])
 
-    plain, shuffled = beams(np.arange(len(xyz))), beams(rng.permutation(len(xyz)))
-    assert len(plain.ranges) == len(plain.passed_pole) == MOST_BEAMS
+def beams_at(pole: Array, wall: Array, left_out: int = 0) -> Beams:
+    index = np.arange(len(pole))
+    found = Pole(np.array([RANGE, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), pole, 2.0, 0.01, 9, index)
+    cloud = np.concatenate([pole, wall])
+    return beams_of([(found, PointCloud(cloud, np.ones(len(cloud)), thinned=left_out))])
+
+
+def test_of_very_many_returns_a_part_is_taken_evenly_whatever_their_order(
+    many: tuple[Array, Array],
+) -> None:
+    pole, wall = many
+    plain = beams_at(pole, wall)
+    shuffled = beams_at(np.random.default_rng(1).permutation(pole), wall)
+    assert len(plain.ranges) == MOST_RETURNS
     np.testing.assert_array_equal(np.sort(plain.ranges), np.sort(shuffled.ranges))
-    # Evenly along the pole, from end to end.
     heights = np.sort(plain.ranges * plain.directions[:, 2])
-    assert [heights[0], heights[-1]] == pytest.approx([xyz[:, 2].min(), xyz[:, 2].max()])
-    np.testing.assert_allclose(heights, np.linspace(-1, 1, MOST_BEAMS), atol=0.05)
+    assert [heights[0], heights[-1]] == pytest.approx([pole[:, 2].min(), pole[:, 2].max()])
+    np.testing.assert_allclose(heights, np.linspace(-1, 1, len(heights)), atol=0.05)
+
+
+@pytest.mark.parametrize(("part", "left_out"), [(1, 0), (2, 100_000), (10, 180_000)])
+def test_as_many_beams_are_left_out_on_a_pole_as_beside_it(
+    many: tuple[Array, Array], part: int, left_out: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a cloud was thinned, which leaves the returns on poles, since they are bright."""
+    pole, wall = many
+    found = beams_at(pole, wall[::part], left_out)
+    monkeypatch.setattr(observations, "MOST_RETURNS", 10**9)
+    everything = beams_at(pole, wall)
+    kept_on, kept_beside = len(found.ranges), len(found.passed_pole)
+    share = kept_on / len(pole)
+    assert kept_on < 1.1 * MOST_RETURNS
+    assert kept_beside / len(everything.passed_pole) == pytest.approx(share, rel=0.25)
+
+
+def test_few_returns_on_a_pole_stay_where_the_cloud_was_thinned(many: tuple[Array, Array]) -> None:
+    pole, wall = many
+    assert len(beams_at(pole[:FEW_RETURNS], wall, 2_000_000).ranges) == FEW_RETURNS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,11 +30,14 @@ recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 
 NEAREST_PASSED = 0.7
 """Returns nearer than this part of the pole's range are not looked at: they hide the pole."""
 
-MOST_BEAMS = 1000
-"""Of one pole, no more returns and no more beams that passed are worked on: their noise then leaves
-1 mm of its axis open, less than the errors that all of them share. Of streets recorded with 10 and
+MOST_RETURNS = 1000
+"""Of one pole, no more are worked on: their noise then leaves 1 mm of its axis open, less than the
+errors that all of them share. Of streets recorded with 10 and
 30 sweeps (seeds 501 to 504), the poses are as near the truth as with all returns, and the model,
 which knows no smaller errors, is not held to what it cannot explain."""
+
+FEW_RETURNS = 300
+"""Where a cloud was thinned, so many returns of a pole stay all the same: those of one sweep."""
 
 RMS_MARGIN = 2.0
 """Beams within so many times the pole's rms of its surface count as close: the axis is not known
@@ -95,56 +99,65 @@ def beams_of(seen: Sequence[tuple[Pole, PointCloud]], sensor: Sensor | None = No
     sensor
         What recorded them, and how wide its beams are; `DIVERGENCE` where it is not known.
     """
-    seen = [(_thinned(pole), cloud) for pole, cloud in seen]
     origin = seen[0][1].origin
     divergence = DIVERGENCE if sensor is None else sensor.divergence
-    ray = np.concatenate([pole.xyz for pole, _ in seen]) - origin
-    ranges = np.linalg.norm(ray, axis=1)
     # Several poles are in one cloud, which is large.
     rays = {id(cloud): cloud.xyz - cloud.origin for _, cloud in seen}
     lengths = {key: se3.lengths(each) for key, each in rays.items()}
     found = [
-        _passed(pole, cloud, divergence, rays[id(cloud)], lengths[id(cloud)])
-        for pole, cloud in seen
+        _near(pole, cloud, divergence, rays[id(cloud)], lengths[id(cloud)]) for pole, cloud in seen
     ]
-    passed = [directions for directions, _ in found]
-    passed_pole = np.repeat(np.arange(len(seen)), [len(rays) for rays in passed])
+    ray = np.concatenate([near.returns for near in found]) - origin
+    ranges = np.linalg.norm(ray, axis=1)
+    passed_pole = np.repeat(np.arange(len(seen)), [len(near.passed) for near in found])
     away = np.array([np.linalg.norm(pole.point - origin) for pole, _ in seen])
     return Beams(
         origin=origin,
         axis=seen[0][1].axis,
         directions=ray / ranges[:, None],
         ranges=ranges,
-        pole=np.repeat(np.arange(len(seen)), [len(pole.xyz) for pole, _ in seen]),
+        pole=np.repeat(np.arange(len(seen)), [len(near.returns) for near in found]),
         half_width=0.5 * divergence * ranges,
-        beside=np.concatenate([beside for _, beside in found]),
-        passed_directions=np.concatenate(passed),
+        beside=np.concatenate([near.beside for near in found]),
+        passed_directions=np.concatenate([near.passed for near in found]),
         passed_pole=passed_pole,
         passed_half_width=0.5 * divergence * away[passed_pole],
     )
 
 
-def _thinned(pole: Pole) -> Pole:
-    """Leave out returns of a pole that has more than `MOST_BEAMS`."""
-    kept = _evenly((pole.xyz - pole.point) @ pole.direction)
-    return replace(pole, xyz=pole.xyz[kept], index=pole.index[kept])
+def _shares(returns: int, cloud: PointCloud) -> tuple[float, float]:
+    """Which share of a pole's returns, and of the beams that passed beside it, is worked on.
+
+    Together they tell where the pole ends: as many of either must be left out. Where the cloud was
+    thinned (`io.thinning`), beams beside the pole are fewer already; its returns, bright, are not.
+    """
+    left = len(cloud) / (len(cloud) + cloud.thinned)
+    share = max(min(left, MOST_RETURNS / returns), min(FEW_RETURNS / returns, 1.0))
+    return share, min(share / left, 1.0)
 
 
-def _evenly(along: Array) -> IntArray:
-    """Choose `MOST_BEAMS` of places (N,) along a pole, evenly, with both ends; all of fewer."""
-    if len(along) <= MOST_BEAMS:
+def _evenly(along: Array, share: float) -> IntArray:
+    """Choose a share of places (N,) along a pole, evenly, with both ends."""
+    if share == 1.0 or not len(along):
         return np.arange(len(along))
-    rank = np.linspace(0, len(along) - 1, MOST_BEAMS).astype(np.int64)
+    rank = np.linspace(0, len(along) - 1, max(round(share * len(along)), 1)).astype(np.int64)
     return np.asarray(np.sort(np.argsort(along)[rank]))
 
 
-def _passed(
-    pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: Array
-) -> tuple[Array, Array]:
-    """Directions (M, 3) of the beams that passed close beside a pole and returned from behind.
+class _Near(NamedTuple):
+    """Returns (N, 3) on a pole, share (N,) of the two sides of each that have beams which passed,
+    and directions (M, 3) of these.
+    """
 
-    And for each return (N,) on the pole, the share of its two sides that have such beams. The
-    cloud's rays (P, 3) and ranges (P,) are given, metres.
+    returns: Array
+    beside: Array
+    passed: Array
+
+
+def _near(pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: Array) -> _Near:
+    """Find the beams that met a pole, and those that passed close beside and returned from behind.
+
+    The cloud's rays (P, 3) and ranges (P,) are given, metres.
     """
     away = float(np.linalg.norm(pole.point - cloud.origin))
     sine = np.sin(np.arctan2(0.5 * pole.length + SEARCH_MARGIN, away))
@@ -159,8 +172,7 @@ def _passed(
     room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
     behind = ranges[nearby] > by.ranges + PASSED_BEHIND
     within = (along > own.min()) & (along < own.max())
-    beside_pole = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
-    passed = directions[beside_pole[_evenly(along[beside_pole])]]
+    passed = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
     stretches = max(int(np.ptp(own) / STRETCH), 1)
     length = max(float(np.ptp(own)) / stretches, STRETCH)
 
@@ -174,4 +186,7 @@ def _passed(
     for side in (near & (by.lateral_offset < 0), near & (by.lateral_offset > 0)):
         seen = np.bincount(stretch(along[side]), minlength=stretches) > 0
         beside += 0.5 * seen[stretch(own)]
-    return passed, beside
+    of_returns, of_passed = _shares(len(own), cloud)
+    kept = _evenly(own, of_returns)
+    passed = passed[_evenly(along[passed], of_passed)]
+    return _Near(pole.xyz[kept], beside[kept], directions[passed])
