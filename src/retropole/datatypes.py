@@ -18,6 +18,7 @@ from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
 from .uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
+from .uncertainty.purpose import Fitness
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -307,10 +308,9 @@ class Calibration:
         ``ok``, ``warn`` or ``refused``.
     reasons
         What is wrong or weak; empty when ok.
-    T_target_source
-        (4, 4) maps source points into the target frame; None when refused.
-    covariance
-        (6, 6) over ``[φ, δ]``, rad and m, target axes; None when refused.
+    T_target_source, covariance
+        (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
+        target axes; None when refused.
     poles, refined
         The pose from the poles alone, and with the scene; None where it did not come to that.
     hypotheses
@@ -321,16 +321,14 @@ class Calibration:
         (range, 1 σ error of a point at that range), metres; empty when refused.
     weakest
         The direction in which the pose is least certain; None when refused.
-    placements
-        What was recorded and found, one for each placement of the poles.
-    seconds
-        Time of each step.
-    uncertainty
-        `covariance` in its two kinds, and the error budget; None when refused.
-    radius
-        The poles' radius as given and as estimated; None when refused.
-    confirmation
-        What stands in the scene says of the pose; None where it did not come to that.
+    placements, seconds
+        What was recorded and found, one for each placement of the poles; and the time of each step.
+    uncertainty, radius
+        `covariance` in its two kinds with the error budget, and the poles' radius as given and as
+        estimated; None when refused.
+    confirmation, fitness
+        What stands in the scene says of the pose, and whether it is as accurate as was asked for;
+        None where it did not come to that, or nothing was asked for.
     """
 
     status: Literal["ok", "warn", "refused"]
@@ -348,3 +346,4 @@ class Calibration:
     uncertainty: Uncertainty | None = None
     radius: RadiusEstimate | None = None
     confirmation: Confirmation | None = None
+    fitness: Fitness | None = None

@@ -26,6 +26,7 @@ from .datatypes import (
 from .errors import Reason, Refusal
 from .extraction.extent import located
 from .extraction.poles import extract_poles
+from .fitness import judged
 from .matching import correspondence
 from .matching.confirmation import Chosen, choose_with_doubtful, counts_doubtful
 from .matching.placements import (
@@ -48,6 +49,7 @@ from .scene.static import check_static, check_still, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
 from .uncertainty import Confirmation, predicted_error, weakest_direction
+from .uncertainty.purpose import Need
 from .verdict import check_choice, margin_of, weaknesses
 
 
@@ -63,6 +65,7 @@ def calibrate(
     scene: bool = True,
     prior: RotationPrior | None = None,
     trust_poles: bool = False,
+    need: Need | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -87,6 +90,8 @@ def calibrate(
         What is known of the rotation; hypotheses that contradict it are left out.
     trust_poles
         Whether to take the poles' word where the scene has too little to confirm it.
+    need
+        How accurate the answer must be, which the verdict answers; None only asks for usable.
     progress
         Called with the name of each step as it starts.
 
@@ -97,12 +102,9 @@ def calibrate(
         never a guess.
     """
     clouds = zip(_each(target), _each(source), strict=True)
-    (sensor_target, sensor_source), (threshold_target, threshold_source) = sensors, thresholds
-    find_target = partial(
-        find_poles, sensor=sensor_target, threshold=threshold_target, radius=radius
-    )
-    find_source = partial(
-        find_poles, sensor=sensor_source, threshold=threshold_source, radius=radius
+    find_target, find_source = (
+        partial(find_poles, sensor=sensor, threshold=threshold, radius=radius)
+        for sensor, threshold in zip(sensors, thresholds, strict=True)
     )
     align_poles = partial(align, radius=radius, radius_sigma=radius_sigma)
     seconds: dict[str, float] = {}
@@ -147,7 +149,8 @@ def calibrate(
             answer = refused(cause, placements, hypotheses, seconds, confirmation)
             return origins.moved_back(answer)
     answer = answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
-    return origins.moved_back(answer)
+    # Ranges count from where the beams start.
+    return origins.moved_back(judged(answer, need))
 
 
 def find_poles(
@@ -244,16 +247,14 @@ def align(
     """Align the paired poles of all placements by where the beams can have met them."""
     target = [(pole, each.placement.target.cloud) for each in paired for pole in each.target_poles]
     source = [(pole, each.placement.source.cloud) for each in paired for pole in each.source_poles]
+    sensors = paired[0].placement.target.sensor, paired[0].placement.source.sensor
     return align_beams(
-        beams_of(target, paired[0].placement.target.sensor),
-        beams_of(source, paired[0].placement.source.sensor),
+        beams_of(target, sensors[0]),
+        beams_of(source, sensors[1]),
         T_start,
         radius=radius,
         radius_sigma=radius_sigma,
-        sizes=(
-            sizes_of(paired[0].placement.target.sensor),
-            sizes_of(paired[0].placement.source.sensor),
-        ),
+        sizes=(sizes_of(sensors[0]), sizes_of(sensors[1])),
     )
 
 

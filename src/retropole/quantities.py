@@ -37,6 +37,20 @@ def error(sigma: float | None, unit: Unit = "m") -> str:
     return _fixed(sigma * scale, _decimals(sigma * scale)) + symbol
 
 
+def at_most(bound: float) -> str:
+    """Write a bound on a length as `error` does, rounded up: 20.1 mm are not within ``20 mm``.
+
+    Parameters
+    ----------
+    bound
+        Metres, above 0.
+    """
+    scale, _ = _scale(bound, "m")
+    digit = 10.0 ** -_decimals(bound * scale)
+    # What is as good as a whole digit stays one.
+    return error(math.ceil(bound * scale / digit - 1e-9) * digit / scale)
+
+
 def value(number: float | None, sigma: float, unit: Unit = "m") -> str:
     """Write a value to the digit at which its uncertainty ends: ``20.31 mm`` beside 0.42 mm.
 

@@ -23,6 +23,9 @@ FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
 """1 σ about and along each axis that no model names, rad and m: bent housings, temperature, grounds
 that are not flat, time between the recordings."""
 
+FLOOR = "what no model names"
+"""What the budget calls that."""
+
 WORKING_SHARE, POLES_ONLY = 0.25, ("tape", "radius")
 """The estimate is drawn to the prior of errors that only poles show as if they had this part of
 their 1 σ; what is stated counts them whole. A few poles cannot tell an offset from a translation:
@@ -171,7 +174,7 @@ def stated(
         widened = one.covariance * few_freedom(one.freedom)
         random = random + widened
         rows.append((one.name, None, _at(widened), "m", None, widened))
-    for name, part in (*other, ("what no model names", floor())):
+    for name, part in (*other, (FLOOR, floor())):
         rows.append((name, None, _at(part), "m", None, part))
     total = sum((row[5] for row in rows), np.zeros((POSE, POSE)))
     whole = _at(total) ** 2

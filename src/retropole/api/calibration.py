@@ -14,6 +14,7 @@ from ..io.thinning import LEAST_POINTS
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
+from ..uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, USABLE, Need
 from .inputs import (
     CloudSource,
     Input,
@@ -42,6 +43,8 @@ def calibrate(
     poles: int | None = None,
     refine: bool = DEFAULT_CONFIG.refine,
     trust_poles: bool = DEFAULT_CONFIG.trust_poles,
+    need: float | None = None,
+    at: float | None = None,
     up: bool = DEFAULT_CONFIG.up,
     prior_rpy_deg: Sequence[float] | None = None,
     prior_sigma_deg: float = DEFAULT_CONFIG.prior_sigma_deg,
@@ -72,6 +75,9 @@ def calibrate(
         Whether the scene refines the pose that the poles give.
     trust_poles
         Whether you vouch for two poles where the scene has too little to confirm them.
+    need, at
+        How accurate the answer must be: no point up to `at` away, 30 m where it is None, lands
+        further than `need` from its true place, metres. The verdict says whether that is 95 % sure.
     up
         Both LiDARs stand roughly upright: hypotheses that contradict it are left out.
     prior_rpy_deg, prior_sigma_deg
@@ -107,6 +113,8 @@ def calibrate(
             poles=None if poles is None else index(poles),
             refine=bool(refine),
             trust_poles=bool(trust_poles),
+            need_m=None if need is None else float(need),
+            at_m=None if at is None else float(at),
             threshold_target=None if threshold_target is None else float(threshold_target),
             threshold_source=None if threshold_source is None else float(threshold_source),
             sensor_target=sensor_target,
@@ -167,6 +175,7 @@ def calibrate_with(
         poles=config.poles,
         scene=config.refine,
         trust_poles=config.trust_poles,
+        need=_need(config),
         prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
         progress=progress,
     )
@@ -181,6 +190,13 @@ def calibrate_with(
         seconds={"read": seconds_read, **calibration.seconds},
     )
     return CalibrationResult(document, calibration.placements)
+
+
+def _need(config: RunConfig) -> Need | None:
+    """Take how accurate the answer must be; None where that is not said."""
+    if config.need_m is None:
+        return None
+    return Need(config.need_m, DEFAULT_AT if config.at_m is None else config.at_m)
 
 
 def _three(values: Sequence[float]) -> tuple[float, float, float]:
@@ -205,7 +221,10 @@ def check_options(config: RunConfig) -> None:
         Naming the option and what is expected.
     """
     check_radius(config.radius_m)
+    if config.at_m is not None and config.need_m is None:
+        raise UsageError("at is the distance for need, how accurate the answer must be: give both")
     poles = MIN_POLES if config.poles is None else config.poles
+    need = _need(config) or USABLE
     for name, value, allowed, expected in (
         (
             "radius_sigma",
@@ -219,6 +238,13 @@ def check_options(config: RunConfig) -> None:
             0 < config.prior_sigma_deg <= 180,
             "above 0, 180 at most",
         ),
+        (
+            "need",
+            need.within,
+            0 < need.within <= LARGEST_NEED,
+            f"above 0, {LARGEST_NEED:g} m at most",
+        ),
+        ("at", need.at, 0 < need.at <= FARTHEST, f"above 0, {FARTHEST:g} m at most"),
         ("poles", poles, poles >= MIN_POLES, f"from {MIN_POLES} up"),
         (
             "max_points",

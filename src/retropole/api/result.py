@@ -23,6 +23,7 @@ from ..report.certainty import largest_error, radius_words, scene_words
 from ..report.inputs import StoredInputs, placements_of
 from ..result import (
     ErrorAtRange,
+    FitnessDoc,
     ReasonDoc,
     ResultDoc,
     confirmation_of,
@@ -108,6 +109,14 @@ class CalibrationResult:
         return confirmation_of(self.document.confirmation)
 
     @property
+    def fitness(self) -> FitnessDoc | None:
+        """Whether it is as accurate as was asked for (`answer`, `probability`, `bound_m`).
+
+        None where nothing was asked for, and when refused.
+        """
+        return self.document.fitness
+
+    @property
     def predicted_error(self) -> tuple[ErrorAtRange, ...]:
         """Predicted 1 σ error of a point (`sigma_m`) at ranges (`range_m`); empty when refused."""
         return tuple(self.document.predicted_error or ())
@@ -159,6 +168,7 @@ class CalibrationResult:
             )
             rows.append(("predicted error", f"{at} (1 σ)"))
         said = (
+            ("fit for purpose", None if self.fitness is None else self.fitness.words),
             ("largest error", largest_error(self.document)),
             ("radius", radius_words(self.document)),
             ("scene", scene_words(self.document)),

@@ -9,16 +9,21 @@ import click
 
 from ..datatypes import MAX_RADIUS
 from ..result import DEFAULT_CONFIG
+from ..uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from .common import (
     ANGLE,
     CLOUD,
     CONTEXT,
     DEGREES,
     EXIT_REFUSED,
+    EXIT_WARNED,
+    METRES,
     OUT,
     Number,
+    command_line,
     echo_left_out,
     echo_refusal,
+    echo_warning,
     frames_option,
     max_points_option,
     progress_on_terminal,
@@ -30,6 +35,8 @@ from .common import (
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
+
+CENTIMETRES = Number(min=0, min_open=True, max=100 * LARGEST_NEED)
 
 
 @click.command(context_settings=CONTEXT)
@@ -88,6 +95,18 @@ if TYPE_CHECKING:
     help="Vouch for two poles where the scene has too little to confirm them.",
 )
 @click.option(
+    "--need-cm",
+    type=CENTIMETRES,
+    help="Accuracy that is needed, cm: the verdict says whether no point up to --at-m away is off "
+    "by more, 95 % sure.",
+)
+@click.option(
+    "--at-m",
+    type=METRES,
+    help=f"Distance up to which --need-cm must hold, m.  [default: {DEFAULT_AT:g}]",
+)
+@click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
+@click.option(
     "--seed",
     type=click.IntRange(min=0),
     default=DEFAULT_CONFIG.seed,
@@ -95,7 +114,7 @@ if TYPE_CHECKING:
     help="Seed of whatever is drawn at random.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
 def calibrate(
     target: Path | None,
     source: Path | None,
@@ -117,6 +136,9 @@ def calibrate(
     prior_sigma_deg: float,
     refine: bool,
     trust_poles: bool,
+    need_cm: float | None,
+    at_m: float | None,
+    strict: bool,
     seed: int,
     as_json: bool,
     quiet: bool,
@@ -133,6 +155,7 @@ def calibrate(
       retropole calibrate front.pcd rear.pcd --radius 0.03 --out today
       retropole calibrate front/ rear/ --sensor-target VLP-16 --threshold-source 150
       retropole calibrate front.pcd rear.pcd --json | jq .T_target_source
+      retropole calibrate front.pcd rear.pcd --need-cm 2 --at-m 30 --strict
       retropole calibrate front.pcd rear.pcd --up
       retropole calibrate --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole calibrate drive.bag drive.bag --target-topic /front --source-topic /rear
@@ -141,6 +164,7 @@ def calibrate(
     \b
     Exit code:
       0    calibrated; the verdict is ok, or warn with what is weak
+      1    with --strict: the verdict is warn
       2    a file or an option is wrong
       3    refused: the data carry no answer; the reason is printed and in result.json
       130  interrupted
@@ -149,6 +173,8 @@ def calibrate(
     from ..report.text import describe_result
     from ..result import RunConfig, encode
 
+    if at_m is not None and need_cm is None:
+        raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
     targets, sources = _pairs(target, source, placements)
     config = RunConfig(
         radius_m=radius,
@@ -159,6 +185,8 @@ def calibrate(
         poles=poles,
         refine=refine,
         trust_poles=trust_poles,
+        need_m=None if need_cm is None else need_cm / 100,
+        at_m=at_m,
         seed=seed,
         threshold_target=threshold_target,
         threshold_source=threshold_source,
@@ -180,12 +208,19 @@ def calibrate(
     if as_json:
         show(encode(result.document))
     elif not quiet:
-        show(describe_result(result.document, [str(path) for path in written]))
-    if result.status != "refused":
-        return 0
-    for reason in result.reasons:
-        echo_refusal(reason.code, reason.message, advise=quiet or as_json)
-    return EXIT_REFUSED
+        following = {
+            "next": command_line("export", out, "--to", "ros2"),
+            "later, with new recordings": command_line("check", out, targets[0], sources[0]),
+        }
+        show(describe_result(result.document, [str(path) for path in written], following))
+    if result.status == "refused":
+        for reason in result.reasons:
+            echo_refusal(reason.code, reason.message, advise=quiet or as_json)
+        return EXIT_REFUSED
+    if quiet or as_json:
+        for reason in result.reasons:
+            echo_warning(reason.code, reason.message)
+    return EXIT_WARNED if strict and result.status == "warn" else 0
 
 
 def _pairs(

@@ -5,10 +5,13 @@ from __future__ import annotations
 import codecs
 import io
 import math
+import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from subprocess import list2cmdline
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,15 +19,16 @@ import click
 from ..datatypes import MAX_RADIUS, MIN_RADIUS
 from ..errors import escaped, printable
 from ..io.thinning import LEAST_POINTS
-from ..reasons import explain, plain
+from ..reasons import explain, page, plain
 from ..result import DEFAULT_CONFIG
 from ..sensors import SENSORS
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
 
-EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 3, 130, 141
-"""The last one is 128 + SIGPIPE, as of any program whose reader has gone."""
+EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED, EXIT_PIPE = 1, 2, 3, 130, 141
+"""The first is for --strict alone; the last is 128 + SIGPIPE, as of any program whose reader is
+gone."""
 
 ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ": "chi", "²": "^2"}
 ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
@@ -233,6 +237,21 @@ def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:
     for action in explanation.advice if explanation else ():
         say(lead + plain(action))
         lead = " " * len(lead)
+    if explanation:
+        say(f"read on: documentation, {page(code)}")
+
+
+def echo_warning(code: str, message: str) -> None:
+    """Say on stderr what an answer warns of."""
+    say(f"retropole: warning ({code}): {message}")
+
+
+def command_line(*words: str | Path) -> str:
+    """Write a command of retropole as it is typed, its words quoted for the shell."""
+    typed = ["retropole"]
+    # A file whose name begins as an option does is none.
+    typed += [f"./{w}" if isinstance(w, Path) and f"{w}"[0] == "-" else f"{w}" for w in words]
+    return list2cmdline(typed) if os.name == "nt" else shlex.join(typed)
 
 
 @contextmanager

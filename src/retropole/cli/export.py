@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMATS
-from .common import CONTEXT, say, show
+from .common import CONTEXT, echo_warning, show
 
 if TYPE_CHECKING:
     from ..export import Transform
@@ -102,7 +102,7 @@ def _warn(path: Path) -> None:
     from ..export import read_verdict
 
     for reason in read_verdict(path):
-        say(f"retropole: warning ({reason.code}): {reason.message}")
+        echo_warning(reason.code, reason.message)
 
 
 def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:

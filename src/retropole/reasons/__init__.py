@@ -27,6 +27,7 @@ __all__ = [
     "Group",
     "Prefix",
     "explain",
+    "page",
     "plain",
     "prefixed",
     "unlinked",
@@ -70,6 +71,14 @@ GROUPS: tuple[Group, ...] = (
 )
 
 REASONS: dict[str, Explanation] = {code: text for group in GROUPS for code, text in group.reasons}
+
+
+def page(code: str) -> str | None:
+    """Name the page of the documentation that explains a code; None where it is not known."""
+    if code in REASONS:
+        return f"reasons.html#{code.replace('_', '-')}"
+    prefix = next((p for p in PREFIXED if code.startswith(f"{p}_")), None)
+    return None if prefix is None else f"reasons.html#{prefix}"
 
 
 def prefixed(prefix: Prefix, code: str) -> Code:

@@ -22,6 +22,7 @@ WarningCode = Literal[
     "poles_and_scene_disagree",
     "radius_differs",
     "several_minima",
+    "not_fit_for_purpose",
 ]
 
 WARNINGS: dict[WarningCode, Explanation] = {
@@ -166,6 +167,19 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Better poles leave one: stand them nearer, lean them more, or add a placement, "
             "[`--placement`](placing.md#one-placement-is-weak-make-more).",
             "Compare with `--no-refine`, which keeps to the poles.",
+        ),
+    ),
+    "not_fit_for_purpose": Explanation(
+        "The answer is not shown to be accurate enough",
+        "It is not 95 % sure that no point up to the distance of `--at-m` lands further from its "
+        "true place than `--need-cm` says; without these, than 30 cm at 30 m. The message says how "
+        "sure it is, what is 95 % sure instead, and what would help against the largest "
+        "sources of error. "
+        "[How it is computed](certainty.md#good-enough-for-what).",
+        (
+            "Do what the message says would help. "
+            "[Every source of error, and what helps](certainty.md#the-error-budget).",
+            "Where less is enough, say so: `--need-cm`, and `--at-m` for how far away it matters.",
         ),
     ),
 }

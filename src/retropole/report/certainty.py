@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..quantities import error, percent, value, value_and_error
-from ..result import BudgetEntryDoc, ResultDoc, confirmation_of
-from ..uncertainty import predicted_error
+from ..result import ResultDoc, confirmation_of
+from ..uncertainty import predicted_error, source_words
 
 BUDGET_RANGE = 30.0
 """Range at which the shares of the budget are stated, metres."""
@@ -38,11 +38,6 @@ def error_parts(result: ResultDoc) -> list[ErrorParts]:
     ]
 
 
-def error_source(entry: BudgetEntryDoc) -> str:
-    """Name a source of error: ``range offset of the source LiDAR``."""
-    return entry.name if entry.sensor is None else f"{entry.name} of the {entry.sensor} LiDAR"
-
-
 def largest_error(result: ResultDoc) -> str | None:
     """Name the largest source of error, and its share; None where no budget is stated."""
     if not result.budget:
@@ -51,7 +46,7 @@ def largest_error(result: ResultDoc) -> str | None:
     at = [each.sigma_m for each in result.predicted_error or [] if each.range_m == BUDGET_RANGE]
     whole = "".join(f" of ± {error(sigma)}" for sigma in at)
     share = f"{percent(entry.share_at_30m)} of the variance{whole} at {BUDGET_RANGE:g} m"
-    return f"{error_source(entry)}: {share}"
+    return f"{source_words(entry.name, entry.sensor)}: {share}"
 
 
 def radius_words(result: ResultDoc) -> str | None:

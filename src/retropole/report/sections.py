@@ -54,10 +54,16 @@ def verdict(result: ResultDoc, notes: Sequence[str] = ()) -> str:
     return (
         f'{alerts}<section class="verdict {kind}" aria-labelledby="verdict">'
         f'<div class="mark" aria-hidden="true">{SYMBOLS.get(status, "?")}</div><div>'
-        f'<h2 id="verdict">{escape(title)}</h2><p>{escape(words + _certainty(result))}</p>'
+        f'<h2 id="verdict">{escape(title)}</h2>{_fitness(result)}'
+        f"<p>{escape(words + _certainty(result))}</p>"
         + (f'<ul class="reasons">{items}</ul>' if items else "")
         + f"</div>{_figures(result)}</section>"
     )
+
+
+def _fitness(result: ResultDoc) -> str:
+    """Answer whether the transform is as accurate as was asked for; nothing where nothing was."""
+    return "" if result.fitness is None else f"<p><b>{escape(result.fitness.words)}.</b></p>"
 
 
 def _reason(reason: ReasonDoc) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -12,7 +12,7 @@ from .. import se3
 from ..errors import printable
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
 from ..quantities import error
-from ..reasons import explain, plain
+from ..reasons import explain, page, plain
 from ..result import (
     DetectionDoc,
     HypothesisDoc,
@@ -147,7 +147,9 @@ def transform_lines(matrix: Sequence[Sequence[float]]) -> list[str]:
     ]
 
 
-def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
+def describe_result(
+    result: ResultDoc, written: Sequence[str], following: Mapping[str, str] | None = None
+) -> str:
     """Write a whole result as a person reads it.
 
     Parameters
@@ -156,6 +158,8 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
         The result document.
     written
         Paths of the files that hold it.
+    following
+        Commands to type next where there is a transform, by the words that introduce each.
     """
     result, written = legible(result), [printable(path) for path in written]
     parts = [_input_line(LIDARS[k % 2], document) for k, document in enumerate(result.inputs)]
@@ -184,9 +188,16 @@ def describe_result(result: ResultDoc, written: Sequence[str]) -> str:
     if scene is not None:
         parts.append(f"what stands in the scene: {scene}")
     parts.append(f"verdict: {result.status}")
+    # Where it is not yes, the reason says so.
+    if result.fitness is not None and result.fitness.answer == "yes":
+        parts.append(f"  {result.fitness.words}")
     for reason in result.reasons:
         parts += reason_lines(reason)
+        if result.status == "refused" and explain(reason.code) is not None:
+            parts.append(f"    read on: documentation, {page(reason.code)}")
     parts.append("written: " + ", ".join(written))
+    if result.T_target_source is not None:
+        parts += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
     return "\n".join(parts)
 
 

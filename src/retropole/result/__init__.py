@@ -27,6 +27,7 @@ from .certainty import (
     BudgetEntryDoc,
     ConfirmationDoc,
     ErrorAtRange,
+    FitnessDoc,
     Matrix,
     RadiusDoc,
     UncertaintyDoc,
@@ -34,6 +35,7 @@ from .certainty import (
     budget_document,
     confirmation_document,
     confirmation_of,
+    fitness_document,
     matrix_rows,
     radius_document,
     radius_of,
@@ -60,6 +62,7 @@ __all__ = [
     "ConfirmationDoc",
     "DetectionDoc",
     "ErrorAtRange",
+    "FitnessDoc",
     "HypothesisDoc",
     "InputDoc",
     "Matrix",
@@ -94,7 +97,8 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
     None stands for what was not asked for: any number of poles, no prior, the sensor's or the
-    cloud's own threshold, the only topic, frames evenly spread. Frames are start, stop and step.
+    cloud's own threshold, the only topic, frames evenly spread, no accuracy that is needed. Frames
+    are start, stop and step.
     """
 
     radius_m: Size = DEFAULT_RADIUS
@@ -105,6 +109,8 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     poles: Count | None = None
     refine: bool = True
     trust_poles: bool = False
+    need_m: Size | None = None
+    at_m: Size | None = None
     seed: int = 0
     threshold_target: Number | None = None
     threshold_source: Number | None = None
@@ -182,6 +188,7 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     weakest: WeakestDoc | None = None
     radius: RadiusDoc | None = None
     confirmation: ConfirmationDoc | None = None
+    fitness: FitnessDoc | None = None
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
     margin: Number | None
@@ -287,6 +294,7 @@ def result_document(
         weakest=weakest_document(calibration.weakest),
         radius=radius_document(calibration.radius),
         confirmation=confirmation_document(calibration.confirmation),
+        fitness=fitness_document(calibration.fitness),
         stages=StagesDoc(_pose(calibration.poles), _pose(calibration.refined)),
         hypotheses=[
             _hypothesis(h, answered and k == 0) for k, h in enumerate(calibration.hypotheses)

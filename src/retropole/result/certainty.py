@@ -11,6 +11,7 @@ import numpy as np
 
 from ..datatypes import Array
 from ..uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty, WeakDirection
+from ..uncertainty.purpose import Fitness
 from .bounded import Count, Covariance, Number, Share, Size, Text, Vector
 
 Matrix = list[list[float]]
@@ -73,6 +74,21 @@ class ConfirmationDoc(msgspec.Struct, frozen=True, kw_only=True):
     probability_wrong: Share | None = None
 
 
+class FitnessDoc(msgspec.Struct, frozen=True):
+    """Whether the pose is as accurate as was asked for: no point up to `at_m` off by `within_m`.
+
+    `bound_m` is what it is accurate to with a probability of 95 %, null where nothing is; `words`
+    say it all.
+    """
+
+    within_m: Size
+    at_m: Size
+    answer: Literal["yes", "no", "not shown"]
+    probability: Share
+    bound_m: Size | None
+    words: Text
+
+
 def matrix_rows(value: Array) -> Matrix:
     """Write a matrix row by row."""
     return [[float(v) for v in row] for row in value]
@@ -124,6 +140,16 @@ def confirmation_document(confirmation: Confirmation | None) -> ConfirmationDoc 
         contradicted=confirmation.denied,
         probability_wrong=confirmation.probability_wrong,
         **asdict(confirmation),
+    )
+
+
+def fitness_document(fitness: Fitness | None) -> FitnessDoc | None:
+    """Write whether the pose is as accurate as was asked for; None where nothing was."""
+    if fitness is None:
+        return None
+    need = fitness.need
+    return FitnessDoc(
+        need.within, need.at, fitness.answer, fitness.probability, fitness.bound, fitness.words
     )
 
 

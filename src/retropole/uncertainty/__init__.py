@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from . import se3
-from .quantities import error
-from .se3 import Array
+from .. import se3
+from ..quantities import error
+from ..se3 import Array
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute value: 1 / 0.6745."""
@@ -209,6 +209,11 @@ class Confirmation:
         # Fewer than a thousand answers set it: it is not known better than to a thousandth.
         probability = f"of {100 * wrong:.1f} %" if wrong >= 0.001 else "below 0.1 %"
         return f"{said}; wrong with a probability {probability}"
+
+
+def source_words(name: str, sensor: str | None) -> str:
+    """Name a source of error with its LiDAR: ``range offset of the source LiDAR``."""
+    return name if sensor is None else f"{name} of the {sensor} LiDAR"
 
 
 def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:

@@ -1,0 +1,110 @@
+"""Is an answer as accurate as it must be; where that is not shown, what would make it so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from . import quantities
+from .alignment.certainty import BUDGET_RANGE, FLOOR, floor
+from .datatypes import Calibration
+from .errors import Reason
+from .reasons.sources import remedy
+from .uncertainty import source_words
+from .uncertainty.purpose import USABLE, Fitness, Need, displacement_bound, fitness
+
+DOUBTS = ("not_confirmed", "not_converged", "small_margin", "several_minima")
+"""Warnings that the pose may be another one, which its covariance does not count."""
+
+MOST = 0.5
+"""Sources of error are named, two at most, until they make this share of the variance."""
+
+
+def judged(answer: Calibration, need: Need | None) -> Calibration:
+    """Answer whether a pose is as accurate as it must be, and warn where that is not shown.
+
+    Parameters
+    ----------
+    answer
+        An answer, not a refusal.
+    need
+        How accurate it must be. None asks for `USABLE` of its covariance, and says nothing more
+        where that is so.
+    """
+    assert answer.covariance is not None
+    if need is None:
+        fit = fitness(answer.covariance, USABLE)
+    else:
+        found = answer.confirmation
+        wrong = None if found is None or found.trusted else found.probability_wrong
+        codes = dict.fromkeys(reason.code for reason in answer.reasons)
+        doubts = tuple(code for code in codes if code in DOUBTS)
+        fit = fitness(answer.covariance, need, wrong=wrong or 0.0, doubts=doubts)
+    reasons = (*answer.reasons, *_not_fit(fit, answer, is_asked=need is not None))
+    return replace(
+        answer,
+        status="warn" if reasons else "ok",
+        reasons=reasons,
+        fitness=None if need is None else fit,
+    )
+
+
+def _not_fit(fit: Fitness, answer: Calibration, *, is_asked: bool) -> Iterator[Reason]:
+    """Say that an answer is not as accurate as it must be, and what would make it so."""
+    if fit.answer == "yes":
+        return
+    need, said = fit.need, [fit.words]
+    values: dict[str, float | int | str] = {
+        "within_m": need.within,
+        "at_m": need.at,
+        "probability": fit.probability,
+    }
+    if fit.bound is not None:
+        values["bound_m"] = fit.bound
+        said.append(f"95 % sure: within {quantities.at_most(fit.bound)}")
+    said += _helping(fit, answer)
+    if not is_asked:
+        said.append("if less accuracy is enough, --need-cm and --at-m say so")
+    yield Reason("not_fit_for_purpose", "; ".join(said), values)
+
+
+def _helping(fit: Fitness, answer: Calibration) -> Iterator[str]:
+    """Say what would make an answer good enough, or that nothing would."""
+    need = fit.need
+    assert answer.covariance is not None
+    if displacement_bound(answer.covariance, need.at) <= need.within:
+        # Of its doubts each says by itself what to do.
+        if not fit.doubts:
+            yield "what would help: a third pole, or a placement with the poles in another way"
+        return
+    least = displacement_bound(floor(), need.at)
+    if least > need.within:
+        yield f"no recording shows less than {quantities.at_most(least)}"
+        return
+    lead = "what would help"
+    if answer.refined is None:
+        yield f"{lead}: walls and ground that both LiDARs see, without --no-refine"
+        lead = ""
+    for sources, helps in _remedies(answer).items():
+        yield f"{lead} against {sources}: {helps}".lstrip()
+        lead = ""
+
+
+def _remedies(answer: Calibration) -> dict[str, str]:
+    """Say what makes the largest sources of error smaller, each with its share of the variance."""
+    first = answer.placements[0]
+    is_known = {
+        "target": first.target.sensor is not None,
+        "source": first.source.sensor is not None,
+    }
+    budget = () if answer.uncertainty is None else answer.uncertainty.budget
+    helping: dict[str, list[str]] = {}
+    share, unit = 0.0, f" of the variance at {BUDGET_RANGE:g} m"
+    for entry in [each for each in budget if each.name != FLOOR][:2]:
+        if share < MOST:
+            part = quantities.percent(entry.share_at_30m) + unit
+            unknown = None if entry.sensor is None or is_known[entry.sensor] else entry.sensor
+            words = f"{source_words(entry.name, entry.sensor)} ({part})"
+            helping.setdefault(remedy(entry.name, unknown), []).append(words)
+            share, unit = share + entry.share_at_30m, ""
+    return {" and ".join(sources): helps for helps, sources in helping.items()}
