@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole.quantities import Unit, duration, error, percent, value, value_and_error
+from retropole.quantities import Unit, at_most, duration, error, percent, value, value_and_error
 
 SCALES = {" mm": 1e-3, " m": 1.0, "°": 3.141592653589793 / 180, " ‰": 1e-3, " %": 1e-2}
 sigmas = st.floats(1e-7, 1e3)
@@ -86,3 +86,15 @@ def test_as_a_person_writes_it(written: str, said: str) -> None:
 ])  # fmt: skip
 def test_a_duration_has_a_unit_that_fits(seconds: float, words: str) -> None:
     assert duration(seconds) == words
+
+
+@given(sigmas)
+def test_a_bound_is_rounded_up_by_less_than_its_last_digit(bound: float) -> None:
+    digits, scale = read(at_most(bound))
+    assert bound * (1 - 1e-8) <= float(digits) * scale <= 1.11 * bound
+
+
+def test_bounds_in_words() -> None:
+    assert at_most(0.0201) == "21 mm"
+    assert at_most(0.02) == "20 mm"
+    assert at_most(0.244) == "0.25 m"

@@ -12,6 +12,7 @@ from retropole.reasons import (
     cluster,
     explain,
     other_methods,
+    page,
     plain,
     prefixed,
     refused,
@@ -66,3 +67,9 @@ def test_prefixed_codes_are_explained_by_their_prefix() -> None:
 
 def test_links_become_their_words() -> None:
     assert unlinked("See [the report](report.md) and [why](a.md#b).") == "See the report and why."
+
+
+def test_a_code_has_a_place_in_the_documentation() -> None:
+    assert page("few_points") == "reasons.html#few-points"
+    assert page(prefixed("stored", "few_points")) == "reasons.html#stored"
+    assert page("nonsense") is None

@@ -1,6 +1,7 @@
 """``retropole calibrate`` as a user runs it: what it prints, writes and exits with."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import retropole as rp
 from retropole import se3
 from retropole.datatypes import Array, PointCloud
 from retropole.io import write_pcd
-from tests.cli.commands import retropole, transform_of
+from tests.cli.commands import retropole, retropole_here, transform_of
 
 
 def assert_close(T: Array, T_true: Array, degrees: float = 1.0, metres: float = 0.15) -> None:
@@ -195,3 +196,52 @@ def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> No
         del document["created"], document["seconds"]
     assert theirs == ours
     assert json.loads(done.stdout)["inputs"] == ours["inputs"]
+
+
+def test_a_need_is_answered_and_the_next_commands_can_be_typed(scene: Path, tmp_path: Path) -> None:
+    files, out = (scene / "lidar0.pcd", scene / "lidar1.pcd"), tmp_path / "it's here"
+    done = retropole_here("calibrate", *files, "--need-cm", 5, "--strict", "--out", out)
+    assert done.returncode == 0, done.stdout
+    assert "within 5 cm at 30 m: yes, 9" in done.stdout
+    result = json.loads((out / "result.json").read_text())
+    assert (result["config"]["need_m"], result["config"]["at_m"]) == (0.05, None)
+    assert (result["fitness"]["within_m"], result["fitness"]["at_m"]) == (0.05, 30.0)
+    assert result["fitness"]["answer"] == "yes"
+    commands = [line.split(": ", 1)[1] for line in done.stdout.splitlines()[-2:]]
+    for command, word in zip(commands, ("export", "check"), strict=True):
+        name, *words = shlex.split(command)
+        assert (name, words[0]) == ("retropole", word)
+        assert retropole_here(*words).returncode == 0
+
+
+def test_a_need_that_is_not_met_warns_also_when_quiet(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    asked = "calibrate", *files, "--need-cm", 0.6, "--at-m", 60, "--out", tmp_path
+    done = retropole_here(*asked)
+    assert done.returncode == 0
+    assert "verdict: warn" in done.stdout
+    assert "not_fit_for_purpose: within 0.6 cm at 60 m: " in done.stdout
+    assert done.stderr == ""
+    for quietly in ("-q", "--json"):
+        done = retropole(*asked, quietly, "--strict")
+        assert done.returncode == 1
+        assert done.stderr.startswith("retropole: warning (not_fit_for_purpose): within 0.6 cm")
+        assert (done.stdout == "") == (quietly == "-q")
+
+
+def test_a_refusal_says_what_to_do_and_where_to_read_on(scene: Path, tmp_path: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    asked = "calibrate", *files, "--poles", 7, "--strict", "--out", tmp_path
+    for words in (asked, (*asked, "-q")):
+        done = retropole_here(*words)
+        assert done.returncode == 3
+        said = done.stdout + done.stderr
+        assert "what to do: " in said
+        assert "read on: documentation, reasons.html#too-few-poles" in said
+        assert "next: " not in said
+
+
+def test_a_distance_without_a_need_is_no_question(scene: Path) -> None:
+    files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    for words in (("--at-m", 30), ("--need-cm", 0), ("--need-cm", "nan")):
+        assert retropole_here("calibrate", *files, *words).returncode == 2
