@@ -105,9 +105,7 @@ def test_a_doubt_is_not_mended_by_a_smaller_error(code: str) -> None:
     doubt = Reason(code, "because of 7", {})  # type: ignore[arg-type]
     first, second = judged(an_answer(1.0, doubt), Need(0.05, 30.0)).reasons
     assert first is doubt
-    assert second.message.startswith(
-        "within 5 cm at 30 m: not shown, 99 % sure if it were not for"
-    )
+    assert second.message.startswith("within 5 cm at 30 m: not shown, 99 % sure if it were not for")
     assert code in second.message
     assert "would help" not in second.message
     # Nobody asked for what: the doubt has said what there is to say.

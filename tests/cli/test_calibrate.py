@@ -223,10 +223,10 @@ def test_a_need_that_is_not_met_warns_also_when_quiet(scene: Path, tmp_path: Pat
     assert "not_fit_for_purpose: within 0.6 cm at 60 m: " in done.stdout
     assert done.stderr == ""
     for quietly in ("-q", "--json"):
-        done = retropole(*asked, quietly, "--strict")
-        assert done.returncode == 1
-        assert done.stderr.startswith("retropole: warning (not_fit_for_purpose): within 0.6 cm")
-        assert (done.stdout == "") == (quietly == "-q")
+        process = retropole(*asked, quietly, "--strict")
+        assert process.returncode == 1
+        assert process.stderr.startswith("retropole: warning (not_fit_for_purpose): within 0.6 cm")
+        assert (process.stdout == "") == (quietly == "-q")
 
 
 def test_a_refusal_says_what_to_do_and_where_to_read_on(scene: Path, tmp_path: Path) -> None:

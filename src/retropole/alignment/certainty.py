@@ -24,7 +24,7 @@ FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
 that are not flat, time between the recordings."""
 
 FLOOR = "what no model names"
-"""What the budget calls that."""
+"""What the budget calls that: nothing makes it smaller."""
 
 WORKING_SHARE, POLES_ONLY = 0.25, ("tape", "radius")
 """The estimate is drawn to the prior of errors that only poles show as if they had this part of
