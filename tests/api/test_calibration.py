@@ -88,10 +88,17 @@ def test_options_reach_the_run_and_its_document() -> None:
         threshold_source=180.0,
         poles=2,
         refine=False,
+        need=0.001,
+        at=10.0,
         up=True,
         prior_sigma_deg=20.0,
     )
     config = result.document.config
+    assert (config.need_m, config.at_m) == (0.001, 10.0)
+    assert result.fitness is not None
+    assert (result.fitness.within_m, result.fitness.at_m) == (0.001, 10.0)
+    assert "within 0.1 cm at 10 m: no" in repr(result)
+    assert "not_fit_for_purpose" in [reason.code for reason in result.reasons]
     assert (config.radius_m, config.radius_sigma_m, config.poles) == (0.03, 0.001, 2)
     assert (config.up, config.prior_sigma_deg, config.refine) == (True, 20.0, False)
     assert (config.sensor_target, config.sensor_source) == ("VLP-16", "auto")
@@ -145,6 +152,9 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
         ({"radius": 2.0}, "radius is 2.0, expected a number from 0.002 to 0.25 m"),
         ({"radius": float("nan")}, "radius is nan"),
         ({"radius_sigma": -1.0}, "radius_sigma is -1.0, expected a number from 0 to 0.25 m"),
+        ({"need": 0.0}, "need is 0.0, expected a number above 0, 10 m at most"),
+        ({"need": 0.02, "at": float("inf")}, "at is inf"),
+        ({"at": 30.0}, "at is the distance for need"),
         ({"poles": 1}, "poles is 1, expected a number from 2 up"),
         ({"prior_sigma_deg": 0.0}, "prior_sigma_deg is 0.0"),
         ({"prior_sigma_deg": float("inf")}, "prior_sigma_deg is inf"),

@@ -15,7 +15,7 @@ from retropole.reasons import REASONS, plain
 from retropole.report import render_report
 from retropole.report.markup import NO_BREAK
 from retropole.report.sections import FRAMES, UNFOLDED, hypotheses, transform, verdict
-from retropole.result import ConfirmationDoc, ReasonDoc
+from retropole.result import ConfirmationDoc, FitnessDoc, ReasonDoc
 from tests.report.made_up import T_TRUE, Page, made_up
 
 
@@ -85,3 +85,12 @@ def test_lines_to_copy_are_those_of_export() -> None:
         assert unescape(written[key]) == text.strip()
     matrix = [line.split() for line in unescape(written["cloudcompare"]).splitlines()[:4]]
     assert np.allclose(np.array(matrix, dtype=float), T_TRUE, atol=1e-12)
+
+
+def test_the_verdict_answers_what_was_asked_for() -> None:
+    run = made_up("ok", 500).result
+    assert "sure" not in Page(verdict(run)).text
+    asked = FitnessDoc(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
+    page = Page(verdict(replace(run, fitness=asked)))
+    assert page.open == []
+    assert "Within 2 cm <at> 30 m: yes, 98 % sure." in page.text

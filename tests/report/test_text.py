@@ -19,6 +19,7 @@ from retropole.report.text import (
 )
 from retropole.result import (
     ErrorAtRange,
+    FitnessDoc,
     InputDoc,
     PlacementDoc,
     ReasonDoc,
@@ -111,6 +112,20 @@ def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius()
     assert "predicted error" in text
     for word in ("systematic", "largest", "radius", "stands in the scene"):
         assert word not in text
+
+
+def test_what_was_asked_for_is_answered_and_the_next_commands_stand_last() -> None:
+    words = "within 2 cm at 30 m: yes, 98 % sure"
+    asked = FitnessDoc(0.02, 30.0, "yes", 0.98, 0.018, words)
+    following = {"next": "retropole export 'my out'", "later": "retropole check out\u202e"}
+    lines = describe_result(
+        replace(made_up("ok", 500).result, fitness=asked), ["r"], following
+    ).splitlines()
+    assert lines[lines.index("verdict: ok") + 1] == f"  {words}"
+    assert lines[-2:] == ["next: retropole export 'my out'", "later: retropole check out\\u202e"]
+    refused = describe_result(made_up("refused", 500).result, ["r"], following)
+    assert "\nnext: " not in refused
+    assert "read on: documentation, reasons.html#ambiguous" in refused
 
 
 def test_no_error_is_written_as_nothing() -> None:

@@ -63,7 +63,10 @@ def verdict(result: ResultDoc, notes: Sequence[str] = ()) -> str:
 
 def _fitness(result: ResultDoc) -> str:
     """Answer whether the transform is as accurate as was asked for; nothing where nothing was."""
-    return "" if result.fitness is None else f"<p><b>{escape(result.fitness.words)}.</b></p>"
+    if result.fitness is None:
+        return ""
+    words = result.fitness.words
+    return f"<p><b>{escape(words[:1].upper() + words[1:])}.</b></p>"
 
 
 def _reason(reason: ReasonDoc) -> str:
