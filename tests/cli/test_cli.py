@@ -10,7 +10,7 @@ import pytest
 from retropole.cli import COMMANDS, cli
 from retropole.datatypes import PointCloud
 from retropole.io import write_pcd
-from retropole.reasons import REASONS, plain
+from retropole.reasons import REASONS, page, plain
 from tests.cli.commands import retropole, retropole_here
 from tests.paths import PACKAGE
 
@@ -106,7 +106,7 @@ def test_version_is_that_of_the_package() -> None:
 
 
 @pytest.mark.parametrize("command", ["calibrate", "detect"])
-def test_a_refusal_says_why_and_what_to_do(
+def test_a_refusal_says_why_what_to_do_and_where_to_read_on(
     command: str, clouds: tuple[PointCloud, PointCloud], tmp_path: Path
 ) -> None:
     write_pcd(tmp_path / "a.pcd", PointCloud(clouds[0].xyz))
@@ -114,8 +114,9 @@ def test_a_refusal_says_why_and_what_to_do(
     done = retropole_here(command, *files, "--out", tmp_path / "r", "-q")
     assert done.returncode == 3
     assert done.stdout == ""
-    why, *what_to_do = done.stderr.splitlines()
+    why, *what_to_do, where = done.stderr.splitlines()
     assert why.startswith("retropole: refused (no_intensity): ")
     advice = [plain(action) for action in REASONS["no_intensity"].advice]
     assert what_to_do[0] == f"what to do: {advice[0]}"
     assert [line.strip() for line in what_to_do[1:]] == advice[1:]
+    assert where == f"read on: documentation, {page('no_intensity')}"
