@@ -269,8 +269,8 @@ REFUSED: dict[RefusedCode, Explanation] = {
         "The scene could not be registered",
         "The registration of the scene did not end in a rigid transform.",
         (
-            "Try `--no-refine`, which keeps to the poles. If that is `ok`, record a place with "
-            "more surfaces that both see.",
+            "Try `--no-refine`, which keeps to the poles. If that gives an answer, record a "
+            "place with more surfaces that both see.",
         ),
     ),
     "refused": Explanation(
