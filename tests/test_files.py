@@ -15,6 +15,7 @@ from retropole.files import (
     path_in_text,
     path_of_text,
     read_document,
+    set_aside,
     unfinished,
     write_atomically,
     write_together,
@@ -168,3 +169,23 @@ def test_an_error_names_the_file_that_was_asked_for(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="/dev/full") as caught:
         write_atomically(full, b"x" * 10**6)
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, "/dev/full")
+
+
+def test_sets_aside_what_is_there_by_another_name(tmp_path: Path) -> None:
+    result, page = tmp_path / "result.json", tmp_path / "report.html"
+    write_atomically(result, b"one")
+    assert set_aside([result, page]) == [tmp_path / "older-result.json"]
+    assert (tmp_path / "older-result.json").read_bytes() == b"one"
+    write_atomically(result, b"two")
+    assert set_aside([result]) == [tmp_path / "older-result.json"]
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"two"]
+    assert set_aside([tmp_path / "none" / "result.json", tmp_path]) == []
+
+
+@posix
+def test_a_link_is_set_aside_and_what_it_points_to_stays(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "kept" / "a.json", b"one")
+    (tmp_path / "result.json").symlink_to(tmp_path / "kept" / "a.json")
+    set_aside([tmp_path / "result.json"])
+    assert (tmp_path / "older-result.json").is_symlink()
+    assert (tmp_path / "kept" / "a.json").read_bytes() == b"one"

@@ -8,7 +8,7 @@ import re
 import signal
 import stat
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -77,6 +77,29 @@ def write_together(files: Mapping[Path, bytes]) -> None:
         if place not in regular:
             with _named(place), place.open("wb") as device:
                 device.write(data)
+
+
+def set_aside(paths: Iterable[Path]) -> list[Path]:
+    """Rename files, ``result.json`` to ``older-result.json``: nobody takes them for new ones.
+
+    Of a link, the link is renamed. A file that has the new name already is replaced.
+
+    Returns
+    -------
+    list of Path
+        The new names of those that were there.
+
+    Raises
+    ------
+    OSError
+        Where one cannot be renamed, or another process is writing into its folder.
+    """
+    moved = []
+    for path in paths:
+        if path.is_file():
+            with _alone_in(path.parent):
+                moved.append(path.replace(path.with_name(f"older-{path.name}")))
+    return moved
 
 
 @contextmanager

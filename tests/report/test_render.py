@@ -211,7 +211,7 @@ def test_topics_tell_two_lidars_of_one_bag_apart() -> None:
 def test_notes_stand_before_the_verdict_as_text() -> None:
     page = Page(render_report(*made_up(count=500), notes=[HOSTILE]))
     assert page.open == []
-    assert page.text.index("window.injected") < page.text.index("Calibrated")
+    assert page.text.index("window.injected") < page.text.index("The transform below maps")
 
 
 def luminance(colour: str) -> float:

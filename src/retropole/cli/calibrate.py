@@ -32,6 +32,7 @@ from .common import (
     show,
     topic_options,
 )
+from .older import DEFAULT_OUT, SettingAside, older_set_aside
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 CENTIMETRES = Number(min=0, min_open=True, max=100 * LARGEST_NEED)
 
 
-@click.command(context_settings=CONTEXT)
+@click.command(cls=SettingAside, context_settings=CONTEXT)
 @click.argument("target", type=CLOUD, required=False)
 @click.argument("source", type=CLOUD, required=False)
 @click.option(
@@ -53,7 +54,7 @@ CENTIMETRES = Number(min=0, min_open=True, max=100 * LARGEST_NEED)
 @click.option(
     "--out",
     type=OUT,
-    default=Path("retropole-out"),
+    default=DEFAULT_OUT,
     show_default=True,
     help="Folder for result.json and report.html.",
 )
@@ -165,7 +166,7 @@ def calibrate(
     Exit code:
       0    calibrated; the verdict is ok, or warn with what is weak
       1    with --strict: the verdict is warn
-      2    a file or an option is wrong
+      2    a file or an option is wrong; an older result in --out is renamed to older-result.json
       3    refused: the data carry no answer; the reason is printed and in result.json
       130  interrupted
     """
@@ -173,9 +174,10 @@ def calibrate(
     from ..report.text import describe_result
     from ..result import RunConfig, encode
 
-    if at_m is not None and need_cm is None:
-        raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
-    targets, sources = _pairs(target, source, placements)
+    with older_set_aside(out):
+        if at_m is not None and need_cm is None:
+            raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
+        targets, sources = _pairs(target, source, placements)
     config = RunConfig(
         radius_m=radius,
         radius_sigma_m=radius_sigma,
@@ -202,7 +204,7 @@ def calibrate(
         if not quiet:
             echo_left_out(given, frames)
 
-    with progress_on_terminal(quiet) as progress:
+    with older_set_aside(out), progress_on_terminal(quiet) as progress:
         result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)
         written = result.save(out)
     if as_json:

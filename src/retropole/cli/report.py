@@ -17,8 +17,19 @@ from .common import CLOUD, CONTEXT, progress_on_terminal, say, show
     type=click.Path(path_type=Path, dir_okay=False),
     help="File to write.  [default: report.html beside RESULT]",
 )
+@click.option("--site", default="", help="Where it was calibrated, for the certificate.")
+@click.option("--serial-target", default="", help="Serial number of TARGET, for the certificate.")
+@click.option("--serial-source", default="", help="The same for SOURCE.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool) -> int:
+def report(
+    result: Path,
+    clouds: tuple[Path, ...],
+    out: Path | None,
+    site: str,
+    serial_target: str,
+    serial_source: str,
+    quiet: bool,
+) -> int:
     """Make the report of RESULT, result.json or the folder that holds it, again.
 
     The page shows the clouds that the result names. They are looked for by their path, from here
@@ -26,11 +37,15 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
     for each further placement). Files that differ from those of the run are drawn, and both the
     page and this command say that they differ.
 
+    Printed, the page begins with a certificate of one page. --site and the serial numbers are
+    written on it; without them it has lines to fill in.
+
     \b
     Examples:
       retropole report retropole-out/result.json
       retropole report today/result.json front.pcd rear.pcd
       retropole report today/result.json --out share/monday.html
+      retropole report today --site "Pier 4, crane 2" --serial-target 11002 --serial-source 11007
 
     \b
     Exit code:
@@ -49,7 +64,14 @@ def report(result: Path, clouds: tuple[Path, ...], out: Path | None, quiet: bool
     with progress_on_terminal(quiet) as progress:
         stored = placements_of(document, file.parent, clouds, progress=progress)
         progress("write")
-        write_report(page, document, stored.placements, notes=stored.notes)
+        write_report(
+            page,
+            document,
+            stored.placements,
+            notes=stored.notes,
+            site=site,
+            serials=(serial_target, serial_source),
+        )
     for note in stored.notes:
         say(f"retropole: {note}")
     if not quiet:

@@ -14,14 +14,12 @@ from ..result import ResultDoc, RunConfig
 from .certainty import radius_words
 from .crosssections import cross_sections
 from .markup import MISSING, number, table
+from .missing import REJECTED_SYMBOLS
 from .names import LIDARS, pair_name, pole_name
 from .text import left_out_words
 
 UNFOLDED_CLUSTERS = 4
 """Up to so many rejected clusters are listed unfolded."""
-
-REJECTED_SYMBOLS = {"target": "×", "source": "+"}
-"""How the view marks the rejected clusters of each LiDAR."""
 
 
 def poles(result: ResultDoc, first: Placement) -> str:

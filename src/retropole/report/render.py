@@ -14,7 +14,9 @@ from ..datatypes import Placement
 from ..files import write_atomically
 from ..result import ResultDoc
 from . import evidence, sections
+from .certificate import certificate
 from .markup import share_styles
+from .missing import missing_poles
 from .names import LIDARS, input_names
 from .uncertainty import uncertainty
 from .view_data import embed_json, page_view
@@ -26,12 +28,17 @@ MAX_PAGE_POINTS_TOGETHER = 600_000
 """Points of all clouds together where there are many placements: the page stays under 8 MB."""
 
 
+CERTIFICATE_BUTTON = '<button type="button" id="print-certificate">Print certificate</button>'
+
+
 def render_report(
     result: ResultDoc,
     placements: Sequence[Placement],
     *,
     notes: Sequence[str] = (),
     max_points: int = MAX_PAGE_POINTS,
+    site: str = "",
+    serials: Sequence[str] = ("", ""),
 ) -> str:
     """Render a run as one HTML page.
 
@@ -49,6 +56,9 @@ def render_report(
         the run read.
     max_points
         At most this many points of each cloud are put into the page, which says how many it shows.
+    site, serials
+        Where it was calibrated, and the serial numbers of the target and the source LiDAR, for the
+        certificate; what is empty is a line to fill in.
 
     Returns
     -------
@@ -75,7 +85,10 @@ def render_report(
         name: (assets / file).read_text(encoding="utf-8")
         for name, file in (("three", "three.min.js"), ("view_js", "view.js"), ("app_js", "app.js"))
     }
+    sheet = certificate(result, site, serials)
+    lacking = missing_poles(result, placements)
     parts = {
+        "missing": lacking,
         "hypotheses": sections.hypotheses(result),
         "transform": sections.transform(result),
         "poles": evidence.poles(result, placements[0]),
@@ -90,6 +103,8 @@ def render_report(
         target_name=escape(target_name),
         source_name=escape(source_name),
         created=escape(result.created),
+        certificate=sheet,
+        certificate_button=CERTIFICATE_BUTTON if sheet else "",
         verdict=sections.verdict(result, notes),
         links=_links(parts),
         shown=escape(view.placements[0].shown),
@@ -115,14 +130,19 @@ def write_report(
     *,
     notes: Sequence[str] = (),
     max_points: int = MAX_PAGE_POINTS,
+    site: str = "",
+    serials: Sequence[str] = ("", ""),
 ) -> None:
     """Write `render_report`'s page to a file, whole or not at all."""
-    page = render_report(result, placements, notes=notes, max_points=max_points)
+    page = render_report(
+        result, placements, notes=notes, max_points=max_points, site=site, serials=serials
+    )
     write_atomically(path, page.encode("utf-8"))
 
 
 def _links(parts: Mapping[str, str]) -> str:
     """Link to every part of the page that there is."""
-    names = {"view-title": "Clouds", "run": "This run"}
-    there = ["view-title", *(part for part, html in parts.items() if html)]
+    names = {"missing": "Missing poles", "view-title": "Clouds", "run": "This run"}
+    there = [part for part, html in parts.items() if html]
+    there.insert(1 if "missing" in there else 0, "view-title")
     return "".join(f'<a href="#{part}">{names.get(part, part.capitalize())}</a>' for part in there)

@@ -8,6 +8,7 @@ from html import escape
 import numpy as np
 
 from .. import se3
+from ..datatypes import Array
 from ..export import FORMATS, export_lines
 from ..reasons import explain
 from ..result import HypothesisDoc, ReasonDoc, ResultDoc
@@ -48,7 +49,8 @@ def verdict(result: ResultDoc, notes: Sequence[str] = ()) -> str:
     """
     status = result.status
     title, words = VERDICTS.get(status, (status, ""))
-    items = "".join(_reason(reason) for reason in result.reasons)
+    paths = tuple(item.path for item in result.inputs)
+    items = "".join(_reason(reason, paths) for reason in result.reasons)
     kind = status if status in VERDICTS else "refused"
     alerts = "".join(f'<p class="alert" role="note">{escape(note)}</p>' for note in notes)
     return (
@@ -57,7 +59,7 @@ def verdict(result: ResultDoc, notes: Sequence[str] = ()) -> str:
         f'<h2 id="verdict">{escape(title)}</h2>{_fitness(result)}'
         f"<p>{escape(words + _certainty(result))}</p>"
         + (f'<ul class="reasons">{items}</ul>' if items else "")
-        + f"</div>{_figures(result)}</section>"
+        + f"{_next_steps(result)}</div>{_figures(result)}</section>"
     )
 
 
@@ -69,9 +71,28 @@ def _fitness(result: ResultDoc) -> str:
     return f"<p><b>{escape(words[:1].upper() + words[1:])}.</b></p>"
 
 
-def _reason(reason: ReasonDoc) -> str:
+def _next_steps(result: ResultDoc) -> str:
+    """Say what to do with an answer; what to do about a refusal is said with its reasons."""
+    if result.T_target_source is None:
+        return ""
+    first = "Settle the warning first, as written above. " if result.status == "warn" else ""
+    steps = (
+        f"{first}Look at the clouds below: walls and ground of both must coincide, far away too.",
+        "Take the transform along: copy its lines below, or type, where `result.json` lies, "
+        "`retropole export . --to ros2 --parent TARGET_FRAME --child SOURCE_FRAME`.",
+        "Print this page: a certificate of one page to sign comes first.",
+        "Later, or after a jolt, record again: `retropole check . TARGET SOURCE` tells whether "
+        "both LiDARs stand where they stood.",
+    )
+    items = "".join(f"<li>{inline(step)}</li>" for step in steps)
+    return f'<div class="advice next"><b>What to do next</b><ol>{items}</ol></div>'
+
+
+def _reason(reason: ReasonDoc, paths: tuple[str, ...]) -> str:
     """Show a reason: what happened here, what its code means, and what to do about it."""
-    code, message = escape(reason.code), f'<p class="said">{escape(reason.message)}</p>'
+    # A path keeps its small letter, also at the start.
+    kind = "said" if reason.message.startswith(paths) else "said sentence"
+    code, message = escape(reason.code), f'<p class="{kind}">{escape(reason.message)}</p>'
     known = explain(reason.code)
     if known is None:
         return f"<li><h3><code>{code}</code></h3>{message}</li>"
@@ -121,9 +142,42 @@ def transform(result: ResultDoc) -> str:
     if result.T_target_source is None:
         return ""
     T = np.array(result.T_target_source)
+    fields = "".join(
+        f'<label>{lidar} frame <input name="{lidar}" value="{name}" data-frame="{name}" '
+        'spellcheck="false" autocomplete="off"></label>'
+        for lidar, name in zip(LIDARS, FRAMES, strict=True)
+    )
+    lines = export_lines(T, *FRAMES)
+    first, more = (
+        "".join(_to_copy(key, text) for key, text in lines.items() if (key in UNFOLDED) is wanted)
+        for wanted in (True, False)
+    )
+    if more:
+        more = f"<details><summary>More formats</summary>{more}</details>"
+    return (
+        '<section aria-labelledby="transform"><h2 id="transform">Transform</h2>'
+        "<p><code>T_target_source</code> maps points of the source LiDAR into the frame of the "
+        "target LiDAR: <i>p</i><sub>target</sub> = <i>T</i> <i>p</i><sub>source</sub>. Roll, pitch "
+        "and yaw are rotations about the fixed axes x, then y, then z.</p>"
+        f'<div class="columns">{transform_matrix(T)}{pose_parts(T)}</div>'
+        '<div class="to-copy"><h3>To copy</h3>'
+        f'<div class="frames">{fields}</div>{first}{more}</div></section>'
+    )
+
+
+def transform_matrix(T: Array) -> str:
+    """Lay out a transform (4, 4) as a matrix."""
     cells = "".join(
         "<tr>" + "".join(f"<td>{value:.6f}</td>" for value in row) + "</tr>" for row in T
     )
+    return (
+        '<div class="scroll" tabindex="0" role="region" aria-label="matrix">'
+        f'<table class="matrix"><caption>T_target_source</caption>{cells}</table></div>'
+    )
+
+
+def pose_parts(T: Array) -> str:
+    """Write a transform (4, 4) as translation, quaternion and angles."""
     parts = (
         ("translation", "xyz", T[:3, 3], ".4f", " m"),
         ("quaternion", "xyzw", se3.quaternion_xyzw(T[:3, :3]), ".6f", ""),
@@ -144,28 +198,7 @@ def transform(result: ResultDoc) -> str:
         + "</dd>"
         for part, names, values, digits, unit in parts
     )
-    fields = "".join(
-        f'<label>{lidar} frame <input name="{lidar}" value="{name}" data-frame="{name}" '
-        'spellcheck="false" autocomplete="off"></label>'
-        for lidar, name in zip(LIDARS, FRAMES, strict=True)
-    )
-    lines = export_lines(T, *FRAMES)
-    first, more = (
-        "".join(_to_copy(key, text) for key, text in lines.items() if (key in UNFOLDED) is wanted)
-        for wanted in (True, False)
-    )
-    if more:
-        more = f"<details><summary>More formats</summary>{more}</details>"
-    return (
-        '<section aria-labelledby="transform"><h2 id="transform">Transform</h2>'
-        "<p><code>T_target_source</code> maps points of the source LiDAR into the frame of the "
-        "target LiDAR: <i>p</i><sub>target</sub> = <i>T</i> <i>p</i><sub>source</sub>. Roll, pitch "
-        "and yaw are rotations about the fixed axes x, then y, then z.</p>"
-        f'<div class="columns"><div class="scroll" tabindex="0" role="region" aria-label="matrix">'
-        f'<table class="matrix"><caption>T_target_source</caption>{cells}</table></div>'
-        f'<dl class="parts">{named}</dl></div><h3>To copy</h3>'
-        f'<div class="frames">{fields}</div>{first}{more}</section>'
-    )
+    return f'<dl class="parts">{named}</dl>'
 
 
 def _to_copy(key: str, text: str) -> str:

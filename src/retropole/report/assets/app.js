@@ -34,6 +34,18 @@
     setTimeout(() => { button.textContent = "Copy"; }, 1600);
   }));
 
+  // Where a table is wider than its place, its caption says that it scrolls.
+  const wide = new ResizeObserver((entries) => entries.forEach(({ target }) => {
+    target.toggleAttribute("data-scrolls", target.scrollWidth > target.clientWidth + 1);
+  }));
+  all(".scroll").forEach((box) => wide.observe(box));
+
+  $("#print-certificate")?.addEventListener("click", () => {
+    root.dataset.print = "certificate";
+    print();
+  });
+  addEventListener("afterprint", () => { delete root.dataset.print; });
+
   const prefersDark = matchMedia("(prefers-color-scheme: dark)");
   const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : prefersDark.matches);
   function nameTheme() { $("#theme").textContent = isDark() ? "Light" : "Dark"; $("#theme").setAttribute("aria-label", `Switch to ${isDark() ? "light" : "dark"} colours`); }
@@ -72,8 +84,11 @@
     const text = getComputedStyle(root).getPropertyValue(name).trim();
     return [1, 3, 5].map((k) => parseInt(text.slice(k, k + 2), 16));
   }
-  let width = 0, height = 0;
-  const ratio = () => Math.min(devicePixelRatio || 1, 2);
+  // Chromium rounds the scale of a canvas on paper down to 1/64 of a pixel: of these sizes, beside
+  // those of the style, hardly anything is lost. Others leave a blank edge, or stretch the picture.
+  const PAPER = { width: 1000, height: 540, dpr: 2, panel: { width: 316, height: 237 } };
+  let width = 0, height = 0, onPaper = null;
+  let ratio = () => Math.min(devicePixelRatio || 1, 2);
 
   function styleOf(plain) {
     return {
@@ -118,7 +133,7 @@
   function paintPanels() {
     const source = $("#points"), style = styleOf(true), dpr = style.dpr;
     for (const panel of all(".panel")) {
-      const target = panel.querySelector("canvas"), box = target.getBoundingClientRect();
+      const target = panel.querySelector("canvas"), box = onPaper ? PAPER.panel : target.getBoundingClientRect();
       const w = Math.min(Math.floor(box.width), width), h = Math.min(Math.floor(box.height), height);
       if (!w || !h) continue;
       const pane = { x: 0, y: 0, w, h, frame: 0, poses: [IDENTITY, poses.get(panel.dataset.pose).T],
@@ -236,13 +251,27 @@
   $("#pose").addEventListener("change", (e) => setPose(e.target.value));
   $("#size").addEventListener("input", (e) => { state.size = Number(e.target.value); repaint(false); });
 
-  // The wheel scrolls the page until the view has been clicked or focused.
-  const mouse = view.kind === "webgl" ? "Drag to rotate; click, then wheel to zoom" : "Drag to move; click, then wheel to zoom";
-  $("#hint").textContent = matchMedia("(pointer: coarse)").matches ? "Drag to rotate, pinch to zoom" : mouse;
-  marks.addEventListener("pointerdown", () => { marks.focus({ preventScroll: true }); $("#hint").hidden = true; });
-  marks.addEventListener("focus", () => view.allowWheel(true));
-  marks.addEventListener("blur", () => view.allowWheel(false));
-  if (matchMedia("(pointer: coarse)").matches) view.allowWheel(true);
+  // The wheel and the finger scroll the page until the view has been clicked, tapped or focused.
+  const coarse = matchMedia("(pointer: coarse)").matches;
+  const turn = view.kind === "webgl" ? "rotate" : "move";
+  const hints = coarse
+    ? [`Tap to ${turn} the view; a finger scrolls the page`, `Drag to ${turn}, pinch to zoom; tap beside the view to scroll again`]
+    : [`Drag to ${turn}; click, then wheel to zoom`, ""];
+  function activate(on) {
+    view.allowWheel(on);
+    marks.style.touchAction = on ? "none" : "manipulation";
+    root.dataset.active = on ? "view" : "";
+    $("#hint").textContent = hints[on ? 1 : 0];
+    $("#hint").hidden = !$("#hint").textContent;
+  }
+  activate(false);
+  $(".stage").addEventListener("pointerdown", (e) => {
+    if (e.pointerType === "touch") { if (!root.dataset.active) e.stopPropagation(); } else marks.focus({ preventScroll: true });
+  }, true);
+  marks.addEventListener("click", () => marks.focus({ preventScroll: true }));
+  marks.addEventListener("focus", () => activate(true));
+  marks.addEventListener("blur", () => activate(false));
+  document.addEventListener("pointerdown", (e) => { if (!e.target.closest(".stage")) marks.blur(); });
 
   const orbits = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
   marks.addEventListener("keydown", (e) => {
@@ -266,16 +295,40 @@
   view.onMove(() => repaint(false));
   view.onSettle(() => repaint());
   new ResizeObserver(() => {
-    width = marks.clientWidth;
-    height = marks.clientHeight;
-    const dpr = ratio();
-    view.resize(width, height, dpr);
-    marks.width = width * dpr;
-    marks.height = height * dpr;
+    if (onPaper) return;
+    resize(marks.clientWidth, marks.clientHeight, ratio());
     paint();
     repaint();
     if (!root.dataset.usable) root.dataset.usable = String(Math.round(performance.now()));
   }).observe(marks);
+
+  // --- paper: light colours, and pictures whose shape is not the window's ---
+
+  function resize(w, h, dpr) {
+    [width, height] = [w, h];
+    view.resize(w, h, dpr);
+    marks.width = w * dpr;
+    marks.height = h * dpr;
+  }
+  addEventListener("beforeprint", () => {
+    onPaper ||= { theme: root.dataset.theme };
+    root.dataset.theme = "light";
+    const picture = $("#printed"), screenRatio = ratio;
+    ratio = () => PAPER.dpr;
+    resize(PAPER.width, PAPER.height, PAPER.dpr);
+    paintPanels();
+    [picture.width, picture.height] = [canvas.width, canvas.height];
+    for (const layer of [canvas, marks]) picture.getContext("2d").drawImage(layer, 0, 0);
+    picture.hidden = false;
+    ratio = screenRatio;
+  });
+  addEventListener("afterprint", () => {
+    if (!onPaper) return;
+    if (onPaper.theme) root.dataset.theme = onPaper.theme; else delete root.dataset.theme;
+    onPaper = null;
+    resize(marks.clientWidth, marks.clientHeight, ratio());
+    repaint();
+  });
 
   state.mode = poses.has("result") ? "after" : "apart";
   state.T = goal();

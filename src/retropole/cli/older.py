@@ -1,0 +1,69 @@
+"""An older result is not taken for that of a run that failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..errors import RetropoleError, printable
+from ..files import set_aside
+from .common import say
+
+DEFAULT_OUT = Path("retropole-out")
+"""Where a calibration writes to unless told otherwise."""
+
+
+@contextmanager
+def older_set_aside(folder: Path) -> Iterator[None]:
+    """Where what is within fails, rename the results that are in a folder, and say so."""
+    try:
+        yield
+    except (RetropoleError, click.UsageError, OSError, MemoryError):
+        _set_aside(folder)
+        raise
+
+
+class SettingAside(click.Command):
+    """A command that sets an older result aside also where its options are wrong."""
+
+    def make_context(
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: Any,
+    ) -> click.Context:
+        """Read the options, as any command."""
+        with older_set_aside(_out_of(args)):
+            return super().make_context(info_name, args, parent, **extra)
+
+
+def _out_of(words: Sequence[str]) -> Path:
+    """Find --out among words that may make no sense otherwise."""
+    out, options = DEFAULT_OUT, list(words)
+    if "--" in options:
+        options = options[: options.index("--")]
+    for word, following in zip(options, [*options[1:], ""], strict=True):
+        if word == "--out" and following:
+            out = Path(following)
+        elif word.startswith("--out="):
+            out = Path(word.removeprefix("--out="))
+    return out
+
+
+def _set_aside(folder: Path) -> None:
+    from ..api.result import REPORT_FILE
+    from ..export.documents import RESULT_FILE
+
+    try:
+        moved = set_aside([folder / RESULT_FILE, folder / REPORT_FILE])
+    except OSError as error:
+        say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
+        return
+    if moved:
+        names = " and ".join(printable(str(path)) for path in moved)
+        say(f"retropole: no result of this run; the one before is now {names}")

@@ -1,0 +1,66 @@
+"""The certificate says what was calibrated, how well and from what; else it has a line to fill."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from retropole.report import render_report
+from retropole.report.certificate import LISTED_SOURCES, TO_FILL, certificate
+from retropole.result.bounded import Status
+from tests.report.made_up import HOSTILE, Page, made_up
+
+
+def test_it_states_all_that_a_reader_would_ask_for() -> None:
+    result = made_up().result
+    html = certificate(result, "Pier 4", ("11002", "11007"))
+    text = Page(html).text.replace("\u00a0", " ")
+    assert result.T_target_source is not None
+    for row in result.T_target_source:
+        for value in row:
+            assert f"{value:.6f}" in text
+    for item in result.inputs:
+        assert item.path in text
+        assert item.sha256 in text
+    for said in ("Pier 4", "11002", "11007", "VLP-16", result.created, "Signature", "Calibrated"):
+        assert said in text
+    for error in ("at range", "60 m", "± 16 mm", "rotation about z", "412 places agree"):
+        assert error in text
+    assert result.budget is not None
+    assert result.budget[0].name in text
+    # The site and the serial numbers are given; the tolerance and the target's model are not.
+    assert html.count(TO_FILL) == 3
+
+
+def test_what_is_not_given_is_a_line_to_write_on() -> None:
+    assert certificate(made_up().result).count(TO_FILL) == 6
+
+
+def test_a_warning_is_on_it_by_its_code() -> None:
+    result = made_up("warn").result
+    text = Page(certificate(result)).text
+    assert "Calibrated, with a warning: " in text
+    assert all(reason.code in text for reason in result.reasons)
+
+
+def test_shares_of_the_budget_are_all_there() -> None:
+    result = made_up().result
+    assert result.budget is not None
+    many = [replace(result.budget[0], name=f"kind {k}", share_at_30m=0.05) for k in range(20)]
+    text = Page(certificate(replace(result, budget=many))).text
+    assert f"{20 - LISTED_SOURCES} smaller" in text
+    assert "60 %" in text
+
+
+@pytest.mark.parametrize("status", ["ok", "warn", "refused"])
+def test_only_an_answer_has_one(status: Status) -> None:
+    html = render_report(*made_up(status, 500))
+    assert ('id="certificate"' in html) is (status != "refused")
+    assert ('id="print-certificate"' in html) is (status != "refused")
+
+
+def test_what_is_given_stays_text() -> None:
+    page = Page(certificate(made_up().result, HOSTILE, (HOSTILE, HOSTILE)))
+    assert page.open == []
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert page.text.count("window.injected=1") == 3
