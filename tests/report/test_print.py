@@ -6,6 +6,7 @@ import base64
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -94,12 +95,9 @@ def test_it_prints_on_few_sheets_of_a4_and_no_table_is_cut(
         assert any(table in page for page in raw), table
 
 
-@pytest.mark.parametrize("status", ["ok", "warn"])
-def test_the_certificate_is_the_first_sheet_and_one_alone(
-    browser: Browser, tmp_path: Path, status: Status
-) -> None:
-    result = made_long(status)
-    pages = printed(browser, tmp_path, render_report(result, made_up(status, 500).placements))
+def test_the_certificate_is_the_first_sheet_and_one_alone(browser: Browser, tmp_path: Path) -> None:
+    result = made_long("warn")
+    pages = printed(browser, tmp_path, render_report(result, made_up("warn", 500).placements))
     assert pages[0].split()[:2] == ["Calibration", "certificate"]
     for said in ("Site", "serial number", "T_target_source", "Uncertainty budget", "Signature"):
         assert said in pages[0]
@@ -157,12 +155,37 @@ def test_the_picture_has_its_shape_and_is_on_white(
     assert orange.mean() > 5e-4
 
 
-def test_a_long_list_of_warnings_is_not_cut_within_one(browser: Browser, tmp_path: Path) -> None:
-    made = made_up("warn", 500)
-    reasons = [
-        ReasonDoc("few_points", f"start{k} " + "words " * 90 + f"end{k}", {}) for k in range(9)
-    ]
-    result = msgspec.structs.replace(made.result, reasons=reasons)
-    pages = printed(browser, tmp_path, render_report(result, made.placements))
-    for k in range(9):
+@pytest.mark.parametrize("count", [2, 4])
+def test_wherever_a_sheet_ends_no_warning_and_no_table_is_cut(
+    browser: Browser, tmp_path: Path, count: int
+) -> None:
+    made, words = made_up("warn", 500), "words " * 60
+    reasons = [ReasonDoc("few_points", f"start{k} {words}end{k}", {}) for k in range(count)]
+    result = msgspec.structs.replace(made_long("warn"), reasons=reasons)
+    html = render_report(result, made.placements)
+    pages = printed(browser, tmp_path, html)
+    for k in range(count):
         assert any(f"tart{k}" in page and f"end{k}" in page for page in pages)
+    raw = [joined(page) for page in sheets(tmp_path / "report.pdf", "-raw")]
+    for table in tables_of(html):
+        assert any(table in page for page in raw), table
+
+
+def test_a_table_longer_than_a_sheet_goes_on_below_its_heading(
+    browser: Browser, tmp_path: Path
+) -> None:
+    result, (placement,) = made_up("refused", 500)
+    detection = placement.source.detection
+    assert detection is not None
+    rejected = [
+        replace(detection.rejected[0], reason=f"start{k} {'words ' * 30}end{k}") for k in range(90)
+    ]
+    found = replace(placement.source, detection=replace(detection, rejected=tuple(rejected)))
+    html = render_report(result, [replace(placement, source=found)])
+    printed(browser, tmp_path, html)
+    raw = sheets(tmp_path / "report.pdf", "-raw")
+    for k in range(90):
+        assert any(f"start{k} " in page and f"end{k}\n" in page.replace(" ", "\n") for page in raw)
+    listing = [page for page in raw if "start" in page]
+    assert len(listing) > 2
+    assert all("mark code reason points" in page for page in listing)

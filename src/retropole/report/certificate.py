@@ -120,7 +120,7 @@ def _states(result: ResultDoc) -> str:
         (name, error(s, "rad" if k < 3 else "m"))
         for k, (name, s) in enumerate(zip(STATES, sigma, strict=True))
     ]
-    return table("The pose, target axes", ("", "1 σ"), rows)
+    return table("The pose, target axes", ("state", "1 σ"), rows)
 
 
 def _budget(result: ResultDoc) -> str:

@@ -154,4 +154,4 @@ def _matrix(result: ResultDoc, caption: str, matrix: Matrix) -> str:
         (name, *(f"{entry:.3e}" for entry in row))
         for name, row in zip(result.covariance_order, matrix, strict=True)
     ]
-    return table(caption, ("", *result.covariance_order), rows)
+    return table(caption, ("state", *result.covariance_order), rows)

@@ -35,10 +35,11 @@
   }));
 
   // Where a table is wider than its place, its caption says that it scrolls.
-  const wide = new ResizeObserver((entries) => entries.forEach(({ target }) => {
-    target.toggleAttribute("data-scrolls", target.scrollWidth > target.clientWidth + 1);
+  const sizes = new ResizeObserver((entries) => entries.forEach(({ target }) => {
+    const box = target.closest(".scroll");
+    box.toggleAttribute("data-scrolls", box.scrollWidth > box.clientWidth + 1);
   }));
-  all(".scroll").forEach((box) => wide.observe(box));
+  all(".scroll, .scroll > table").forEach((part) => sizes.observe(part));
 
   $("#print-certificate")?.addEventListener("click", () => {
     root.dataset.print = "certificate";
