@@ -120,3 +120,13 @@ def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
     done = retropole("report", "b/result.json", cwd=own)
     assert (done.returncode, done.stderr) == (0, "")
     assert (own / "b" / "report.html").read_text() == before
+
+
+def test_the_certificate_names_the_site_and_the_lidars(own: Path) -> None:
+    before = (own / "r" / "report.html").read_text()
+    named = ("--site", "Pier 4 <b>", "--serial-target", "11002", "--serial-source", "11007")
+    assert retropole("report", "r", *named, cwd=own).returncode == 0
+    page = (own / "r" / "report.html").read_text()
+    for said in ("Pier 4 &lt;b&gt;", "11002", "11007"):
+        assert said in page
+        assert said not in before

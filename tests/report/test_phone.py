@@ -48,7 +48,7 @@ def swipe(browser: Browser, dx: int, dy: int) -> float:
         "return [b.x + b.width / 2, b.y + b.height / 2, scrollY]"
     )
     touch(browser, x, y, dx, dy)
-    return float(browser.run("return scrollY")) - before
+    return float(browser.run("return scrollY")) - float(before)
 
 
 def tap(browser: Browser, selector: str) -> None:

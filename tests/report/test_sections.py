@@ -94,3 +94,20 @@ def test_the_verdict_answers_what_was_asked_for() -> None:
     page = Page(verdict(replace(run, fitness=asked)))
     assert page.open == []
     assert "Within 2 cm <at> 30 m: yes, 98 % sure." in page.text
+
+
+def test_an_answer_says_what_to_do_next() -> None:
+    for status in ("ok", "warn"):
+        text = Page(verdict(made_up(status, 500).result)).text
+        for said in ("What to do next", "retropole export .", "retropole check . TARGET SOURCE"):
+            assert said in text
+        assert ("Settle the warning first" in text) is (status == "warn")
+    assert "What to do next" not in Page(verdict(made_up("refused", 500).result)).text
+
+
+def test_a_path_keeps_its_small_letter_at_the_start_of_a_message() -> None:
+    result = made_up("refused", 500).result
+    path = result.inputs[0].path
+    for message, kind in ((f"{path} has no intensity", "said"), ("few poles", "said sentence")):
+        html = verdict(replace(result, reasons=[ReasonDoc("few_points", message, {})]))
+        assert f'<p class="{kind}">{message}</p>' in html

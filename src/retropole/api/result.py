@@ -197,7 +197,14 @@ class CalibrationResult:
         write_together({result: encode(self.document), page: html.encode()})
         return result, page
 
-    def report(self, path: str | Path, *, clouds: Sequence[str | Path] = ()) -> Path:
+    def report(
+        self,
+        path: str | Path,
+        *,
+        clouds: Sequence[str | Path] = (),
+        site: str = "",
+        serials: tuple[str, str] = ("", ""),
+    ) -> Path:
         """Write the report, one HTML page, to a file.
 
         A result that was loaded reads its inputs again; the page says which of them differ from
@@ -210,6 +217,9 @@ class CalibrationResult:
         clouds
             Of a loaded result, where its inputs are now: target and source of each placement.
             Without, they are looked for where they were, and beside the result.
+        site, serials
+            For the certificate, the page's first sheet on paper: where it was calibrated, and the
+            serial numbers of the target and the source LiDAR.
 
         Raises
         ------
@@ -221,7 +231,14 @@ class CalibrationResult:
             Where the file cannot be written.
         """
         stored = self._inputs([Path(cloud) for cloud in clouds])
-        write_report(Path(path), self.document, stored.placements, notes=stored.notes)
+        write_report(
+            Path(path),
+            self.document,
+            stored.placements,
+            notes=stored.notes,
+            site=site,
+            serials=serials,
+        )
         return Path(path)
 
     def plot(self) -> Figure:

@@ -62,12 +62,17 @@ def _facts(result: ResultDoc, site: str) -> str:
         ("Site", escape(site) or TO_FILL),
         ("Calibrated", f"{escape(result.created)}, by retropole {escape(result.version)}"),
         ("Verdict", f"<b>{escape(title + (f': {warned}' if warned else ''))}</b>"),
-        ("Tolerance", f"{TO_FILL} cm at {TO_FILL} m"),
+        ("Tolerance", _tolerance(result)),
     ]
-    said = (("Poles", _poles(result)), ("What stands there", scene_words(result)))
+    said = (("Poles", _poles(result)), ("Scene", scene_words(result)))
     facts += [(name, escape(words)) for name, words in said if words]
     rows = "".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in facts)
     return f'<dl class="facts">{rows}</dl>'
+
+
+def _tolerance(result: ResultDoc) -> str:
+    """Leave room for how accurate it had to be, and whether it is."""
+    return f"{TO_FILL} cm up to {TO_FILL} m"
 
 
 def _poles(result: ResultDoc) -> str:

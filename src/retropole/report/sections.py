@@ -78,8 +78,8 @@ def _next_steps(result: ResultDoc) -> str:
     first = "Settle the warning first, as written above. " if result.status == "warn" else ""
     steps = (
         f"{first}Look at the clouds below: walls and ground of both must coincide, far away too.",
-        "Take the transform along: copy its lines below, or type, where `result.json` lies, "
-        "`retropole export . --to ros2 --parent TARGET_FRAME --child SOURCE_FRAME`.",
+        "Take the transform along: copy its lines below, or have them written: "
+        "`retropole export . --to ros2`, typed where `result.json` lies.",
         "Print this page: a certificate of one page to sign comes first.",
         "Later, or after a jolt, record again: `retropole check . TARGET SOURCE` tells whether "
         "both LiDARs stand where they stood.",
