@@ -71,8 +71,11 @@ def _facts(result: ResultDoc, site: str) -> str:
 
 
 def _tolerance(result: ResultDoc) -> str:
-    """Leave room for how accurate it had to be, and whether it is."""
-    return f"{TO_FILL} cm up to {TO_FILL} m"
+    """Say how accurate it had to be, and whether it is; or leave room for it."""
+    asked = result.fitness
+    if asked is None:
+        return f"{TO_FILL} cm up to {TO_FILL} m"
+    return escape(asked.words[:1].upper() + asked.words[1:])
 
 
 def _poles(result: ResultDoc) -> str:
