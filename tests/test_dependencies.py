@@ -58,6 +58,9 @@ def test_the_core_needs_no_extra(tmp_path: Path) -> None:
     for words in ways:
         done = core_alone(tmp_path, *words)
         assert done.returncode == 0, f"{words}: {done.stderr[-800:]}"
+    done = core_alone(tmp_path, "export", "out", "--to", "mcap", "--out", "a.mcap")
+    assert done.returncode == 2
+    assert "pip install 'retropole[ros]'" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
+from retropole.export.recording import TOPICS
 from tests.paths import ROOT
 
 EXAMPLES = ROOT / "examples"
-SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+LAUNCH_FILES = sorted(EXAMPLES.glob("*.launch.py"))
+SCRIPTS = sorted(set(EXAMPLES.glob("*.py")) - set(LAUNCH_FILES))
 NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
 OTHERS = {"draw_result": ["result.png"]}
 """What those take that have no ``--out``."""
@@ -39,11 +44,38 @@ def test_example_runs(script: Path, tmp_path: Path) -> None:
     assert any(tmp_path.rglob("*.*"))
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("script", [*SCRIPTS, *LAUNCH_FILES], ids=lambda p: p.stem)
 def test_example_is_short(script: Path) -> None:
     lines = [line for line in script.read_text(encoding="utf-8").splitlines() if line.strip()]
     assert len(lines) <= MAX_LINES
     assert lines[0].startswith('"""')
+
+
+class Action:
+    """What stands for any class of ROS 2's launch: it keeps what it is made of."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        self.given, self.named = given, named
+
+
+@pytest.mark.parametrize("launch_file", LAUNCH_FILES, ids=lambda p: p.stem)
+def test_launch_file_is_made_as_ros_2_would(
+    launch_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # ROS 2 is not on PyPI. Names and arguments are its own; what they do, only ROS 2 can tell.
+    modules = ("actions", "conditions", "launch_description_sources", "substitutions")
+    for name in ("launch", "launch_ros", "launch_ros.actions", *(f"launch.{m}" for m in modules)):
+        module: Any = ModuleType(name)
+        module.__getattr__ = lambda wanted: type(wanted, (Action,), {})
+        monkeypatch.setitem(sys.modules, name, module)
+    made = runpy.run_path(str(launch_file))["generate_launch_description"]().given[0]
+    kinds = [type(action).__name__ for action in made]
+    assert {"IncludeLaunchDescription", "ExecuteProcess", "Node"} <= set(kinds)
+    declared = {action.given[0] for action in made if type(action).__name__.startswith("Declare")}
+    used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', launch_file.read_text()))
+    assert used == declared
+    (played,) = [action for action in made if type(action).__name__ == "ExecuteProcess"]
+    assert set(TOPICS.values()) <= {word for word in played.named["cmd"] if isinstance(word, str)}
 
 
 def cells_of(notebook: Path) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """What all commands share: help, errors and refusals, and that each is loaded on its own."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -120,3 +121,29 @@ def test_a_refusal_says_why_what_to_do_and_where_to_read_on(
     assert what_to_do[0] == f"what to do: {advice[0]}"
     assert [line.strip() for line in what_to_do[1:]] == advice[1:]
     assert where == f"read on: documentation, {page('no_intensity')}"
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        (["cal"], {"calibrate"}),
+        (["export", "r", "--to", "ros"], {"ros1", "ros2"}),
+        (["check", "--tol"], {"--tolerance-deg", "--tolerance-m"}),
+    ],
+)
+def test_the_shell_completes_commands_options_and_choices(
+    typed: list[str], offered: set[str]
+) -> None:
+    words = ["retropole", *typed]
+    asked = {
+        "_RETROPOLE_COMPLETE": "bash_complete",
+        "COMP_WORDS": " ".join(words),
+        "COMP_CWORD": str(len(typed)),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", "from retropole.__main__ import main; main()"],
+        env=os.environ | asked,
+        capture_output=True,
+        text=True,
+    )
+    assert {line.partition(",")[2] for line in done.stdout.splitlines()} == offered

@@ -8,13 +8,18 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMATS
-from .common import CONTEXT, echo_warning, show
+from .common import CLOUD, CONTEXT, echo_warning, say, show
 
 if TYPE_CHECKING:
     from ..export import Transform
 
 FILE = click.Path(path_type=Path, dir_okay=False)
-FORMAT_HELP = "\n".join(f"      {name:<14}{each.title}" for name, each in FORMATS.items())
+MCAP = "mcap"
+"""The one that holds the clouds too; it is written to a file, and no transform is read from it."""
+
+TITLES = {name: each.title for name, each in FORMATS.items()}
+TITLES[MCAP] = "ROS 2 recording for Foxglove, RViz: both clouds and /tf_static"
+FORMAT_HELP = "\n".join(f"      {name:<14}{title}" for name, title in TITLES.items())
 
 
 @click.command(
@@ -24,6 +29,10 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{each.title}" for name, each in FORMAT
     RESULT is result.json, the folder that holds it, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
     the parent, and is the pose of the child in the parent. Every output says so in words.
+
+    \b
+    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
+    lie elsewhere now, or where RESULT is no result.json.
 
     \b
     Formats:
@@ -36,6 +45,8 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{each.title}" for name, each in FORMAT
       retropole export result.json --to matrix --invert
       retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
       retropole export sensors_calibration.yaml --to urdf --parent front --child rear
+      retropole export retropole-out --to mcap --out aligned.mcap
+      retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
 
     \b
     Exit code:
@@ -45,7 +56,8 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{each.title}" for name, each in FORMAT
     """,
 )
 @click.argument("result", type=click.Path(path_type=Path))
-@click.option("--to", "fmt", type=click.Choice(list(FORMATS)), help="Format to write.")
+@click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
+@click.option("--to", "fmt", type=click.Choice(list(TITLES)), help="Format to write.")
 @click.option(
     "--from",
     "source_format",
@@ -66,6 +78,7 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{each.title}" for name, each in FORMAT
 )
 def export(
     result: Path,
+    clouds: tuple[Path, ...],
     fmt: str | None,
     source_format: str,
     out: Path | None,
@@ -79,15 +92,22 @@ def export(
     from ..files import write_atomically
 
     if fmt is None and into is None:
-        raise click.UsageError(f"--to is needed: one of {', '.join(FORMATS)}")
+        raise click.UsageError(f"--to is needed: one of {', '.join(TITLES)}")
     if into is not None and fmt not in (None, "urdf"):
         raise click.UsageError(f"--into takes a joint, --to urdf, not --to {fmt}")
+    if clouds and fmt != MCAP:
+        raise click.UsageError(f"only --to {MCAP} takes clouds")
+    if fmt == MCAP and out is None:
+        raise click.UsageError(f"--to {MCAP} needs --out: it is nothing to print")
     transform = read_transform(result, fmt=source_format, parent=parent, child=child)
     _warn(result)
     if invert:
         transform = inverted(transform)
     if into is not None:
         _put_into(into, transform, out)
+        return 0
+    if fmt == MCAP and out is not None:
+        write_atomically(out, _with_clouds(transform, result, clouds))
         return 0
     text = FORMATS[fmt or "urdf"].write(transform)
     if out is None:
@@ -103,6 +123,42 @@ def _warn(path: Path) -> None:
 
     for reason in read_verdict(path):
         echo_warning(reason.code, reason.message)
+
+
+def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) -> bytes:
+    """Read the clouds of the first placement as its run did, and write them with the transform."""
+    from ..errors import UsageError
+    from ..export.documents import is_result, result_file
+    from ..export.recording import frames_of, write_mcap
+    from ..files import read_document
+    from ..io import read_recording
+    from ..report.inputs import differing, find_inputs
+    from ..result import DEFAULT_CONFIG
+    from ..result.decoding import decode
+
+    file = result_file(result)
+    data = read_document(file)
+    paths, config = list(given), DEFAULT_CONFIG
+    if is_result(data):
+        document = decode(data)
+        config, paths = document.config, find_inputs(document, file.parent, given)
+        for note in differing(document, paths):
+            say(f"retropole: {note}")
+        if len(paths) > 2:
+            say(f"retropole: of {len(paths) // 2} placements, the first is written")
+    elif len(paths) != 2:
+        raise UsageError(f"{file} names no clouds; give TARGET and SOURCE")
+    frames = []
+    for path, topic in zip(paths[:2], (config.target_topic, config.source_topic), strict=True):
+        kept = None if config.frames is None else slice(*config.frames)
+        read = read_recording(path, topic=topic, frames=kept, max_points=config.max_points)
+        if read.cloud.origin.any():
+            say(
+                f"retropole: {path}: its beams start at {read.cloud.origin.tolist()}, which a "
+                "PointCloud2 does not say: look at the copy, and calibrate from the original"
+            )
+        frames.append(frames_of(read))
+    return write_mcap(transform, *frames)
 
 
 def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:

@@ -73,7 +73,7 @@ def placements_of(
         )
     paths, config = find_inputs(result, beside, given), result.config
     progress("read")
-    notes = _differing(result, paths)
+    notes = differing(result, paths)
     target = [_read(path, config.target_topic, config) for path in paths[::2]]
     source = [_read(path, config.source_topic, config) for path in paths[1::2]]
     progress("extract")
@@ -118,8 +118,8 @@ def _find(item: InputDoc, beside: Path) -> Path:
     raise ReadError(f"{item.path}: not found (looked for {looked}); give TARGET and SOURCE")
 
 
-def _differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
-    """Say which recordings are not those that the run read; each is hashed once."""
+def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
+    """Say which of all its recordings are not those that a run read; each is hashed once."""
     hashes = {path: sha256_of(path) for path in dict.fromkeys(paths)}
     return tuple(
         f"{printable(str(path))} is not the file that the run read ({item.path}): its SHA-256 "

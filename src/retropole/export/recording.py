@@ -1,0 +1,211 @@
+"""Both clouds and the transform between them as an MCAP file of ROS 2 (the extra ``ros``).
+
+Foxglove and RViz draw it as it is: each cloud stands in its own frame, and ``/tf_static`` places
+the frames. The types are those of ROS 2 Humble, which later ones have kept.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datatypes import Array, PointCloud
+from ..errors import MissingExtraError
+from ..io import Frame, ReadRecording
+from ..io.recordings import CLOUDS
+from .transform import Transform, to_quaternion
+
+TOPICS = {"target": "/target/points", "source": "/source/points"}
+"""Where the clouds are, by what their LiDAR is in the calibration; the names of frames may be
+anything, those of topics may not."""
+
+TRANSFORMS, TRANSFORM_TOPIC = "tf2_msgs/msg/TFMessage", "/tf_static"
+
+FRAME_PERIOD = 0.1
+"""Between frames whose times are not known, s: LiDARs turn ten times a second, mostly."""
+
+NANOSECONDS = 1e9
+"""In a second; bags count them."""
+
+LAST_SECOND = 2**31
+"""ROS 2 has no time from here on."""
+
+DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+"""From the name of a type in NumPy to its number in a PointField."""
+
+_KEEP_LAST, _RELIABLE, _TRANSIENT_LOCAL = 1, 1, 1
+_LATCHED = f"""\
+- history: {_KEEP_LAST}
+  depth: 1
+  reliability: {_RELIABLE}
+  durability: {_TRANSIENT_LOCAL}
+  deadline: {{sec: 0, nsec: 0}}
+  lifespan: {{sec: 0, nsec: 0}}
+  liveliness: 1
+  liveliness_lease_duration: {{sec: 0, nsec: 0}}
+  avoid_ros_namespace_conventions: false
+"""
+"""Who listens to ``/tf_static`` late is told all the same, also by ``ros2 bag play``."""
+
+
+def frames_of(read: ReadRecording) -> list[Frame]:
+    """Take a cloud apart into the frames that it was read from, those with points."""
+    number = read.cloud.frame
+    if number is None:
+        return [Frame(0, read.cloud, read.headers[0].stamp)]
+    parts = ((header, number == header.number) for header in read.headers)
+    return [
+        Frame(header.number, read.cloud.select(own), header.stamp)
+        for header, own in parts
+        if own.any()
+    ]
+
+
+def write_mcap(transform: Transform, target: Sequence[Frame], source: Sequence[Frame]) -> bytes:
+    """Write the frames of both LiDARs, each in its own frame, and the transform between them.
+
+    Coordinates and intensities are float32 where that loses nothing, else float64. Messages have
+    the times of recording where both recordings have them; else they start at zero.
+
+    Parameters
+    ----------
+    transform
+        Its `roles` say which frame is whose.
+    target, source
+        Frames of the clouds, in the frames of their LiDARs, metres.
+
+    Returns
+    -------
+    bytes
+        An MCAP file of the profile ``ros2``: `TOPICS` and ``/tf_static``.
+
+    Raises
+    ------
+    MissingExtraError
+        Where mcap or rosbags is not installed.
+    """
+    try:
+        from mcap.writer import Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise MissingExtraError("ros", "writing MCAP files") from None
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    names = dict(zip(transform.roles, (transform.parent, transform.child), strict=True))
+    clouds = {"target": list(target), "source": list(source)}
+    times = _times(clouds)
+    file = io.BytesIO()
+    writer: Any = Writer(file)
+    writer.start(profile="ros2", library="retropole")
+    schemas = {
+        kind: writer.register_schema(
+            kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()
+        )
+        for kind in (CLOUDS, TRANSFORMS)
+    }
+
+    def channel(topic: str, kind: str, qos: str = "") -> int:
+        about = {"offered_qos_profiles": qos}
+        return int(writer.register_channel(topic, "cdr", schemas[kind], about))
+
+    def add(number: int, kind: str, when: int, message: Any) -> None:
+        data = bytes(store.serialize_cdr(message, kind))
+        writer.add_message(number, when, data, when)
+
+    first = min(min(own) for own in times.values())
+    poses = channel(TRANSFORM_TOPIC, TRANSFORMS, _LATCHED)
+    add(poses, TRANSFORMS, first, _transform_message(transform, first, store))
+    numbers = {role: channel(topic, CLOUDS) for role, topic in TOPICS.items()}
+    for when, role, cloud in _in_order(clouds, times):
+        add(numbers[role], CLOUDS, when, _cloud_message(cloud, names[role], when, store))
+    writer.finish()
+    return file.getvalue()
+
+
+def _times(clouds: dict[str, list[Frame]]) -> dict[str, list[int]]:
+    """Give the time of each frame, ns; one clock for both, so all or none by the recorder's."""
+    stamps = {role: [frame.stamp for frame in frames] for role, frames in clouds.items()}
+    if not all(s is not None and 0 <= s < LAST_SECOND for own in stamps.values() for s in own):
+        stamps = {role: [k * FRAME_PERIOD for k in range(len(own))] for role, own in stamps.items()}
+    return {r: [round((s or 0.0) * NANOSECONDS) for s in own] for r, own in stamps.items()}
+
+
+def _in_order(
+    clouds: dict[str, list[Frame]], times: dict[str, list[int]]
+) -> Iterator[tuple[int, str, PointCloud]]:
+    """Give the frames of both in the order of their times, those of equal times target first."""
+    entries = [
+        (when, k, frame.cloud)
+        for k, role in enumerate(TOPICS)
+        for when, frame in zip(times[role], clouds[role], strict=True)
+    ]
+    for when, k, cloud in sorted(entries, key=lambda entry: entry[:2]):
+        yield when, list(TOPICS)[k], cloud
+
+
+def _header(frame: str, when: int, store: Any) -> Any:
+    seconds, nanoseconds = divmod(when, int(NANOSECONDS))
+    time = store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def _transform_message(transform: Transform, when: int, store: Any) -> Any:
+    types, T = store.types, transform.T_parent_child
+    translation = dict(zip("xyz", map(float, T[:3, 3]), strict=True))
+    rotation = dict(zip("xyzw", map(float, to_quaternion(T)), strict=True))
+    stamped = types["geometry_msgs/msg/TransformStamped"](
+        header=_header(transform.parent, when, store),
+        child_frame_id=transform.child,
+        transform=types["geometry_msgs/msg/Transform"](
+            translation=types["geometry_msgs/msg/Vector3"](**translation),
+            rotation=types["geometry_msgs/msg/Quaternion"](**rotation),
+        ),
+    )
+    return types[TRANSFORMS](transforms=[stamped])
+
+
+def _cloud_message(cloud: PointCloud, frame: str, when: int, store: Any) -> Any:
+    """Write x, y, z and what else is known of each point; one row, without padding."""
+    points = _points(cloud)
+    fields = [
+        store.types["sensor_msgs/msg/PointField"](
+            name=name, offset=offset, datatype=DATATYPES[kind.str[1:]], count=1
+        )
+        for name, (kind, offset, *_) in (points.dtype.fields or {}).items()
+    ]
+    return store.types[CLOUDS](
+        header=_header(frame, when, store),
+        height=1,
+        width=len(points),
+        fields=fields,
+        is_bigendian=False,
+        point_step=points.dtype.itemsize,
+        row_step=points.nbytes,
+        data=points.view(np.uint8).reshape(-1),
+        is_dense=True,
+    )
+
+
+def _points(cloud: PointCloud) -> NDArray[Any]:
+    """Make a record of each point, in the names that the readers know."""
+    xyz = _smallest_floats(cloud.xyz)
+    columns: dict[str, NDArray[Any]] = dict(zip("xyz", xyz.T, strict=True))
+    if cloud.intensity is not None:
+        columns["intensity"] = _smallest_floats(cloud.intensity)
+    if cloud.ring is not None:
+        is_short = len(cloud.ring) == 0 or (cloud.ring.min() >= 0 and cloud.ring.max() < 2**16)
+        columns["ring"] = cloud.ring.astype(np.uint16 if is_short else np.float64)
+    if cloud.time is not None:
+        columns["timestamp"] = cloud.time
+    points = np.empty(len(cloud), [(name, own.dtype.str) for name, own in columns.items()])
+    for name, own in columns.items():
+        points[name] = own
+    return points
+
+
+def _smallest_floats(values: Array) -> NDArray[Any]:
+    short = values.astype(np.float32)
+    return short if np.array_equal(short, values) else values
