@@ -9,6 +9,7 @@ import click
 import numpy as np
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
@@ -123,21 +124,27 @@ def equation(display: str) -> Any:
     return visit
 
 
-def plain_aliases(
+def plain_aliases(app: Sphinx, doctree: nodes.document) -> None:
+    """Write aliases inside other types by their names too, in every signature."""
+    for signature in doctree.findall(addnodes.desc_signature):
+        for text in list(signature.findall(nodes.Text)):
+            named = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
+            if named != text:
+                text.parent.replace(text, nodes.Text(named))
+
+
+def no_made_up_arguments(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, given: str | None, back: str | None
-) -> tuple[str | None, str | None]:
-    """Write aliases inside other types by their names too."""
-
-    def named(text: str | None) -> str | None:
-        return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
-
-    return named(given), named(back)
+) -> tuple[str | None, str | None] | None:
+    """Show protocols without the arguments that Python makes up for them: none is ever made."""
+    return (None, None) if what == "class" and given == "(*args, **kwargs)" else None
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directive and the way equations are written."""
     app.add_directive("commands", Commands)
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
-    app.connect("autodoc-process-signature", plain_aliases)
+    app.connect("autodoc-process-signature", no_made_up_arguments)
+    app.connect("doctree-read", plain_aliases)
     app.connect("source-read", with_tables)
     return {"parallel_read_safe": True}

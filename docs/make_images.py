@@ -40,7 +40,9 @@ def draw_placements(path: Path) -> None:
     """Four placements as the LiDARs see them and from above, each with what it costs."""
     figure = new_figure(10.0, 4.6)
     for k, (name, (angle, distance, spacing)) in enumerate(PLACEMENTS.items()):
-        sigma = float(np.median([sigma_at_10_m(angle, distance, spacing, n) for n in range(8)]))
+        sigma = float(
+            np.median([sigma_at_10_m(angle, distance, spacing, n, "XT32") for n in range(8)])
+        )
         print(f"{name}: {100 * sigma:.1f} cm at 10 m")
         colour = BLUE if k == 0 else RED
         lean = np.radians(angle) / 2

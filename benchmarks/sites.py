@@ -1,0 +1,137 @@
+"""What the pages of sites quote: more poles, more placements, and how far from a high LiDAR.
+
+python benchmarks/sites.py --seeds 10
+
+The first table has simulated recordings with all errors of a field, two LiDARs 0.5 to 2 m above
+the ground, at any heading, and poles of 1.8 to 2.5 m; each run is one seed, the same for all
+arrangements of a site. Errors are those of a point 30 m away, over all directions. The second is
+geometry: from where on a pole that stands on the ground is in view down to its foot.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+
+from retropole import se3
+from retropole.pipeline import calibrate
+from retropole.sensors import SENSORS, find_sensor
+from retropole.simulation import FIELD, place_again, simulate_pair
+from retropole.uncertainty import predicted_error
+
+RANGE = 30.0
+"""Where errors are compared, m."""
+
+HEIGHTS = 1.0, 2.0, 3.0, 5.0
+"""Of a LiDAR above the feet of the poles, m."""
+
+
+class Site(NamedTuple):
+    """A scene of the simulator, and sensors as such a site has them."""
+
+    scene: str
+    target: str
+    source: str
+
+
+SITES = {
+    "lamppost": Site("street", "OS1", "OS1"),
+    "harbour crane": Site("harbor", "Pandar64", "Pandar64"),
+    "truck": Site("street", "XT32", "PandarQT"),
+    "robot": Site("corridor", "VLP-16", "VLP-16"),
+}
+ARRANGEMENTS = {"2 poles": (2, 1), "3 poles": (3, 1), "2 poles, placed twice": (2, 2)}
+"""Number of poles, and of placements."""
+
+
+class Run(NamedTuple):
+    """What became of one calibration: its verdict, and both errors at `RANGE`, m."""
+
+    status: str
+    predicted: float
+    made: float
+
+
+def run(job: tuple[str, str, int]) -> Run:
+    site, (poles, placements) = SITES[job[0]], ARRANGEMENTS[job[1]]
+    rng = np.random.default_rng(job[2])
+    pairs = [
+        simulate_pair(
+            site.scene,
+            rng,
+            sensor_target=site.target,
+            sensor_source=site.source,
+            poles=poles,
+            noise=FIELD,
+        )
+    ]
+    pairs += [place_again(pairs[0], rng, noise=FIELD) for _ in range(placements - 1)]
+    answer = calibrate(
+        [pair.target for pair in pairs],
+        [pair.source for pair in pairs],
+        sensors=(find_sensor(site.target), find_sensor(site.source)),
+    )
+    T = answer.T_target_source
+    if T is None or answer.covariance is None:
+        return Run(answer.reasons[0].code, np.nan, np.nan)
+    off = se3.local(T, pairs[0].T_target_source)
+    predicted, made = (
+        predicted_error(covariance, (RANGE,))[0][1]
+        for covariance in (answer.covariance, np.outer(off, off))
+    )
+    return Run(answer.status, predicted, made)
+
+
+def row(site: str, arrangement: str, runs: list[Run]) -> str:
+    """One line of the first table; errors are medians over what was answered."""
+    kept = [run for run in runs if np.isfinite(run.made)]
+    codes = Counter(run.status for run in runs if not np.isfinite(run.made))
+    predicted, made = (100 * np.median([run[k] for run in kept] or [np.nan]) for k in (1, 2))
+    worst = max(kept, key=lambda run: run.made, default=Run("", np.nan, np.nan))
+    refused = ", ".join(f"{code} {n}" for code, n in codes.most_common())
+    ok = sum(run.status == "ok" for run in kept)
+    return (
+        f"| {site} | {SITES[site].target}, {SITES[site].source} | {arrangement} | {len(runs)} | "
+        f"{ok} | {len(kept) - ok} | {refused} | {predicted:.1f} | {made:.1f} | "
+        f"{100 * worst.made:.1f}, {worst.status}, {100 * worst.predicted:.1f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=1000)
+    parser.add_argument("--processes", type=int, default=2)
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    rows = [(site, arrangement) for site in SITES for arrangement in ARRANGEMENTS]
+    print(
+        "| site | LiDARs | poles | runs | ok | warn | refused | predicted at 30 m, median cm | "
+        "made, median cm | largest made cm, its verdict, predicted cm |\n" + "| --- " * 10 + "|"
+    )
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
+        runs = list(pool.map(run, [(*own, seed) for own in rows for seed in seeds]))
+    for k, own in enumerate(rows):
+        print(row(*own, runs[k * len(seeds) : (k + 1) * len(seeds)]))
+    print(
+        "\n| LiDAR, level | lowest beam | "
+        + " | ".join(f"foot in view from, {height:g} m up" for height in HEIGHTS)
+        + " |\n"
+        + "| --- " * (len(HEIGHTS) + 2)
+        + "|"
+    )
+    for sensor in SENSORS.values():
+        low = sensor.elevation_span[0]
+        if low >= 0.0:
+            continue
+        nearest = " | ".join(f"{height / np.tan(-low):.1f} m" for height in HEIGHTS)
+        print(f"| {sensor.name} | {np.degrees(low):.1f}° | {nearest} |")
+
+
+if __name__ == "__main__":
+    main()
