@@ -124,27 +124,34 @@ def equation(display: str) -> Any:
     return visit
 
 
-def plain_aliases(app: Sphinx, doctree: nodes.document) -> None:
-    """Write aliases inside other types by their names too, in every signature."""
-    for signature in doctree.findall(addnodes.desc_signature):
-        for text in list(signature.findall(nodes.Text)):
-            named = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
-            if named != text:
-                text.parent.replace(text, nodes.Text(named))
+def named(text: str) -> str:
+    """Write aliases inside other types by their names too."""
+    return re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
 
 
-def no_made_up_arguments(
+def plain_signature(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, given: str | None, back: str | None
-) -> tuple[str | None, str | None] | None:
-    """Show protocols without the arguments that Python makes up for them: none is ever made."""
-    return (None, None) if what == "class" and given == "(*args, **kwargs)" else None
+) -> tuple[str | None, str | None]:
+    """Write aliases by their names; show no arguments that Python makes up for a protocol."""
+    if what == "class" and given == "(*args, **kwargs)":
+        given = None
+    return given and named(given), back and named(back)
+
+
+def plain_properties(app: Sphinx, doctree: nodes.document) -> None:
+    """Write aliases by their names in the types of properties, which are no signatures."""
+    for annotation in list(doctree.findall(addnodes.desc_annotation)):
+        text = annotation.astext()
+        if named(text) != text:
+            annotation.clear()
+            annotation += nodes.Text(named(text))
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directive and the way equations are written."""
     app.add_directive("commands", Commands)
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
-    app.connect("autodoc-process-signature", no_made_up_arguments)
-    app.connect("doctree-read", plain_aliases)
+    app.connect("autodoc-process-signature", plain_signature)
+    app.connect("doctree-read", plain_properties)
     app.connect("source-read", with_tables)
     return {"parallel_read_safe": True}

@@ -79,6 +79,33 @@ def test_links_and_anchors_of_the_site_exist(site: Path) -> None:
     assert not broken
 
 
+class Prose(HTMLParser):
+    """The words of a page, without code and scripts."""
+
+    LEFT_OUT = frozenset({"code", "pre", "script", "style"})
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.depth, self.words = 0, ""
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.depth += tag in self.LEFT_OUT
+
+    def handle_endtag(self, tag: str) -> None:
+        self.depth -= tag in self.LEFT_OUT
+
+    def handle_data(self, data: str) -> None:
+        if not self.depth:
+            self.words += data
+
+
+def test_no_markup_is_left_in_the_words_of_a_page(site: Path) -> None:
+    raw = re.compile(r".{0,40}(?:`|:(?:class|func|mod|ref|py:obj):|TypeAliasForwardRef).{0,40}")
+    left = {page.name: raw.findall(Prose(page).words) for page in site.rglob("*.html")}
+    assert not {name: own for name, own in left.items() if own}
+
+
 def test_site_loads_nothing_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         assert not [link for link in Links(page).loaded if urlsplit(link).netloc], page.name
