@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import click
 import numpy as np
 from docutils import nodes
 from latex2mathml.converter import convert
-from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from sphinx.util.inspect import TypeAliasForwardRef
 
 import retropole
 from retropole.cli import cli
@@ -33,6 +32,8 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 autodoc_member_order = "bysource"
 autodoc_type_aliases = {name: name for name in ("Array", "IntArray", "BoolArray")}
+# Inside other types, as in a union, an alias is written by its repr.
+TypeAliasForwardRef.__repr__ = lambda self: self.name
 python_use_unqualified_type_names = True
 add_module_names = False
 toc_object_entries_show_parents = "hide"
@@ -124,34 +125,17 @@ def equation(display: str) -> Any:
     return visit
 
 
-def named(text: str) -> str:
-    """Write aliases inside other types by their names too."""
-    return re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
-
-
-def plain_signature(
+def no_made_up_arguments(
     app: Sphinx, what: str, name: str, thing: Any, options: Any, given: str | None, back: str | None
-) -> tuple[str | None, str | None]:
-    """Write aliases by their names; show no arguments that Python makes up for a protocol."""
-    if what == "class" and given == "(*args, **kwargs)":
-        given = None
-    return given and named(given), back and named(back)
-
-
-def plain_properties(app: Sphinx, doctree: nodes.document) -> None:
-    """Write aliases by their names in the types of properties, which are no signatures."""
-    for annotation in list(doctree.findall(addnodes.desc_annotation)):
-        text = annotation.astext()
-        if named(text) != text:
-            annotation.clear()
-            annotation += nodes.Text(named(text))
+) -> tuple[str | None, str | None] | None:
+    """Show protocols without the arguments that Python makes up for them: none is ever made."""
+    return (None, None) if what == "class" and given == "(*args, **kwargs)" else None
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directive and the way equations are written."""
     app.add_directive("commands", Commands)
     app.add_html_math_renderer("mathml", (equation("inline"), None), (equation("block"), None))
-    app.connect("autodoc-process-signature", plain_signature)
-    app.connect("doctree-read", plain_properties)
+    app.connect("autodoc-process-signature", no_made_up_arguments)
     app.connect("source-read", with_tables)
     return {"parallel_read_safe": True}
