@@ -42,7 +42,7 @@ from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import align_consistent, check_contradiction
 from .scene.confirmation import check_confirmation, confirm
-from .scene.copies import check_two_recordings, without_copies
+from .scene.copies import check_recordings, without_copies
 from .scene.refinement import Refinement, refine
 from .scene.similarity import check_similarity, explained
 from .scene.static import check_static, check_still, remove_dynamic_points
@@ -170,20 +170,20 @@ def find_poles(
 
 
 def check_poles(placements: Sequence[Placement]) -> None:
-    """Refuse clouds that could not be searched, what moved meanwhile, and one for both LiDARs.
+    """Refuse a recording given twice, clouds that could not be searched, and what moved meanwhile.
 
     Raises
     ------
     Refusal
-        ``no_intensity``, ``moving_lidar``, ``moving_pole``, ``same_recording`` and others.
+        ``same_recording``, ``no_intensity``, ``moving_lidar``, ``moving_pole`` and others.
     """
+    check_recordings(placements)
     for placement in placements:
         for name, scan in (("target", placement.target), ("source", placement.source)):
             if scan.refusal is not None:
                 raise scan.refusal
             check_still(name, scan.cloud)
             check_static(name, scan.cloud, scan.poles)
-        check_two_recordings(placement.target.cloud, placement.source.cloud)
 
 
 def choose(

@@ -10,6 +10,7 @@ from . import quantities
 from .alignment.adjustment import BeamAlignment
 from .datatypes import Hypothesis, Pole, Scan
 from .errors import Reason, Refusal
+from .extraction.sensor_pattern import sensor_doubt
 from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
 from .matching.extension import left_out
@@ -148,6 +149,7 @@ def weaknesses(
         *doubtful_reasons(paired, hypotheses),
         *_left_out(paired),
         *_weak_choice(hypotheses),
+        *_doubtful_sensors(paired),
         *_weak_poles(paired),
         *_noisy_poles(paired[0], aligned),
         *_weak_pose(aligned, weakest),
@@ -182,6 +184,15 @@ def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
                 "agree, and were left out: did it move between the recordings?",
                 {"placement": k, "target": i, "source": j, "apart_m": distance},
             )
+
+
+def _doubtful_sensors(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
+    """Say which LiDARs' clouds show more than the sensors that were named can see."""
+    first = paired[0].placement
+    for lidar, scan in (("target", first.target), ("source", first.source)):
+        doubt = sensor_doubt(scan.cloud, scan.sensor)
+        if doubt and scan.sensor is not None:
+            yield Reason("sensor_doubtful", doubt, {"lidar": lidar, "sensor": scan.sensor.name})
 
 
 def _weak_poles(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.datatypes import Placement, PointCloud, Scan
 from retropole.errors import Refusal
-from retropole.scene.copies import check_two_recordings, without_copies
+from retropole.scene.copies import check_recordings, without_copies
 
 
 def cloud(seed: int, count: int = 4000) -> PointCloud:
@@ -37,6 +37,10 @@ def test_points_that_differ_in_one_coordinate_differ() -> None:
     assert len(without_copies(PointCloud(np.array([[0.0, 1, 1], [-0.0, 1, 1]])))) == 1
 
 
+def check(*pairs: tuple[PointCloud, PointCloud]) -> None:
+    check_recordings([Placement(Scan(target), Scan(source)) for target, source in pairs])
+
+
 @pytest.mark.parametrize(("share", "refused"), [(0.3, False), (0.45, False), (0.6, True)])
 def test_a_recording_that_is_mostly_the_other_is_refused(share: float, refused: bool) -> None:
     target, other = cloud(1), cloud(2)
@@ -45,16 +49,37 @@ def test_a_recording_that_is_mostly_the_other_is_refused(share: float, refused: 
     order = rng.permutation(len(target))
     source = PointCloud(np.concatenate([target.xyz[:count], other.xyz[count:]])[order])
     if not refused:
-        check_two_recordings(target, source)
+        check((target, source))
         return
-    with pytest.raises(Refusal) as why:
-        check_two_recordings(target, source)
+    with pytest.raises(Refusal, match="the target and the source are one recording") as why:
+        check((target, source))
     assert why.value.code == "same_recording"
     assert why.value.values["shared"] == pytest.approx(share, abs=0.05)
 
 
+def test_one_sweep_of_many_is_found_whichever_side_it_is_on() -> None:
+    sweeps = PointCloud(np.concatenate([cloud(k).xyz for k in range(10)]))
+    for pair in ((cloud(3), sweeps), (sweeps, cloud(3))):
+        with pytest.raises(Refusal, match="one recording"):
+            check(pair)
+
+
+@pytest.mark.parametrize(
+    ("second", "words"),
+    [
+        ((1, 4), "the target of placement 1 and the target of placement 2"),
+        ((4, 2), "the source of placement 1 and the source of placement 2"),
+        ((2, 4), "the source of placement 1 and the target of placement 2"),
+    ],
+)
+def test_each_placement_has_recordings_of_its_own(second: tuple[int, int], words: str) -> None:
+    check((cloud(1), cloud(2)), (cloud(3), cloud(4)))
+    with pytest.raises(Refusal, match=f"{words} are one recording.*recordings of its own"):
+        check((cloud(1), cloud(2)), (cloud(second[0]), cloud(second[1])))
+
+
 def test_nothing_is_no_copy() -> None:
     empty = PointCloud(np.zeros((0, 3)))
-    check_two_recordings(empty, cloud(1))
-    check_two_recordings(cloud(1), empty)
+    check((empty, cloud(1)))
+    check((cloud(1), empty))
     assert len(without_copies(empty)) == 0

@@ -8,21 +8,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import index
 
-from ..datatypes import MAX_RADIUS
+from ..datatypes import MAX_RADIUS, Placement, Scan
 from ..errors import UsageError
 from ..io.thinning import LEAST_POINTS
+from ..io.units import unit_named
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
+from ..pipeline import refused
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
 from ..uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, USABLE, Need
 from .inputs import (
     CloudSource,
     Input,
     check_radius,
-    check_topics,
     input_documents,
     intensity_hint,
     read_placements,
+    repeated,
 )
 from .result import CalibrationResult
 
@@ -52,6 +54,8 @@ def calibrate(
     source_topic: str | None = None,
     frames: slice | None = None,
     max_points: int = DEFAULT_CONFIG.max_points,
+    unit: str = DEFAULT_CONFIG.unit,
+    unit_source: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> CalibrationResult:
     """Find the rigid transform between two LiDARs that see the same taped poles.
@@ -87,6 +91,8 @@ def calibrate(
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
         Of a cloud with more, so many are kept: the brightest, and the others evenly.
+    unit, unit_source
+        Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
     progress
         Called with the name of each step as it starts.
 
@@ -123,6 +129,8 @@ def calibrate(
             source_topic=source_topic,
             frames=None if frames is None else _parts(frames),
             max_points=index(max_points),
+            unit=unit_named(unit),
+            unit_source=None if unit_source is None else unit_named(unit_source),
         )
     except (TypeError, ValueError, AttributeError) as error:
         raise UsageError(f"an option has a value of the wrong type: {error}") from None
@@ -163,22 +171,32 @@ def calibrate_with(
     for each in inputs:
         on_read(each)
     documents = input_documents(inputs)
-    check_topics(pairs, documents)
     seconds_read = time.perf_counter() - start
-    calibration = find_pose(
-        [pair.target.cloud for pair in pairs],
-        [pair.source.cloud for pair in pairs],
-        radius=config.radius_m,
-        radius_sigma=config.radius_sigma_m,
-        sensors=(pairs[0].target.sensor, pairs[0].source.sensor),
-        thresholds=(config.threshold_target, config.threshold_source),
-        poles=config.poles,
-        scene=config.refine,
-        trust_poles=config.trust_poles,
-        need=_need(config),
-        prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
-        progress=progress,
-    )
+    twice = repeated(pairs, documents)
+    if twice is not None:
+        unsearched = tuple(
+            Placement(
+                Scan(pair.target.cloud, pair.target.sensor),
+                Scan(pair.source.cloud, pair.source.sensor),
+            )
+            for pair in pairs
+        )
+        calibration = refused(twice, unsearched, (), {})
+    else:
+        calibration = find_pose(
+            [pair.target.cloud for pair in pairs],
+            [pair.source.cloud for pair in pairs],
+            radius=config.radius_m,
+            radius_sigma=config.radius_sigma_m,
+            sensors=(pairs[0].target.sensor, pairs[0].source.sensor),
+            thresholds=(config.threshold_target, config.threshold_source),
+            poles=config.poles,
+            scene=config.refine,
+            trust_poles=config.trust_poles,
+            need=_need(config),
+            prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
+            progress=progress,
+        )
     reasons = tuple(
         replace(reason, message=reason.message + intensity_hint(reason.code, inputs))
         for reason in calibration.reasons

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..datatypes import Detection
 from ..errors import Refusal
 from ..extraction.poles import extract_poles
+from ..io.units import unit_named
 from ..result import DEFAULT_CONFIG
 from .inputs import CloudSource, Input, check_radius, intensity_hint, read_input
 
@@ -18,6 +19,7 @@ def detect(
     topic: str | None = None,
     frames: slice | None = None,
     max_points: int = DEFAULT_CONFIG.max_points,
+    unit: str = DEFAULT_CONFIG.unit,
 ) -> Detection:
     """Find the poles in a recording.
 
@@ -37,6 +39,8 @@ def detect(
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
         Of a cloud with more, so many are kept: the brightest, and the others evenly.
+    unit
+        Of the coordinates: ``m``, ``cm`` or ``mm``.
 
     Returns
     -------
@@ -60,6 +64,7 @@ def detect(
         topic=topic,
         frames=frames,
         max_points=max_points,
+        unit=unit_named(unit),
     )
     return detect_in(given, radius)
 

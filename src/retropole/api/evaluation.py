@@ -13,6 +13,7 @@ from ..evaluation.metrics import Alignment
 from ..evaluation.metrics import evaluate as score
 from ..export import read_transform
 from ..extraction.extent import check_coordinates
+from ..io.units import unit_named
 from ..se3 import rigid
 from .inputs import CloudSource, read_input
 from .result import CalibrationResult
@@ -28,6 +29,8 @@ def evaluate(
     target_topic: str | None = None,
     source_topic: str | None = None,
     frames: slice | None = None,
+    unit: str = "m",
+    unit_source: str | None = None,
 ) -> Alignment:
     """Score a transform by the clouds it aligns; no truth is needed.
 
@@ -48,6 +51,8 @@ def evaluate(
         Of the choice of points for the entropy, where there are too many for all.
     target_topic, source_topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    unit, unit_source
+        Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
 
     Raises
     ------
@@ -61,10 +66,10 @@ def evaluate(
     """
     T = _transform(T_target_source)
     given = [
-        read_input(cloud, topic=topic, frames=frames, role=role)
-        for cloud, topic, role in (
-            (target, target_topic, "target"),
-            (source, source_topic, "source"),
+        read_input(cloud, topic=topic, frames=frames, unit=unit_named(each), role=role)
+        for cloud, topic, each, role in (
+            (target, target_topic, unit, "target"),
+            (source, source_topic, unit_source or unit, "source"),
         )
     ]
     for each in given:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
-from ..errors import UsageError
+from ..errors import Refusal, UsageError
 from ..files import path_in_text
 from ..io import (
     ARRAY_SOURCE,
@@ -25,7 +25,9 @@ from ..io import (
     sha256_of,
     thinned,
 )
+from ..io.units import Unit, in_metres, unit_named
 from ..result import InputDoc, RunConfig
+from ..scene.copies import what_to_give
 from ..sensors import Sensor, sensor_or_auto
 
 CloudSource = str | Path | PointCloud | NDArray[Any]
@@ -100,6 +102,7 @@ def read_input(
     topic: str | None = None,
     frames: slice | None = None,
     max_points: int = MAX_POINTS,
+    unit: Unit = "m",
     role: str = "cloud",
 ) -> Input:
     """Take a cloud as the user gives it, and look up its sensor.
@@ -117,20 +120,22 @@ def read_input(
         Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
         Of a cloud with more, so many are kept, as `io.read_cloud` does.
+    unit
+        Of the coordinates, of a path, a cloud or an array: ``m``, ``cm`` or ``mm``.
     role
         What messages call it: ``target``.
 
     Raises
     ------
     UsageError
-        For an unknown sensor, for an array of another shape, for anything else than these three,
-        and where a topic or frames are named of what is no file.
+        For an unknown sensor or unit, for an array of another shape, for anything else than these
+        three, and where a topic or frames are named of what is no file.
     ReadError, MissingExtraError
         As `io.read_cloud`.
     """
-    known = sensor_or_auto(sensor)
+    known, unit = sensor_or_auto(sensor), unit_named(unit)
     if isinstance(given, str | Path):
-        read = read_recording(given, topic=topic, frames=frames, max_points=max_points)
+        read = read_recording(given, topic=topic, frames=frames, max_points=max_points, unit=unit)
         return Input(given, read.cloud, known, threshold, read)
     if not isinstance(given, PointCloud) and not hasattr(given, "__array__"):
         raise UsageError(
@@ -140,10 +145,10 @@ def read_input(
     if topic is not None or frames is not None:
         raise UsageError(f"{role}: a topic or frames can be chosen in a file, not in an array")
     if isinstance(given, PointCloud):
-        returns = only_returns(given, role)
+        returns = in_metres(only_returns(given, role), unit)
         return Input(given, thinned(returns, max_points), known, threshold)
     array = np.asarray(given)
-    cloud = cloud_from_array(array, role)
+    cloud = in_metres(cloud_from_array(array, role), unit)
     return Input(array, thinned(cloud, max_points), known, threshold)
 
 
@@ -157,8 +162,7 @@ def read_placements(
     Raises
     ------
     UsageError
-        Where the numbers of targets and sources differ or are 0, where one topic of one bag is
-        both, and as `read_input`.
+        Where the numbers of targets and sources differ or are 0, and as `read_input`.
     ReadError, MissingExtraError
         As `read_input`.
     """
@@ -180,6 +184,7 @@ def read_placements(
                 topic=config.target_topic,
                 frames=frames,
                 max_points=config.max_points,
+                unit=config.unit,
                 role=f"target{which}",
             ),
             read_input(
@@ -189,6 +194,7 @@ def read_placements(
                 topic=config.source_topic,
                 frames=frames,
                 max_points=config.max_points,
+                unit=config.unit_source or config.unit,
                 role=f"source{which}",
             ),
         )
@@ -221,27 +227,47 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
     ]
 
 
-def check_topics(pairs: Sequence[InputPair], documents: Sequence[InputDoc]) -> None:
-    """Refuse one topic of one bag as both LiDARs: its transform would be the identity.
+def repeated(pairs: Sequence[InputPair], documents: Sequence[InputDoc]) -> Refusal | None:
+    """Refuse a recording that is given twice, under whatever name; None where none is.
+
+    One bag may be target and source, with a topic for each.
 
     Parameters
     ----------
     pairs, documents
         The inputs, and their entries in the result document, target and source in turn.
-
-    Raises
-    ------
-    UsageError
-        Naming the topic and the bag.
     """
-    for k, (target, source) in enumerate(pairs):
-        same_topic = target.topic is not None and target.topic == source.topic
-        if same_topic and documents[2 * k].sha256 == documents[2 * k + 1].sha256:
-            raise UsageError(
-                f"TARGET and SOURCE are both topic {target.topic} of {target.name}; "
+    seen: dict[tuple[str, str | None], tuple[int, str, str]] = {}
+    each = [
+        (k, lidar, given)
+        for k, pair in enumerate(pairs, 1)
+        for lidar, given in zip(("TARGET", "SOURCE"), pair, strict=True)
+    ]
+    for (k, lidar, given), document in zip(each, documents, strict=True):
+        n, other, name = seen.setdefault((document.sha256, given.topic), (k, lidar, given.name))
+        if (n, other) == (k, lidar):
+            continue
+        several = len(pairs) > 1
+        names = (
+            f"{other}{f' of placement {n}' if several else ''}",
+            f"{lidar}{f' of placement {k}' if several else ''}",
+        )
+        what = f"topic {given.topic} of {given.name}" if given.topic else given.name
+        advice = what_to_give(n, k)
+        if given.topic is not None and n == k:
+            advice = (
                 "--target-topic and --source-topic (in Python target_topic and source_topic) tell "
                 "two LiDARs of one bag apart"
             )
+        return Refusal(
+            "same_recording",
+            f"{names[0]} and {names[1]} are both {what}; {advice}"
+            if given.name == name
+            else f"{names[0]} and {names[1]}, {name} and {given.name}, are the same byte for byte: "
+            f"one is a copy of the other; {advice}",
+            {"sha256": document.sha256},
+        )
+    return None
 
 
 def intensity_hint(code: str, inputs: Iterable[Input]) -> str:

@@ -23,6 +23,7 @@ from .common import (
     command_line,
     echo_left_out,
     echo_refusal,
+    echo_sensor_doubt,
     echo_warning,
     frames_option,
     max_points_option,
@@ -31,11 +32,13 @@ from .common import (
     sensor_options,
     show,
     topic_options,
+    unit_options,
 )
 from .older import DEFAULT_OUT, SettingAside, older_set_aside
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
+    from ..io.units import Unit
 
 CENTIMETRES = Number(min=0, min_open=True, max=100 * LARGEST_NEED)
 
@@ -70,6 +73,7 @@ CENTIMETRES = Number(min=0, min_open=True, max=100 * LARGEST_NEED)
 @topic_options
 @frames_option
 @max_points_option
+@unit_options
 @click.option(
     "--poles",
     type=click.IntRange(min=2),
@@ -131,6 +135,8 @@ def calibrate(
     source_topic: str | None,
     frames: slice | None,
     max_points: int,
+    unit: Unit,
+    unit_source: Unit | None,
     poles: int | None,
     up: bool,
     prior_rpy_deg: tuple[float, float, float] | None,
@@ -161,6 +167,7 @@ def calibrate(
       retropole calibrate --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole calibrate drive.bag drive.bag --target-topic /front --source-topic /rear
       retropole calibrate front.pcap rear.pcap --frames 100:150
+      retropole calibrate front.csv rear.csv --unit mm
 
     \b
     Exit code:
@@ -198,11 +205,14 @@ def calibrate(
         source_topic=source_topic,
         frames=None if frames is None else (frames.start, frames.stop, frames.step),
         max_points=max_points,
+        unit=unit,
+        unit_source=unit_source,
     )
 
     def tell(given: Input) -> None:
         if not quiet:
             echo_left_out(given, frames)
+            echo_sensor_doubt(given)
 
     with older_set_aside(out), progress_on_terminal(quiet) as progress:
         result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import click
 from msgspec import to_builtins
 
+from ..io.units import Unit
 from ..monitoring.tolerance import DEFAULT_TOLERANCE
 from ..result import DEFAULT_CONFIG, confirmation_document
 from .common import (
@@ -25,6 +26,7 @@ from .common import (
 )
 
 if TYPE_CHECKING:
+    from ..api.inputs import Input
     from ..datatypes import Array, PoseEstimate
     from ..errors import Reason
     from ..monitoring.movement import CheckResult, Movement
@@ -51,6 +53,12 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
     help=f"{TOPIC_HELP}  [default: that of RESULT, where TARGET is a bag]",
 )
 @click.option("--source-topic", metavar="NAME", help=SAME_FOR_SOURCE)
+@click.option(
+    "--unit",
+    type=click.Choice(get_args(Unit)),
+    help="Unit of the new recordings' coordinates.  [default: that of RESULT]",
+)
+@click.option("--unit-source", type=click.Choice(get_args(Unit)), help="The same for SOURCE alone.")
 @click.option(
     "--tolerance-deg",
     type=DEGREES,
@@ -79,6 +87,8 @@ def check(
     source: Path,
     target_topic: str | None,
     source_topic: str | None,
+    unit: Unit | None,
+    unit_source: Unit | None,
     tolerance_deg: float,
     tolerance_m: float,
     sigma_deg: float | None,
@@ -91,7 +101,7 @@ def check(
     RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
     recordings of the same two LiDARs. Poles are used where they are there; without, the scene must
-    do. Radius, sensors and thresholds are those of RESULT.
+    do. Radius, sensors, thresholds and units are those of RESULT.
 
     \b
     Examples:
@@ -129,36 +139,38 @@ def check(
             answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
         else:
             config = stored.config
-            of_target, of_source = (
-                read_input(path, sensor, threshold, topic=_topic(path, given, known), quiet=quiet)
-                for path, sensor, threshold, given, known in (
-                    (
-                        target,
-                        config.sensor_target,
-                        config.threshold_target,
-                        target_topic,
-                        config.target_topic,
-                    ),
-                    (
-                        source,
-                        config.sensor_source,
-                        config.threshold_source,
-                        source_topic,
-                        config.source_topic,
-                    ),
-                )
+            of_target = read_input(
+                target,
+                config.sensor_target,
+                config.threshold_target,
+                topic=_topic(target, target_topic, config.target_topic),
+                unit=unit or config.unit,
+                quiet=quiet,
+            )
+            of_source = read_input(
+                source,
+                config.sensor_source,
+                config.threshold_source,
+                topic=_topic(source, source_topic, config.source_topic),
+                unit=unit_source or unit or config.unit_source or config.unit,
+                quiet=quiet,
             )
             progress("check")
-            answer = run(
-                stored.pose,
-                of_target.cloud,
-                of_source.cloud,
-                uncertainty=stored.uncertainty,
-                tolerance=Tolerance(float(np.radians(tolerance_deg)), tolerance_m),
-                radius=config.radius_m,
-                radius_sigma=config.radius_sigma_m,
-                sensors=(of_target.sensor, of_source.sensor),
-                thresholds=(config.threshold_target, config.threshold_source),
+            swapped = _swapped(stored, of_target, of_source)
+            answer = (
+                CheckResult("cannot_tell", (swapped,))
+                if swapped is not None
+                else run(
+                    stored.pose,
+                    of_target.cloud,
+                    of_source.cloud,
+                    uncertainty=stored.uncertainty,
+                    tolerance=Tolerance(float(np.radians(tolerance_deg)), tolerance_m),
+                    radius=config.radius_m,
+                    radius_sigma=config.radius_sigma_m,
+                    sensors=(of_target.sensor, of_source.sensor),
+                    thresholds=(config.threshold_target, config.threshold_source),
+                )
             )
             answer = replace(answer, reasons=(*answer.reasons, *stored.warnings))
     if as_json:
@@ -171,13 +183,15 @@ def check(
 class Stored(NamedTuple):
     """What RESULT holds: the pose, the options of its run, and what it warned of.
 
-    `uncertainty` is of a result that tells random and systematic errors apart.
+    `uncertainty` is of a result that tells random and systematic errors apart, `hashes` are
+    those of target and source of each placement.
     """
 
     pose: PoseEstimate
     config: RunConfig
     warnings: tuple[Reason, ...]
     uncertainty: Uncertainty | None = None
+    hashes: tuple[tuple[str, str], ...] = ()
 
 
 def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Stored:
@@ -222,7 +236,25 @@ def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Store
     )
     given = sigma_deg is not None
     parts = None if given else uncertainty_of(document.uncertainty, document.budget)
-    return Stored(pose, document.config, warnings, parts)
+    hashes = [item.sha256 for item in document.inputs]
+    pairs = tuple(zip(hashes[::2], hashes[1::2], strict=False))
+    return Stored(pose, document.config, warnings, parts, pairs)
+
+
+def _swapped(stored: Stored, target: Input, source: Input) -> Reason | None:
+    """Say that the files of RESULT, or its topics, are given the other way round."""
+    from ..io import sha256_of
+    from ..monitoring.swapped import swap
+
+    known = stored.config.target_topic, stored.config.source_topic
+    if None not in known and known[0] != known[1] and (source.topic, target.topic) == known:
+        words = f"RESULT's target is the topic {known[0]}, and its source {known[1]}"
+        return swap(words, {"told_by": "topics"})
+    if all(first == second for first, second in stored.hashes):
+        return None
+    if (sha256_of(source.name), sha256_of(target.name)) not in stored.hashes:
+        return None
+    return swap("RESULT was made of these very files", {"told_by": "hashes"})
 
 
 def _topic(path: Path, given: str | None, known: str | None) -> str | None:

@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import list2cmdline
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS
 from ..errors import escaped, printable
 from ..io.thinning import LEAST_POINTS
+from ..io.units import Unit
 from ..reasons import explain, page, plain
 from ..result import DEFAULT_CONFIG
 from ..sensors import SENSORS
@@ -143,6 +144,25 @@ max_points_option = click.option(
 )
 
 
+unit_option = click.option(
+    "--unit",
+    type=click.Choice(get_args(Unit)),
+    default=DEFAULT_CONFIG.unit,
+    show_default=True,
+    help="Unit of the coordinates, where they are not metres; 'retropole info' tells.",
+)
+
+
+def unit_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command --unit and --unit-source."""
+    of_source = click.option(
+        "--unit-source",
+        type=click.Choice(get_args(Unit)),
+        help="The same for SOURCE, where it is another.  [default: that of --unit]",
+    )
+    return unit_option(of_source(command))
+
+
 def never_fail_to_encode() -> None:
     """Have stdout and stderr write what their encoding lacks in ASCII, rather than fail."""
     codecs.register_error("retropole", _in_ascii)
@@ -187,6 +207,7 @@ def read_input(
     topic: str | None = None,
     frames: slice | None = None,
     max_points: int = DEFAULT_CONFIG.max_points,
+    unit: Unit = DEFAULT_CONFIG.unit,
     quiet: bool = False,
 ) -> Input:
     """Read a cloud and look up its sensor; say on stderr what was left out unasked."""
@@ -199,10 +220,38 @@ def read_input(
         topic=topic,
         frames=frames,
         max_points=max_points,
+        unit=unit,
     )
     if not quiet:
         echo_left_out(given, frames)
+        echo_doubts(given)
     return given
+
+
+def echo_doubts(given: Input) -> None:
+    """Say on stderr what cannot be right: the unit of the coordinates, or the sensor's name."""
+    from ..io.units import oddity_of
+
+    odd = oddity_of(given.cloud)
+    if odd is not None:
+        options = " or ".join(f"--unit {unit}" for unit in odd.units)
+        advice = f"; if they are, read them with {options}" if options else ""
+        say(f"retropole: {given.name}: {odd.words}{advice}")
+    else:
+        echo_sensor_doubt(given)
+
+
+def echo_sensor_doubt(given: Input) -> None:
+    """Say on stderr where a cloud is hardly of the sensor that was named."""
+    from ..extraction.sensor_pattern import sensor_doubt
+    from ..io.beam_origin import with_beam_origin
+    from ..io.rings import with_trusted_rings
+
+    if given.sensor is None:
+        return
+    doubt = sensor_doubt(with_beam_origin(with_trusted_rings(given.cloud)), given.sensor)
+    if doubt:
+        say(f"retropole: {doubt}")
 
 
 def echo_left_out(given: Input, frames: slice | None) -> None:

@@ -30,11 +30,13 @@ from .common import (
     sensor_options,
     show,
     topic_options,
+    unit_options,
 )
 
 if TYPE_CHECKING:
     from ..datatypes import Array
     from ..evaluation.comparison import Compared
+    from ..io.units import Unit
 
 COMPARE_SCHEMA = "retropole/compare/1"
 
@@ -96,6 +98,7 @@ Exit code:
 @sensor_options
 @topic_options
 @frames_option
+@unit_options
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
@@ -118,6 +121,8 @@ def compare(
     target_topic: str | None,
     source_topic: str | None,
     frames: slice | None,
+    unit: Unit,
+    unit_source: Unit | None,
     seed: int,
     as_json: bool,
     quiet: bool,
@@ -138,8 +143,14 @@ def compare(
         progress("read")
         read = partial(read_input, frames=frames, quiet=quiet)
         inputs = (
-            read(target, sensor_target, threshold_target, topic=target_topic),
-            read(source, sensor_source, threshold_source, topic=source_topic),
+            read(target, sensor_target, threshold_target, topic=target_topic, unit=unit),
+            read(
+                source,
+                sensor_source,
+                threshold_source,
+                topic=source_topic,
+                unit=unit_source or unit,
+            ),
         )
         found = run(
             inputs[0].cloud,

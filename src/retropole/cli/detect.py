@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -20,7 +21,11 @@ from .common import (
     say,
     show,
     topic_option,
+    unit_option,
 )
+
+if TYPE_CHECKING:
+    from ..io.units import Unit
 
 
 @click.command(context_settings=CONTEXT)
@@ -40,6 +45,7 @@ from .common import (
 @topic_option
 @frames_option
 @max_points_option
+@unit_option
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def detect(
@@ -51,6 +57,7 @@ def detect(
     topic: str | None,
     frames: slice | None,
     max_points: int,
+    unit: Unit,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -89,6 +96,7 @@ def detect(
             topic=topic,
             frames=frames,
             max_points=max_points,
+            unit=unit,
             quiet=quiet,
         )
         progress("extract")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,7 +17,11 @@ from .common import (
     read_input,
     show,
     topic_options,
+    unit_options,
 )
+
+if TYPE_CHECKING:
+    from ..io.units import Unit
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -42,6 +47,7 @@ TRANSFORM = click.Path(path_type=Path)
 )
 @topic_options
 @frames_option
+@unit_options
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 def evaluate(
     target: Path,
@@ -52,6 +58,8 @@ def evaluate(
     target_topic: str | None,
     source_topic: str | None,
     frames: slice | None,
+    unit: Unit,
+    unit_source: Unit | None,
     as_json: bool,
 ) -> int:
     """Score a transform from SOURCE to TARGET, whatever tool found it, by the clouds it aligns.
@@ -92,8 +100,8 @@ def evaluate(
         progress("read")
         read = partial(read_input, sensor_name="auto", threshold=None, frames=frames)
         clouds = (
-            read(target, topic=target_topic).cloud,
-            read(source, topic=source_topic).cloud,
+            read(target, topic=target_topic, unit=unit).cloud,
+            read(source, topic=source_topic, unit=unit_source or unit).cloud,
         )
         progress("evaluate")
         aligned = score(*clouds, T, rng=np.random.default_rng(0), sigma=sigma)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,7 +19,11 @@ from .common import (
     say,
     show,
     topic_option,
+    unit_option,
 )
+
+if TYPE_CHECKING:
+    from ..io.units import Unit
 
 
 @click.command(context_settings=CONTEXT)
@@ -30,6 +35,7 @@ from .common import (
 )
 @topic_option
 @frames_option
+@unit_option
 @click.option(
     "--port",
     type=click.IntRange(1, 65535),
@@ -45,6 +51,7 @@ def view(
     threshold: float | None,
     topic: str | None,
     frames: slice | None,
+    unit: Unit,
     port: int,
     quiet: bool,
 ) -> int:
@@ -73,7 +80,7 @@ def view(
     with progress_on_terminal(quiet) as progress:
         progress("read")
         inputs = [
-            read_input(file, sensor, threshold, topic=topic, frames=frames, quiet=quiet)
+            read_input(file, sensor, threshold, topic=topic, frames=frames, unit=unit, quiet=quiet)
             for file in files
         ]
         progress("extract")

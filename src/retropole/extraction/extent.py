@@ -14,6 +14,7 @@ from ..datatypes import Array, PointCloud
 from ..errors import Refusal
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import with_trusted_rings
+from ..io.units import oddity_of
 from ..se3 import FARTHEST, lengths
 from .acceptance_shape import MIN_POLE_POINTS
 
@@ -66,10 +67,16 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     near = _count_near(found, within)
     if near < min(MIN_POLE_POINTS, len(cloud)):
         away = float(np.median(_ranges(cloud)))
+        odd = oddity_of(cloud)
+        why = (
+            odd.words
+            if odd is not None and odd.is_map
+            else f"half are beyond {away:.0f} m: no pole is seen so far away"
+        )
         raise Refusal(
             "far_from_lidar",
             f"{near} of {len(cloud)} points are within {within:g} m of where the beams are taken "
-            f"to start, half are beyond {away:.0f} m: no pole is seen so far away; give the cloud "
+            f"to start; {why}; give the cloud "
             "in the LiDAR's own frame, or with rings or a PCD viewpoint, which tell where it was",
             {"near": near, "points": len(cloud), "median_m": away},
         )

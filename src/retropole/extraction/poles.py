@@ -53,6 +53,7 @@ from .lines import (
     in_canonical_order,
     propose_lines,
 )
+from .sensor_pattern import check_sensor
 from .surroundings import MAX_BESIDE
 
 SEARCH_ROOM = 0.04
@@ -122,7 +123,8 @@ def extract_poles(
     ------
     Refusal
         ``no_intensity`` where the cloud has none, or the same one everywhere,
-        ``threshold_too_low`` where most of it passes the threshold, and ``far_from_lidar``.
+        ``threshold_too_low`` where most of it passes the threshold, ``far_from_lidar``, and
+        ``wrong_sensor`` where its rings are not those of the sensor.
     """
     if cloud.intensity is None or len(cloud) == 0 or np.ptp(cloud.intensity) == 0:
         raise Refusal(
@@ -131,6 +133,10 @@ def extract_poles(
             "points: retro-reflective tape cannot be told from the rest; record it with intensity",
             {"points": len(cloud)},
         )
+    check_coordinates(cloud)
+    cloud = with_beam_origin(with_trusted_rings(cloud))
+    check_sensor(cloud, sensor)
+    assert cloud.intensity is not None
     chosen = threshold_for(cloud.intensity, sensor, threshold)
     if is_too_low(cloud.intensity, chosen.value):
         bright = int(np.count_nonzero(cloud.intensity >= chosen.value))
@@ -141,9 +147,6 @@ def extract_poles(
             "tenth, or none",
             {"bright": bright, "points": len(cloud), "threshold": chosen.value},
         )
-    check_coordinates(cloud)
-    cloud = with_beam_origin(with_trusted_rings(cloud))
-    assert cloud.intensity is not None
     knows_origin = ring_spread(cloud) <= MAX_RING_SPREAD
     free = cloud.intensity >= chosen.value
     retro = np.flatnonzero(free)

@@ -13,12 +13,12 @@ from ..errors import ReadError, UsageError
 from .arrays import (
     ARRAY_SOURCE,
     cloud_from_array,
-    read_kitti,
     read_npy,
     read_npz,
     read_text,
 )
 from .bag_files import BAGS, is_rosbag2
+from .binary_records import read_bin
 from .fields import only_returns
 from .las import read_las
 from .packets import PACKETS, open_packets
@@ -35,6 +35,7 @@ from .recordings import (
 )
 from .ros import bag_topics, open_bag
 from .thinning import MAX_POINTS, read_within, thinned
+from .units import Unit, in_metres, unit_named
 
 __all__ = [
     "ARRAY_SOURCE",
@@ -66,7 +67,7 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".ply": read_ply,
     ".las": read_las,
     ".laz": read_las,
-    ".bin": read_kitti,
+    ".bin": read_bin,
     ".npy": read_npy,
     ".npz": read_npz,
     ".csv": read_text,
@@ -155,6 +156,7 @@ def read_cloud(
     topic: str | None = None,
     frames: slice | None = None,
     max_points: int | None = None,
+    unit: Unit = "m",
 ) -> PointCloud:
     """Read a file, a folder of files or a bag as one cloud.
 
@@ -170,23 +172,27 @@ def read_cloud(
         How many points to keep of more; None keeps all. Of many frames, every second is left out
         as often as it takes; of few, or of one, the brightest points are kept and the others
         thinned evenly.
+    unit
+        Of the file's coordinates: ``m``, ``cm`` or ``mm``.
 
     Returns
     -------
     PointCloud
-        In the file's own frame; points that are not finite or at zero range are dropped and
-        counted.
+        In the file's own frame, in metres; points that are not finite or at zero range are dropped
+        and counted.
 
     Raises
     ------
     ReadError
         Naming the file, the line or the field, and what was expected.
     UsageError
-        Where a topic is given and the path is not a bag, or frames are asked for backwards.
+        Where a topic is given and the path is not a bag, frames are asked for backwards, or a unit
+        is given that the file cannot have.
     MissingExtraError
         Where the format needs an extra that is not installed.
     """
-    return read_recording(path, topic=topic, frames=frames, max_points=max_points).cloud
+    read = read_recording(path, topic=topic, frames=frames, max_points=max_points, unit=unit)
+    return read.cloud
 
 
 def read_recording(
@@ -195,12 +201,13 @@ def read_recording(
     topic: str | None = None,
     frames: slice | None = None,
     max_points: int | None = None,
+    unit: Unit = "m",
 ) -> ReadRecording:
     """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
 
     Parameters
     ----------
-    path, topic, frames, max_points
+    path, topic, frames, max_points, unit
         As `read_cloud` takes them.
 
     Raises
@@ -208,11 +215,14 @@ def read_recording(
     ReadError, UsageError, MissingExtraError
         As `read_cloud`.
     """
+    unit = unit_named(unit)
     recording = open_recording(path, topic=topic)
+    if unit != "m" and recording.path.suffix.lower() in PACKETS:
+        raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
     asked = chosen_frames(recording, frames)
     numbers, read = read_within(recording, asked, sys.maxsize if max_points is None else max_points)
     headers = tuple(frame.header for frame in read)
-    cloud = joined(recording, read)
+    cloud = in_metres(joined(recording, read), unit)
     return ReadRecording(recording, asked, numbers, headers, cloud)
 
 

@@ -1,4 +1,4 @@
-"""Plain arrays of numbers: KITTI's .bin, NumPy's .npy and .npz, and text."""
+"""Plain arrays of numbers: NumPy's .npy and .npz, and text."""
 
 from __future__ import annotations
 
@@ -23,9 +23,6 @@ from .unpacking import allowance
 
 PLAIN_COLUMNS = ("x", "y", "z", "intensity")
 """What the columns of a table without names are; a fifth could be a colour or a normal."""
-
-KITTI_POINT = 16
-"""Bytes of a point of KITTI: four float32."""
 
 TABLE_KEYS = ("xyz", "points", "arr_0")
 """Names of a table of points in an NPZ."""
@@ -55,17 +52,6 @@ def _nonempty(path: Path) -> bytes:
     if not data:
         raise ReadError(f"{path}: is empty, expected points")
     return data
-
-
-def read_kitti(path: Path) -> PointCloud:
-    """Read a KITTI ``.bin``: float32 x y z intensity, and nothing else."""
-    data = _nonempty(path)
-    if len(data) % KITTI_POINT:
-        raise ReadError(
-            f"{path}: {len(data)} bytes, expected a multiple of {KITTI_POINT} (float32 x y z "
-            "intensity)"
-        )
-    return _from_table(path, np.frombuffer(data, "<f4").reshape(-1, 4))
 
 
 def _from_table(path: Path | str, table: NDArray[Any]) -> PointCloud:

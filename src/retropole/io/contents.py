@@ -15,6 +15,7 @@ from ..sensors import SENSORS, Sensor, auto_threshold
 from . import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
 from .beam_origin import with_beam_origin
 from .rings import MAX_RING_SPREAD, elevations, rings_fault, with_trusted_rings
+from .units import Unit, oddity_of
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""
@@ -66,6 +67,8 @@ class CloudDoc(msgspec.Struct):
     """The frames of a file, or of one topic of a bag; why its rings are ignored, or nothing.
 
     `beam_origin_m` is where the beams start, and `told_by_rings` whether that is not from the file.
+    `odd_coordinates` says why the coordinates cannot be metres about the LiDAR, and `units` which
+    units would explain it.
     """
 
     topic: str | None
@@ -86,6 +89,8 @@ class CloudDoc(msgspec.Struct):
     range_m: list[float]
     intensity: IntensityDoc | None
     sensors: list[str]
+    odd_coordinates: str
+    units: list[str]
 
 
 class InfoDoc(msgspec.Struct, kw_only=True):
@@ -97,7 +102,13 @@ class InfoDoc(msgspec.Struct, kw_only=True):
     clouds: list[CloudDoc]
 
 
-def describe(path: str | Path, *, topic: str | None = None, frames: slice | None = None) -> InfoDoc:
+def describe(
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    frames: slice | None = None,
+    unit: Unit = "m",
+) -> InfoDoc:
     """Describe a recording without calibrating anything.
 
     Parameters
@@ -108,6 +119,8 @@ def describe(path: str | Path, *, topic: str | None = None, frames: slice | None
         Of a bag, the topic to describe; None takes every topic of point clouds.
     frames
         The frames to read; None takes those that `io.read_cloud` would.
+    unit
+        Of the coordinates.
 
     Raises
     ------
@@ -119,7 +132,7 @@ def describe(path: str | Path, *, topic: str | None = None, frames: slice | None
     names: list[str | None] = [topic]
     if topic is None:
         names = [own.name for own in topics if own.of_clouds and own.count] or [None]
-    read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS)
+    read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS, unit=unit)
     return InfoDoc(
         path=path_in_text(path),
         topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
@@ -131,6 +144,7 @@ def _cloud(read: ReadRecording) -> CloudDoc:
     given, count = read.cloud, read.recording.count
     cloud = with_beam_origin(with_trusted_rings(given))
     rate = _rate(read.headers[0], read.headers[-1])
+    odd = oddity_of(cloud)
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     return CloudDoc(
         topic=read.recording.topic,
@@ -151,6 +165,8 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         range_m=[float(value) for value in np.quantile(ranges, [0, 0.5, 1])],
         intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
         sensors=guess_sensors(cloud),
+        odd_coordinates="" if odd is None else odd.words,
+        units=[] if odd is None else list(odd.units),
     )
 
 

@@ -14,7 +14,10 @@ from ..datatypes import Array, BoolArray, IntArray, PointCloud
 from ..errors import ReadError, UsageError
 
 INTENSITY = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission")
-RING = ("ring", "channel", "laser_id", "line", "beam")
+RING = (
+    *("ring", "channel", "laser_id", "line", "beam", "laser_number", "laser", "laserid"),
+    *("ring_id", "ring_number", "beam_id", "channel_id"),
+)
 TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpstime")
 """Names of the fields in lower case; where a file has several, the first is taken."""
 

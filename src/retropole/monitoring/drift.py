@@ -38,6 +38,7 @@ from .movement import (
     Method,
     compare_poses,
 )
+from .swapped import swapped_clouds, swapped_sensors
 from .tolerance import DEFAULT_TOLERANCE, Tolerance
 
 PARTS = ROTATION, TRANSLATION
@@ -45,7 +46,7 @@ PARTS = ROTATION, TRANSLATION
 NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
 """Warnings of a new calibration by poles that leave the scene alone to answer."""
 
-NO_RECORDINGS = ("far_from_lidar", "same_recording")
+NO_RECORDINGS = ("far_from_lidar", "same_recording", "wrong_unit", "wrong_sensor")
 """Refusals of a new calibration that leave the scene nothing to answer by either."""
 
 SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
@@ -130,7 +131,7 @@ def check(
     UsageError
         Where the stored pose has no covariance.
     Refusal
-        ``far_from_lidar`` or ``same_recording``: no two recordings of two LiDARs.
+        Of `NO_RECORDINGS`, such as ``same_recording``: no two recordings of these two LiDARs.
     """
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
@@ -143,6 +144,11 @@ def check(
     )
     again = calibrate_again(target, source)
     for reason in again.reasons:
+        swapped = (
+            swapped_sensors(again.placements[0], sensors) if reason.code == "wrong_sensor" else None
+        )
+        if swapped is not None:
+            return CheckResult("cannot_tell", (swapped,))
         if reason.code in NO_RECORDINGS:
             raise Refusal(reason.code, reason.message, reason.values)
     clouds = _Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
@@ -150,6 +156,11 @@ def check(
     answer = _tested(stored, uncertainty, clouds, by_poles, tolerance, sensors)
     scenes = scenes_of(again.placements, np.random.default_rng(0))
     found = count(scenes, stored.T_target_source)
+    T_poles = answer.T_target_source if answer.used == "poles" else None
+    told = (stored.T_target_source, T_poles, scenes, found)
+    swapped = None if answer.status == "same" else swapped_clouds(*told)
+    if swapped is not None:
+        return CheckResult("cannot_tell", (swapped,), confirmation=found)
     return _held_against_scene(replace(answer, confirmation=found), found)
 
 

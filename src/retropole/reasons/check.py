@@ -7,6 +7,7 @@ from typing import Literal
 from .explanation import Explanation
 
 CheckCode = Literal[
+    "swapped",
     "poles_not_trusted",
     "no_covariance",
     "no_common_surfaces",
@@ -19,6 +20,12 @@ CheckCode = Literal[
 ]
 
 CHECK: dict[CheckCode, Explanation] = {
+    "swapped": Explanation(
+        "Target and source are swapped",
+        "The new recordings fit the stored pose the other way round: TARGET is of the LiDAR that "
+        "was the source when the result was made. Nothing is said of whether it moved.",
+        ("Give the recordings in the order in which the result was made, and check again.",),
+    ),
     "poles_not_trusted": Explanation(
         "The new poles do not fit the scene",
         "The new poles gave a pose that does not fit the scene. The scene was used instead.",

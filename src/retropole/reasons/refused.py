@@ -11,6 +11,8 @@ RefusedCode = Literal[
     "threshold_too_low",
     "far_from_lidar",
     "same_recording",
+    "wrong_unit",
+    "wrong_sensor",
     "too_few_poles",
     "parallel_poles",
     "no_match",
@@ -67,17 +69,49 @@ REFUSED: dict[RefusedCode, Explanation] = {
             "A cloud in another frame needs its rings, or a PCD its viewpoint: they tell "
             "[where the LiDAR was](formats.md#where-the-beams-start). Of map coordinates, subtract "
             "the same offset from all points before they are stored as 32-bit floats.",
-            "Bring the cloud to metres.",
+            "Bring the cloud to metres; `--unit` reads millimetres and centimetres.",
+            "A LAS file in map coordinates does not say where the LiDAR stood: export it from the "
+            "LiDAR's own software in its own frame, or subtract the LiDAR's position from all "
+            "points.",
             "A few points far beyond all others are damaged: leave them out.",
         ),
     ),
     "same_recording": Explanation(
-        "Target and source are one recording",
-        "More than half of the source's points are in the target, too, number for number. Two "
-        "LiDARs never measure alike to the last digit.",
+        "A recording is given twice",
+        "Two recordings are one file or copies of it, or more than half of the points of one are "
+        "in the other, too, number for number. Two LiDARs never measure alike to the last digit, "
+        "nor does one LiDAR twice.",
         (
             "Give the recording of one LiDAR as the target and that of the other as the source.",
+            "With `--placement`, give recordings of each placement: poles moved, recorded again. "
+            "The same one twice says nothing more.",
             "If both LiDARs' points were joined in one cloud, take them apart first.",
+        ),
+    ),
+    "wrong_unit": Explanation(
+        "The coordinates are not in metres",
+        "Half of the points are farther away than any LiDAR with poles around it sees, as where a "
+        "file holds millimetres or centimetres. Nothing is converted unasked.",
+        (
+            "Give `--unit mm` or `--unit cm`, and `--unit-source` where only one of the two is; in "
+            "Python `unit` and `unit_source`. The result keeps it, and `report` and `check` use "
+            "it. [How it is told](formats.md#units).",
+            "`retropole info FILE` shows the ranges. The pole's distance from the LiDAR, which you "
+            "know, says which unit it is.",
+        ),
+    ),
+    "wrong_sensor": Explanation(
+        "The cloud is not of the sensor you named",
+        "The cloud has more rings than the sensor that `--sensor-target` or `--sensor-source` "
+        "names, or rings where that sensor has none. Its threshold, noise and beam width would be "
+        "those of another. So it is where rings lie outside of its field of view. A cloud of fewer "
+        "rings is never refused.",
+        (
+            "`retropole info FILE` names the sensors that fit the cloud. Were target and source "
+            "swapped?",
+            "Leave the sensor at `auto` where it is not in the [table](sensors.md), and give "
+            "`--threshold-target` or `--threshold-source` where the cloud's own is not right.",
+            "Where two LiDARs' points were joined in one cloud, take them apart first.",
         ),
     ),
     "too_few_poles": Explanation(
@@ -260,7 +294,9 @@ REFUSED: dict[RefusedCode, Explanation] = {
         "Lengths in the two clouds differ by a factor, which the message gives, with the unit "
         "where it is that of one. [How it is told](certainty.md#mirrored-and-scaled-clouds).",
         (
-            "Bring both clouds to metres: some programs write feet, centimetres or millimetres.",
+            "Bring both clouds to metres: some programs write feet, centimetres or millimetres. "
+            "`--unit mm` reads both in millimetres, `--unit-source mm` the source alone, and "
+            "`--unit mm --unit-source m` the target alone; `cm` is there, too.",
             "Where the factor is near 1, one LiDAR's ranges may be corrected twice or not at all. "
             "Measure a known distance in both clouds.",
         ),

@@ -9,6 +9,7 @@ from .explanation import Explanation
 WarningCode = Literal[
     "not_confirmed",
     "other_times",
+    "sensor_doubtful",
     "pole_left_out",
     "not_converged",
     "small_margin",
@@ -50,6 +51,18 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Check that the files belong together, and that nothing was moved in between.",
             "Where a clock is wrong and both recorded at the same time, use the answer.",
             "Better: record both LiDARs at the same time.",
+        ),
+    ),
+    "sensor_doubtful": Explanation(
+        "The cloud is hardly of the sensor you named",
+        "The rings are those of another sensor than `--sensor-target` or `--sensor-source` names; "
+        "or there are none, and more than 5 % of the points are above or below its field of view. "
+        "What is known of another sensor makes the stated error wrong; so does a cloud that was "
+        "turned or moved.",
+        (
+            "`retropole info FILE` names the sensors that fit the cloud. Leave the sensor at "
+            "`auto` where none is known.",
+            "Give the cloud in the LiDAR's own frame, as its driver writes it, or with its rings.",
         ),
     ),
     "pole_left_out": Explanation(

@@ -12,6 +12,7 @@ from ..datatypes import Placement, PointCloud, Scan
 from ..errors import ReadError, UsageError, printable
 from ..files import path_of_text
 from ..io import ARRAY_SOURCE, read_cloud, sha256_of
+from ..io.units import Unit
 from ..pipeline import find_poles
 from ..result import InputDoc, PoleDoc, ResultDoc, RunConfig
 from ..sensors import sensor_or_auto
@@ -74,8 +75,9 @@ def placements_of(
     paths, config = find_inputs(result, beside, given), result.config
     progress("read")
     notes = differing(result, paths)
-    target = [_read(path, config.target_topic, config) for path in paths[::2]]
-    source = [_read(path, config.source_topic, config) for path in paths[1::2]]
+    target = [_read(path, config.target_topic, config.unit, config) for path in paths[::2]]
+    of_source = config.source_topic, config.unit_source or config.unit
+    source = [_read(path, *of_source, config) for path in paths[1::2]]
     progress("extract")
     placements = [
         Placement(_search(*of_target, config), _search(*of_source, config))
@@ -130,10 +132,11 @@ def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
     )
 
 
-def _read(path: Path, topic: str | None, config: RunConfig) -> PointCloud:
-    """Read a recording, of a bag the topic and frames of the run."""
+def _read(path: Path, topic: str | None, unit: Unit, config: RunConfig) -> PointCloud:
+    """Read a recording in its unit, of a bag the topic and frames of the run."""
     frames = None if config.frames is None else slice(*config.frames)
-    return read_cloud(path, topic=topic, frames=frames, max_points=config.max_points)
+    most = config.max_points
+    return read_cloud(path, topic=topic, frames=frames, max_points=most, unit=unit)
 
 
 def _search(cloud: PointCloud, item: InputDoc, config: RunConfig) -> Scan:

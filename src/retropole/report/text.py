@@ -307,11 +307,26 @@ def _cloud_lines(cloud: CloudDoc) -> list[str]:
         + (f", ignored: {cloud.rings_ignored}" if cloud.rings_ignored else ""),
         *([_beams_line(cloud.beam_origin_m)] if cloud.told_by_rings else []),
         f"range      {near:.2f} to {far:.2f} m, median {middle:.2f} m",
+        *_odd_lines(cloud),
         f"sensor     {' or '.join(cloud.sensors) or 'unknown'}",
     ]
     if cloud.intensity is None:
         return [*lines, "intensity  none: tape cannot be told from the rest"]
     return lines + _intensity_lines(cloud.intensity)
+
+
+def _odd_lines(cloud: CloudDoc) -> list[str]:
+    """Say what is odd about the coordinates, and what to do about it."""
+    if not cloud.odd_coordinates:
+        return []
+    options = " or ".join(f"--unit {unit}" for unit in cloud.units)
+    advice = (
+        f"read them with {options}, here and in every command"
+        if options
+        else "give the cloud in metres and in the LiDAR's own frame, or with rings or a PCD "
+        "viewpoint, which tell where it stood"
+    )
+    return [f"odd        {cloud.odd_coordinates}", f"           what to do: {advice}"]
 
 
 def _beams_line(origin: list[float]) -> str:

@@ -22,6 +22,7 @@ from ..datatypes import (
     PoseEstimate,
 )
 from ..io.thinning import LEAST_POINTS, MAX_POINTS
+from ..io.units import Unit
 from .bounded import LONGEST_LIST, Count, Covariance, Number, Pose, Share, Size, Status, Text
 from .certainty import (
     BudgetEntryDoc,
@@ -97,8 +98,8 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
     None stands for what was not asked for: any number of poles, no prior, the sensor's or the
-    cloud's own threshold, the only topic, frames evenly spread, no accuracy that is needed. Frames
-    are start, stop and step.
+    cloud's own threshold, the only topic, frames evenly spread, no accuracy that is needed, for the
+    source the unit of the target. Frames are start, stop and step.
     """
 
     radius_m: Size = DEFAULT_RADIUS
@@ -120,6 +121,8 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     source_topic: Text | None = None
     frames: tuple[int | None, int | None, int | None] | None = None
     max_points: Annotated[int, Meta(ge=LEAST_POINTS, le=2**53)] = MAX_POINTS
+    unit: Unit = "m"
+    unit_source: Unit | None = None
 
 
 DEFAULT_CONFIG = RunConfig()

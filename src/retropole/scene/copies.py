@@ -6,14 +6,17 @@ it would make an answer surer than it is, and as both clouds a perfect one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
+
 import numpy as np
 
-from ..datatypes import Array, PointCloud
+from ..datatypes import Array, Placement, PointCloud
 from ..errors import Refusal
 from .ordering import order_of
 
 SAMPLE = 5_000
-"""Points of the source, evenly taken, that are looked for in the target."""
+"""Points of a cloud, taken without order, that are looked for in another."""
 
 MIX = np.uint64(0x9E3779B97F4A7C15)
 """Multiplier of the hash: 2⁶⁴ over the golden ratio, odd (Knuth 1998, TAOCP 3, 6.4)."""
@@ -22,6 +25,8 @@ MAX_SHARED = 0.5
 """Largest share of the points that may be the same number for number. Two sweeps of one LiDAR
 at rest share what its steps of range leave equal: 9 % with a noise of three steps, 28 % with one
 (1 / (2 √π) over the noise in steps)."""
+
+Keys = np.ndarray[tuple[int], np.dtype[np.uint64]]
 
 
 def without_copies(cloud: PointCloud) -> PointCloud:
@@ -45,30 +50,55 @@ def without_copies(cloud: PointCloud) -> PointCloud:
     return cloud.select(np.sort(np.minimum.reduceat(order, starts)))
 
 
-def check_two_recordings(target: PointCloud, source: PointCloud) -> None:
-    """Refuse a recording, or parts of it in whatever order, as both target and source.
+def check_recordings(placements: Sequence[Placement]) -> None:
+    """Refuse a recording, or a part of it in whatever order, that is given twice.
+
+    It may be both target and source, or be in two placements.
 
     Raises
     ------
     Refusal
         ``same_recording``.
     """
-    if len(target) == 0 or len(source) == 0:
-        return
-    part = source.xyz[:: 1 + (len(source) - 1) // SAMPLE]
-    keys, ordered = _keys(part), np.sort(_keys(target.xyz))
-    place = np.minimum(np.searchsorted(ordered, keys), len(ordered) - 1)
-    shared = float(np.mean(ordered[place] == keys))
-    if shared > MAX_SHARED:
+    each = [
+        (k, lidar, np.sort(_keys(scan.cloud.xyz)))
+        for k, placement in enumerate(placements, 1)
+        for lidar, scan in (("target", placement.target), ("source", placement.source))
+        if len(scan.cloud)
+    ]
+    for (k, first, of_first), (n, second, of_second) in combinations(each, 2):
+        shared = max(_shared(of_first, of_second), _shared(of_second, of_first))
+        if shared <= MAX_SHARED:
+            continue
+        several = len(placements) > 1
+        names = (
+            f"the {first}{f' of placement {k}' if several else ''}",
+            f"the {second}{f' of placement {n}' if several else ''}",
+        )
         raise Refusal(
             "same_recording",
-            f"{shared:.0%} of the source's points are, number for number, in the target, too: both "
-            "are one recording; give the other LiDAR's",
+            f"{names[0]} and {names[1]} are one recording: {shared:.0%} of the points of one are, "
+            f"number for number, in the other, too; {what_to_give(k, n)}",
             {"shared": shared},
         )
 
 
-def _keys(xyz: Array) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+def what_to_give(first: int, second: int) -> str:
+    """Say what to give instead where recordings of two placements, or of one, are the same."""
+    if first == second:
+        return "give the recording of one LiDAR as TARGET and that of the other as SOURCE"
+    return "give each placement recordings of its own, made after the poles were moved"
+
+
+def _shared(part: Keys, whole: Keys) -> float:
+    """Share of a sample of the first keys that are among the second, both sorted."""
+    # In order of the hash, which is none of the points.
+    sample = part[:: 1 + (len(part) - 1) // SAMPLE]
+    place = np.minimum(np.searchsorted(whole, sample), len(whole) - 1)
+    return float(np.mean(whole[place] == sample))
+
+
+def _keys(xyz: Array) -> Keys:
     """(N,) one number for each point, by its bits: unequal ones hardly ever have the same."""
     bits = (np.ascontiguousarray(xyz) + 0.0).view(np.uint64)
     key = np.zeros(len(xyz), dtype=np.uint64)

@@ -16,6 +16,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Hypothesis, Placement, PointCloud, Scan
 from ..errors import Refusal
+from ..io.units import Oddity, Unit, oddity_of
 from ..matching.similar import Change, changed_cloud
 from .refinement import Refinement
 from .similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
@@ -72,7 +73,7 @@ def explained(
     Returns
     -------
     Refusal
-        ``mirrored`` or ``wrong_scale``; the same as was given where neither is found.
+        ``mirrored``, ``wrong_scale`` or ``wrong_unit``; the same as was given where none is found.
     """
     if refusal.code not in EXPLAINED or not placements:
         return refusal
@@ -89,7 +90,7 @@ def explained(
             best, rival = found
             change = replace(best.change, factor=best.change.factor * factor)
             return _refusal(replace(best, change=change), rival, first)
-    return refusal
+    return _in_no_metres(placements) or refusal
 
 
 def check_similarity(refined: Refinement | None, placements: Sequence[Placement], T: Array) -> None:
@@ -149,6 +150,36 @@ def _in_other_units(
             target = find[0](changed_cloud(clouds[0], Change(1.0 / factor)))
             if len(target.poles) > 1 and len(placement.source.poles) > 1:
                 yield factor, replace(placement, target=target)
+
+
+def _in_no_metres(placements: Sequence[Placement]) -> Refusal | None:
+    """Say which clouds have ranges that are no metres; None where all may be metres."""
+    odd: dict[str, Oddity] = {}
+    for placement in placements:
+        for name, scan in (("target", placement.target), ("source", placement.source)):
+            found = None if name in odd else oddity_of(scan.cloud)
+            if found is not None and found.units:
+                odd[name] = found
+    if not odd:
+        return None
+    name, first = next(iter(odd.items()))
+    units = [
+        unit for unit in first.units if all(unit in other.units for other in odd.values())
+    ] or list(first.units)
+    options = " or ".join(_options(unit, list(odd)) for unit in units)
+    both = "the target's points, and of the source's," if len(odd) > 1 else f"the {name}'s points"
+    return Refusal(
+        "wrong_unit",
+        f"half of {both} are beyond {first.half:,.0f}, which no LiDAR sees in metres: they look "
+        f"like {first.candidates}; if they are, read them with {options}",
+        {"lidars": " and ".join(odd), "half": first.half, "units": " or ".join(units)},
+    )
+
+
+def _options(unit: Unit, lidars: Sequence[str]) -> str:
+    if len(lidars) > 1:
+        return f"--unit {unit}"
+    return f"--unit-source {unit}" if lidars[0] == "source" else f"--unit {unit} --unit-source m"
 
 
 def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal:

@@ -1,0 +1,136 @@
+"""Whether a cloud can be of the sensor that was named: by its rings and by its elevations.
+
+A wrong name gives a wrong threshold, noise and beam width, and so a wrong statement of how certain
+the answer is. Only what contradicts the name counts: a cloud may always have fewer rings, and show
+less of the field of view, since it was cropped or nothing was there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..datatypes import Array, BoolArray, PointCloud
+from ..errors import Refusal
+from ..io.contents import guess_sensors
+from ..io.rings import MAX_RING_SPREAD, elevations, ring_spread
+from ..sensors import Sensor
+
+MIN_RING_POINTS = 20
+"""Rings of fewer points do not count: a few points may carry a wrong number."""
+
+BEYOND = float(np.radians(2.0))
+"""So far beyond the field of view of the table a ring's elevation is none of the sensor, rad. Units
+of one model differ by some tenths of a degree; the largest step between rings at the end of a field
+of view is 10° (RS-LiDAR-32), inside it."""
+
+MANY_BEYOND = 0.05
+"""Part of the points of a cloud without rings that may be beyond it: near returns, since not all
+beams start in one point."""
+
+MOST_LINES = 8
+"""A LiDAR without rings has no more lasers that its driver may number instead: a Mid-360 has 4."""
+
+SAMPLE = 20_000
+"""Points, evenly taken, whose elevations are looked at."""
+
+
+def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
+    """Refuse a cloud whose rings are not those of the sensor that was named.
+
+    Parameters
+    ----------
+    cloud
+        With rings that are rings, or none, and the beam origin and axis that they tell.
+    sensor
+        What was named; None is any.
+
+    Raises
+    ------
+    Refusal
+        ``wrong_sensor``.
+    """
+    if sensor is None or cloud.ring is None:
+        return
+    numbers, counts = np.unique(cloud.ring, return_counts=True)
+    rings = numbers[counts >= MIN_RING_POINTS]
+    known = len(sensor.elevations)
+    if known and len(rings) > known:
+        raise Refusal(
+            "wrong_sensor",
+            f"{_named(cloud)} has {len(rings)} rings, and a {sensor.name} has {known}: name the "
+            "sensor that recorded it, or none",
+            {"sensor": sensor.name, "rings": len(rings), "most": known},
+        )
+    if len(rings) == 0 or ring_spread(cloud) > MAX_RING_SPREAD:
+        return
+    if not known and len(rings) > MOST_LINES:
+        raise Refusal(
+            "wrong_sensor",
+            f"{_named(cloud)} has {len(rings)} rings, each of one elevation, and a {sensor.name} "
+            "has none: name the sensor that recorded it, or none",
+            {"sensor": sensor.name, "rings": len(rings), "most": 0},
+        )
+    part = np.isin(cloud.ring, rings)
+    elevation = elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
+    medians = np.array([np.median(elevation[cloud.ring[part] == ring]) for ring in rings])
+    if np.any(_beyond(medians, sensor)):
+        low, high = np.degrees([medians.min(), medians.max()])
+        raise Refusal(
+            "wrong_sensor",
+            f"{_named(cloud)} has rings from {low:.1f}° to {high:.1f}°, and a {sensor.name} sees "
+            f"from {_span(sensor)}: name the sensor that recorded it, or none",
+            {"sensor": sensor.name, "lowest_deg": float(low), "highest_deg": float(high)},
+        )
+
+
+def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
+    """Say why a cloud is hardly of the sensor that was named; nothing where it may be.
+
+    Its rings are those of another sensor, or without rings it shows more than the sensor sees. No
+    proof that the name is wrong: a cloud that was thinned ring by ring, turned or moved may look
+    the same.
+
+    Parameters
+    ----------
+    cloud, sensor
+        As `check_sensor` takes them.
+    """
+    if sensor is None or len(cloud) == 0:
+        return ""
+    if ring_spread(cloud) <= MAX_RING_SPREAD:
+        fitting = guess_sensors(cloud)
+        if not fitting or sensor.name in fitting:
+            return ""
+        return (
+            f"the rings of {_named(cloud)} are those of {' or '.join(fitting)}, and not those of "
+            f"{sensor.name}, which was named"
+        )
+    part = slice(None, None, 1 + (len(cloud) - 1) // SAMPLE)
+    elevation = elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
+    share = float(np.mean(_beyond(elevation, sensor)))
+    if share <= MANY_BEYOND:
+        return ""
+    return (
+        f"{share:.0%} of the points of {_named(cloud)} are outside of what a {sensor.name} sees "
+        f"({_span(sensor)}): another LiDAR recorded it, or its points were turned or moved since, "
+        "so that where the beams start is not known"
+    )
+
+
+def _beyond(elevation: Array, sensor: Sensor) -> BoolArray:
+    """Which elevations (N,) a sensor does not see, upright or upside down: those of which fewer
+    are.
+    """
+    low, high = sensor.elevation_span
+    upright = (elevation < low - BEYOND) | (elevation > high + BEYOND)
+    hanging = (-elevation < low - BEYOND) | (-elevation > high + BEYOND)
+    return upright if np.count_nonzero(upright) <= np.count_nonzero(hanging) else hanging
+
+
+def _span(sensor: Sensor) -> str:
+    low, high = np.degrees(sensor.elevation_span)
+    return f"{low:.1f}° to {high:.1f}°"
+
+
+def _named(cloud: PointCloud) -> str:
+    return cloud.source or "the cloud"
