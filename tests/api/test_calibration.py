@@ -197,3 +197,30 @@ def test_numbers_of_numpy_are_as_good(tmp_path: Path) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(rp.ReadError, match=r"absent\.pcd"):
         rp.calibrate(tmp_path / "absent.pcd", tmp_path / "absent.pcd")
+
+
+def test_a_sensor_that_does_not_see_so_much_is_doubted() -> None:
+    given = tables().target, tables().source
+    result = rp.calibrate(*given, refine=False, sensor_target="Mid-360", threshold_target=120)
+    assert result.status == "warn"
+    (reason,) = (each for each in result.reasons if each.code == "sensor_doubtful")
+    assert "outside of what the Mid-360 sees (-7.0° to 52.0°)" in reason.message
+    assert reason.values["lidar"] == "target"
+
+
+def test_arrays_of_any_unit() -> None:
+    per_metre = np.array([1000.0, 1000.0, 1000.0, 1.0])
+    given = per_metre * tables().target, tables().source
+    result = rp.calibrate(*given, refine=False, unit="mm", unit_source="m")
+    np.testing.assert_allclose(
+        result.required_transform(), calibrated().required_transform(), atol=1e-3
+    )
+    assert result.document.config.unit == "mm"
+    with pytest.raises(rp.UsageError, match="unit is 'km', expected m, cm, mm"):
+        rp.calibrate(*given, unit="km")
+
+
+def test_the_same_array_twice_is_refused() -> None:
+    result = rp.calibrate(tables().target, tables().target.copy())
+    assert [reason.code for reason in result.reasons] == ["same_recording"]
+    assert result.T_target_source is None

@@ -175,10 +175,11 @@ def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "/front (1 messages), /rear (1 messages)" in done.stderr
     same = "--target-topic", "/front", "--source-topic", "/front"
-    done = retropole("calibrate", bag, bag, *same, cwd=tmp_path)
-    assert done.returncode == 2
-    assert "are both topic /front" in done.stderr
     assert list(tmp_path.iterdir()) == []
+    done = retropole("calibrate", bag, bag, *same, cwd=tmp_path)
+    assert done.returncode == 3
+    assert "refused (same_recording): TARGET and SOURCE are both topic /front" in done.stderr
+    assert "--source-topic" in done.stderr
 
 
 def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ class TestNames:
         (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,4\n")
         np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv").intensity, [4.0])
 
-    @pytest.mark.parametrize("name", ["ring", "Channel", "laser_id"])
+    @pytest.mark.parametrize("name", ["ring", "Channel", "laser_id", "laser_number", "Laser"])
     def test_ring(self, tmp_path: Path, name: str) -> None:
         (tmp_path / "a.csv").write_text(f"x,y,z,{name}\n1,2,3,4\n")
         np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv").ring, [4])

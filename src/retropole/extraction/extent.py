@@ -68,16 +68,14 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     if near < min(MIN_POLE_POINTS, len(cloud)):
         away = float(np.median(_ranges(cloud)))
         odd = oddity_of(cloud)
-        why = (
-            odd.words
-            if odd is not None and odd.is_map
-            else f"half are beyond {away:.0f} m: no pole is seen so far away"
-        )
+        why = f"half are beyond {away:.0f} m: no pole is seen so far away"
+        advice = "with rings or a PCD viewpoint, which tell where it was"
+        if odd is not None and odd.is_map:
+            why, advice = odd.words, f"{advice}, or subtract the LiDAR's place from all points"
         raise Refusal(
             "far_from_lidar",
             f"{near} of {len(cloud)} points are within {within:g} m of where the beams are taken "
-            f"to start; {why}; give the cloud "
-            "in the LiDAR's own frame, or with rings or a PCD viewpoint, which tell where it was",
+            f"to start; {why}; give the cloud in the LiDAR's own frame, or {advice}",
             {"near": near, "points": len(cloud), "median_m": away},
         )
     x, y, z = np.round(found.origin, -3)

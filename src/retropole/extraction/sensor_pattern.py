@@ -57,8 +57,8 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
     if known and len(rings) > known:
         raise Refusal(
             "wrong_sensor",
-            f"{_named(cloud)} has {len(rings)} rings, and a {sensor.name} has {known}: name the "
-            "sensor that recorded it, or none",
+            f"{_named(cloud)} has {len(rings)} rings, the {sensor.name} has {known}: "
+            f"{_advice(cloud)}",
             {"sensor": sensor.name, "rings": len(rings), "most": known},
         )
     if len(rings) == 0 or ring_spread(cloud) > MAX_RING_SPREAD:
@@ -66,8 +66,8 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
     if not known and len(rings) > MOST_LINES:
         raise Refusal(
             "wrong_sensor",
-            f"{_named(cloud)} has {len(rings)} rings, each of one elevation, and a {sensor.name} "
-            "has none: name the sensor that recorded it, or none",
+            f"{_named(cloud)} has {len(rings)} rings, each of one elevation, the {sensor.name} "
+            f"has none: {_advice(cloud)}",
             {"sensor": sensor.name, "rings": len(rings), "most": 0},
         )
     part = np.isin(cloud.ring, rings)
@@ -77,14 +77,15 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
         low, high = np.degrees([medians.min(), medians.max()])
         raise Refusal(
             "wrong_sensor",
-            f"{_named(cloud)} has rings from {low:.1f}° to {high:.1f}°, and a {sensor.name} sees "
-            f"from {_span(sensor)}: name the sensor that recorded it, or none",
+            f"{_named(cloud)} has rings from {low:.1f}° to {high:.1f}°, the {sensor.name} sees "
+            f"from {_span(sensor)}: {_advice(cloud)}",
             {"sensor": sensor.name, "lowest_deg": float(low), "highest_deg": float(high)},
         )
 
 
 def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
-    """Say why a cloud is hardly of the sensor that was named; nothing where it may be.
+    """Say why a cloud is hardly of the sensor that was named; nothing where it may be, or where
+    `check_sensor` refuses it.
 
     Its rings are those of another sensor, or without rings it shows more than the sensor sees. No
     proof that the name is wrong: a cloud that was thinned ring by ring, turned or moved may look
@@ -96,6 +97,10 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
         As `check_sensor` takes them.
     """
     if sensor is None or len(cloud) == 0:
+        return ""
+    try:
+        check_sensor(cloud, sensor)
+    except Refusal:
         return ""
     if ring_spread(cloud) <= MAX_RING_SPREAD:
         fitting = guess_sensors(cloud)
@@ -111,7 +116,7 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
     if share <= MANY_BEYOND:
         return ""
     return (
-        f"{share:.0%} of the points of {_named(cloud)} are outside of what a {sensor.name} sees "
+        f"{share:.0%} of the points of {_named(cloud)} are outside of what the {sensor.name} sees "
         f"({_span(sensor)}): another LiDAR recorded it, or its points were turned or moved since, "
         "so that where the beams start is not known"
     )
@@ -125,6 +130,11 @@ def _beyond(elevation: Array, sensor: Sensor) -> BoolArray:
     upright = (elevation < low - BEYOND) | (elevation > high + BEYOND)
     hanging = (-elevation < low - BEYOND) | (-elevation > high + BEYOND)
     return upright if np.count_nonzero(upright) <= np.count_nonzero(hanging) else hanging
+
+
+def _advice(cloud: PointCloud) -> str:
+    fitting = " or ".join(guess_sensors(cloud))
+    return f"name the sensor that recorded it{f', {fitting}' if fitting else ''}, or none"
 
 
 def _span(sensor: Sensor) -> str:

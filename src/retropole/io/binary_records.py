@@ -66,10 +66,7 @@ def read_bin(path: Path) -> PointCloud:
         return cloud_from_columns(
             path, dict(zip(fitting[0], _rows(data, len(fitting[0])).T, strict=True))
         )
-    raise ReadError(
-        f"{path}: {_why(data, bool(fitting))}; say which columns it has: "
-        "np.save('a.npy', np.fromfile(FILE, 'f4').reshape(-1, COLUMNS)[:, :4])"
-    )
+    raise ReadError(f"{path}: {_why(data, bool(fitting))}")
 
 
 def _rows(data: bytes, columns: int) -> NDArray[Any]:
@@ -114,16 +111,24 @@ def _alternate(rows: NDArray[Any]) -> bool:
 
 
 def _why(data: bytes, are_both: bool) -> str:
+    """Say why the values are no points, or two kinds of them, and how to convert them."""
     size = len(data)
-    if are_both:
-        return "could be four float32 a point (KITTI) or five (nuScenes, with a ring)"
     if size % (4 * FLOAT) and size % (5 * FLOAT):
         return (
             f"{size} bytes, expected a multiple of 16 (float32 x y z intensity, KITTI) or of 20 "
             "(and ring, nuScenes)"
         )
-    long = " (records of 32 bytes, as PCL and ROS have them?)"
+    if not are_both and size % LONG_RECORD == 0 and _alternate(_rows(data, 4)):
+        return (
+            "its points seem to have 32 bytes, as PCL and ROS hold x y z _ intensity; write these: "
+            "np.save('a.npy', np.fromfile(FILE, 'f4').reshape(-1, 8)[:, [0, 1, 2, 4]])"
+        )
+    why = (
+        "could be four float32 a point (KITTI) or five (nuScenes)"
+        if are_both
+        else "its values are not float32 x y z intensity (KITTI), nor with a ring (nuScenes)"
+    )
     return (
-        f"its values are not those of float32 x y z intensity (KITTI), nor with a ring (nuScenes)"
-        f"{'' if size % LONG_RECORD else long}"
+        f"{why}; write x y z intensity, of N columns: "
+        "np.save('a.npy', np.fromfile(FILE, 'f4').reshape(-1, N)[:, :4])"
     )

@@ -58,6 +58,7 @@ class Oddity:
     half: float
     units: tuple[Unit, ...] = ()
     is_map: bool = False
+    is_tiny: bool = False
 
     @property
     def candidates(self) -> str:
@@ -107,6 +108,7 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
             f"95 % of the points are within {most:.2g} m of the origin, where no place for poles "
             "is: the coordinates are not metres, or the unit that was given is not theirs",
             half,
+            is_tiny=True,
         )
     if half <= FARTHEST_HALF:
         return None

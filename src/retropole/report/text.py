@@ -323,10 +323,10 @@ def _odd_lines(cloud: CloudDoc) -> list[str]:
     advice = (
         f"read them with {options}, here and in every command"
         if options
-        else "give the cloud in metres and in the LiDAR's own frame, or with rings or a PCD "
-        "viewpoint, which tell where it stood"
+        else "give the cloud in metres and in the LiDAR's own frame, or subtract the LiDAR's "
+        "place from all points"
     )
-    return [f"odd        {cloud.odd_coordinates}", f"           what to do: {advice}"]
+    return [f"           {cloud.odd_coordinates}", f"           what to do: {advice}"]
 
 
 def _beams_line(origin: list[float]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Hypothesis, Placement, PointCloud, Scan
 from ..errors import Refusal
-from ..io.units import Oddity, Unit, oddity_of
+from ..io.units import NAMES, Oddity, Unit, oddity_of
 from ..matching.similar import Change, changed_cloud
 from .refinement import Refinement
 from .similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
@@ -158,21 +158,23 @@ def _in_no_metres(placements: Sequence[Placement]) -> Refusal | None:
     for placement in placements:
         for name, scan in (("target", placement.target), ("source", placement.source)):
             found = None if name in odd else oddity_of(scan.cloud)
+            if found is not None and found.is_tiny:
+                return Refusal("wrong_unit", f"of the {name}, {found.words}", {"lidars": name})
             if found is not None and found.units:
                 odd[name] = found
     if not odd:
         return None
-    name, first = next(iter(odd.items()))
-    units = [
-        unit for unit in first.units if all(unit in other.units for other in odd.values())
-    ] or list(first.units)
-    options = " or ".join(_options(unit, list(odd)) for unit in units)
-    both = "the target's points, and of the source's," if len(odd) > 1 else f"the {name}'s points"
+    first, *others = odd.values()
+    common = tuple(unit for unit in first.units if all(unit in each.units for each in others))
+    told = replace(first, units=common or first.units)
+    whose = "both clouds' points" if others else f"the {next(iter(odd))}'s points"
+    options = " or ".join(_options(unit, list(odd)) for unit in told.units)
     return Refusal(
         "wrong_unit",
-        f"half of {both} are beyond {first.half:,.0f}, which no LiDAR sees in metres: they look "
-        f"like {first.candidates}; if they are, read them with {options}",
-        {"lidars": " and ".join(odd), "half": first.half, "units": " or ".join(units)},
+        f"half of {whose} are beyond {min(each.half for each in odd.values()):,.0f}, which no "
+        f"LiDAR sees in metres: they look like {told.candidates}; if they are, read them with "
+        f"{options}",
+        {"lidars": " and ".join(odd), "half": told.half, "units": " or ".join(told.units)},
     )
 
 
@@ -240,7 +242,9 @@ def _unit_words(factor: float) -> str:
     if name is None:
         return ""
     lidar = "source" if factor < 1 else "target"
-    return f" ({UNITS[name]:g}: is the {lidar} in {name}?)"
+    unit = next((unit for unit, known in NAMES.items() if known == name), None)
+    option = "" if unit is None else f" Then read it with {_options(unit, [lidar])}"
+    return f" ({UNITS[name]:g}: is the {lidar} in {name}?{option})"
 
 
 def _unit_values(factor: float) -> dict[str, float | int | str]:

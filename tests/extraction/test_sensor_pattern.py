@@ -1,0 +1,85 @@
+"""A sensor's name is held against the rings; a cloud of fewer of them never contradicts it."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import retropole as rp
+from retropole import se3
+from retropole.datatypes import PointCloud
+from retropole.errors import Refusal
+from retropole.extraction.sensor_pattern import check_sensor, sensor_doubt
+from retropole.sensors import SENSORS
+
+WRONG = [
+    ("VLP-16", "HDL-32E"),  # rings higher than it sees
+    ("HDL-32E", "VLP-16"),  # more rings
+    ("HDL-32E", "XT32"),  # as many, but lower
+    ("Pandar64", "OS1"),
+    ("PandarQT", "Pandar64"),
+    ("OS1", "C32"),
+    ("VLP-16", "Mid-360"),
+]
+
+
+@cache
+def cloud_of(name: str) -> PointCloud:
+    return rp.simulate("street", 3, sensor_target=name, sensor_source="VLP-16").target
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_its_own_name_is_never_doubted(name: str) -> None:
+    cloud = cloud_of(name)
+    for seen in (cloud, replace(cloud, ring=None)):
+        check_sensor(seen, SENSORS[name])
+        assert sensor_doubt(seen, SENSORS[name]) == ""
+        assert sensor_doubt(seen, None) == ""
+
+
+@pytest.mark.parametrize(("own", "named"), WRONG)
+def test_rings_that_the_named_sensor_has_not_are_refused(own: str, named: str) -> None:
+    with pytest.raises(Refusal) as why:
+        check_sensor(cloud_of(own), SENSORS[named])
+    assert why.value.code == "wrong_sensor"
+    assert named in why.value.message
+    assert own in why.value.message.split("name the sensor")[1]
+
+
+@pytest.mark.parametrize("kept", [slice(0, 32), slice(16, 48, 2), slice(60, 64), slice(5, 6)])
+def test_fewer_rings_are_no_contradiction(kept: slice) -> None:
+    cloud = cloud_of("Pandar64")
+    assert cloud.ring is not None
+    part = cloud.select(np.isin(cloud.ring, np.arange(64)[kept]))
+    check_sensor(part, SENSORS["Pandar64"])
+    assert sensor_doubt(part, SENSORS["Pandar64"]) == ""
+
+
+def test_a_lidar_may_hang_upside_down_or_stand_elsewhere() -> None:
+    cloud = cloud_of("Pandar64")
+    T = se3.from_rt(se3.exp_so3(np.array([np.pi, 0, 0])), np.array([3.0, 1.0, 2.0]))
+    hanging = replace(cloud, xyz=se3.apply(T, cloud.xyz), origin=T[:3, 3])
+    check_sensor(hanging, SENSORS["Pandar64"])
+    assert sensor_doubt(hanging, SENSORS["Pandar64"]) == ""
+
+
+def test_a_few_wrong_numbers_are_no_rings() -> None:
+    cloud = cloud_of("VLP-16")
+    assert cloud.ring is not None
+    ring = cloud.ring.copy()
+    ring[:30] = np.arange(30) + 20
+    check_sensor(replace(cloud, ring=ring), SENSORS["VLP-16"])
+
+
+def test_rings_of_another_sensor_are_doubted() -> None:
+    doubt = sensor_doubt(cloud_of("VLP-16"), SENSORS["Pandar64"])
+    assert "are those of VLP-16" in doubt
+    assert "not those of Pandar64" in doubt
+
+
+def test_without_rings_what_the_sensor_does_not_see_is_doubted() -> None:
+    cloud = replace(cloud_of("PandarQT"), ring=None)
+    check_sensor(cloud, SENSORS["VLP-16"])
+    doubt = sensor_doubt(cloud, SENSORS["VLP-16"])
+    assert "outside of what the VLP-16 sees (-15.0° to 15.0°)" in doubt
