@@ -230,7 +230,7 @@ def read_input(
 
 def echo_doubts(given: Input) -> None:
     """Say on stderr what cannot be right: the unit of the coordinates, or the sensor's name."""
-    from ..io.units import oddity_of
+    from ..io.coordinates import oddity_of
 
     odd = oddity_of(given.cloud)
     if odd is not None:

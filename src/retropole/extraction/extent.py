@@ -13,8 +13,8 @@ import numpy as np
 from ..datatypes import Array, PointCloud
 from ..errors import Refusal
 from ..io.beam_origin import with_beam_origin
+from ..io.coordinates import oddity_of
 from ..io.rings import with_trusted_rings
-from ..io.units import oddity_of
 from ..se3 import FARTHEST, lengths
 from .acceptance_shape import MIN_POLE_POINTS
 

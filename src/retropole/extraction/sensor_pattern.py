@@ -30,6 +30,10 @@ beams start in one point."""
 MOST_LINES = 8
 """A LiDAR without rings has no more lasers that its driver may number instead: a Mid-360 has 4."""
 
+FEWEST_POINTS = 1000
+"""Of fewer points without rings none are doubted: a cloud cropped to its poles shows no field of
+view."""
+
 SAMPLE = 20_000
 """Points, evenly taken, whose elevations are looked at."""
 
@@ -110,6 +114,8 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
             f"the rings of {_named(cloud)} are those of {' or '.join(fitting)}, and not those of "
             f"{sensor.name}, which was named"
         )
+    if len(cloud) < FEWEST_POINTS:
+        return ""
     part = slice(None, None, 1 + (len(cloud) - 1) // SAMPLE)
     elevation = elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
     share = float(np.mean(_beyond(elevation, sensor)))

@@ -14,8 +14,9 @@ from ..files import path_in_text
 from ..sensors import SENSORS, Sensor, auto_threshold
 from . import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
 from .beam_origin import with_beam_origin
+from .coordinates import oddity_of
 from .rings import MAX_RING_SPREAD, elevations, rings_fault, with_trusted_rings
-from .units import Unit, oddity_of
+from .units import Unit
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""

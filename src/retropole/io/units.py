@@ -1,22 +1,12 @@
-"""Coordinates in another unit than metres, or of a map: told by the ranges, and brought to metres.
-
-Nothing is converted unasked. A cloud in feet looks like one in metres; a cloud in millimetres or
-centimetres has ranges that no LiDAR measures in metres, and one in the frame of a map lies in a
-heap far from its origin.
-"""
+"""Units that the coordinates of a file may have; inside, all are metres."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, cast, get_args
-
-import numpy as np
 
 from ..datatypes import PointCloud
 from ..errors import UsageError
-from ..se3 import lengths
-from .beam_origin import with_beam_origin
-from .rings import with_trusted_rings
 
 Unit = Literal["m", "cm", "mm"]
 
@@ -24,46 +14,6 @@ METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Length of each unit, metres."""
 
 NAMES: dict[Unit, str] = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
-
-SAMPLE = 20_000
-"""Points, evenly taken, whose ranges are looked at."""
-
-FARTHEST_HALF = 100.0
-"""Half of the returns lie within this of the LiDAR, metres: no pole is seen beyond it, and the
-medians of 18 real recordings are 1.2 to 26 m."""
-
-FARTHEST_RETURN, NEAREST_HALF = 300.0, 1.0
-"""A unit is possible where all but 1 % of the returns lie within the first of the LiDAR, metres,
-and half of them beyond the second: the longest range of the table of sensors is 245 m."""
-
-NEAREST_PLACE = 0.5
-"""Where all but 5 % of the returns are nearer than this, metres, there is no place around the LiDAR
-to stand poles in; a lone sensor's shortest range is 0.05 to 1 m."""
-
-HEAP, WIDE_HEAP = 3.0, 30.0
-"""Points are a heap far away where their middle is so many times farther away than they spread; the
-second where they spread farther than a LiDAR sees. From a LiDAR they lie around it, or before it
-and as wide as they are far."""
-
-
-@dataclass(frozen=True)
-class Oddity:
-    """What is odd about the coordinates of a cloud, in words, and the units that would explain it.
-
-    `half` is the range within which half of the points are, as the file counts. `units` is empty
-    for coordinates of a map, and for those that no unit explains.
-    """
-
-    words: str
-    half: float
-    units: tuple[Unit, ...] = ()
-    is_map: bool = False
-    is_tiny: bool = False
-
-    @property
-    def candidates(self) -> str:
-        """The units in words, and what half of the ranges would be in each."""
-        return " or ".join(f"{NAMES[u]} ({self.half * METRES[u]:.2g} m)" for u in self.units)
 
 
 def unit_named(name: str) -> Unit:
@@ -84,71 +34,3 @@ def in_metres(cloud: PointCloud, unit: Unit) -> PointCloud:
     if unit == "m":
         return cloud
     return replace(cloud, xyz=cloud.xyz * METRES[unit], origin=cloud.origin * METRES[unit])
-
-
-def oddity_of(cloud: PointCloud) -> Oddity | None:
-    """Say why coordinates cannot be metres about the LiDAR; None where they can.
-
-    A hint, and no proof: a LiDAR of long range on open ground may look the same.
-
-    Parameters
-    ----------
-    cloud
-        In any frame; where its rings tell where the beams start, that is taken.
-    """
-    if len(cloud) == 0:
-        return None
-    half, most, farthest = _ranges(cloud)
-    if most > NEAREST_PLACE and half <= FARTHEST_HALF:
-        return None
-    cloud = with_beam_origin(with_trusted_rings(cloud))
-    half, most, farthest = _ranges(cloud)
-    if most <= NEAREST_PLACE:
-        return Oddity(
-            f"95 % of the points are within {most:.2g} m of the origin, where no place for poles "
-            "is: the coordinates are not metres, or the unit that was given is not theirs",
-            half,
-            is_tiny=True,
-        )
-    if half <= FARTHEST_HALF:
-        return None
-    if _is_heap(cloud):
-        las = cloud.source.lower().endswith((".las", ".laz"))
-        return Oddity(
-            f"all points lie in one heap {half:,.0f} m from the origin, as in the frame of a map; "
-            + ("a LAS file does not say" if las else "nothing in it says")
-            + " where the LiDAR stood, so beams have no origin",
-            half,
-            is_map=True,
-        )
-    units = tuple(
-        unit
-        for unit, size in METRES.items()
-        if half * size >= NEAREST_HALF
-        and half * size <= FARTHEST_HALF
-        and farthest * size <= FARTHEST_RETURN
-    )
-    if not units:
-        words = f"half of the points are beyond {half:,.0f} m, farther than poles are seen"
-        return Oddity(words, half)
-    odd = Oddity("", half, units)
-    words = (
-        f"half of the points are beyond {half:,.0f}, which no LiDAR sees in metres: they look like "
-        f"{odd.candidates}"
-    )
-    return replace(odd, words=words)
-
-
-def _ranges(cloud: PointCloud) -> tuple[float, float, float]:
-    """Ranges within which 50, 95 and 99 % of the points are."""
-    part = slice(None, None, 1 + (len(cloud) - 1) // SAMPLE)
-    found = np.quantile(lengths(cloud.xyz[part] - cloud.origin), [0.5, 0.95, 0.99])
-    return float(found[0]), float(found[1]), float(found[2])
-
-
-def _is_heap(cloud: PointCloud) -> bool:
-    part = cloud.xyz[:: 1 + (len(cloud) - 1) // SAMPLE]
-    middle = np.median(part, axis=0)
-    spread = float(np.quantile(lengths(part - middle), 0.9))
-    away = float(np.linalg.norm(middle - cloud.origin))
-    return away > (HEAP if spread <= FARTHEST_RETURN else WIDE_HEAP) * spread

@@ -107,8 +107,8 @@ REFUSED: dict[RefusedCode, Explanation] = {
         "those of another. So it is where rings lie outside of its field of view. A cloud of fewer "
         "rings is never refused.",
         (
-            "`retropole info FILE` names the sensors that fit the cloud. Were target and source "
-            "swapped?",
+            "`retropole info FILE` names the sensors that fit the cloud. Check that target and "
+            "source are not swapped.",
             "Leave the sensor at `auto` where it is not in the [table](sensors.md), and give "
             "`--threshold-target` or `--threshold-source` where the cloud's own is not right.",
             "Where two LiDARs' points were joined in one cloud, take them apart first.",

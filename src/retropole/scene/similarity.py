@@ -16,7 +16,8 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Hypothesis, Placement, PointCloud, Scan
 from ..errors import Refusal
-from ..io.units import NAMES, Oddity, Unit, oddity_of
+from ..io.coordinates import Oddity, oddity_of
+from ..io.units import NAMES, Unit
 from ..matching.similar import Change, changed_cloud
 from .refinement import Refinement
 from .similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
