@@ -68,14 +68,20 @@ def located(cloud: PointCloud, radius: float) -> PointCloud:
     if near < min(MIN_POLE_POINTS, len(cloud)):
         away = float(np.median(_ranges(cloud)))
         odd = oddity_of(cloud)
-        why = f"half are beyond {away:.0f} m: no pole is seen so far away"
-        advice = "with rings or a PCD viewpoint, which tell where it was"
         if odd is not None and odd.is_map:
-            why, advice = odd.words, f"{advice}, or subtract the LiDAR's place from all points"
+            rest = (
+                f"; {odd.words}; give it in the LiDAR's own frame, or subtract the LiDAR's place "
+                "from all points"
+            )
+        else:
+            rest = (
+                f" of where the beams are taken to start, half are beyond {away:.0f} m: no pole is "
+                "seen so far away; give the cloud in the LiDAR's own frame, or with rings or a PCD "
+                "viewpoint, which tell where it was"
+            )
         raise Refusal(
             "far_from_lidar",
-            f"{near} of {len(cloud)} points are within {within:g} m of where the beams are taken "
-            f"to start; {why}; give the cloud in the LiDAR's own frame, or {advice}",
+            f"{near} of {len(cloud)} points are within {within:g} m{rest}",
             {"near": near, "points": len(cloud), "median_m": away},
         )
     x, y, z = np.round(found.origin, -3)
