@@ -11,6 +11,7 @@ import retropole as rp
 from retropole import se3
 from retropole.datatypes import Array, PointCloud
 from retropole.io import write_pcd
+from retropole.simulation import place_again
 from tests.cli.commands import retropole, retropole_here, transform_of
 
 
@@ -95,8 +96,12 @@ def test_a_refusal_exits_with_3_and_leaves_its_reason(scene: Path, tmp_path: Pat
 
 def test_placements_give_one_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    other = place_again(rp.simulate("street", 1), np.random.default_rng(3))
+    again = tmp_path / "front.pcd", tmp_path / "rear.pcd"
+    for path, cloud in zip(again, (other.target, other.source), strict=True):
+        write_pcd(path, cloud)
     done = retropole(
-        "calibrate", "--placement", *files, "--placement", *files, "--out", tmp_path / "r"
+        "calibrate", "--placement", *files, "--placement", *again, "--out", tmp_path / "r"
     )
     assert done.returncode == 0, done.stderr
     assert_close(transform_of(tmp_path / "r"), truth)
@@ -152,7 +157,8 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
     # Topics are those of each placement.
     two = [word for _ in range(2) for word in ("--placement", bag, bag)]
     done = retropole("calibrate", *two, *topics, "--no-refine", "--out", tmp_path / "two", "-q")
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 3
+    assert "TARGET of placement 1 and TARGET of placement 2 are both topic /front" in done.stderr
 
 
 def test_poles_that_the_user_vouches_for_are_recorded(tmp_path: Path) -> None:
