@@ -10,7 +10,7 @@ from retropole import se3
 from retropole.datatypes import PointCloud
 from retropole.io import read_cloud, write_pcd
 from retropole.io.contents import describe, guess_sensors
-from retropole.report.text import describe_info
+from retropole.report.contents_text import describe_info
 from retropole.sensors import SENSORS, auto_threshold
 from retropole.simulation import simulate_pair
 from tests.io.files import required

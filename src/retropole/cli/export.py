@@ -149,9 +149,11 @@ def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) ->
     elif len(paths) != 2:
         raise UsageError(f"{file} names no clouds; give TARGET and SOURCE")
     frames = []
-    for path, topic in zip(paths[:2], (config.target_topic, config.source_topic), strict=True):
-        kept = None if config.frames is None else slice(*config.frames)
-        read = read_recording(path, topic=topic, frames=kept, max_points=config.max_points)
+    topics = config.target_topic, config.source_topic
+    units = config.unit, config.unit_source or config.unit
+    kept, most = None if config.frames is None else slice(*config.frames), config.max_points
+    for path, topic, unit in zip(paths[:2], topics, units, strict=True):
+        read = read_recording(path, topic=topic, frames=kept, max_points=most, unit=unit)
         if read.cloud.origin.any():
             say(
                 f"retropole: {path}: its beams start at {read.cloud.origin.tolist()}, which a "

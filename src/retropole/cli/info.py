@@ -37,7 +37,7 @@ def info(file: Path, topic: str | None, frames: slice | None, unit: Unit, as_jso
       2    the file or an option is wrong
     """
     from ..io.contents import describe
-    from ..report.text import describe_info
+    from ..report.contents_text import describe_info
     from ..result import encode
 
     with progress_on_terminal(as_json) as progress:

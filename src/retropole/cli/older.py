@@ -47,7 +47,7 @@ def _out_of(words: Sequence[str]) -> Path:
     out, options = DEFAULT_OUT, list(words)
     if "--" in options:
         options = options[: options.index("--")]
-    for word, following in zip(options, [*options[1:], ""], strict=True):
+    for word, following in zip(options, [*options, ""][1:], strict=True):
         if word == "--out" and following:
             out = Path(following)
         elif word.startswith("--out="):
