@@ -11,7 +11,14 @@ from .datatypes import Calibration
 from .errors import Reason
 from .reasons.sources import remedy
 from .uncertainty import source_words
-from .uncertainty.purpose import USABLE, Fitness, Need, displacement_bound, fitness
+from .uncertainty.purpose import (
+    USABLE,
+    Fitness,
+    Need,
+    displacement_bound,
+    fitness,
+    is_surely_met,
+)
 
 DOUBTS = ("not_confirmed", "not_converged", "small_margin", "several_minima")
 """Warnings that the pose may be another one, which its covariance does not count."""
@@ -33,6 +40,8 @@ def judged(answer: Calibration, need: Need | None) -> Calibration:
     """
     assert answer.covariance is not None
     if need is None:
+        if is_surely_met(answer.covariance, USABLE):
+            return answer
         fit = fitness(answer.covariance, USABLE)
     else:
         found = answer.confirmation

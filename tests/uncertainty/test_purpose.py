@@ -14,6 +14,7 @@ from retropole.uncertainty.purpose import (
     displacement,
     displacement_bound,
     fitness,
+    is_surely_met,
 )
 
 
@@ -116,3 +117,18 @@ def test_what_is_hardly_not_enough_is_not_said_to_be_95_percent_sure() -> None:
     covariance = a_covariance(0)
     hardly = Need(displacement_bound(covariance, 30.0, 0.949), 30.0)
     assert fitness(covariance, hardly).words.endswith("not shown, 94 % sure")
+
+
+def test_what_is_surely_met_is_met_and_not_only_what_could_hardly_be_missed() -> None:
+    sure = 0
+    for seed in range(20):
+        covariance = a_covariance(seed)
+        bound = displacement_bound(covariance, 30.0)
+        for times in (0.9, 1.0, 1.5, 3.0, 6.0):
+            need = Need(times * bound, 30.0)
+            if is_surely_met(covariance, need):
+                sure += 1
+                assert fitness(covariance, need).answer == "yes"
+        assert not is_surely_met(covariance, Need(bound, 30.0))
+        assert is_surely_met(covariance, Need(6.0 * bound, 30.0))
+    assert sure < 60

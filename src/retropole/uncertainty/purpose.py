@@ -154,6 +154,18 @@ def displacement_bound(
     return float(np.quantile(displacements(covariance, distance), probability))
 
 
+def is_surely_met(covariance: Array, need: Need) -> bool:
+    """Whether a need is met with a probability of `CONFIDENCE`, whatever the distribution.
+
+    By the inequality of Chebyshev, without a draw: no error moves a point by more than
+    ``|δ| + distance |φ|``, whose mean square is at most ``2 (tr Σ_δ + distance² tr Σ_φ)``. It says
+    yes only far within the need.
+    """
+    variances = np.diag(covariance)
+    mean_square = 2.0 * float(variances[3:].sum() + need.at**2 * variances[:3].sum())
+    return mean_square <= (1.0 - CONFIDENCE) * need.within**2
+
+
 def fitness(
     covariance: Array, need: Need, *, wrong: float = 0.0, doubts: tuple[str, ...] = ()
 ) -> Fitness:
