@@ -1,90 +1,145 @@
-"""Time of the import, of the library call and of the command for 2 × 100,000 points.
+"""CPU time of the import, of the command's start, and of the whole answer for 2 × 100,000 points.
 
     python benchmarks/speed.py
+    python benchmarks/speed.py --against ../before
 
-Times are of this machine at this moment; compare ratios within one run.
+``--against`` names a checkout of another version: both take turns, and the ratio is printed. Times
+are the least of all rounds, on this machine at this moment; compare ratios within one run.
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
+import json
+import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
-from retropole.evaluation.entropy import rqe
-from retropole.evaluation.metrics import RQE_POINTS
-from retropole.io import write_pcd
+from retropole.io import read_cloud, write_pcd
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 
+REPEAT_NOISE = 0.005
+"""1 σ of the range of points that are repeated, because more are asked for than there are, m."""
 
-def median_seconds(work: Callable[[], object], runs: int) -> float:
-    """Run once to warm up, then take the median of ``runs``."""
-    work()
-    times = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+CALLS = 3
+"""Calls of the library in each round, of which the first may warm up."""
+
+WORDS = {
+    "python itself": ["-c", "pass"],
+    "import retropole": ["-c", "import retropole"],
+    "retropole --version": ["-m", "retropole", "--version"],
+    "retropole --help": ["-m", "retropole", "--help"],
+    "retropole calibrate --help": ["-m", "retropole", "calibrate", "--help"],
+    "retropole calibrate": ["-m", "retropole", "calibrate", "{0}", "{1}", "--out", "{2}", "-q"],
+}
+
+
+def write_sized(path: Path, scene: str, seed: int, points: int) -> list[Path]:
+    """Simulate a pair, and write both clouds with so many points."""
+    pair, rng = simulate_pair(scene, np.random.default_rng(seed)), np.random.default_rng(0)
+    paths = []
+    for name, cloud in (("target.pcd", pair.target), ("source.pcd", pair.source)):
+        n = len(cloud)
+        if n >= points:
+            retro = cloud.intensity > np.quantile(cloud.intensity, 0.98)
+            spare = rng.permutation(np.flatnonzero(~retro))[: n - points]
+            sized = cloud.select(np.setdiff1d(np.arange(n), spare))
+        else:
+            sized = cloud.select(np.r_[np.arange(n), rng.integers(0, n, points - n)])
+            rays = sized.xyz - sized.origin
+            noise = rng.normal(0, REPEAT_NOISE, points) / np.linalg.norm(rays, axis=1)
+            noise[:n] = 0.0
+            sized = replace(sized, xyz=sized.xyz + noise[:, None] * rays)
+        paths.append(path / name)
+        write_pcd(paths[-1], sized)
+    return paths
+
+
+def print_library_seconds(target: str, source: str) -> None:
+    """Print the CPU time of the library call as JSON, for the process that asked.
+
+    And the shares of its steps, by the clock.
+    """
+    clouds, calls = (read_cloud(target), read_cloud(source)), []
+    for _ in range(CALLS):
+        start = time.process_time()
+        steps = calibrate(*clouds).seconds
+        calls.append((time.process_time() - start, steps))
+    seconds, steps = min(calls, key=lambda call: call[0])
+    total = sum(steps.values())
+    print(json.dumps([seconds, {name: each / total for name, each in steps.items()}]))
+
+
+def spawn(words: list[str], checkout: Path) -> tuple[float, str]:
+    """Run Python on a checkout: the CPU time of the process, and what it printed."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, *words],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(checkout / "src")},
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stdout
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", default="street")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--points", type=int, default=100_000)
-    parser.add_argument("--runs", type=int, default=7)
-    arguments = parser.parse_args()
-    pair = simulate_pair(arguments.scene, np.random.default_rng(arguments.seed))
-    rng = np.random.default_rng(0)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--against", type=Path, help="checkout of another version")
+    parser.add_argument("--library", nargs=2, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.library:
+        print_library_seconds(*given.library)
+        return
+    here = Path(__file__).parents[1]
+    checkouts = [here] + ([] if given.against is None else [given.against.resolve()])
+    least: dict[str, list[float]] = {}
 
-    def sized(cloud):  # type: ignore[no-untyped-def]
-        """Take away or repeat points, a hair aside, until there are so many as asked."""
-        n, wanted = len(cloud), arguments.points
-        if n >= wanted:
-            retro = cloud.intensity > np.quantile(cloud.intensity, 0.98)
-            spare = rng.permutation(np.flatnonzero(~retro))[: n - wanted]
-            return cloud.select(np.setdiff1d(np.arange(n), spare))
-        return cloud.select(np.r_[np.arange(n), rng.integers(0, n, wanted - n)])
+    def note(what: str, which: int, seconds: float) -> None:
+        row = least.setdefault(what, [np.inf] * len(checkouts))
+        row[which] = min(row[which], seconds)
 
-    target, source = sized(pair.target), sized(pair.source)
-    print(f"{len(target):,} + {len(source):,} points, {arguments.scene} {arguments.seed}")
-
-    def spawn(*words: str) -> None:
-        done = subprocess.run([sys.executable, *words], capture_output=True, text=True)
-        if done.returncode:
-            raise SystemExit(done.stderr)
-
-    bare = median_seconds(lambda: spawn("-c", "pass"), arguments.runs)
-    imported = median_seconds(lambda: spawn("-c", "import retropole.pipeline"), arguments.runs)
-    library = median_seconds(lambda: calibrate(target, source), arguments.runs)
-    steps = calibrate(target, source).seconds
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder) / "target.pcd", Path(folder) / "source.pcd"]
-        write_pcd(paths[0], target)
-        write_pcd(paths[1], source)
-        words = ["-m", "retropole", "calibrate", *map(str, paths), "--out", folder, "-q"]
-        command = median_seconds(lambda: spawn(*words), arguments.runs)
-    print("| what | s |\n| --- | --- |")
-    print(f"| python itself | {bare:.3f} |")
-    print(f"| import | {imported - bare:.3f} |")
-    print(f"| library call | {library:.3f} |")
-    for name, seconds in steps.items():
-        print(f"| … {name} | {seconds:.3f} |")
-    print(f"| command | {command:.3f} |")
-    together = np.concatenate([target.xyz, se3.apply(pair.T_target_source, source.xyz)])
-    together = rng.permutation(together)[:RQE_POINTS]
-    entropy = median_seconds(lambda: rqe(together), arguments.runs)
-    print(f"| entropy of {len(together):,} points | {entropy:.3f} |")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        files, shares = {}, {}
+        for seed in given.seeds:
+            (folder / str(seed)).mkdir()
+            files[seed] = write_sized(folder / str(seed), given.scene, seed, given.points)
+        for _ in range(given.rounds):
+            for which, checkout in enumerate(checkouts):
+                for what, words in WORDS.items():
+                    filled = [word.format(*files[given.seeds[0]], folder / "out") for word in words]
+                    note(what, which, spawn(filled, checkout)[0])
+                for seed in given.seeds:
+                    library = [__file__, "--library", *map(str, files[seed])]
+                    said = spawn(library, checkout)[1]
+                    seconds, shares[seed] = json.loads(said)
+                    note(f"library, {given.scene} {seed}", which, seconds)
+    print(f"2 × {given.points:,} points; the command on {given.scene} {given.seeds[0]}\n")
+    more = " against, CPU s | ratio |" if given.against else ""
+    print(f"| what | CPU s |{more}\n| --- | --- |{' --- | --- |' if more else ''}")
+    for what, row in least.items():
+        ratio = f" {row[1]:.3f} | {row[0] / row[1]:.2f} |" if more else ""
+        print(f"| {what} | {row[0]:.3f} |{ratio}")
+    if not given.against:
+        print("\n| step | share |\n| --- | --- |")
+        for name in shares[given.seeds[0]]:
+            share = np.mean([shares[seed][name] for seed in given.seeds])
+            print(f"| {name} | {share:.0%} |")
 
 
 if __name__ == "__main__":
