@@ -1,4 +1,5 @@
-"""Time and peak memory of `calibrate` for 1 GiB of frames, and for clouds of 5 million points.
+"""Time and peak memory of `calibrate` for 1 GiB of frames, for clouds of 5 million points, and for
+bags of 100 and 1,000 frames.
 
     python benchmarks/limits.py
 
@@ -25,10 +26,15 @@ import numpy as np
 
 from retropole import se3
 from retropole.datatypes import Array, PointCloud
-from retropole.io import write_pcd
-from retropole.simulation import simulate_pair
+from retropole.export.recording import TOPICS, write_mcap
+from retropole.export.transform import Transform
+from retropole.io import Frame, write_pcd
+from retropole.simulation import SimulatedPair, simulate_pair
 
 MIB = 2**20
+
+BAGS = 100, 1000
+"""Frames of each LiDAR in the two bags."""
 
 Truth = tuple[Array, list[str]]
 
@@ -55,6 +61,18 @@ def write_sized(path: Path, cloud: PointCloud, points: int) -> None:
     write_pcd(path, replace(large, xyz=large.xyz + rng.normal(0, 1e-3, large.xyz.shape)))
 
 
+def write_bag(path: Path, pair: SimulatedPair, count: int) -> None:
+    """Write as many frames of both LiDARs as a bag, every fourth point of those that there are."""
+    frames = []
+    for cloud in (pair.target, pair.source):
+        assert cloud.frame is not None
+        own = [np.flatnonzero(cloud.frame == k)[::4] for k in np.unique(cloud.frame)]
+        each = [replace(cloud.select(index), frame=None) for index in own]
+        frames.append([Frame(k, each[k % len(each)], 0.1 * k) for k in range(count)])
+    path.write_bytes(write_mcap(Transform(pair.T_target_source, "target", "source"), *frames))
+    print(f"{path.name}: {path.stat().st_size // MIB} MiB", flush=True)
+
+
 def measure(words: list[str]) -> tuple[float, int, int, str]:
     """Run a command: its time in seconds, peak in MiB, exit code, and what it said on stderr."""
     start = time.perf_counter()
@@ -74,6 +92,8 @@ def write_all(folder: Path, scene: str, seed: int, frames: int, size: int, point
         print(f"{role}: {count} frames of {len(cloud) // frames:,} points", flush=True)
         write_sized(folder / f"{role}.pcd", cloud, points)
         write_sized(folder / f"{role}-twice.pcd", cloud, 2 * points)
+    for count in BAGS:
+        write_bag(folder / f"{count}.mcap", pair, count)
     return pair.T_target_source, [sensor.name if sensor else "auto" for sensor in pair.sensors]
 
 
@@ -98,6 +118,7 @@ def main() -> None:
                 given.mib * MIB // 2,
                 given.points,
             ).result()
+        topics = ["--target-topic", TOPICS["target"], "--source-topic", TOPICS["source"]]
         one, two = ["target.pcd", "source.pcd"], ["target-twice.pcd", "source-twice.pcd"]
         print("| what | s | peak MiB | answer | off by mm, ° |\n| --- | --- | --- | --- | --- |")
         for what, words in (
@@ -105,6 +126,7 @@ def main() -> None:
             ("the same, every frame asked for", ["target", "source", "--frames", ":"]),
             (f"2 × {given.points:,} points", one),
             (f"2 × {2 * given.points:,} points", two),
+            *((f"bag of {n:,} frames", [f"{n}.mcap", f"{n}.mcap", *topics]) for n in BAGS),
         ):
             out = folder / "out"
             command = [sys.executable, "-m", "retropole", "calibrate", "--out", str(out)]
