@@ -1,7 +1,6 @@
 """Ok, warn or refused: each rule on made-up answers, on both of its sides."""
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -40,14 +39,7 @@ from retropole.scene.refinement import Refinement
 from retropole.se3 import PoseDifference
 from retropole.sensors import SENSORS
 from retropole.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
-from retropole.verdict import (
-    LEAST_OVERLAP,
-    MIN_COVISIBLE_OVERLAP,
-    MIN_OVERLAP,
-    check_choice,
-    margin_of,
-    weaknesses,
-)
+from retropole.verdict import weaknesses
 from tests.conftest import PoleMaker
 
 
@@ -63,45 +55,6 @@ def hypothesis(
 ) -> Hypothesis:
     match = Match(((0, 0), (1, 1)), np.eye(4), 0.01, exact, True, np.eye(6))
     return Hypothesis(match, 0.1, 0.1, overlap, violation, score)
-
-
-def test_margin_is_over_the_best_of_the_others() -> None:
-    assert margin_of([hypothesis(0.9), hypothesis(0.2), hypothesis(0.5)]) == pytest.approx(0.4)
-    assert margin_of([hypothesis(0.9)]) is None
-    assert margin_of([]) is None
-
-
-def test_a_scene_that_does_not_decide_is_refused() -> None:
-    poor, contradicted = hypothesis(0.3, 0.3), hypothesis(0.6, 0.8, violation=0.2)
-    check_choice([hypothesis(0.9), poor, contradicted])
-    with pytest.raises(Refusal) as refusal:
-        check_choice([hypothesis(0.9), hypothesis(0.75, 0.75), poor, contradicted])
-    assert refusal.value.code == "ambiguous"
-    assert "2 hypotheses" in str(refusal.value)
-
-
-def test_a_match_that_does_not_fit_is_no_rival() -> None:
-    check_choice([hypothesis(0.9), hypothesis(0.9, exact=False)])
-
-
-def test_scenes_that_do_not_overlap_are_refused() -> None:
-    with pytest.raises(Refusal) as refusal:
-        check_choice([hypothesis(0.1, MIN_OVERLAP / 2), hypothesis(-0.5)])
-    assert refusal.value.code == "no_overlap"
-
-
-@pytest.mark.parametrize(("of_all", "of_both", "is_refused"), [
-    (1.01 * MIN_OVERLAP, 0.0, False),
-    (1.01 * LEAST_OVERLAP, 1.01 * MIN_COVISIBLE_OVERLAP, False),
-    (1.01 * LEAST_OVERLAP, 0.99 * MIN_COVISIBLE_OVERLAP, True),
-    (0.99 * LEAST_OVERLAP, 1.0, True),
-])  # fmt: skip
-def test_overlap_may_be_small_where_that_of_what_both_see_is_not(
-    of_all: float, of_both: float, is_refused: bool
-) -> None:
-    best = replace(hypothesis(of_all, of_all), covisible_overlap=of_both)
-    with pytest.raises(Refusal) if is_refused else nullcontext():
-        check_choice([best, hypothesis(-0.5, 0.0)])
 
 
 AXES = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.8]])

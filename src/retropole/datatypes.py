@@ -58,8 +58,8 @@ class PointCloud:
     recorded
         First and last time by the recorder's clock, Unix seconds; None where the file has none.
     dropped, thinned, source, fields, notes
-        How many points were dropped (not finite, or at zero range), and left out of too many; the
-        file it came from, what that calls its values, with their types; in words what was lost.
+        How many points were dropped (not finite, at zero range), and left out of too many; the
+        file, what it calls its values, with their types; in words what was lost.
     """
 
     xyz: Array
@@ -193,9 +193,8 @@ class Match:
     pole_rms
         Root mean square distance of source points from target lines at that minimum, metres.
     exact, converged, settled
-        Whether the lines themselves fit, one of the four of the Klein group, or three or more
-        poles; whether the solver came to rest; and whether the pose is no longer the poles' own,
-        but where the scenes lie on each other near it, the poles still fitting.
+        Whether the lines fit, one of the Klein group's four, or three or more poles; the solver
+        came to rest; and the pose is where the scenes lie on each other, near the poles' own.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -225,6 +224,8 @@ class Hypothesis:
         Share of the points that stand where the other LiDAR looked through, 0 to 1.
     score
         Overlap less free-space violation; the hypotheses are ranked by it.
+    stands
+        Whether it is the best, or the scene does not rule it out beside the best.
     """
 
     match: Match
@@ -234,6 +235,7 @@ class Hypothesis:
     free_space_violation: float
     score: float
     covisible_overlap: float | None = None
+    stands: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,28 +306,25 @@ class Calibration:
 
     Attributes
     ----------
-    status
-        ``ok``, ``warn`` or ``refused``.
-    reasons
-        What is wrong or weak; empty when ok.
+    status, reasons
+        ``ok``, ``warn`` or ``refused``; and what is wrong or weak, empty when ok.
     T_target_source, covariance
         (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
         target axes; None when refused.
     poles, refined
         The pose from the poles alone, and with the scene; None where it did not come to that.
-    hypotheses
-        All ways of laying the poles on each other, the chosen one first.
-    margin
-        Score of the first hypothesis over the second; None where there is no second.
-    predicted_error
-        (range, 1 σ error of a point at that range), metres; empty when refused.
-    weakest
-        The direction in which the pose is least certain; None when refused.
+    hypotheses, chosen, margin
+        All ways of laying the poles on each other, the best first; the place of the chosen one, 0
+        when refused; and its score, or the best, over the best other's, None without another.
+    vertical
+        (3,) the ground's normal, target axes; None where not found, or one hypothesis alone stands.
+    predicted_error, weakest
+        (range, 1 σ error of a point at that range), metres; and the direction in which the pose is
+        least certain; empty and None when refused.
     placements, seconds
         What was recorded and found, one for each placement of the poles; and the time of each step.
     uncertainty, radius
-        `covariance` in its two kinds with the error budget, and the poles' radius as given and as
-        estimated; None when refused.
+        `covariance` in its two kinds, the error budget, and the poles' radius; None when refused.
     confirmation, fitness
         What stands in the scene says of the pose, and whether it is as accurate as was asked for;
         None where it did not come to that, or nothing was asked for.
@@ -347,3 +346,5 @@ class Calibration:
     radius: RadiusEstimate | None = None
     confirmation: Confirmation | None = None
     fitness: Fitness | None = None
+    chosen: int = 0
+    vertical: Array | None = None

@@ -20,7 +20,7 @@ from .uncertainty.purpose import (
     is_surely_met,
 )
 
-DOUBTS = ("not_confirmed", "not_converged", "small_margin", "several_minima")
+DOUBTS = ("not_confirmed", "not_converged", "small_margin", "chosen_by_hand", "several_minima")
 """Warnings that the pose may be another one, which its covariance does not count."""
 
 MOST = 0.5

@@ -23,13 +23,14 @@ from .datatypes import (
     PointCloud,
     Scan,
 )
-from .errors import Reason, Refusal
+from .errors import Refusal
 from .extraction.extent import located
 from .extraction.poles import extract_poles
 from .fitness import judged
 from .matching import correspondence
 from .matching.confirmation import Chosen, choose_with_doubtful, counts_doubtful
 from .matching.placements import (
+    Choice,
     PairedPlacement,
     PlacementHypotheses,
     PlacementMatches,
@@ -41,6 +42,7 @@ from .matching.placements import (
 from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import align_consistent, check_contradiction
+from .scene.choice import as_listed, check_choice, check_paired, margin_of, taken_by_hand
 from .scene.confirmation import check_confirmation, confirm
 from .scene.copies import check_recordings, without_copies
 from .scene.refinement import Refinement, refine
@@ -50,7 +52,7 @@ from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
 from .uncertainty import Confirmation, predicted_error, weakest_direction
 from .uncertainty.purpose import Need
-from .verdict import check_choice, margin_of, weaknesses
+from .verdict import refused, weaknesses
 
 
 def calibrate(
@@ -64,6 +66,7 @@ def calibrate(
     poles: int | None = None,
     scene: bool = True,
     prior: RotationPrior | None = None,
+    by_hand: str | None = None,
     trust_poles: bool = False,
     need: Need | None = None,
     progress: Callable[[str], None] = lambda step: None,
@@ -88,6 +91,10 @@ def calibrate(
         Whether the scene refines the pose that the poles give.
     prior
         What is known of the rotation; hypotheses that contradict it are left out.
+    by_hand
+        Name of the hypothesis to take in the list that the same run gives without it; None lets
+        the scene choose. Whatever it is, the scene may still deny it, and the verdict is no more
+        than ``warn``.
     trust_poles
         Whether to take the poles' word where the scene has too little to confirm it.
     need
@@ -100,6 +107,11 @@ def calibrate(
     Calibration
         With `status` ``refused``, the reasons and no transform where the data carry no answer;
         never a guess.
+
+    Raises
+    ------
+    UsageError
+        Where no hypothesis that fits the poles has the name `by_hand`.
     """
     clouds = zip(_each(target), _each(source), strict=True)
     find_target, find_source = (
@@ -109,6 +121,7 @@ def calibrate(
     align_poles = partial(align, radius=radius, radius_sigma=radius_sigma)
     seconds: dict[str, float] = {}
     step = partial(_timed, seconds, progress)
+    chosen = Chosen((), ())
     hypotheses: tuple[Hypothesis, ...] = ()
     confirmation: Confirmation | None = None
 
@@ -122,6 +135,7 @@ def calibrate(
             check_poles(placements)
             choose_from = partial(choose, count=poles, prior=prior, step=step)
             chosen = choose_with_doubtful(choose_from, placements, radius)
+            chosen = taken_by_hand(chosen, by_hand)
             hypotheses = chosen.hypotheses
             if chosen.refusal is not None:
                 raise chosen.refusal
@@ -147,10 +161,10 @@ def calibrate(
             with step("explain"):
                 cause = explained(refusal, placements, hypotheses, (find_target, find_source))
             answer = refused(cause, placements, hypotheses, seconds, confirmation)
-            return origins.moved_back(answer)
+            return origins.moved_back(as_listed(answer, chosen, by_hand))
     answer = answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
     # Ranges count from where the beams start.
-    return origins.moved_back(judged(answer, need))
+    return origins.moved_back(judged(as_listed(answer, chosen, by_hand), need))
 
 
 def find_poles(
@@ -198,6 +212,7 @@ def choose(
     The scene scores hypotheses as the poles have them, or, settled, where it moves them to.
     """
     hypotheses: tuple[Hypothesis, ...] = ()
+    choices: Sequence[Choice] = ()
     try:
         with step("match"):
             matched = [match_poles(placement, count, prior) for placement in placements]
@@ -209,12 +224,10 @@ def choose(
             choices = recurring(scored)
             hypotheses = rank_joint_hypotheses(choices, scored)
             check_choice(hypotheses)
-            for each in choices[0].paired:
-                check_static("target", each.placement.target.cloud, each.target_poles)
-                check_static("source", each.placement.source.cloud, each.source_poles)
+            check_paired(choices[0].paired)
     except Refusal as refusal:
-        return Chosen(hypotheses, (), refusal)
-    return Chosen(hypotheses, choices[0].paired)
+        return Chosen(hypotheses, (), refusal, tuple(choices))
+    return Chosen(hypotheses, choices[0].paired, None, tuple(choices))
 
 
 def match_poles(
@@ -308,31 +321,6 @@ def answered(
         seconds=seconds,
         uncertainty=aligned.uncertainty if refined is None else refined.uncertainty,
         radius=aligned.radius,
-        confirmation=confirmation,
-    )
-
-
-def refused(
-    refusal: Refusal,
-    placements: tuple[Placement, ...],
-    hypotheses: tuple[Hypothesis, ...],
-    seconds: dict[str, float],
-    confirmation: Confirmation | None = None,
-) -> Calibration:
-    """State a refusal, with all that was found before it."""
-    return Calibration(
-        status="refused",
-        reasons=(Reason(refusal.code, refusal.message, refusal.values),),
-        T_target_source=None,
-        covariance=None,
-        poles=None,
-        refined=None,
-        hypotheses=hypotheses,
-        margin=margin_of(hypotheses),
-        predicted_error=(),
-        weakest=None,
-        placements=placements,
-        seconds=seconds,
         confirmation=confirmation,
     )
 

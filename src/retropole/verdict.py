@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from . import quantities
 from .alignment.adjustment import BeamAlignment
-from .datatypes import Hypothesis, Pole, Scan
+from .datatypes import Calibration, Hypothesis, Placement, Pole, Scan
 from .errors import Reason, Refusal
 from .extraction.sensor_pattern import sensor_doubt
 from .matching.confirmation import doubtful_reasons
@@ -16,29 +16,11 @@ from .matching.correspondence import widest_angle
 from .matching.extension import left_out
 from .matching.placements import PairedPlacement
 from .scene.agreement import check_agreement, check_minima, check_radius
+from .scene.choice import WARN_MARGIN, margin_of
 from .scene.confirmation import unconfirmed
 from .scene.refinement import Refinement
 from .scene.times import other_times
 from .uncertainty import Confirmation, WeakDirection
-
-RIVAL_OVERLAP = 0.62
-RIVAL_FREE_SPACE_VIOLATION = 0.025
-"""A hypothesis is a rival of the best where it has so much of its overlap, and where no more than
-this share of the points beyond the best's own speaks against it. The score alone does not do: it
-favours, by up to 0.2, whatever brings the LiDARs near each other, since near each other they see
-the same things (see docs/hypotheses.md)."""
-
-WARN_MARGIN = 0.1
-"""Below this margin the answer stands, but a person should look at the hypotheses."""
-
-MIN_OVERLAP = 0.25
-"""Share of the points that must find a neighbour in the other cloud."""
-
-MIN_COVISIBLE_OVERLAP, LEAST_OVERLAP = 0.35, 0.15
-"""The same of the points that both LiDARs could see: LiDARs of different reach and field of view
-share less than `MIN_OVERLAP`, but agree where they look at the same. Then all the points need no
-more than `LEAST_OVERLAP`. Right poses have 0.43 and more of the first, of recordings from
-different places with the same poles the best has 0.30 (docs/hypotheses.md)."""
 
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""
@@ -59,63 +41,6 @@ WEAK_SIGMA = 0.05
 OFFSET_SHARE = 2.0
 """By this factor a range offset or the radius, were they known, would sharpen the pose, before it
 is said that they are what limits it."""
-
-
-def margin_of(hypotheses: Sequence[Hypothesis]) -> float | None:
-    """Score of the first hypothesis over the next best; None where there is only one."""
-    if len(hypotheses) < 2:
-        return None
-    return hypotheses[0].score - max(h.score for h in hypotheses[1:])
-
-
-def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
-    """Refuse where the scene does not decide between the hypotheses, or denies them all.
-
-    Raises
-    ------
-    Refusal
-        ``no_overlap`` or ``ambiguous``.
-    """
-    best = hypotheses[0]
-    covisible = best.covisible_overlap or 0.0
-    if best.overlap < MIN_OVERLAP and (
-        best.overlap < LEAST_OVERLAP or covisible < MIN_COVISIBLE_OVERLAP
-    ):
-        raise Refusal(
-            "no_overlap",
-            f"under the best hypothesis only {best.overlap:.0%} of the points have a neighbour in "
-            f"the other cloud, and {covisible:.0%} of those that both LiDARs could see; "
-            f"{MIN_OVERLAP:.0%}, or {LEAST_OVERLAP:.0%} and {MIN_COVISIBLE_OVERLAP:.0%}, are "
-            "needed: do both LiDARs see the same place, and the same two poles?",
-            {"overlap": best.overlap, "covisible": covisible, "needed": MIN_OVERLAP},
-        )
-    rivals = [h for h in hypotheses[1:] if _is_rival(h, best)]
-    if rivals:
-        rival = max(rivals, key=lambda h: h.score)
-        raise Refusal(
-            "ambiguous",
-            f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
-            f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
-            f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): add a third "
-            "pole, or move the poles, a car or a box so that the surroundings are not symmetric "
-            "about the poles",
-            {
-                "rivals": len(rivals),
-                "overlap": best.overlap,
-                "rival_overlap": rival.overlap,
-                "free_space": best.free_space_violation,
-                "rival_free_space": rival.free_space_violation,
-            },
-        )
-
-
-def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:
-    return (
-        hypothesis.match.exact
-        and hypothesis.overlap >= RIVAL_OVERLAP * best.overlap
-        and hypothesis.free_space_violation
-        <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
-    )
 
 
 def weaknesses(
@@ -289,3 +214,28 @@ def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterat
             "compare with --no-refine",
             {"stage": "refined", "iterations": refined.iterations},
         )
+
+
+def refused(
+    refusal: Refusal,
+    placements: tuple[Placement, ...],
+    hypotheses: tuple[Hypothesis, ...],
+    seconds: Mapping[str, float],
+    confirmation: Confirmation | None = None,
+) -> Calibration:
+    """State a refusal, with all that was found before it."""
+    return Calibration(
+        status="refused",
+        reasons=(Reason(refusal.code, refusal.message, refusal.values),),
+        T_target_source=None,
+        covariance=None,
+        poles=None,
+        refined=None,
+        hypotheses=hypotheses,
+        margin=margin_of(hypotheses),
+        predicted_error=(),
+        weakest=None,
+        placements=placements,
+        seconds=seconds,
+        confirmation=confirmation,
+    )

@@ -14,9 +14,10 @@ from ..io.thinning import LEAST_POINTS
 from ..io.units import unit_named
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
-from ..pipeline import refused
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
+from ..scene.choice import is_hypothesis_name
 from ..uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, USABLE, Need
+from ..verdict import refused
 from .inputs import (
     CloudSource,
     Input,
@@ -50,6 +51,7 @@ def calibrate(
     up: bool = DEFAULT_CONFIG.up,
     prior_rpy_deg: Sequence[float] | None = None,
     prior_sigma_deg: float = DEFAULT_CONFIG.prior_sigma_deg,
+    hypothesis: str | None = None,
     target_topic: str | None = None,
     source_topic: str | None = None,
     frames: slice | None = None,
@@ -87,6 +89,10 @@ def calibrate(
     prior_rpy_deg, prior_sigma_deg
         Expected roll, pitch and yaw of the source in the target's frame, degrees, instead of `up`;
         and 1 σ of either.
+    hypothesis
+        Letter of the hypothesis to take, in the list that the same run gives without it: for where
+        you know the place and the scene does not decide. It is refused where the scene denies it;
+        the verdict is at best ``warn``.
     target_topic, source_topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
@@ -104,7 +110,8 @@ def calibrate(
     Raises
     ------
     UsageError
-        For arrays of another shape and options that make no sense.
+        For arrays of another shape, options that make no sense, and a letter that no hypothesis
+        which fits the poles has.
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
@@ -116,6 +123,7 @@ def calibrate(
             up=bool(up),
             prior_rpy_deg=None if prior_rpy_deg is None else _three(prior_rpy_deg),
             prior_sigma_deg=float(prior_sigma_deg),
+            hypothesis=hypothesis,
             poles=None if poles is None else index(poles),
             refine=bool(refine),
             trust_poles=bool(trust_poles),
@@ -194,6 +202,7 @@ def calibrate_with(
             scene=config.refine,
             trust_poles=config.trust_poles,
             need=_need(config),
+            by_hand=config.hypothesis,
             prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
             progress=progress,
         )
@@ -273,4 +282,9 @@ def check_options(config: RunConfig) -> None:
     ):
         if not (allowed and math.isfinite(value)):
             raise UsageError(f"{name} is {value}, expected a number {expected}")
+    if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):
+        raise UsageError(
+            f"hypothesis is {config.hypothesis!r}, expected a letter of the list of hypotheses, "
+            "such as a"
+        )
     rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)

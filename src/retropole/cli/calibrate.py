@@ -93,6 +93,12 @@ CENTIMETRES = Number(min=0, min_open=True, max=100 * LARGEST_NEED)
     show_default=True,
     help="1 sigma of --up or --prior-rpy-deg.",
 )
+@click.option(
+    "--hypothesis",
+    metavar="LETTER",
+    help="Take the hypothesis of this letter in the list that the same run prints without: warn at "
+    "best, and refused where the scene denies it.",
+)
 @click.option("--no-refine", "refine", flag_value=False, default=True, help="Use the poles only.")
 @click.option(
     "--trust-poles",
@@ -141,6 +147,7 @@ def calibrate(
     up: bool,
     prior_rpy_deg: tuple[float, float, float] | None,
     prior_sigma_deg: float,
+    hypothesis: str | None,
     refine: bool,
     trust_poles: bool,
     need_cm: float | None,
@@ -164,6 +171,7 @@ def calibrate(
       retropole calibrate front.pcd rear.pcd --json | jq .T_target_source
       retropole calibrate front.pcd rear.pcd --need-cm 2 --at-m 30 --strict
       retropole calibrate front.pcd rear.pcd --up
+      retropole calibrate front.pcd rear.pcd --hypothesis b
       retropole calibrate --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole calibrate drive.bag drive.bag --target-topic /front --source-topic /rear
       retropole calibrate front.pcap rear.pcap --frames 100:150
@@ -191,6 +199,7 @@ def calibrate(
         up=up,
         prior_rpy_deg=prior_rpy_deg,
         prior_sigma_deg=prior_sigma_deg,
+        hypothesis=hypothesis,
         poles=poles,
         refine=refine,
         trust_poles=trust_poles,

@@ -19,7 +19,7 @@ from ..extraction.dimmer import with_dimmer
 from ..extraction.doubtful import with_doubtful
 from ..sensors import Sensor
 from .correspondence import direction_sigma, line_pair
-from .placements import PairedPlacement
+from .placements import Choice, PairedPlacement
 from .scene_support import lead_needed, scene_agrees
 
 FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
@@ -49,11 +49,23 @@ ENOUGH_SURE = 2
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """The pose that the poles and the scene agree on: every placement paired by it; or why none."""
+    """The pose that the poles and the scene agree on: every placement paired by it; or why none.
+
+    Attributes
+    ----------
+    hypotheses
+        The one that was taken, then all others, the best first.
+    paired, refusal
+        Every placement, its poles paired by the one that was taken; or why none was.
+    choices, place
+        All that could be taken, the best first, and the place of the one that was.
+    """
 
     hypotheses: tuple[Hypothesis, ...]
     paired: tuple[PairedPlacement, ...]
     refusal: Refusal | None = None
+    choices: tuple[Choice, ...] = ()
+    place: int = 0
 
 
 def choose_with_doubtful(

@@ -39,6 +39,10 @@ class RotationPrior:
             angle = se3.rotation_angle(T[:3, :3] @ self.rotation.T)
         return angle / self.sigma
 
+    def allows(self, T: Array) -> bool:
+        """Whether a pose (4, 4) agrees with the prior."""
+        return self.misfit(T) <= MAX_SIGMAS
+
 
 def rotation_prior(
     up: bool, rpy_deg: Sequence[float] | None, sigma_deg: float
@@ -61,6 +65,8 @@ def rotation_prior(
 def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -> list[Match]:
     """Keep the matches that agree with the prior.
 
+    Only those whose poles fit exactly can be the answer, and only they count as agreeing.
+
     Raises
     ------
     Refusal
@@ -68,15 +74,15 @@ def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -
     """
     if prior is None:
         return list(matches)
-    misfits = [prior.misfit(match.T_target_source) for match in matches]
-    kept = [m for m, misfit in zip(matches, misfits, strict=True) if misfit <= MAX_SIGMAS]
+    kept = [match for match in matches if prior.allows(match.T_target_source)]
     if not any(match.exact for match in kept):
+        misfits = [prior.misfit(match.T_target_source) for match in matches if match.exact]
         least = min(misfits)
         raise Refusal(
             "prior_contradicted",
-            f"no way of laying the poles on each other agrees with the given rotation: the nearest "
-            f"is {np.degrees(least * prior.sigma):.0f}° away, {least:.1f} times its sigma; check "
-            "its sign and order, or leave it out",
-            {"sigmas": least, "allowed": MAX_SIGMAS},
+            f"none of the {len(misfits)} hypotheses that fit the poles agrees with the given "
+            f"rotation: the nearest is {np.degrees(least * prior.sigma):.0f}° away, {least:.1f} "
+            "times its sigma; check its sign and order, or leave it out",
+            {"sigmas": least, "allowed": MAX_SIGMAS, "hypotheses": len(misfits)},
         )
     return kept

@@ -21,6 +21,7 @@ from ..matching.prior import RotationPrior
 from ..pipeline import calibrate
 from ..quantities import error
 from ..reasons import prefixed
+from ..scene.choice import MIN_OVERLAP
 from ..scene.confirmation import DENIED, count, is_denied, scenes_of
 from ..scene.disambiguation import SCORING_VOXEL
 from ..scene.refinement import refine
@@ -29,7 +30,6 @@ from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
 from ..sensors import Sensor
 from ..systematic import ErrorModel, sizes_of
 from ..uncertainty import Confirmation, Uncertainty
-from ..verdict import MIN_OVERLAP
 from .fit import preferences
 from .movement import (
     ROTATION,

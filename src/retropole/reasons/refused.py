@@ -159,8 +159,9 @@ REFUSED: dict[RefusedCode, Explanation] = {
         (
             "A third pole always decides.",
             "Move a car, a box or the poles so that the place is no longer symmetric about them.",
-            "Say what you know: `--up` where both LiDARs stand upright, or `--prior-rpy-deg R P "
-            "Y`.",
+            "If you know how the LiDARs are mounted, the list of [the hypotheses that stand]"
+            "(hypotheses.md#you-know-the-place) says what decides: `--hypothesis a`, and `--up` or "
+            "`--prior-rpy-deg R P Y` only where they leave one.",
         ),
     ),
     "no_overlap": Explanation(

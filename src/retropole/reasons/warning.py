@@ -13,6 +13,7 @@ WarningCode = Literal[
     "pole_left_out",
     "not_converged",
     "small_margin",
+    "chosen_by_hand",
     "doubtful_poles",
     "nearly_parallel_poles",
     "few_points",
@@ -91,7 +92,22 @@ WARNINGS: dict[WarningCode, Explanation] = {
         (
             "Look at the hypotheses in the [report](report.md). If walls and ground coincide in "
             "one only, use the answer.",
-            "Better: a third pole, or `--up`.",
+            "If you know the place, the list of [the hypotheses that stand]"
+            "(hypotheses.md#you-know-the-place) says which option decides between them.",
+            "Better: a third pole.",
+        ),
+    ),
+    "chosen_by_hand": Explanation(
+        "A person chose the hypothesis",
+        "`--hypothesis` took one of the ways of laying the poles on each other, and the scene did "
+        "not. Everything else was checked as always, but the wrong one may fit as well: that is "
+        "why the scene did not decide. [More](hypotheses.md#you-know-the-place).",
+        (
+            "Look at the clouds in the [report](report.md): what stands on one side only, a door "
+            "or a car, must coincide. If roll, pitch, yaw and translation are roughly what you "
+            "measure at the LiDARs, use the answer.",
+            "Letters are those of the same recordings with the same options; of others they may "
+            "mean something else.",
         ),
     ),
     "doubtful_poles": Explanation(

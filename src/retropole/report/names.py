@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..result import ResultDoc
+from ..scene.choice import hypothesis_name
+
+__all__ = ["LIDARS", "hypothesis_name", "input_names", "pair_name", "pole_name"]
 
 LIDARS = ("target", "source")
 """The two LiDARs, in the order of every pair."""
-
-
-def hypothesis_name(k: int) -> str:
-    """Name the k-th hypothesis: a, b, c, … (Xue et al. 2019, Fig. 4)."""
-    return chr(ord("a") + k) if k < 26 else f"h{k}"
 
 
 def pole_name(lidar: str, k: int) -> str:

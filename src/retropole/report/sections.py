@@ -13,6 +13,7 @@ from ..export import FORMATS, export_lines
 from ..reasons import explain
 from ..result import HypothesisDoc, ReasonDoc, ResultDoc
 from .certainty import largest_error, scene_words
+from .hypotheses_text import deciding, pose_numbers, relative_words, standing
 from .markup import inline, number, plus_minus, table
 from .names import LIDARS, hypothesis_name, pair_name
 
@@ -246,12 +247,38 @@ def hypotheses(result: ResultDoc) -> str:
         "<p>The poles alone cannot say which pole is which, nor which end is up. Each way of "
         "laying them on each other is a hypothesis, and the scene decides. Press one to see it in "
         "the view above: under the right one, walls and ground of both clouds coincide.</p>"
+        f"{_standing(result)}"
         f'<div class="panels">{panels}</div>{table("Hypotheses, best first", header, rows, (1,))}'
         '<p class="note">Exact: the lines themselves fit. e_r, e_t: rotation and translation by '
         "which ICP on the whole clouds moves away from the hypothesis. Overlap: share of the "
         "points with a neighbour in the other cloud. Free-space violation: share of the points "
-        "that stand where the other LiDAR looked through. The largest score is chosen. T0, S1: "
+        "that stand where the other LiDAR looked through. The largest score is chosen, unless by "
+        "hand. T0, S1: "
         "pole 0 of the target, pole 1 of the source.</p></section>"
+    )
+
+
+def _standing(result: ResultDoc) -> str:
+    """List the hypotheses between which a person may decide, and the options that would."""
+    named = standing(result)
+    if not named:
+        return ""
+    rows = [
+        (
+            name + (" · chosen" if each.chosen else ""),
+            *pose_numbers(each),
+            "" if each is result.hypotheses[0] else relative_words(result, each),
+        )
+        for name, each in named
+    ]
+    header = ("hypothesis", "roll, deg", "pitch, deg", "yaw, deg", "x, m", "y, m", "z, m")
+    listed = table("Hypotheses that stand", (*header, "as against a"), rows, (7,))
+    items = "".join(f"<li>{escape(words)}</li>" for words in deciding(result, named))
+    options = f'<div class="advice"><b>What decides</b><ul>{items}</ul></div>' if items else ""
+    return (
+        "<p>The scene does not rule these out. Roll, pitch and yaw are those of the source in the "
+        f"target's frame. Which is right, you may know from where the LiDARs are.</p>{listed}"
+        f"{options}"
     )
 
 

@@ -22,6 +22,7 @@ from ..result import (
     ResultDoc,
 )
 from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words, scene_words
+from .hypotheses_text import describe_standing
 from .names import LIDARS, hypothesis_name
 
 ACTIONS = 2
@@ -167,7 +168,7 @@ def describe_result(
         rows = [_hypothesis_row(k, h) for k, h in enumerate(result.hypotheses)]
         parts.append(table(_HYPOTHESIS_HEADER, rows))
         if result.margin is not None:
-            parts.append(f"  margin of the first over the next: {result.margin:.3f}")
+            parts.append(f"  margin over the next: {result.margin:.3f}")
         parts.append("")
     if result.T_target_source is not None:
         parts += ["T_target_source (source points into the target frame)"]
@@ -191,6 +192,7 @@ def describe_result(
         parts += reason_lines(reason)
         if result.status == "refused" and explain(reason.code) is not None:
             parts.append(f"    read on: documentation, {page(reason.code)}")
+    parts += describe_standing(result)
     parts.append("written: " + ", ".join(written))
     if result.T_target_source is not None:
         parts += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]

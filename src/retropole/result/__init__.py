@@ -23,7 +23,18 @@ from ..datatypes import (
 )
 from ..io.thinning import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
-from .bounded import LONGEST_LIST, Count, Covariance, Number, Pose, Share, Size, Status, Text
+from .bounded import (
+    LONGEST_LIST,
+    Count,
+    Covariance,
+    Number,
+    Pose,
+    Share,
+    Size,
+    Status,
+    Text,
+    Vector,
+)
 from .certainty import (
     BudgetEntryDoc,
     ConfirmationDoc,
@@ -97,9 +108,9 @@ COVARIANCE_FRAME = "target axes: R_true = Exp(phi) R, t_true = t + delta; rad an
 class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     """The options of a run, as the command line takes them.
 
-    None stands for what was not asked for: any number of poles, no prior, the sensor's or the
-    cloud's own threshold, the only topic, frames evenly spread, no accuracy that is needed, for the
-    source the unit of the target. Frames are start, stop and step.
+    None stands for what was not asked for: any number of poles, no prior, the scene's own choice,
+    the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
+    that is needed, for the source the unit of the target. Frames are start, stop and step.
     """
 
     radius_m: Size = DEFAULT_RADIUS
@@ -107,6 +118,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     up: bool = False
     prior_rpy_deg: tuple[Number, Number, Number] | None = None
     prior_sigma_deg: Size = 10.0
+    hypothesis: Text | None = None
     poles: Count | None = None
     refine: bool = True
     trust_poles: bool = False
@@ -152,7 +164,10 @@ class StagesDoc(msgspec.Struct, frozen=True):
 
 
 class HypothesisDoc(msgspec.Struct, frozen=True):
-    """One way of laying the source poles on the target poles."""
+    """One way of laying the source poles on the target poles.
+
+    It stands where it is the best, or where the scene does not rule it out beside the best.
+    """
 
     pairs: Annotated[list[tuple[Count, Count]], Meta(max_length=LONGEST_LIST)]
     T_target_source: Pose
@@ -164,6 +179,7 @@ class HypothesisDoc(msgspec.Struct, frozen=True):
     free_space_violation: Number = msgspec.field(name="free_space")
     score: Number
     chosen: bool
+    stands: bool = False
 
 
 class PlacementDoc(msgspec.Struct, frozen=True):
@@ -195,6 +211,7 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
     margin: Number | None
+    vertical: Vector | None = None
     poles: PolesDoc
     placements: list[PlacementDoc] = []
     inputs: list[InputDoc]
@@ -231,6 +248,7 @@ def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
         free_space_violation=hypothesis.free_space_violation,
         score=hypothesis.score,
         chosen=chosen,
+        stands=hypothesis.stands,
     )
 
 
@@ -300,9 +318,11 @@ def result_document(
         fitness=fitness_document(calibration.fitness),
         stages=StagesDoc(_pose(calibration.poles), _pose(calibration.refined)),
         hypotheses=[
-            _hypothesis(h, answered and k == 0) for k, h in enumerate(calibration.hypotheses)
+            _hypothesis(h, answered and k == calibration.chosen)
+            for k, h in enumerate(calibration.hypotheses)
         ],
         margin=calibration.margin,
+        vertical=None if calibration.vertical is None else calibration.vertical.tolist(),
         poles=PolesDoc(
             pole_documents(first.target.poles),
             pole_documents(first.source.poles),

@@ -115,6 +115,12 @@ def standing_in(
     return Standing(standing, place, tree_of(points), range_image(cloud), ground, up)
 
 
+def ground_normal(cloud: PointCloud, rng: np.random.Generator) -> Array:
+    """Find the normal (3,) of the plane that most of a cloud's points off walls lie on."""
+    points = voxel_downsample(cloud.xyz, VOXEL)
+    return _ground(points, se3.lengths(points - cloud.origin), cloud.axis, rng)[2]
+
+
 def _is_near(points: Array, pole: Pole) -> BoolArray:
     """Which points (N, 3) are the pole's, or lie beside it."""
     away = points - pole.point
