@@ -107,6 +107,17 @@ def test_options_reach_the_run_and_its_document() -> None:
     assert result.document.stages.refined is None
 
 
+def test_a_hypothesis_that_is_taken_by_hand_is_recorded() -> None:
+    by_scene = rp.calibrate(tables().target, tables().source, refine=False)
+    by_hand = rp.calibrate(tables().target, tables().source, refine=False, hypothesis="a")
+    assert by_hand.document.config.hypothesis == "a"
+    assert [each.chosen for each in by_hand.document.hypotheses].index(True) == 0
+    assert (by_hand.status, by_hand.reasons[0].code) == ("warn", "chosen_by_hand")
+    np.testing.assert_array_equal(by_hand.required_transform(), by_scene.required_transform())
+    with pytest.raises(rp.UsageError, match="no hypothesis 'y'"):
+        rp.calibrate(tables().target, tables().source, refine=False, hypothesis="y")
+
+
 def test_steps_are_named_as_they_start() -> None:
     steps: list[str] = []
     result = rp.calibrate(tables().target, tables().source, refine=False, progress=steps.append)
@@ -162,6 +173,8 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
         ({"sensor_target": "nonsense"}, "no sensor is called 'nonsense'"),
         ({"target_topic": "/front"}, "target: a topic or frames"),
         ({"frames": slice(0, 2)}, "target: a topic or frames"),
+        ({"hypothesis": "first"}, "hypothesis is 'first', expected a letter of the list"),
+        ({"hypothesis": 1}, "hypothesis is 1, expected a letter of the list"),
         ({"radius": "thick"}, "wrong type"),
         ({"poles": 2.5}, "wrong type"),
         ({"frames": 3}, "wrong type"),

@@ -11,7 +11,8 @@ import retropole as rp
 from retropole import se3
 from retropole.datatypes import Array, PointCloud
 from retropole.io import write_pcd
-from retropole.simulation import place_again
+from retropole.simulation import place_again, simulate_pair
+from retropole.simulation.writing import write_pair
 from tests.cli.commands import retropole, retropole_here, transform_of
 
 
@@ -174,6 +175,32 @@ def test_poles_that_the_user_vouches_for_are_recorded(tmp_path: Path) -> None:
         config[words] = result["config"]["trust_poles"], result["confirmation"]["trusted"]
     assert codes[()] - codes["--trust-poles",] == {"not_confirmed"}
     assert list(config.values()) == [(False, False), (True, True)]
+
+
+def test_ambiguous_is_no_dead_end(tmp_path: Path) -> None:
+    pair = simulate_pair("harbor", np.random.default_rng(5), symmetric=True)
+    write_pair(pair, tmp_path)
+    files = tmp_path / "lidar0.pcd", tmp_path / "lidar1.pcd"
+    done = retropole_here("calibrate", *files, "--out", tmp_path / "r")
+    assert done.returncode == 3
+    assert "source turned by 180° about the vertical" in done.stdout
+    # Both stand upright: what is named is what decides.
+    assert "--up" not in done.stdout
+    assert "--hypothesis a | b" in done.stdout
+    listed = json.loads((tmp_path / "r" / "result.json").read_text())["hypotheses"]
+    (right,) = (
+        letter
+        for letter, each in zip("abcdefgh", listed, strict=False)
+        if np.allclose(each["T_target_source"], pair.T_target_source, atol=0.1)
+    )
+    done = retropole_here("calibrate", *files, "--hypothesis", right, "--out", tmp_path / "r")
+    assert done.returncode == 0, done.stderr
+    assert "chosen_by_hand" in done.stdout
+    np.testing.assert_allclose(transform_of(tmp_path / "r"), pair.T_target_source, atol=0.03)
+    assert json.loads((tmp_path / "r" / "result.json").read_text())["config"]["hypothesis"] == right
+    done = retropole_here("calibrate", *files, "--hypothesis", "z", "--out", tmp_path / "r")
+    assert done.returncode == 2
+    assert "those that do are a, b, c, d" in done.stderr
 
 
 def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:

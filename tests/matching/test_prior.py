@@ -1,5 +1,7 @@
 """A rotation known beforehand chooses, and is never needed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,14 @@ def test_hypotheses_that_contradict_it_are_left_out() -> None:
     assert refusal.value.code == "prior_contradicted"
     with pytest.raises(UsageError, match="exclude"):
         rotation_prior(True, (0.0, 0.0, 0.0), 1.0)
+
+
+def test_only_hypotheses_that_fit_the_poles_count_as_agreeing() -> None:
+    prior = RotationPrior(np.eye(3), np.radians(10))
+    far, near = match([0, 0, 3.0]), replace(match([0, 0, 0.1]), exact=False)
+    with pytest.raises(Refusal, match="none of the 1 hypotheses") as refusal:
+        agreeing_with_prior([far, near], prior)
+    assert refusal.value.values["sigmas"] > refusal.value.values["allowed"]
 
 
 def test_it_decides_where_the_scene_does_not() -> None:

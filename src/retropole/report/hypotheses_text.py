@@ -10,6 +10,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array
 from ..matching.prior import MAX_SIGMAS, RotationPrior
+from ..reasons import plain
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ResultDoc
 from .names import hypothesis_name
 
@@ -43,12 +44,12 @@ def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
     first = np.array(result.hypotheses[0].T_target_source)
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
     angle, apart = float(np.linalg.norm(turn)), float(np.linalg.norm(T[:3, 3] - first[:3, 3]))
-    moved = f"{apart:.1f} m away"
+    moved = f"moved by {apart:.1f} m"
     if angle < LEAST_TURN:
         return f"source {moved}"
     vertical = None if result.vertical is None else np.array(result.vertical)
     axis = axis_words(turn / angle, vertical)
-    return f"source turned by {math.degrees(angle):.0f}° about {axis}, {moved}"
+    return f"source turned by {math.degrees(angle):.0f}° about {axis} and {moved}"
 
 
 def axis_words(axis: Array, vertical: Array | None) -> str:
@@ -69,7 +70,7 @@ def axis_words(axis: Array, vertical: Array | None) -> str:
 
 
 def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> Iterator[str]:
-    """Name the options that would leave one of the hypotheses that stand, each with which.
+    """Name the options that would leave one of the hypotheses that stand, as marked-up sentences.
 
     A rotation separates them where none within reach of it, 3 σ of the default, is within reach of
     two: whatever it is, it then leaves one at most.
@@ -80,15 +81,14 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
     if not config.up and config.prior_rpy_deg is None:
         left = [name for (name, _), T in zip(named, poses, strict=True) if _upright(sigma, T)]
         if len(left) == 1:
-            yield f"--up, if both LiDARs stand upright to within {reach}, leaves {left[0]}"
+            yield f"`--up`, if both LiDARs stand upright to within {reach}, leaves {left[0]}"
     if config.prior_rpy_deg is None and _least_turn(poses) > 2 * MAX_SIGMAS * sigma:
-        instead = " instead of --up" if config.up else ""
-        yield (
-            f"--prior-rpy-deg R P Y{instead}, if you know the angles to within {reach}, leaves one"
-        )
+        instead = " instead of `--up`" if config.up else ""
+        known = f"if you know the angles to within {reach}"
+        yield f"`--prior-rpy-deg R P Y`{instead}, {known}, leaves one"
     if config.hypothesis is None:
-        names = " or ".join(name for name, _ in named)
-        yield f"--hypothesis {names} takes the one that you know is right, with a warning"
+        names = " | ".join(name for name, _ in named)
+        yield f"`--hypothesis {names}` takes the one that you know is right, with a warning"
 
 
 def _upright(sigma: float, T: Array) -> bool:
@@ -127,5 +127,5 @@ def describe_standing(result: ResultDoc) -> list[str]:
         lines.append(f"  {name}{mark} {'  '.join(cells[:3])}    {'  '.join(cells[3:])}")
         if each is not result.hypotheses[0]:
             lines.append(f"       as against a: {relative_words(result, each)}")
-    lines += [f"  {words}" for words in deciding(result, named)]
+    lines += [f"  {plain(words)}" for words in deciding(result, named)]
     return lines

@@ -273,7 +273,7 @@ def _standing(result: ResultDoc) -> str:
     ]
     header = ("hypothesis", "roll, deg", "pitch, deg", "yaw, deg", "x, m", "y, m", "z, m")
     listed = table("Hypotheses that stand", (*header, "as against a"), rows, (7,))
-    items = "".join(f"<li>{escape(words)}</li>" for words in deciding(result, named))
+    items = "".join(f"<li>{inline(words)}</li>" for words in deciding(result, named))
     options = f'<div class="advice"><b>What decides</b><ul>{items}</ul></div>' if items else ""
     return (
         "<p>The scene does not rule these out. Roll, pitch and yaw are those of the source in the "
