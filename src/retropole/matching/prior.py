@@ -77,12 +77,12 @@ def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -
     kept = [match for match in matches if prior.allows(match.T_target_source)]
     if not any(match.exact for match in kept):
         misfits = [prior.misfit(match.T_target_source) for match in matches if match.exact]
-        least = min(misfits)
+        least, count = min(misfits), len(misfits)
         raise Refusal(
             "prior_contradicted",
-            f"none of the {len(misfits)} hypotheses that fit the poles agrees with the given "
-            f"rotation: the nearest is {np.degrees(least * prior.sigma):.0f}° away, {least:.1f} "
-            "times its sigma; check its sign and order, or leave it out",
-            {"sigmas": least, "allowed": MAX_SIGMAS, "hypotheses": len(misfits)},
+            f"of {count} {'hypothesis' if count == 1 else 'hypotheses'} that fit the poles none "
+            f"agrees with the given rotation: the nearest is {np.degrees(least * prior.sigma):.0f}° "
+            f"away, {least:.1f} times its sigma; check its sign and order, or leave it out",
+            {"sigmas": least, "allowed": MAX_SIGMAS, "hypotheses": count},
         )
     return kept
