@@ -91,7 +91,7 @@ def symmetric(request: pytest.FixtureRequest) -> tuple[SimulatedPair, Calibratio
 
 def is_true(hypothesis: Hypothesis, T_true: Array) -> bool:
     turn = hypothesis.match.T_target_source[:3, :3] @ T_true[:3, :3].T
-    return se3.rotation_angle(turn) < np.radians(5.0)
+    return bool(se3.rotation_angle(turn) < np.radians(5.0))
 
 
 def test_the_refusal_says_which_stand_and_where_the_vertical_is(

@@ -81,8 +81,8 @@ def agreeing_with_prior(matches: Sequence[Match], prior: RotationPrior | None) -
         raise Refusal(
             "prior_contradicted",
             f"of {count} {'hypothesis' if count == 1 else 'hypotheses'} that fit the poles none "
-            f"agrees with the given rotation: the nearest is {np.degrees(least * prior.sigma):.0f}° "
-            f"away, {least:.1f} times its sigma; check its sign and order, or leave it out",
+            f"agrees with the given rotation: the nearest is {np.degrees(least * prior.sigma):.0f}"
+            f"° away, {least:.1f} times its sigma; check its sign and order, or leave it out",
             {"sigmas": least, "allowed": MAX_SIGMAS, "hypotheses": count},
         )
     return kept
