@@ -76,6 +76,21 @@ def percent(share: float) -> str:
     return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
 
 
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """Write how many there are of something: ``1 pole``, ``2 poles``, ``96,404 points``.
+
+    Parameters
+    ----------
+    number
+        How many.
+    noun
+        What there is, in the singular.
+    plural
+        Where it is not the singular with an s.
+    """
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
 def duration(seconds: float) -> str:
     """Write how long something takes, with two significant digits: ``45 s``, ``3.2 h``, ``12 d``.
 

@@ -5,24 +5,15 @@ A command is a module of this folder with a function of the same name, and a lin
 
 from __future__ import annotations
 
-import errno
+import sys
 from collections.abc import Iterator, MutableMapping, Sequence
-from contextlib import suppress
 from importlib import import_module
 
 import click
 
-from ..errors import Refusal, RetropoleError, quoting
-from .common import (
-    CONTEXT,
-    EXIT_INTERRUPTED,
-    EXIT_PIPE,
-    EXIT_REFUSED,
-    EXIT_USAGE,
-    echo_refusal,
-    never_fail_to_encode,
-    say,
-)
+from ..errors import Refusal, RetropoleError
+from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_PIPE, never_fail_to_encode, say
+from .errors import asks_for_json, failure_of, tell
 
 COMMANDS = (
     "calibrate",
@@ -101,32 +92,14 @@ def run(words: Sequence[str] | None = None) -> int:
     words
         What follows ``retropole``; None takes it from `sys.argv`.
     """
-    args = None if words is None else list(words)
+    args = sys.argv[1:] if words is None else list(words)
     never_fail_to_encode()
     try:
         code = cli.main(args, prog_name="retropole", standalone_mode=False)
-    except click.ClickException as error:
-        context = getattr(error, "ctx", None)
-        plain = click.UsageError(quoting(error.format_message()), context)
-        with suppress(OSError):
-            plain.show()
-        return EXIT_USAGE
-    except Refusal as refusal:
-        echo_refusal(refusal.code, refusal.message)
-        return EXIT_REFUSED
-    except RetropoleError as error:
-        say(f"retropole: {error}")
-        return EXIT_USAGE
-    except OSError as error:
-        # Help and tables are printed by click and rich: only they leave out where.
-        unnamed = "standard output" if error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO) else ""
-        place = error.filename or unnamed
-        words_of = f"{place}: {error.strerror}" if place else str(error)
-        say(f"retropole: {quoting(words_of)}")
-        return EXIT_USAGE
-    except MemoryError as error:
-        say(f"retropole: there is not enough memory: {quoting(str(error))}")
-        return EXIT_USAGE
+    except (click.ClickException, RetropoleError, OSError, MemoryError) as error:
+        command = next((f"retropole {word}" for word in args if word in COMMANDS), "retropole")
+        refused = isinstance(error, Refusal)
+        return tell(failure_of(error, command), refused=refused, as_json=asks_for_json(args))
     except SystemExit as error:
         # click and rich end so where the reader of a pipe has gone; here 1 has another meaning.
         if error.code == 1:

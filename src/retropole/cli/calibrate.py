@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,7 @@ from .common import (
     echo_sensor_doubt,
     echo_warning,
     frames_option,
+    in_colour,
     max_points_option,
     progress_on_terminal,
     radius_option,
@@ -125,6 +127,12 @@ CENTIMETRES = Number(min=0, min_open=True, max=100 * LARGEST_NEED)
     help="Seed of whatever is drawn at random.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
+@click.option(
+    "-v",
+    "--verbose",
+    is_flag=True,
+    help="Print the hypotheses, the inputs and the time of each step as well.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
 def calibrate(
     target: Path | None,
@@ -155,6 +163,7 @@ def calibrate(
     strict: bool,
     seed: int,
     as_json: bool,
+    verbose: bool,
     quiet: bool,
 ) -> int:
     """Find the transform that maps points of SOURCE into the frame of TARGET.
@@ -233,10 +242,14 @@ def calibrate(
             "next": command_line("export", out, "--to", "ros2"),
             "later, with new recordings": command_line("check", out, targets[0], sources[0]),
         }
-        show(describe_result(result.document, [str(path) for path in written], following))
+        paths = [str(path) for path in written]
+        words = describe_result(result.document, paths, following, verbose=verbose)
+        show(in_colour(words, result.status))
     if result.status == "refused":
-        for reason in result.reasons:
-            echo_refusal(reason.code, reason.message, advise=quiet or as_json)
+        # Who sees stdout has read it there.
+        unseen = quiet or as_json
+        for reason in result.reasons if unseen or not sys.stdout.isatty() else ():
+            echo_refusal(reason.code, reason.message, advise=unseen)
         return EXIT_REFUSED
     if quiet or as_json:
         for reason in result.reasons:

@@ -20,6 +20,7 @@ from .common import (
     METRES,
     SAME_FOR_SOURCE,
     TOPIC_HELP,
+    in_colour,
     progress_on_terminal,
     read_input,
     show,
@@ -176,7 +177,7 @@ def check(
     if as_json:
         show(json_line(answer))
     elif not quiet:
-        show(in_words(answer))
+        show(in_colour(in_words(answer), answer.status))
     return EXITS[answer.status]
 
 

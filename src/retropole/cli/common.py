@@ -193,6 +193,22 @@ def show(words: str | bytes) -> None:
         raise OSError(error.errno, error.strerror, "standard output") from None
 
 
+VERDICT_COLOURS = {"ok": "green", "same": "green", "warn": "yellow", "cannot_tell": "yellow"}
+VERDICT_COLOURS |= {"refused": "red", "moved": "red"}
+
+
+def in_colour(words: str, status: str) -> str:
+    """Colour the first line, the verdict, where stdout is a terminal that shows colours.
+
+    Not where NO_COLOR is set (https://no-color.org).
+    """
+    dumb = os.environ.get("TERM") == "dumb"
+    if os.environ.get("NO_COLOR") or dumb or not sys.stdout.isatty():
+        return words
+    verdict, line_end, rest = words.partition("\n")
+    return click.style(verdict, fg=VERDICT_COLOURS.get(status), bold=True) + line_end + rest
+
+
 def say(line: str) -> None:
     """Say something on stderr as one line; who cannot hear it gets the exit code all the same."""
     with suppress(OSError):

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from .. import se3
-from ..errors import printable
-from ..quantities import error
+from ..errors import printable, shortened
+from ..quantities import counted, error
 from ..reasons import explain, page, plain
 from ..result import (
     DetectionDoc,
@@ -22,11 +24,13 @@ from ..result import (
     ResultDoc,
 )
 from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words, scene_words
-from .hypotheses_text import describe_standing
-from .names import LIDARS, hypothesis_name
+from .names import LIDARS, hypothesis_name, pair_name, pole_name
 
 ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
+
+WIDTH, LINES = 80, 40
+"""Columns and lines of a screen. No path and no command is cut: they are copied."""
 
 
 def legible(value: Any) -> Any:
@@ -42,10 +46,14 @@ def legible(value: Any) -> Any:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Lay out rows under a header, each column as wide as it needs, numbers to the right."""
-    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
+    """Lay out rows under a header, each column as wide as it needs, numbers to the right.
+
+    A name of the header may have several lines.
+    """
+    heads = list(zip_longest(*(name.split("\n") for name in header), fillvalue=""))
+    widths = [max(len(row[k]) for row in [*heads, *rows]) for k in range(len(header))]
     lines = []
-    for row in [header, *rows]:
+    for row in [*heads, *rows]:
         cells = [
             cell.ljust(width) if k == 0 else cell.rjust(width)
             for k, (cell, width) in enumerate(zip(row, widths, strict=True))
@@ -54,41 +62,46 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
+def wrapped(line: str, indent: str) -> list[str]:
+    """Break a line of words at the width of a screen; what follows the first is indented."""
+    return textwrap.wrap(
+        line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+
+
 def left_out_words(document: InputDoc) -> str:
     """Say how many points and frames of too many were left out; nothing where none were."""
     parts = [
-        f"{count:,} {what}"
-        for count, what in (
-            (document.thinned, "points"),
-            (document.frames_left_out, "frames"),
-        )
+        counted(count, what)
+        for count, what in ((document.thinned, "point"), (document.frames_left_out, "frame"))
         if count
     ]
     return f"{' and '.join(parts)} left out as too many" if parts else ""
 
 
-def _input_line(name: str, document: InputDoc) -> str:
+def _input_lines(name: str, document: InputDoc) -> list[str]:
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
     left_out = left_out_words(document)
     line = (
-        f"{name}  {document.path}: {document.points:,} points ({document.dropped:,} dropped"
+        f"{name}  {document.path}: {counted(document.points, 'point')} ({document.dropped:,} dropped"
         f"{', ' + left_out if left_out else ''}), "
         f"sensor {document.sensor}, threshold {threshold}"
     )
-    return "\n".join([line, *(f"  {note}" for note in document.notes)])
+    notes = [part for note in document.notes for part in wrapped(f"  {note}", "    ")]
+    return [*wrapped(line, " " * (len(name) + 2)), *notes]
 
 
-def _pole_rows(name: str, poles: Sequence[PoleDoc]) -> list[list[str]]:
+def _pole_rows(names: Sequence[str], poles: Sequence[PoleDoc]) -> list[list[str]]:
     return [
         [
-            f"{name} {k}",
+            name,
             *(f"{value:.3f}" for value in pole.point_m),
             f"{pole.length_m:.2f}",
             str(pole.points),
             str(pole.rings),
             f"{1000 * pole.rms_m:.1f}",
         ]
-        for k, pole in enumerate(poles)
+        for name, pole in zip(names, poles, strict=True)
     ]
 
 
@@ -106,7 +119,7 @@ def _degrees(value: float | None) -> float | None:
 def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
     return [
         f"{hypothesis_name(k)}{' *' if hypothesis.chosen else ''}",
-        " ".join(f"{i}-{j}" for i, j in hypothesis.pairs),
+        " ".join(map(pair_name, hypothesis.pairs)),
         "yes" if hypothesis.exact else "no",
         f"{1000 * hypothesis.pole_rms_m:.1f}",
         _number(hypothesis.icp_rotation_rad, 4),
@@ -125,7 +138,7 @@ _HYPOTHESIS_HEADER = (
     "e_r rad",
     "e_t m",
     "overlap",
-    "free-space violation",
+    "free-space\nviolation",
     "score",
 )
 
@@ -145,9 +158,13 @@ def transform_lines(matrix: Sequence[Sequence[float]]) -> list[str]:
 
 
 def describe_result(
-    result: ResultDoc, written: Sequence[str], following: Mapping[str, str] | None = None
+    result: ResultDoc,
+    written: Sequence[str],
+    following: Mapping[str, str] | None = None,
+    *,
+    verbose: bool = False,
 ) -> str:
-    """Write a whole result as a person reads it.
+    """Write a result as a person reads it: the verdict first, and a screen at most.
 
     Parameters
     ----------
@@ -157,67 +174,124 @@ def describe_result(
         Paths of the files that hold it.
     following
         Commands to type next where there is a transform, by the words that introduce each.
+    verbose
+        Whether the inputs, all poles, all hypotheses and the time of each step are written as well,
+        on as many lines as it takes.
     """
     result, written = legible(result), [printable(path) for path in written]
-    parts = [_input_line(LIDARS[k % 2], document) for k, document in enumerate(result.inputs)]
-    parts.append("")
-    poles = _pole_rows("target", result.poles.target) + _pole_rows("source", result.poles.source)
-    if poles:
-        parts += [table(_POLE_HEADER, poles), ""]
-    if result.hypotheses:
-        rows = [_hypothesis_row(k, h) for k, h in enumerate(result.hypotheses)]
-        parts.append(table(_HYPOTHESIS_HEADER, rows))
-        if result.margin is not None:
-            parts.append(f"  margin over the next: {result.margin:.3f}")
-        parts.append("")
-    if result.T_target_source is not None:
-        parts += ["T_target_source (source points into the target frame)"]
-        parts += transform_lines(result.T_target_source)
-        parts += _certainty_lines(result)
-        if result.placements:
-            rows = [
-                _placement_row(k, placement) for k, placement in enumerate(result.placements, 1)
-            ]
-            parts += ["", "The poles' pose without each placement differs from it by"]
-            parts.append(table(_PLACEMENT_HEADER, rows))
-        parts.append("")
-    scene = scene_words(result)
-    if scene is not None:
-        parts.append(f"what stands in the scene: {scene}")
-    parts.append(f"verdict: {result.status}")
+    head = [f"verdict: {result.status}"]
     # Where it is not yes, the reason says so.
     if result.fitness is not None and result.fitness.answer == "yes":
-        parts.append(f"  {result.fitness.words}")
-    for reason in result.reasons:
-        parts += reason_lines(reason)
-        if result.status == "refused" and explain(reason.code) is not None:
-            parts.append(f"    read on: documentation, {page(reason.code)}")
-    parts += describe_standing(result)
-    parts.append("written: " + ", ".join(written))
+        head += wrapped(f"  {result.fitness.words}", "    ")
+    body = []
     if result.T_target_source is not None:
-        parts += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
-    return "\n".join(parts)
+        body += ["", "T_target_source (source points into the target frame)"]
+        body += transform_lines(result.T_target_source)
+        body += _certainty_lines(result, verbose)
+    scene = scene_words(result)
+    if scene is not None:
+        body += wrapped(f"  what stands in the scene: {scene}", "    ")
+    tail = ["", "written: " + ", ".join(written)]
+    if result.T_target_source is not None:
+        tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
+    if verbose:
+        reasons = [line for reason in result.reasons for line in _reason_whole(result, reason)]
+        found = [*_found_lines(result), *_verbose_lines(result)]
+    else:
+        found = _found_counts(result)
+        room = LINES - len(head) - len(body) - len(tail)
+        reasons = _reasons_within(result, room - len(found))
+        every = _found_lines(result)
+        found = every if len(every) + len(reasons) <= room else found
+    return "\n".join([*head, *reasons, *body, *found, *tail])
 
 
-def _certainty_lines(result: ResultDoc) -> list[str]:
+def _reason_whole(result: ResultDoc, reason: ReasonDoc, actions: int = ACTIONS) -> list[str]:
+    """Write a reason, what to do about it and, of a refusal, where to read on."""
+    lines = reason_lines(reason, actions)
+    if result.status == "refused" and explain(reason.code) is not None:
+        lines.append(f"    read on: documentation, {page(reason.code)}")
+    return lines
+
+
+def _reasons_within(result: ResultDoc, room: int) -> list[str]:
+    """Write every reason, with as much of what to do as there is room for."""
+    for actions in range(ACTIONS, 0, -1):
+        lines = [x for reason in result.reasons for x in _reason_whole(result, reason, actions)]
+        if len(lines) <= room:
+            return lines
+    lines = ["  what to do about each: -v, or report.html"]
+    whole = [line for reason in result.reasons for line in reason_lines(reason, 0)]
+    if len(whole) < room:
+        return whole + lines
+    cut = [shortened(f"  {reason.code}: {reason.message}", WIDTH) for reason in result.reasons]
+    # Never fewer than one: a verdict without its reason says nothing.
+    shown = cut if len(cut) < room else cut[: max(room - 2, 1)]
+    if len(shown) < len(cut):
+        shown.append(f"  and {counted(len(cut) - len(shown), 'more reason')}")
+    return shown + lines
+
+
+def _found_lines(result: ResultDoc) -> list[str]:
+    """List the poles, or the placements where there are several."""
+    if result.placements:
+        rows = [_placement_row(k, each) for k, each in enumerate(result.placements, 1)]
+        lines = table(_PLACEMENT_HEADER, rows).split("\n")
+        return ["", "The poles' pose without each placement differs from it by", *lines]
+    rows = []
+    for lidar, poles in zip(LIDARS, (result.poles.target, result.poles.source), strict=True):
+        rows += _pole_rows([pole_name(lidar, k) for k in range(len(poles))], poles)
+    return ["", *table(_POLE_HEADER, rows).split("\n")] if rows else []
+
+
+def _found_counts(result: ResultDoc) -> list[str]:
+    """Count the poles, or the placements, where there is no room to list them."""
+    if result.placements:
+        return ["", f"{counted(len(result.placements), 'placement')}; -v lists them"]
+    target, source = len(result.poles.target), len(result.poles.source)
+    if not target + source:
+        return []
+    return ["", f"{counted(target, 'pole')} of the target, {source} of the source; -v lists them"]
+
+
+def _verbose_lines(result: ResultDoc) -> list[str]:
+    """Write what a screen has no room for: hypotheses, inputs, the time of each step."""
+    lines = []
+    if result.hypotheses:
+        rows = [_hypothesis_row(k, h) for k, h in enumerate(result.hypotheses)]
+        lines += ["", *table(_HYPOTHESIS_HEADER, rows).split("\n")]
+        if result.margin is not None:
+            lines.append(f"  margin of the first over the next: {result.margin:.3f}")
+    lines.append("")
+    for k, document in enumerate(result.inputs):
+        several = f" {k // 2 + 1}" if len(result.inputs) > 2 else ""
+        lines += _input_lines(LIDARS[k % 2] + several, document)
+    if result.seconds:
+        times = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds.items())
+        lines += ["", *wrapped(f"time: {times}", "      ")]
+    return lines
+
+
+def _certainty_lines(result: ResultDoc, verbose: bool) -> list[str]:
     """Say how certain the pose is, what makes it uncertain, and the radius of the poles."""
     lines, largest, radius = [], largest_error(result), radius_words(result)
     if result.predicted_error:
         at = ", ".join(f"± {error(e.sigma_m)} at {e.range_m:g} m" for e in result.predicted_error)
         lines.append(f"  predicted error, 1 sigma: {at}")
-    for each in error_parts(result):
-        if each.range_m == BUDGET_RANGE:
-            lines.append(
-                f"  at {each.range_m:g} m: random ± {error(each.random)}, "
-                f"systematic ± {error(each.systematic)}"
-            )
+    if verbose:
+        lines += [
+            f"  at {each.range_m:g} m: random ± {error(each.random)}, "
+            f"systematic ± {error(each.systematic)}"
+            for each in error_parts(result)
+            if each.range_m == BUDGET_RANGE
+        ]
     if largest is not None:
         lines.append(f"  largest source of error, {largest}")
     if result.weakest is not None:
         lines.append(f"  least certain, 1 sigma: {result.weakest.words}")
-    if radius is not None:
+    if verbose and radius is not None:
         lines.append(f"  radius {radius}")
-    return lines
+    return [part for line in lines for part in wrapped(line, "    ")]
 
 
 _PLACEMENT_HEADER = ("placement", "poles", "rotation deg", "translation m")
@@ -232,29 +306,30 @@ def _placement_row(k: int, placement: PlacementDoc) -> list[str]:
     ]
 
 
-def reason_lines(reason: ReasonDoc) -> list[str]:
-    """Write a reason on a line, and what to do about it on the next where that is known."""
-    lines = [f"  {reason.code}: {reason.message}"]
+def reason_lines(reason: ReasonDoc, actions: int = ACTIONS) -> list[str]:
+    """Write a reason, and below it as many actions of what to do about it as are known."""
+    lines = wrapped(f"  {reason.code}: {reason.message}", "    ")
     known = explain(reason.code)
-    if known is not None and known.advice:
-        actions = " ".join(plain(action) for action in known.advice[:ACTIONS])
-        lines.append(f"    what to do: {actions}")
+    if known is not None and known.advice and actions:
+        advice = " ".join(plain(action) for action in known.advice[:actions])
+        lines += wrapped(f"    what to do: {advice}", "      ")
     return lines
 
 
 def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     """Write what was found in one cloud as a person reads it."""
     detection, written = legible(detection), [printable(path) for path in written]
+    names = [f"pole {k}" for k in range(len(detection.poles))]
     parts = [
-        _input_line("file", detection.input),
-        f"  {detection.retro_points:,} retro-reflective points "
+        *_input_lines("file", detection.input),
+        f"  {counted(detection.retro_points, 'retro-reflective point')} "
         f"(threshold from: {detection.threshold_source})",
         "",
-        f"{len(detection.poles)} poles",
+        counted(len(detection.poles), "pole"),
     ]
     if detection.poles:
-        parts.append(table(_POLE_HEADER, _pole_rows("pole", detection.poles)))
-    parts += ["", f"{len(detection.rejected)} rejected clusters"]
+        parts.append(table(_POLE_HEADER, _pole_rows(names, detection.poles)))
+    parts += ["", counted(len(detection.rejected), "rejected cluster")]
     if detection.rejected:
         rows = [
             [

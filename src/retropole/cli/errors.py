@@ -1,0 +1,114 @@
+"""What ends a command without an answer, in one style: what and where, then what to do.
+
+With --json it is an object on stdout besides.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import click
+
+from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, quoting
+from ..reasons import explain, page, plain
+from .common import EXIT_REFUSED, EXIT_USAGE, echo_refusal, say
+
+ERROR_SCHEMA = "retropole/error/1"
+
+
+class Failure(NamedTuple):
+    """Why there is no answer.
+
+    Attributes
+    ----------
+    code
+        ``usage``, ``unreadable``, ``missing_extra``, ``system``, ``out_of_memory``; or the reason
+        code of a refusal.
+    message
+        What is wrong, and where.
+    what_to_do
+        One action each.
+    read_on
+        Page of the documentation.
+    """
+
+    code: str
+    message: str
+    what_to_do: tuple[str, ...]
+    read_on: str | None = None
+
+
+def failure_of(error: Exception, command: str) -> Failure:
+    """Say in words what an error means, and what to do about it.
+
+    Parameters
+    ----------
+    error
+        Any that `run` catches.
+    command
+        The command that was called, as ``retropole calibrate``.
+    """
+    options = (f"'{command} --help' lists the arguments and options, with examples",)
+    match error:
+        case click.ClickException():
+            return Failure("usage", quoting(error.format_message()), options)
+        case Refusal():
+            known = explain(error.code)
+            actions = () if known is None else tuple(map(plain, known.advice))
+            return Failure(error.code, error.message, actions, page(error.code))
+        case MissingExtraError():
+            install = f"pip install 'retropole[{error.extra}]'"
+            return Failure("missing_extra", str(error), (install,), "install.html")
+        case ReadError():
+            look = "check the path and the file; 'retropole info FILE' says what a recording holds"
+            return Failure("unreadable", str(error), (look,), "troubleshooting.html")
+        case RetropoleError():
+            return Failure("usage", str(error), options)
+        case MemoryError():
+            words = f"there is not enough memory: {quoting(str(error))}"
+            less = "read less: fewer --frames A:B, or a smaller --max-points N"
+            return Failure("out_of_memory", words, (less,))
+        case OSError():
+            # Help and tables are printed by click and rich: only they leave out where.
+            unnamed = error.errno in (errno.EBADF, errno.ENOSPC, errno.EIO)
+            place = error.filename or ("standard output" if unnamed else "")
+            words = quoting(f"{place}: {error.strerror}" if place else str(error))
+            check = "check that it exists and may be read or written, and that there is room"
+            return Failure("system", words, (check,))
+    raise error
+
+
+def tell(failure: Failure, *, refused: bool, as_json: bool) -> int:
+    """Say it on stderr, with --json on stdout too, and give the exit code."""
+    if refused:
+        echo_refusal(failure.code, failure.message)
+    else:
+        say(f"retropole: error: {failure.message}")
+        for action in failure.what_to_do:
+            say(f"what to do: {action}")
+    if as_json:
+        # Who cannot read it gets the exit code all the same.
+        with suppress(OSError):
+            click.echo(json_line(failure, refused=refused))
+    return EXIT_REFUSED if refused else EXIT_USAGE
+
+
+def json_line(failure: Failure, *, refused: bool) -> str:
+    """Write a failure as one line of JSON."""
+    return json.dumps(
+        {
+            "schema": ERROR_SCHEMA,
+            "status": "refused" if refused else "error",
+            "error": failure._asdict(),
+        }
+    )
+
+
+def asks_for_json(words: Sequence[str]) -> bool:
+    """Tell whether --json is among words that may make no sense otherwise."""
+    options = list(words)
+    return "--json" in (options[: options.index("--")] if "--" in options else options)
