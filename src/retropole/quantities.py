@@ -91,6 +91,11 @@ def counted(number: int, noun: str, plural: str = "") -> str:
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
+def step_of(name: str, k: int, count: int) -> str:
+    """Name the step under way and its share of all: ``kiss, 3 of 7``; k counts from 1."""
+    return f"{name}, {k} of {count}"
+
+
 def duration(seconds: float) -> str:
     """Write how long something takes, with two significant digits: ``45 s``, ``3.2 h``, ``12 d``.
 

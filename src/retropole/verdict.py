@@ -98,13 +98,13 @@ def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:
 
 def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
     """Say which poles were left out since they do not stand as the others do."""
-    for k, each in enumerate(paired):
+    for k, each in enumerate(paired, 1):
         target, source = each.placement.target.poles, each.placement.source.poles
         of = "" if len(paired) == 1 else f" of placement {k}"
         for i, j, distance in left_out(target, source, each.hypothesis.match):
             yield Reason(
                 "pole_left_out",
-                f"pole {i} of the target and pole {j} of the source{of} lie "
+                f"pole T{i} of the target and pole S{j} of the source{of} lie "
                 f"{quantities.error(distance)} apart where the {len(each.target_poles)} others "
                 "agree, and were left out: did it move between the recordings?",
                 {"placement": k, "target": i, "source": j, "apart_m": distance},
@@ -142,14 +142,16 @@ def _thin_evidence(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
     if points < FEW_POINTS:
         yield Reason(
             "few_points",
-            f"a pole has {points} returns from the {lidar} LiDAR; move it nearer or record more "
+            f"a pole has {quantities.counted(points, 'return')} from the {lidar} LiDAR; move it "
+            f"nearer or record more "
             "frames",
             {"lidar": lidar, "points": points},
         )
     elif rings <= FEW_RINGS:
         yield Reason(
             "few_rings",
-            f"a pole is met by {rings} rings of the {lidar} LiDAR; move it nearer, or use a longer "
+            f"a pole is met by {quantities.counted(rings, 'ring')} of the {lidar} LiDAR; move "
+            f"it nearer, or use a longer "
             "one",
             {"lidar": lidar, "rings": rings},
         )

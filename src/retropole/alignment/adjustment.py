@@ -17,6 +17,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, PoseEstimate
 from ..errors import Refusal
+from ..quantities import counted
 from ..systematic import MIN_ERROR_SIGMA, RADIUS, ErrorModel, Sizes, groups_of
 from ..uncertainty import RadiusEstimate, Uncertainty
 from .certainty import (
@@ -175,7 +176,8 @@ def _check_counts(target: Beams, source: Beams) -> None:
     if poles < 2 or counts.min() < MIN_RETURNS_PER_POLE:
         raise Refusal(
             "too_few_points",
-            f"{poles} poles with {counts.min()} returns on the poorest: two poles with "
+            f"{counted(poles, 'pole')} with {counted(int(counts.min()), 'return')} on the "
+            f"poorest: two poles with "
             f"{MIN_RETURNS_PER_POLE} each are the least; bring the poles nearer or add frames",
             {"poles": poles, "returns": int(counts.min())},
         )

@@ -100,7 +100,8 @@ def calibrate(
     unit, unit_source
         Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
     progress
-        Called with the name of each step as it starts.
+        Called with the name of each step as it starts; while a recording of several frames is read,
+        with which of how many.
 
     Returns
     -------
@@ -162,7 +163,8 @@ def calibrate_with(
     config
         The options.
     progress
-        Called with the name of each step as it starts.
+        Called with the name of each step as it starts; while a recording of several frames is read,
+        with which of how many.
     on_read
         Called with each cloud once it is read.
 
@@ -174,7 +176,7 @@ def calibrate_with(
     check_options(config)
     progress("read")
     start = time.perf_counter()
-    pairs = read_placements(target, source, config)
+    pairs = read_placements(target, source, config, progress)
     inputs = [each for pair in pairs for each in pair]
     for each in inputs:
         on_read(each)

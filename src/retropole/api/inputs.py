@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +26,7 @@ from ..io import (
     thinned,
 )
 from ..io.units import Unit, in_metres, unit_named
+from ..quantities import counted
 from ..result import InputDoc, RunConfig
 from ..scene.copies import what_to_give
 from ..sensors import Sensor, sensor_or_auto
@@ -104,6 +105,7 @@ def read_input(
     max_points: int = MAX_POINTS,
     unit: Unit = "m",
     role: str = "cloud",
+    progress: Callable[[str], None] = lambda step: None,
 ) -> Input:
     """Take a cloud as the user gives it, and look up its sensor.
 
@@ -124,6 +126,8 @@ def read_input(
         Of the coordinates, of a path, a cloud or an array: ``m``, ``cm`` or ``mm``.
     role
         What messages call it: ``target``.
+    progress
+        Called as each of several frames is about to be read, with which of how many it is.
 
     Raises
     ------
@@ -135,7 +139,9 @@ def read_input(
     """
     known, unit = sensor_or_auto(sensor), unit_named(unit)
     if isinstance(given, str | Path):
-        read = read_recording(given, topic=topic, frames=frames, max_points=max_points, unit=unit)
+        read = read_recording(
+            given, topic=topic, frames=frames, max_points=max_points, unit=unit, progress=progress
+        )
         return Input(given, read.cloud, known, threshold, read)
     if not isinstance(given, PointCloud) and not hasattr(given, "__array__"):
         raise UsageError(
@@ -156,6 +162,7 @@ def read_placements(
     target: CloudSource | Sequence[CloudSource],
     source: CloudSource | Sequence[CloudSource],
     config: RunConfig,
+    progress: Callable[[str], None] = lambda step: None,
 ) -> tuple[InputPair, ...]:
     """Take the target and the source of every placement, with the options of a run.
 
@@ -169,12 +176,13 @@ def read_placements(
     targets, sources = _each(target), _each(source)
     if len(targets) != len(sources) or not targets:
         raise UsageError(
-            f"{len(targets)} targets and {len(sources)} sources are given, expected one of each "
+            f"{counted(len(targets), 'target')} and {counted(len(sources), 'source')} are "
+            f"given, expected one of each "
             "for every placement"
         )
     frames = None if config.frames is None else slice(*config.frames)
     pairs = []
-    for k, (of_target, of_source) in enumerate(zip(targets, sources, strict=True)):
+    for k, (of_target, of_source) in enumerate(zip(targets, sources, strict=True), 1):
         which = f" of placement {k}" if len(targets) > 1 else ""
         pair = InputPair(
             read_input(
@@ -186,6 +194,7 @@ def read_placements(
                 max_points=config.max_points,
                 unit=config.unit,
                 role=f"target{which}",
+                progress=progress,
             ),
             read_input(
                 of_source,
@@ -196,6 +205,7 @@ def read_placements(
                 max_points=config.max_points,
                 unit=config.unit_source or config.unit,
                 role=f"source{which}",
+                progress=progress,
             ),
         )
         pairs.append(pair)

@@ -147,6 +147,7 @@ def check(
                 topic=_topic(target, target_topic, config.target_topic),
                 unit=unit or config.unit,
                 quiet=quiet,
+                progress=progress,
             )
             of_source = read_input(
                 source,
@@ -155,6 +156,7 @@ def check(
                 topic=_topic(source, source_topic, config.source_topic),
                 unit=unit_source or unit or config.unit_source or config.unit,
                 quiet=quiet,
+                progress=progress,
             )
             progress("check")
             swapped = _swapped(stored, of_target, of_source)
@@ -305,6 +307,8 @@ def in_words(answer: CheckResult) -> str:
     from ..errors import printable
     from ..monitoring.movement import FALSE_ALARM
     from ..quantities import value_and_error
+    from ..report.text import reason_lines, wrapped
+    from ..result import ReasonDoc
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     rotation, translation = answer.rotation, answer.translation
@@ -326,7 +330,9 @@ def in_words(answer: CheckResult) -> str:
         lines.append(
             f"  what stands in the scene, under the stored pose: {answer.confirmation.words}"
         )
-    lines += [f"  {reason.code}: {printable(reason.message)}" for reason in answer.reasons]
+    lines = [part for line in lines for part in wrapped(line, "    ")]
+    for reason in answer.reasons:
+        lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))
     return "\n".join(lines)
 
 

@@ -225,6 +225,7 @@ def read_input(
     max_points: int = DEFAULT_CONFIG.max_points,
     unit: Unit = DEFAULT_CONFIG.unit,
     quiet: bool = False,
+    progress: Callable[[str], None] = lambda step: None,
 ) -> Input:
     """Read a cloud and look up its sensor; say on stderr what was left out unasked."""
     from ..api.inputs import read_input as read
@@ -237,6 +238,7 @@ def read_input(
         frames=frames,
         max_points=max_points,
         unit=unit,
+        progress=progress,
     )
     if not quiet:
         echo_left_out(given, frames)
@@ -321,11 +323,15 @@ def command_line(*words: str | Path) -> str:
 
 @contextmanager
 def progress_on_terminal(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Name the step under way on a terminal; say nothing in a pipe, where nobody waits."""
+    """Name the step under way on a terminal; say nothing in a pipe, where nobody waits.
+
+    Long steps name their share of all: ``read drive.bag: frame, 12 of 40``.
+    """
     if quiet or not sys.stderr.isatty():
         yield lambda step: None
         return
     from rich.console import Console
+    from rich.markup import escape
 
     with Console(stderr=True).status("starting") as status:
-        yield lambda step: status.update(step)
+        yield lambda step: status.update(escape(printable(step)))

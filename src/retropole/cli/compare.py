@@ -40,9 +40,6 @@ if TYPE_CHECKING:
 
 COMPARE_SCHEMA = "retropole/compare/1"
 
-TABLE_WIDTH = 180
-"""Columns of the table where there is no terminal to ask."""
-
 
 def _list_of_methods() -> str:
     """Every method with its title, and the extra that it needs, one per line."""
@@ -141,7 +138,7 @@ def compare(
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
         progress("read")
-        read = partial(read_input, frames=frames, quiet=quiet)
+        read = partial(read_input, frames=frames, quiet=quiet, progress=progress)
         inputs = (
             read(target, sensor_target, threshold_target, topic=target_topic, unit=unit),
             read(
@@ -173,12 +170,12 @@ def compare(
         }
         show(json.dumps(document, indent=1))
     else:
-        _print_table(found, truth is not None)
+        show(in_words(found))
     for each in found:
         if each.status == "refused":
-            say(f"{each.method}: refused ({each.codes[0]}): {each.message}")
+            say(f"retropole: {each.method}: refused ({each.codes[0]}): {each.message}")
         elif each.status == "missing":
-            say(f"{each.method}: not installed: {each.message}")
+            say(f"retropole: {each.method}: not installed: {each.message}")
     if any(each.T_target_source is not None for each in found):
         return 0
     return EXIT_USAGE if all(each.status == "missing" for each in found) else EXIT_REFUSED
@@ -227,36 +224,40 @@ def _document(each: Compared) -> dict[str, Any]:
     }
 
 
-def _print_table(found: Sequence[Compared], known: bool) -> None:
+def in_words(found: Sequence[Compared]) -> str:
+    """Write the findings as tables no wider than a screen, and why a method does not answer."""
     import numpy as np
-    from rich.console import Console
-    from rich.table import Table
 
-    table = Table(title="target from source", title_justify="left")
-    table.add_column("method")
-    table.add_column("verdict")
-    columns = ["x m", "y m", "z m", "roll °", "pitch °", "yaw °", "overlap", "RQE 1/m³"]
-    columns += ["agree", "deny", "time s"]
-    errors = ["e_rt m", "error °", "error m"] if known else []
-    for name in columns + errors:
-        table.add_column(name, justify="right")
+    from ..report.text import table, wrapped
+
+    verdicts, poses, errors = [], [], []
     for each in found:
-        if each.status == "missing":
-            verdict = "not installed"
-        else:
-            verdict = " ".join([each.status, ", ".join(each.codes)]).strip()
-        row = [each.method, verdict]
-        T, alignment = each.T_target_source, each.alignment
-        if T is None or alignment is None:
-            row += [""] * 10
-        else:
-            row += [f"{value:.3f}" for value in (*T[:3, 3], *_angles_deg(T), alignment.overlap)]
-            row.append(f"{alignment.entropy.sum:.4f}")
-            scene = alignment.confirmation
-            row += [f"{scene.agreeing}", f"{scene.contradicting}"]
-        row.append("" if each.seconds is None else f"{each.seconds:.2f}")
+        verdict = "not installed" if each.status == "missing" else each.status
+        seconds = "" if each.seconds is None else f"{each.seconds:.2f}"
+        scores = [""] * 4
+        if each.T_target_source is not None and each.alignment is not None:
+            scene = each.alignment.confirmation
+            scores = [f"{each.alignment.overlap:.3f}", f"{each.alignment.entropy.sum:.4f}"]
+            scores += [f"{scene.agreeing}", f"{scene.contradicting}"]
+            pose = (*each.T_target_source[:3, 3], *_angles_deg(each.T_target_source))
+            poses.append([each.method, *(f"{value:.3f}" for value in pose)])
+        verdicts.append([each.method, verdict, *scores, seconds])
         if each.errors is not None:
-            row.append(f"{each.errors.e_rt:.4f}")
-            row += [f"{np.degrees(each.errors.rotation):.3f}", f"{each.errors.translation:.4f}"]
-        table.add_row(*row)
-    Console(width=None if sys.stdout.isatty() else TABLE_WIDTH).print(table)
+            off = f"{np.degrees(each.errors.rotation):.3f}", f"{each.errors.translation:.4f}"
+            errors.append([each.method, f"{each.errors.e_rt:.4f}", *off])
+    header = ("method", "verdict", "overlap", "RQE 1/m³", "agree", "deny", "time s")
+    parts = [table(header, verdicts)]
+    if errors:
+        parts += ["", "Error against the truth"]
+        parts.append(table(("method", "e_rt m", "rotation °", "translation m"), errors))
+    if poses:
+        parts += ["", "T_target_source (source points into the target frame)"]
+        parts.append(table(("method", "x m", "y m", "z m", "roll °", "pitch °", "yaw °"), poses))
+    warnings: dict[str, list[str]] = {}
+    for each in found:
+        if each.status == "warn":
+            words = f"warning ({', '.join(each.codes)}): {each.message}"
+            warnings.setdefault(words, []).append(each.method)
+    for words, names in warnings.items():
+        parts += ["", *wrapped(f"{' and '.join(names)}: {words}", "  ")]
+    return "\n".join(parts)

@@ -98,6 +98,7 @@ def detect(
             max_points=max_points,
             unit=unit,
             quiet=quiet,
+            progress=progress,
         )
         progress("extract")
         found = detect_in(given, radius)

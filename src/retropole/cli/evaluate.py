@@ -98,7 +98,9 @@ def evaluate(
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(as_json) as progress:
         progress("read")
-        read = partial(read_input, sensor_name="auto", threshold=None, frames=frames)
+        read = partial(
+            read_input, sensor_name="auto", threshold=None, frames=frames, progress=progress
+        )
         clouds = (
             read(target, topic=target_topic, unit=unit).cloud,
             read(source, topic=source_topic, unit=unit_source or unit).cloud,

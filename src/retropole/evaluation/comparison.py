@@ -12,6 +12,7 @@ import numpy as np
 from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud
 from ..errors import Refusal, UsageError
 from ..pipeline import calibrate
+from ..quantities import step_of
 from ..sensors import Sensor
 from .methods import ALL_METHODS, OURS
 from .metrics import Alignment, Errors, errors_of, evaluate
@@ -81,7 +82,7 @@ def compare(
     seed
         Of what rivals draw, and of the points on which all are scored.
     progress
-        Called with the name of each method as it starts.
+        Called with the name of each method as it starts, and which of how many it is.
 
     Returns
     -------
@@ -99,8 +100,8 @@ def compare(
 
     ours: Calibration | None = None
     found: list[Compared] = []
-    for name in methods:
-        progress(name)
+    for k, name in enumerate(methods, 1):
+        progress(step_of(name, k, len(methods)))
         if name in OURS:
             ours = ours or calibrate(
                 target, source, radius=radius, sensors=sensors, thresholds=thresholds

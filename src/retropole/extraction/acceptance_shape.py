@@ -14,6 +14,7 @@ import numpy as np
 
 from ..datatypes import PointCloud
 from ..io.rings import elevations
+from ..quantities import counted
 from ..reasons import Code
 from .lines import Line
 
@@ -142,7 +143,7 @@ def _too_few_points(line: Line, fewest: int) -> Failure | None:
     count = len(line.index)
     if count >= fewest:
         return None
-    return Failure("too_few_points", f"{count} points in line, a pole needs {fewest}")
+    return Failure("too_few_points", f"{counted(count, 'point')} in line, a pole needs {fewest}")
 
 
 def _too_short(line: Line, shortest: float) -> Failure | None:

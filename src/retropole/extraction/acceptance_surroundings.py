@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..quantities import counted
 from .acceptance_shape import Failure
 from .lines import Line
 from .neighbours import is_wall_behind, runs_along_sweep
@@ -164,7 +165,8 @@ def untaped_between(around: Surroundings) -> Failure | None:
     count = int(np.count_nonzero(alone & ~_at_the_edges(around, dim)))
     if count <= MAX_UNTAPED * own:
         return None
-    reason = f"{count} returns without tape lie between its {own} points"
+    lie = counted(count, "return without tape lies", "returns without tape lie")
+    reason = f"{lie} between its {counted(own, 'point')}"
     return Failure("part_of_a_surface", reason)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..datatypes import BoolArray, PointCloud
+from ..quantities import counted
 from .acceptance_shape import Failure
 from .lines import Line, distance_and_place
 
@@ -73,6 +74,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
 
     return Failure(
         "on_a_body",
-        f"{count} returns up to {REACH:g} m beside it go on beyond both its ends, with air about "
+        f"{counted(count, 'return')} up to {REACH:g} m beside it "
+        f"{'goes' if count == 1 else 'go'} on beyond both its ends, with air about "
         "them: a band that a person wears or holds",
     )

@@ -29,6 +29,7 @@ from ..datatypes import (
 from ..errors import Refusal
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
+from ..quantities import counted
 from ..sensors import Sensor, threshold_for
 from .acceptance_shape import (
     FEW_POLE_POINTS,
@@ -196,7 +197,7 @@ def _search(
     ``free`` (N,) marks the retro-reflective points that no pole has claimed yet.
     """
     if len(cluster) < MIN_POLE_POINTS:
-        reason = f"{len(cluster)} points, a pole needs {MIN_POLE_POINTS}"
+        reason = f"{counted(len(cluster), 'point')}, a pole needs {MIN_POLE_POINTS}"
         return [], Failure("too_few_points", reason)
     near = near_box(columns, cluster)
     parts: list[IntArray] = [cluster]

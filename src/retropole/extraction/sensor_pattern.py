@@ -13,6 +13,7 @@ from ..datatypes import Array, BoolArray, PointCloud
 from ..errors import Refusal
 from ..io.contents import guess_sensors
 from ..io.rings import MAX_RING_SPREAD, elevations, ring_spread
+from ..quantities import counted
 from ..sensors import Sensor
 
 MIN_RING_POINTS = 20
@@ -61,7 +62,7 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
     if known and len(rings) > known:
         raise Refusal(
             "wrong_sensor",
-            f"{_named(cloud)} has {len(rings)} rings, the {sensor.name} has {known}: "
+            f"{_named(cloud)} has {counted(len(rings), 'ring')}, the {sensor.name} has {known}: "
             f"{_advice(cloud)}",
             {"sensor": sensor.name, "rings": len(rings), "most": known},
         )
@@ -70,7 +71,8 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
     if not known and len(rings) > MOST_LINES:
         raise Refusal(
             "wrong_sensor",
-            f"{_named(cloud)} has {len(rings)} rings, each of one elevation, the {sensor.name} "
+            f"{_named(cloud)} has {counted(len(rings), 'ring')}, each of one elevation, the "
+            f"{sensor.name} "
             f"has none: {_advice(cloud)}",
             {"sensor": sensor.name, "rings": len(rings), "most": 0},
         )

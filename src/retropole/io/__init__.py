@@ -202,6 +202,7 @@ def read_recording(
     frames: slice | None = None,
     max_points: int | None = None,
     unit: Unit = "m",
+    progress: Callable[[str], None] = lambda step: None,
 ) -> ReadRecording:
     """Read as `read_cloud` does, and say besides what was read: the frames, and of how many.
 
@@ -209,6 +210,8 @@ def read_recording(
     ----------
     path, topic, frames, max_points, unit
         As `read_cloud` takes them.
+    progress
+        Called as each of several frames is about to be read, with which of how many it is.
 
     Raises
     ------
@@ -220,7 +223,8 @@ def read_recording(
     if unit != "m" and recording.path.suffix.lower() in PACKETS:
         raise UsageError(f"{path}: packets are decoded to metres, the unit cannot be {unit}")
     asked = chosen_frames(recording, frames)
-    numbers, read = read_within(recording, asked, sys.maxsize if max_points is None else max_points)
+    most = sys.maxsize if max_points is None else max_points
+    numbers, read = read_within(recording, asked, most, progress)
     headers = tuple(frame.header for frame in read)
     cloud = in_metres(joined(recording, read), unit)
     return ReadRecording(recording, asked, numbers, headers, cloud)

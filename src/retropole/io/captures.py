@@ -17,6 +17,7 @@ import numpy as np
 
 from ..datatypes import IntArray
 from ..errors import ReadError
+from ..quantities import counted
 
 PCAP_ORDERS = {b"\xd4\xc3\xb2\xa1": "<", b"\xa1\xb2\xc3\xd4": ">"}
 PCAP_ORDERS |= {b"\x4d\x3c\xb2\xa1": "<", b"\xa1\xb2\x3c\x4d": ">"}
@@ -73,7 +74,7 @@ class Capture:
         """Say what is lost, where `unreadable` packets are of no use as well; or nothing."""
         lost = []
         if len(self.gaps):
-            where = f"{len(self.gaps)} place{'s' if len(self.gaps) > 1 else ''}"
+            where = counted(len(self.gaps), "place")
             lost.append(
                 f"{int(self.gaps[:, 1].sum()):,} of {self.size:,} bytes at {where} (from byte "
                 f"{self.gaps[0, 0]}) hold no whole packet"

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ReadError
+from ..quantities import counted
 from .bag_files import opened
 from .fields import Columns, frame_from_columns
 from .recordings import CLOUDS, Frame, Recording, Topic
@@ -89,7 +90,7 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
 
 def _listed(topics: tuple[Topic, ...] | list[Topic], *, kinds: bool = False) -> str:
     words = [
-        f"{topic.name} ({topic.kind + ', ' if kinds else ''}{topic.count} messages)"
+        f"{topic.name} ({topic.kind + ', ' if kinds else ''}{counted(topic.count, 'message')})"
         for topic in topics[:MAX_LISTED]
     ]
     more = len(topics) - MAX_LISTED
@@ -106,7 +107,8 @@ def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
             if number == numbers[-1]:
                 return
         raise ReadError(
-            f"{path}: promises {topic.count} messages on {topic.name}, holds {number + 1}"
+            f"{path}: promises {counted(topic.count, 'message')} on {topic.name}, holds "
+            f"{number + 1}"
         )
 
 

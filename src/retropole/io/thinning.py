@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from ..datatypes import IntArray, PointCloud
+from ..quantities import step_of
 from .recordings import Frame, Recording
 
 MAX_POINTS = 1_500_000
@@ -67,7 +69,12 @@ def _evenly(number: int, count: int) -> IntArray:
     return ((k + (k * GOLDEN) % 1.0) * (number / max(count, 1))).astype(np.int64)
 
 
-def read_within(recording: Recording, numbers: range, most: int) -> tuple[range, list[Frame]]:
+def read_within(
+    recording: Recording,
+    numbers: range,
+    most: int,
+    progress: Callable[[str], None] = lambda step: None,
+) -> tuple[range, list[Frame]]:
     """Read frames with no more than `most` points together, and never hold many more.
 
     Of many frames, every second is left out as often as it takes; of few, each is thinned to its
@@ -79,6 +86,8 @@ def read_within(recording: Recording, numbers: range, most: int) -> tuple[range,
         What to read, and which of its frames.
     most
         How many points.
+    progress
+        Called as each of several frames is about to be read, with which of how many it is.
 
     Returns
     -------
@@ -96,10 +105,17 @@ def read_within(recording: Recording, numbers: range, most: int) -> tuple[range,
                 kept = [replace(frame, cloud=thinned(frame.cloud, share)) for frame in kept]
         if len(kept) == len(numbers):
             return numbers, kept
+        _tell(progress, recording, len(kept), len(numbers))
         for frame in recording.read(numbers[len(kept) :]):
             kept.append(frame)
+            _tell(progress, recording, len(kept), len(numbers))
             if _points(kept) > most:
                 break
+
+
+def _tell(progress: Callable[[str], None], recording: Recording, done: int, count: int) -> None:
+    if done < count > 1:
+        progress(step_of(f"read {recording.path.name}: frame", done + 1, count))
 
 
 def _points(frames: list[Frame]) -> int:

@@ -20,6 +20,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Match, Pole
 from ..errors import Refusal
+from ..quantities import counted
 from .distinct import distinct
 from .extension import EXTENSION_RMS, exact_part, extended, solved
 
@@ -250,7 +251,8 @@ def match_poles(
     if not any(match.exact for match in matches):
         raise Refusal(
             "no_match",
-            f"none of the {len(target)} poles of the target and {len(source)} of the source agree "
+            f"none of the {counted(len(target), 'pole')} of the target and {len(source)} of the "
+            f"source agree "
             "in angle and distance: the LiDARs do not see the same two poles, or one moved; see "
             "which poles were taken with 'retropole detect'",
             {"poles_target": len(target), "poles_source": len(source)},
@@ -260,7 +262,8 @@ def match_poles(
     if not matches:
         raise Refusal(
             "pole_count",
-            f"{agreeing} poles agree between the LiDARs where {count} were asked for; see which "
+            f"{counted(agreeing, 'pole agrees', 'poles agree')} between the LiDARs where "
+            f"{count} were asked for; see which "
             "with 'retropole detect', and cover or remove what is no pole",
             {"agreeing": agreeing, "asked": int(count or 0)},
         )

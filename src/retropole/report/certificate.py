@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from ..quantities import error, percent
+from ..quantities import counted, error, percent
 from ..result import BudgetEntryDoc, ResultDoc
 from .certainty import BUDGET_RANGE, error_parts, radius_words, scene_words
 from .markup import MISSING, plus_minus, table
@@ -81,8 +81,12 @@ def _tolerance(result: ResultDoc) -> str:
 def _poles(result: ResultDoc) -> str:
     """Say how many poles were used, and of which radius."""
     placements = len(result.inputs) // 2
-    pairs = "" if result.chosen is None else f"{len(result.chosen.pairs)} pairs of poles"
-    placed = f"{placements} placements" if placements > 1 else ""
+    pairs = (
+        ""
+        if result.chosen is None
+        else counted(len(result.chosen.pairs), "pair of poles", "pairs of poles")
+    )
+    placed = counted(placements, "placement") if placements > 1 else ""
     radius = radius_words(result)
     words = (pairs, placed, "" if radius is None else f"radius {radius} (1 σ)")
     return ", ".join(each for each in words if each)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
+from ..quantities import counted
 from .text import legible, table
 
 BAR = 40
@@ -78,7 +79,7 @@ def _intensity_lines(intensity: IntensityDoc) -> list[str]:
         return [*lines, f"threshold  {intensity.threshold_source}; tape cannot be told"]
     lines += [
         f"threshold  {intensity.threshold:.4g} would be taken ({intensity.threshold_source}): "
-        f"{intensity.retro_points:,} points",
+        f"{counted(intensity.retro_points, 'point')}",
         "",
         "  intensity from     points  (bars on a logarithmic scale)",
     ]

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..datatypes import Array, Placement, Pole, RejectedCluster, Scan
 from ..extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
+from ..quantities import counted
 from ..reasons import explain
 from ..result import ResultDoc
 from .markup import inline
@@ -72,8 +73,8 @@ def _items(lidar: str, scan: Scan, other: Scan) -> Iterator[str]:
     origin = scan.cloud.origin
     for k, pole in enumerate(scan.poles):
         yield escape(
-            f"Pole {pole_name(lidar, k)}, {_place(pole.point - origin)}: {len(pole.index)} returns "
-            f"on {pole.rings} rings."
+            f"Pole {pole_name(lidar, k)}, {_place(pole.point - origin)}: "
+            f"{counted(len(pole.index), 'return')} on {counted(pole.rings, 'ring')}."
         )
     rejected = list(enumerate(scan.detection.rejected))
     threshold = f"{scan.detection.threshold:g}"
@@ -91,7 +92,9 @@ def _items(lidar: str, scan: Scan, other: Scan) -> Iterator[str]:
         for k, cluster in little[:NAMED]:
             yield _candidate(lidar, k, cluster, scan)
         if len(rejected) > NAMED:
-            yield escape(f"{len(rejected) - NAMED} more bright clusters, listed under Poles.")
+            yield escape(
+                f"{counted(len(rejected) - NAMED, 'more bright cluster')}, listed under Poles."
+            )
         return
     near = sorted(
         (abs(_beside(pole, cluster.centre) - distance), k, n)

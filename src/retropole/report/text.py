@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
@@ -31,6 +32,9 @@ ACTIONS = 2
 
 WIDTH, LINES = 80, 40
 """Columns and lines of a screen. No path and no command is cut: they are copied."""
+
+VALUE_SPACE = re.compile(r"(?<=±) | (?=±)|(?<=\d) (?=(?:mm|cm|m|s|deg|σ|%)(?!\w))")
+"""Spaces at which no line is broken: a value stays with its error and its unit."""
 
 
 def legible(value: Any) -> Any:
@@ -64,9 +68,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def wrapped(line: str, indent: str) -> list[str]:
     """Break a line of words at the width of a screen; what follows the first is indented."""
-    return textwrap.wrap(
-        line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    kept = VALUE_SPACE.sub("\N{NO-BREAK SPACE}", line)
+    lines = textwrap.wrap(
+        kept, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
+    return [each.replace("\N{NO-BREAK SPACE}", " ") for each in lines]
 
 
 def left_out_words(document: InputDoc) -> str:
@@ -83,7 +89,8 @@ def _input_lines(name: str, document: InputDoc) -> list[str]:
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
     left_out = left_out_words(document)
     line = (
-        f"{name}  {document.path}: {counted(document.points, 'point')} ({document.dropped:,} dropped"
+        f"{name}  {document.path}: {counted(document.points, 'point')} ({document.dropped:,} "
+        f"dropped"
         f"{', ' + left_out if left_out else ''}), "
         f"sensor {document.sensor}, threshold {threshold}"
     )
@@ -332,16 +339,13 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     parts += ["", counted(len(detection.rejected), "rejected cluster")]
     if detection.rejected:
         rows = [
-            [
-                cluster.code,
-                *(f"{value:.2f}" for value in cluster.centre_m),
-                str(cluster.points),
-                cluster.reason,
-            ]
+            [cluster.code, *(f"{value:.2f}" for value in cluster.centre_m), str(cluster.points)]
             for cluster in detection.rejected
         ]
-        header = ("why", "x m", "y m", "z m", "points", "in words")
-        parts.append(table(header, rows))
+        header, *lines = table(("why", "x m", "y m", "z m", "points"), rows).split("\n")
+        parts.append(header)
+        for line, cluster in zip(lines, detection.rejected, strict=True):
+            parts += [line, *wrapped(f"    {cluster.reason}", "    ")]
     if written:
         parts.append("written: " + ", ".join(written))
     return "\n".join(parts)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..datatypes import DEFAULT_RADIUS, Array, Detection, PointCloud, Pole
 from ..errors import MissingExtraError, printable
 from ..extraction.poles import extract_poles
+from ..quantities import counted
 from ..sensors import Sensor
 from .viewer_access import guarded
 
@@ -134,7 +135,8 @@ def describe(detection: Detection) -> str:
         "",
     ]
     lines += [
-        f"- {k}: {len(p.xyz)} points, {p.rings} rings, {p.length:.2f} m long, "
+        f"- {k}: {counted(len(p.xyz), 'point')}, {counted(p.rings, 'ring')}, {p.length:.2f} m "
+        f"long, "
         f"rms {1000 * p.rms:.0f} mm"
         for k, p in enumerate(detection.poles)
     ]
@@ -305,7 +307,7 @@ def _marks(server: viser.ViserServer, root: str, detection: Detection) -> list[A
         )
         for k, pole in enumerate(detection.poles):
             top = max(lines[k], key=lambda end: float(end[2]))
-            name, text = f"{root}/pole{k}", f"pole {k}: {len(pole.xyz)} points"
+            name, text = f"{root}/pole{k}", f"pole {k}: {counted(len(pole.xyz), 'point')}"
             marks.append(server.scene.add_label(name, text, position=tuple(top)))
     if detection.rejected:
         centres = np.array([r.centre for r in detection.rejected], dtype=np.float32)

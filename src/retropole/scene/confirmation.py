@@ -19,6 +19,7 @@ from ..datatypes import Array, Hypothesis, Placement
 from ..errors import Reason, Refusal
 from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, line_pair
 from ..matching.placements import PairedPlacement
+from ..quantities import counted
 from ..uncertainty import Confirmation
 from .consistency import Standing, consistency, standing_in
 from .shifts import NEAR, best_lifts, best_shifts
@@ -183,8 +184,10 @@ def check_confirmation(found: Confirmation) -> None:
     elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
     raise Refusal(
         "scene_contradicts",
-        f"under the pose that the poles give, {found.agreeing} places off the ground agree, "
-        f"{found.contradicting} stand where the other LiDAR looked through, and {found.missing} "
+        "under the pose that the poles give, "
+        f"{counted(found.agreeing, 'place off the ground agrees', 'places off the ground agree')}, "
+        f"{counted(found.contradicting, 'stands', 'stand')} where the other LiDAR looked "
+        f"through, and {found.missing} "
         f"more should agree ({found.denied:.0%} deny it; {DENIED:.0%} are allowed){elsewhere}: did "
         "a pole move between the recordings, or are they of two placements?",
         {
@@ -205,7 +208,8 @@ def unconfirmed(found: Confirmation) -> Iterator[Reason]:
         return
     yield Reason(
         "not_confirmed",
-        f"{found.agreeing} places off the ground agree with this pose, {found.denying} deny it, "
+        f"{counted(found.agreeing, 'place off the ground agrees', 'places off the ground agree')} "
+        f"with this pose, {counted(found.denying, 'denies', 'deny')} it, "
         f"and it leads others by {found.lead:.1f} σ: the answer is wrong with a probability of "
         f"{100 * wrong:.1f} % ({100 * MAX_WRONG:.0f} % are allowed), where "
         "poles may have been moved. Two poles cannot vouch for themselves: add a third pole or a "

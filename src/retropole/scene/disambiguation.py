@@ -20,6 +20,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Hypothesis, Match, PointCloud
 from ..errors import Refusal
+from ..quantities import counted
 from .registration import MIN_CLOUD_POINTS, Surface, as_surface, register
 from .visibility import OVERLAP_DISTANCE, compare_views, view_of
 
@@ -68,7 +69,8 @@ def score_hypotheses(
         if view.size < MIN_CLOUD_POINTS:
             raise Refusal(
                 "too_few_points",
-                f"the {name} cloud downsampled to {SCORING_VOXEL:g} m has {view.size} points, "
+                f"the {name} cloud downsampled to {SCORING_VOXEL:g} m has "
+                f"{counted(view.size, 'point')}, "
                 f"{MIN_CLOUD_POINTS} are needed to tell the hypotheses apart; record a scene with "
                 "more in it",
                 {"lidar": name, "points": view.size, "needed": MIN_CLOUD_POINTS},

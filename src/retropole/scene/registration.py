@@ -15,6 +15,7 @@ import small_gicp
 
 from ..datatypes import Array
 from ..errors import Refusal
+from ..quantities import counted
 from .ordering import order_of
 
 CORES = min(4, os.cpu_count() or 1)
@@ -108,7 +109,8 @@ def prepare(xyz: Array, voxel: float, *, threads: int = 1) -> Surface:
     if len(points) < MIN_CLOUD_POINTS:
         raise Refusal(
             "too_few_points",
-            f"{len(points)} points are left of a cloud downsampled to {voxel:g} m, "
+            f"{counted(len(points), 'point is', 'points are')} left of a cloud downsampled to "
+            f"{voxel:g} m, "
             f"{MIN_CLOUD_POINTS} are needed; record a scene with more in it",
             {"points": len(points), "needed": MIN_CLOUD_POINTS},
         )

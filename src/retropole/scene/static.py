@@ -170,7 +170,8 @@ def check_static(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:
         if distance > MAX_DRIFT and distance > DRIFT_SIGMAS * sigma:
             raise Refusal(
                 "moving_pole",
-                f"pole {k} of the {name} strays by {100 * distance:.1f} cm between frames, "
+                f"pole {name[0].upper()}{k} of the {name} strays by {100 * distance:.1f} cm "
+                f"between frames, "
                 f"{distance / sigma:.0f} times its noise: hold the poles still, or record again",
                 {"lidar": name, "pole": k, "drift_m": distance, "sigma_m": sigma},
             )

@@ -19,7 +19,7 @@ def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
 
     What was moved in between looks the same as another pose.
     """
-    for k, placement in enumerate(placements):
+    for k, placement in enumerate(placements, 1):
         target, source = (
             time_of_recording(scan.cloud) for scan in (placement.target, placement.source)
         )

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from .. import se3
-from ..quantities import error
+from ..quantities import counted, error
 from ..se3 import Array
 
 MAD_TO_SIGMA = 1.4826
@@ -198,7 +198,8 @@ class Confirmation:
     @property
     def words(self) -> str:
         """The figures for a person: ``412 places agree, 3 deny it (0.7 %); wrong with …``."""
-        said = f"{self.agreeing} places agree, {self.denying} deny it"
+        said = counted(self.agreeing, "place agrees", "places agree")
+        said += f", {counted(self.denying, 'denies', 'deny')} it"
         if self.total:
             said += f" ({100 * self.denied:.1f} %)"
         if self.better_at is not None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from ...files import write_atomically
+from ...quantities import step_of
 from ...report.figures import new_figure, save_figure
 from .beams import two_matlab
 from .choosing import choosing
@@ -44,7 +45,7 @@ def reproduce(
     data
         Folder of the real recordings; None leaves these out.
     progress
-        Called with the name of each experiment as it starts.
+        Called with the name of each experiment as it starts, and which of how many it is.
     """
     few = max(seeds // SEEDS_PER_SLOW_SCENE, 1)
     runs: list[tuple[str, Callable[[], Iterable[Exhibit]]]] = [
@@ -64,8 +65,8 @@ def reproduce(
     if data is not None:
         runs.append(("Table IV, recorded", lambda: [comparing_real(data)]))
     made: list[Exhibit] = []
-    for name, run in runs:
-        progress(name)
+    for k, (name, run) in enumerate(runs, 1):
+        progress(step_of(name, k, len(runs)))
         made += run()
     return made
 

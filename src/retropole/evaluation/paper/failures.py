@@ -13,6 +13,7 @@ from ...datatypes import Array, PointCloud, Pole
 from ...errors import Refusal
 from ...extraction.clustering import clusters
 from ...pipeline import calibrate
+from ...quantities import counted
 from ...report.figures import GREEN, GREY, RED
 from ...scene.disambiguation import SCORING_VOXEL
 from ...scene.registration import as_surface, voxel_downsample
@@ -86,7 +87,11 @@ def paper_poles(cloud: PointCloud, threshold: float) -> list[Pole]:
         if length >= POLE_LENGTH and rms <= POLE_RMS:
             poles.append(Pole(centre, n, xyz, length, rms, 0, index))
     if len(poles) < 2:
-        raise Refusal("too_few_poles", f"{len(poles)} poles were found", {"poles": len(poles)})
+        raise Refusal(
+            "too_few_poles",
+            counted(len(poles), "pole was found", "poles were found"),
+            {"poles": len(poles)},
+        )
     return sorted(poles, key=lambda pole: -len(pole.xyz))[:2]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...datatypes import Array, PointCloud, PoseEstimate
 from ...errors import MissingExtraError, Refusal
+from ...quantities import counted
 from ...scene.registration import MIN_CLOUD_POINTS, voxel_downsample
 from .registration import register_clouds
 
@@ -129,7 +130,8 @@ def _featured(open3d: Any, cloud: PointCloud, voxel: float) -> tuple[Any, Any]:
     if len(points) < MIN_CLOUD_POINTS:
         raise Refusal(
             "too_few_points",
-            f"{len(points)} points are left of a cloud downsampled to {voxel:g} m, "
+            f"{counted(len(points), 'point is', 'points are')} left of a cloud downsampled to "
+            f"{voxel:g} m, "
             f"{MIN_CLOUD_POINTS} are needed; record a scene with more in it",
             {"points": len(points), "needed": MIN_CLOUD_POINTS},
         )

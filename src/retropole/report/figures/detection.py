@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...datatypes import Array, Detection, IntArray, PointCloud
+from ...quantities import counted
 from .canvas import BLUE, GREY, ORANGE, RED, new_figure, save_figure, subsample
 
 if TYPE_CHECKING:
@@ -172,13 +173,13 @@ def _draw_zooms(panel: SubFigure, cloud: PointCloud, detection: Detection) -> No
     grid = panel.subplots(1, count, squeeze=False)[0]
     drawn = []
     for axes, (k, pole) in zip(grid, enumerate(poles), strict=False):
-        words = f"pole {k}: {pole.length:.2f} m, {len(pole.xyz)} points\n"
-        words += f"{pole.rings} rings, rms {1000 * pole.rms:.0f} mm"
+        words = f"pole {k}: {pole.length:.2f} m, {counted(len(pole.xyz), 'point')}\n"
+        words += f"{counted(pole.rings, 'ring')}, rms {1000 * pole.rms:.0f} mm"
         size = max(1.1 * pole.length, 0.6)
         drawn.append(_draw_zoom(axes, cloud, detection, pole.index, size, BLUE, words))
     for axes, cluster in zip(grid[len(poles) :], rejected, strict=True):
         size = float(np.clip(np.ptp(cloud.xyz[cluster.index], axis=0).max(), 0.6, 6.0))
-        words = f"{cluster.code}, {len(cluster.index)} points:\n"
+        words = f"{cluster.code}, {counted(len(cluster.index), 'point')}:\n"
         words += textwrap.shorten(cluster.reason, 34, placeholder=" …")
         drawn.append(_draw_zoom(axes, cloud, detection, cluster.index, size, RED, words))
     panel.colorbar(drawn[-1], ax=list(grid), label="intensity", shrink=0.7)
