@@ -6,7 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole.quantities import Unit, at_most, duration, error, percent, value, value_and_error
+from retropole.quantities import (
+    Unit,
+    at_most,
+    counted,
+    duration,
+    error,
+    percent,
+    value,
+    value_and_error,
+)
 
 SCALES = {" mm": 1e-3, " m": 1.0, "°": 3.141592653589793 / 180, " ‰": 1e-3, " %": 1e-2}
 sigmas = st.floats(1e-7, 1e3)
@@ -98,3 +107,10 @@ def test_bounds_in_words() -> None:
     assert at_most(0.0201) == "21 mm"
     assert at_most(0.02) == "20 mm"
     assert at_most(0.244) == "0.25 m"
+
+
+@given(st.integers(0, 10**9))
+def test_counts_are_good_english(number: int) -> None:
+    plain, other = counted(number, "pole"), counted(number, "place agrees", "places agree")
+    assert plain.endswith(" pole") is other.endswith(" place agrees") is (number == 1)
+    assert int(plain.split()[0].replace(",", "")) == number

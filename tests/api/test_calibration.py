@@ -132,7 +132,7 @@ def test_several_placements_give_one_answer() -> None:
     result = rp.calibrate(targets, sources, refine=False)
     assert len(result.document.inputs) == 4
     assert len(result.document.placements) == 2
-    with pytest.raises(rp.UsageError, match="2 targets and 1 sources"):
+    with pytest.raises(rp.UsageError, match="2 targets and 1 source are"):
         rp.calibrate(targets, [tables().source])
     with pytest.raises(rp.UsageError, match="0 targets"):
         rp.calibrate([], [])

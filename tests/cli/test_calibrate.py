@@ -26,7 +26,7 @@ def test_two_files_in_one_extrinsic_out(scene: Path, truth: Array, tmp_path: Pat
         "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path / "r"
     )
     assert done.returncode == 0, done.stderr
-    for word in ("T_target_source", "hypothesis", "margin", "pole", "verdict: "):
+    for word in ("T_target_source", "predicted error", "pole", "verdict: "):
         assert word in done.stdout
     assert_close(transform_of(tmp_path / "r"), truth)
     assert (tmp_path / "r" / "report.html").stat().st_size > 1000
@@ -206,7 +206,7 @@ def test_ambiguous_is_no_dead_end(tmp_path: Path) -> None:
 def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
     done = retropole("calibrate", bag, bag, cwd=tmp_path)
     assert done.returncode == 2
-    assert "/front (1 messages), /rear (1 messages)" in done.stderr
+    assert "/front (1 message), /rear (1 message)" in done.stderr
     same = "--target-topic", "/front", "--source-topic", "/front"
     assert list(tmp_path.iterdir()) == []
     done = retropole("calibrate", bag, bag, *same, cwd=tmp_path)

@@ -82,7 +82,7 @@ def test_help_has_worked_examples(command: str) -> None:
 
 def test_every_command_is_a_module_of_its_name() -> None:
     modules = {path.stem for path in (PACKAGE / "cli").glob("*.py")}
-    assert set(COMMANDS) == modules - {"__init__", "common", "older"} == set(cli.commands)
+    assert set(COMMANDS) == modules - {"__init__", "common", "errors", "older"} == set(cli.commands)
     for name, command in cli.commands.items():
         assert isinstance(command, click.Command)
         assert command.name == name
@@ -97,7 +97,10 @@ def test_a_command_is_loaded_on_its_own() -> None:
         "print([m for m in sys.modules if m.startswith('retropole.cli.')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "['retropole.cli.common', 'retropole.cli.info']"
+    assert (
+        done.stdout.splitlines()[-1]
+        == "['retropole.cli.common', 'retropole.cli.errors', 'retropole.cli.info']"
+    )
 
 
 def test_version_is_that_of_the_package() -> None:

@@ -37,6 +37,7 @@ def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) 
     columns = ("overlap", "RQE", "agree", "deny", "e_rt m", "time s", "yaw °")
     for word in ("poles+scene", "planes", "gicp", *columns):
         assert word in done.stdout
+    assert all(len(line) <= 80 for line in done.stdout.splitlines())
     for method in RIVALS:
         words = f"{method}: not installed: pip install 'retropole[{missing_extra(method)}]'"
         assert (words in done.stderr) == (missing_extra(method) is not None)

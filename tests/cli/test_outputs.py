@@ -36,22 +36,23 @@ def shell(command: str, folder: Path, **env: str) -> subprocess.CompletedProcess
         "retropole export truth.json --from json --to matrix > /dev/full",
     ],
 )
-def test_an_output_that_takes_nothing_is_one_line(command: str, scene: Path) -> None:
+def test_an_output_that_takes_nothing_is_one_line_and_what_to_do(command: str, scene: Path) -> None:
     if "/dev/full" in command and not Path("/dev/full").exists():
         pytest.skip("this system has no full device")
     before = {path.name: path.read_bytes() for path in scene.iterdir()}
     done = shell(command, scene)
     assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith(b"retropole: ")
-    assert done.stderr.count(b"\n") == 1
+    assert done.stderr.startswith(b"retropole: error: ")
+    assert done.stderr.splitlines()[1].startswith(b"what to do: ")
+    assert done.stderr.count(b"\n") == 2
     assert {path.name: path.read_bytes() for path in scene.iterdir()} == before
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
-def test_a_folder_that_is_read_only_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_that_is_read_only_is_one_line_and_what_to_do(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     done = shell("retropole simulate bare --out out", tmp_path)
-    assert (done.returncode, done.stderr.count(b"\n")) == (2, 1)
+    assert (done.returncode, done.stderr.count(b"\n")) == (2, 2)
 
 
 @pytest.mark.parametrize("command", ["info lidar0.pcd", "info lidar0.pcd --json"])
@@ -84,5 +85,5 @@ def test_the_plainest_locale_can_show_an_error(tmp_path: Path) -> None:
     env = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     done = shell("retropole info 'é '$'\\xff\\n''.pcd'", tmp_path, **env)
     assert done.returncode == 2
-    assert done.stderr.count(b"\n") == 1
+    assert done.stderr.count(b"\n") == 2
     assert all(32 <= byte < 127 or byte == 10 for byte in done.stderr)

@@ -52,7 +52,7 @@ def test_of_several_placements_the_one_is_named() -> None:
     good, bad = recorded_at(NOON, NOON + 1), recorded_at(NOON + HOUR, NOON + HOUR + 1)
     pairs = [Placement(Scan(good), Scan(good)), Placement(Scan(good), Scan(bad))]
     (reason,) = other_times(pairs)
-    assert reason.values["placement"] == 1
+    assert reason.values["placement"] == 2
     assert "of placement 1" in reason.message
 
 

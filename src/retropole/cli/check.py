@@ -11,7 +11,7 @@ from msgspec import to_builtins
 
 from ..io.units import Unit
 from ..monitoring.tolerance import DEFAULT_TOLERANCE
-from ..result import DEFAULT_CONFIG, confirmation_document
+from ..result import DEFAULT_CONFIG, ReasonDoc, confirmation_document
 from .common import (
     CLOUD,
     CONTEXT,
@@ -307,8 +307,8 @@ def in_words(answer: CheckResult) -> str:
     from ..errors import printable
     from ..monitoring.movement import FALSE_ALARM
     from ..quantities import value_and_error
-    from ..report.text import reason_lines, wrapped
-    from ..result import ReasonDoc
+    from ..report.layout import wrapped
+    from ..report.text import reason_lines
 
     lines = [f"verdict: {answer.status.replace('_', ' ')}"]
     rotation, translation = answer.rotation, answer.translation
@@ -322,14 +322,12 @@ def in_words(answer: CheckResult) -> str:
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
             f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; as much where nothing moved: "
             f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
-            "  a movement of the tolerance is found with a probability of "
-            f"{answer.power:.0%} at least",
+            f"  a movement of the tolerance is found with a probability of at least {answer.power:.0%}",
             f"  found by {how}",
         ]
     if answer.confirmation is not None:
-        lines.append(
-            f"  what stands in the scene, under the stored pose: {answer.confirmation.words}"
-        )
+        words = answer.confirmation.words
+        lines.append(f"  what stands in the scene, under the stored pose: {words}")
     lines = [part for line in lines for part in wrapped(line, "    ")]
     for reason in answer.reasons:
         lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))

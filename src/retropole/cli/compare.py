@@ -172,7 +172,8 @@ def compare(
     else:
         show(in_words(found))
     for each in found:
-        if each.status == "refused":
+        # Who sees stdout has read it there.
+        if each.status == "refused" and (as_json or not sys.stdout.isatty()):
             say(f"retropole: {each.method}: refused ({each.codes[0]}): {each.message}")
         elif each.status == "missing":
             say(f"retropole: {each.method}: not installed: {each.message}")
@@ -228,7 +229,7 @@ def in_words(found: Sequence[Compared]) -> str:
     """Write the findings as tables no wider than a screen, and why a method does not answer."""
     import numpy as np
 
-    from ..report.text import table, wrapped
+    from ..report.layout import table, wrapped
 
     verdicts, poses, errors = [], [], []
     for each in found:
@@ -253,11 +254,11 @@ def in_words(found: Sequence[Compared]) -> str:
     if poses:
         parts += ["", "T_target_source (source points into the target frame)"]
         parts.append(table(("method", "x m", "y m", "z m", "roll °", "pitch °", "yaw °"), poses))
-    warnings: dict[str, list[str]] = {}
+    said: dict[str, list[str]] = {}
     for each in found:
-        if each.status == "warn":
-            words = f"warning ({', '.join(each.codes)}): {each.message}"
-            warnings.setdefault(words, []).append(each.method)
-    for words, names in warnings.items():
+        if each.status in ("warn", "refused"):
+            words = f"{each.status} ({', '.join(each.codes)}): {each.message}"
+            said.setdefault(words, []).append(each.method)
+    for words, names in said.items():
         parts += ["", *wrapped(f"{' and '.join(names)}: {words}", "  ")]
     return "\n".join(parts)

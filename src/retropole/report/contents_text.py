@@ -6,7 +6,7 @@ import numpy as np
 
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
 from ..quantities import counted
-from .text import legible, table
+from .layout import legible, table
 
 BAR = 40
 """Characters of the longest bar of a histogram."""

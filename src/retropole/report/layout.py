@@ -1,0 +1,57 @@
+"""Text on a screen: tables, lines that are broken at its width, nothing that steers a terminal."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from itertools import zip_longest
+from typing import Any
+
+import msgspec
+
+from ..errors import printable
+
+WIDTH, LINES = 80, 40
+"""Columns and lines of a screen. No path and no command is cut: they are copied."""
+
+VALUE_SPACE = re.compile(r"(?<=±) | (?=±)|(?<=\d) (?=(?:mm|cm|m|s|deg|σ|%)(?!\w))")
+"""Spaces at which no line is broken: a value stays with its error and its unit."""
+
+
+def legible(value: Any) -> Any:
+    """Write every text of a document so that it steers no terminal and stays on its line."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, msgspec.Struct):
+        fields = {name: legible(getattr(value, name)) for name in value.__struct_fields__}
+        return msgspec.structs.replace(value, **fields)
+    if isinstance(value, dict):
+        return {legible(key): legible(each) for key, each in value.items()}
+    return type(value)(map(legible, value)) if isinstance(value, list | tuple) else value
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lay out rows under a header, each column as wide as it needs, numbers to the right.
+
+    A name of the header may have several lines.
+    """
+    heads = list(zip_longest(*(name.split("\n") for name in header), fillvalue=""))
+    widths = [max(len(row[k]) for row in [*heads, *rows]) for k in range(len(header))]
+    lines = []
+    for row in [*heads, *rows]:
+        cells = [
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  " + "  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def wrapped(line: str, indent: str) -> list[str]:
+    """Break a line of words at the width of a screen; what follows the first is indented."""
+    kept = VALUE_SPACE.sub("\N{NO-BREAK SPACE}", line)
+    lines = textwrap.wrap(
+        kept, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+    return [each.replace("\N{NO-BREAK SPACE}", " ") for each in lines]
