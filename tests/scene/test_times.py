@@ -53,7 +53,7 @@ def test_of_several_placements_the_one_is_named() -> None:
     pairs = [Placement(Scan(good), Scan(good)), Placement(Scan(good), Scan(bad))]
     (reason,) = other_times(pairs)
     assert reason.values["placement"] == 2
-    assert "of placement 1" in reason.message
+    assert "of placement 2" in reason.message
 
 
 def test_points_times_go_before_those_of_the_recorder() -> None:

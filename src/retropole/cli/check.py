@@ -322,7 +322,7 @@ def in_words(answer: CheckResult) -> str:
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
             f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; as much where nothing moved: "
             f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
-            f"  a movement of the tolerance is found with a probability of at least {answer.power:.0%}",
+            f"  a movement of the tolerance is found with probability {answer.power:.0%} at least",
             f"  found by {how}",
         ]
     if answer.confirmation is not None:
