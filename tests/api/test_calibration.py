@@ -136,7 +136,7 @@ def test_several_placements_give_one_answer() -> None:
         rp.calibrate(targets, [tables().source])
     with pytest.raises(rp.UsageError, match="0 targets"):
         rp.calibrate([], [])
-    with pytest.raises(rp.UsageError, match=r"source of placement 1: .*\(5, 2\)"):
+    with pytest.raises(rp.UsageError, match=r"source of placement 2: .*\(5, 2\)"):
         rp.calibrate(targets, [tables().source, np.ones((5, 2))])
 
 

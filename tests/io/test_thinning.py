@@ -159,3 +159,14 @@ def test_a_file_is_thinned(folder: Written) -> None:
     read = read_cloud(path, max_points=2000)
     assert (len(read), read.thinned) == (2000, 3000)
     assert len(read_cloud(path)) == 5000
+
+
+def test_each_of_several_frames_is_named_as_it_is_read(tmp_path: Path) -> None:
+    for k in range(3):
+        np.savetxt(tmp_path / f"frame{k}.xyz", np.ones((4, 4)) + k)
+    steps: list[str] = []
+    read_recording(tmp_path, progress=steps.append)
+    assert [step.partition("frame, ")[2] for step in steps] == ["1 of 3", "2 of 3", "3 of 3"]
+    steps.clear()
+    read_recording(tmp_path / "frame0.xyz", progress=steps.append)
+    assert steps == [], "one frame is no share of anything"
