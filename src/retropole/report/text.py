@@ -20,6 +20,7 @@ from ..result import (
     ResultDoc,
 )
 from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words, scene_words
+from .hypotheses_text import describe_standing
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .names import LIDARS, hypothesis_name, pair_name, pole_name
 
@@ -150,6 +151,8 @@ def describe_result(
     scene = scene_words(result)
     if scene is not None:
         body += wrapped(f"  what stands in the scene: {scene}", "    ")
+    told = describe_standing(result)
+    standing = [part for line in told for part in wrapped(line, "      ")]
     tail = ["", "written: " + ", ".join(written)]
     if result.T_target_source is not None:
         tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
@@ -158,11 +161,11 @@ def describe_result(
         found = [*_found_lines(result), *_verbose_lines(result)]
     else:
         found = _found_counts(result)
-        room = LINES - len(head) - len(body) - len(tail)
+        room = LINES - len(head) - len(standing) - len(body) - len(tail)
         reasons = _reasons_within(result, room - len(found))
         every = _found_lines(result)
         found = every if len(every) + len(reasons) <= room else found
-    return "\n".join([*head, *reasons, *body, *found, *tail])
+    return "\n".join([*head, *reasons, *standing, *body, *found, *tail])
 
 
 def _reason_whole(result: ResultDoc, reason: ReasonDoc, actions: int = ACTIONS) -> list[str]:
@@ -220,7 +223,7 @@ def _verbose_lines(result: ResultDoc) -> list[str]:
         rows = [_hypothesis_row(k, h) for k, h in enumerate(result.hypotheses)]
         lines += ["", *table(_HYPOTHESIS_HEADER, rows).split("\n")]
         if result.margin is not None:
-            lines.append(f"  margin of the first over the next: {result.margin:.3f}")
+            lines.append(f"  margin over the next: {result.margin:.3f}")
     lines.append("")
     for k, document in enumerate(result.inputs):
         several = f" {k // 2 + 1}" if len(result.inputs) > 2 else ""
