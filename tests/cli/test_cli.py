@@ -113,8 +113,9 @@ def test_version_is_that_of_the_package() -> None:
 def test_a_refusal_says_why_what_to_do_and_where_to_read_on(
     command: str, clouds: tuple[PointCloud, PointCloud], tmp_path: Path
 ) -> None:
-    write_pcd(tmp_path / "a.pcd", PointCloud(clouds[0].xyz))
-    files = [tmp_path / "a.pcd"] * (2 if command == "calibrate" else 1)
+    files = [tmp_path / "a.pcd", tmp_path / "b.pcd"][: 2 if command == "calibrate" else 1]
+    for path, cloud in zip(files, clouds, strict=False):
+        write_pcd(path, PointCloud(cloud.xyz))
     done = retropole_here(command, *files, "--out", tmp_path / "r", "-q")
     assert done.returncode == 3
     assert done.stdout == ""

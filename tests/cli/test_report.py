@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from retropole.io import read_cloud
+from retropole.io import read_cloud, write_pcd
 from tests.cli.commands import retropole
 
 
@@ -92,8 +94,13 @@ def test_wrong_numbers_of_clouds_and_wrong_files(own: Path) -> None:
 
 
 def test_refused_and_several_placements(own: Path) -> None:
-    pair = ("--placement", "lidar0.pcd", "lidar1.pcd")
-    done = retropole("calibrate", *pair, *pair, "--no-refine", "--out", "two", cwd=own)
+    rng = np.random.default_rng(0)
+    for k in (0, 1):
+        cloud = read_cloud(own / f"lidar{k}.pcd")
+        again = replace(cloud, xyz=cloud.xyz + rng.normal(0.0, 1e-3, cloud.xyz.shape))
+        write_pcd(own / f"again{k}.pcd", again)
+    pairs = [("--placement", f"{name}0.pcd", f"{name}1.pcd") for name in ("lidar", "again")]
+    done = retropole("calibrate", *pairs[0], *pairs[1], "--no-refine", "--out", "two", cwd=own)
     assert done.returncode == 0, done.stderr
     before = (own / "two" / "report.html").read_text()
     done = retropole("report", "two/result.json", cwd=own)
