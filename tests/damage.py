@@ -276,7 +276,7 @@ def hold_reader(path: Path) -> str:
 
 
 def hold_command(path: Path, dice: random.Random) -> str:
-    """Give a file to a command: it answers, refuses, or says what is wrong in one line."""
+    """Give a file to a command: it answers, refuses, or says what is wrong and what to do."""
     words = ["info", str(path), *dice.choice(([], ["--json"]))]
     code, _ = ran(words)
     return f"info: exit {code}"
@@ -289,7 +289,12 @@ def ran(words: list[str]) -> tuple[int, str]:
         code = run(words)
     assert code in (0, 2, 3), f"{words[0]} ended with {code}"
     if code == 2:
-        assert err.getvalue().count("\n") == 1, err.getvalue()
+        lines = err.getvalue().splitlines()
+        errors = [line for line in lines if line.startswith("retropole: error: ")]
+        known = ("retropole: ", "what to do: ", " ")
+        assert len(errors) == 1, err.getvalue()
+        assert len(lines) <= 4, err.getvalue()
+        assert all(line.startswith(known) for line in lines), err.getvalue()
     out.seek(0)
     return code, out.read()
 

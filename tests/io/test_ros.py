@@ -210,7 +210,7 @@ def test_a_topic_is_chosen_or_asked_for(tmp_path: Path, kind: str) -> None:
     )
     assert_same(read_cloud(path, topic="/rear"), rear)
     assert open_recording(path, topic="/front").count == 2
-    with pytest.raises(ReadError, match=r"2 topics .* /front \(2 messages\), /rear \(1 messages\)"):
+    with pytest.raises(ReadError, match=r"2 topics .* /front \(2 messages\), /rear \(1 message\)"):
         read_cloud(path)
     with pytest.raises(ReadError, match=r"no topic /absent; .* /front"):
         read_cloud(path, topic="/absent")
