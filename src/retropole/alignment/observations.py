@@ -32,9 +32,9 @@ NEAREST_PASSED = 0.7
 
 MOST_RETURNS = 1000
 """Of one pole, no more are worked on: their noise then leaves 1 mm of its axis open, less than the
-errors that all of them share. Of streets recorded with 10 and
-30 sweeps (seeds 501 to 504), the poses are as near the truth as with all returns, and the model,
-which knows no smaller errors, is not held to what it cannot explain."""
+errors that all of them share. Of streets recorded with 10 and 30 sweeps (seeds 501 to 504), the
+poses are as near the truth as with all returns, and the model, which knows no smaller errors, is
+not held to what it cannot explain."""
 
 FEW_RETURNS = 300
 """Where a cloud was thinned, so many returns of a pole stay all the same: those of one sweep."""

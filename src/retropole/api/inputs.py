@@ -203,7 +203,7 @@ def read_placements(
                 topic=config.source_topic,
                 frames=frames,
                 max_points=config.max_points,
-                unit=config.unit_source or config.unit,
+                unit=config.source_unit,
                 role=f"source{which}",
                 progress=progress,
             ),

@@ -154,7 +154,7 @@ def check(
                 config.sensor_source,
                 config.threshold_source,
                 topic=_topic(source, source_topic, config.source_topic),
-                unit=unit_source or unit or config.unit_source or config.unit,
+                unit=unit_source or unit or config.source_unit,
                 quiet=quiet,
                 progress=progress,
             )

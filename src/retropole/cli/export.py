@@ -150,7 +150,7 @@ def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) ->
         raise UsageError(f"{file} names no clouds; give TARGET and SOURCE")
     frames = []
     topics = config.target_topic, config.source_topic
-    units = config.unit, config.unit_source or config.unit
+    units = config.unit, config.source_unit
     kept, most = None if config.frames is None else slice(*config.frames), config.max_points
     for path, topic, unit in zip(paths[:2], topics, units, strict=True):
         read = read_recording(path, topic=topic, frames=kept, max_points=most, unit=unit)

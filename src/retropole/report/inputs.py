@@ -76,7 +76,7 @@ def placements_of(
     progress("read")
     notes = differing(result, paths)
     target = [_read(path, config.target_topic, config.unit, config) for path in paths[::2]]
-    of_source = config.source_topic, config.unit_source or config.unit
+    of_source = config.source_topic, config.source_unit
     source = [_read(path, *of_source, config) for path in paths[1::2]]
     progress("extract")
     placements = [

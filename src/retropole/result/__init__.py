@@ -136,6 +136,11 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     unit: Unit = "m"
     unit_source: Unit | None = None
 
+    @property
+    def source_unit(self) -> Unit:
+        """Unit of the source: its own, or else that of the target."""
+        return self.unit_source or self.unit
+
 
 DEFAULT_CONFIG = RunConfig()
 
