@@ -17,7 +17,7 @@ LAYERS = (
     # The steps: a match is solved by alignment, and the scene scores matches.
     *("io", "extraction", "alignment", "matching", "scene"),
     # The method and its answer.
-    *("verdict", "fitness", "pipeline", "result"),
+    *("verdict", "fitness", "pipeline", "site", "result"),
     # Around the method, and what people touch.
     *("simulation", "export", "report", "evaluation", "monitoring", "api", "cli", "__main__"),
 )

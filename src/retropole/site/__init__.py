@@ -1,0 +1,1 @@
+"""Many LiDARs in one frame: one adjustment of all of them, their placements and shared poles."""

@@ -1,0 +1,378 @@
+"""What a site is, and what its calibration answers: frozen data classes over arrays.
+
+A LiDAR stands still at its place in all placements of the poles. A pole stands still in one
+placement, for all LiDARs. Everything is in metres and radians; poses map a LiDAR's points into the
+frame of the site.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from ..datatypes import DEFAULT_RADIUS, Array, PointCloud, Scan
+from ..errors import Reason
+from ..sensors import Sensor
+from ..uncertainty import BudgetEntry
+from ..uncertainty.purpose import Fitness, Need
+
+
+@dataclass(frozen=True, eq=False)
+class Up:
+    """Which way is up, as an inertial sensor fixed to a LiDAR says.
+
+    Attributes
+    ----------
+    direction
+        (3,) unit vector in the LiDAR's frame.
+    sigma
+        1 σ of it about each level axis, rad.
+    """
+
+    direction: Array
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class SiteLidar:
+    """One LiDAR of a site and what it recorded.
+
+    Attributes
+    ----------
+    name
+        Its name, which is also that of its frame.
+    clouds
+        One for each placement of the poles; None where it recorded none.
+    sensor, threshold
+        What it is, and the intensity from which a return counts as retro-reflective; None where not
+        known.
+    serial
+        Serial number; empty where not given.
+    up
+        Which way is up in its frame; None where nothing measured it.
+    """
+
+    name: str
+    clouds: tuple[PointCloud | None, ...]
+    sensor: Sensor | None = None
+    threshold: float | None = None
+    serial: str = ""
+    up: Up | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyedPole:
+    """A taped pole of which points on the axis were surveyed.
+
+    Attributes
+    ----------
+    name, placement
+        What it is called, and the index of the placement that it stands in.
+    foot, top
+        (3,) its lower and upper end on the axis, in the frame of the site; None where not surveyed.
+    sigma
+        1 σ of each coordinate, metres.
+    """
+
+    name: str
+    placement: int
+    foot: Array | None
+    top: Array | None
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Where a LiDAR sees a control point: index of the LiDAR, (3,) in its frame, 1 σ, metres."""
+
+    lidar: int
+    at: Array
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPoint:
+    """A surveyed point that LiDARs see as a target: (3,) in the frame of the site, 1 σ, metres."""
+
+    name: str
+    at: Array
+    sigma: float
+    seen: tuple[Sighting, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The frame that a site is given in.
+
+    Attributes
+    ----------
+    name
+        For a person: ``LiDAR mast-a``, ``EPSG:25832``, ``ENU at 52.1, 4.2``.
+    surveyed
+        Whether surveyed coordinates fix it; otherwise the reference LiDAR does.
+    offset
+        (3,) coordinates of the origin that computations count from, metres: what is surveyed lies
+        near it. A point of the site in the frame's own coordinates is its place plus this.
+    epsg
+        Code of a projected frame, or None.
+    geodetic
+        (3,) latitude, longitude, rad, and ellipsoidal height, metres, of the origin of a local
+        east-north-up frame; None where not known.
+    """
+
+    name: str
+    surveyed: bool = False
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+    epsg: int | None = None
+    geodetic: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """All that a site's calibration starts from.
+
+    Attributes
+    ----------
+    name
+        What the site is called.
+    lidars
+        At least two.
+    placements
+        Names of the placements of the poles; each LiDAR has one cloud, or None, for each.
+    radius, radius_sigma
+        Of the poles, and its 1 σ, metres.
+    reference
+        Index of the LiDAR whose frame is the site's where nothing is surveyed.
+    frame
+        The frame of all coordinates that are given.
+    poles, points
+        What was surveyed, in that frame, less `Frame.offset`.
+    need
+        How accurate every pose must be; None only asks for usable.
+    """
+
+    name: str
+    lidars: tuple[SiteLidar, ...]
+    placements: tuple[str, ...]
+    radius: float = DEFAULT_RADIUS
+    radius_sigma: float = 0.0
+    reference: int = 0
+    frame: Frame = field(default_factory=lambda: Frame("reference LiDAR"))
+    poles: tuple[SurveyedPole, ...] = ()
+    points: tuple[ControlPoint, ...] = ()
+    need: Need | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LidarPose:
+    """Where one LiDAR of the site is.
+
+    Attributes
+    ----------
+    lidar
+        Its index in `Site.lidars`.
+    T_site_lidar
+        (4, 4) maps its points into the frame of the site (less `Frame.offset`).
+    covariance
+        (6, 6) over ``[φ, δ]``, rad and m, axes of the site: ``R_true = Exp(φ) R``, ``t_true = t +
+        δ``; zero for the LiDAR whose frame is the site's.
+    budget
+        Every source of error of this pose, the largest first; whose it is stands in its name.
+    predicted_error
+        (range, 1 σ error of a point at that range), metres.
+    fitness
+        Whether it is as accurate as was asked for.
+    """
+
+    lidar: int
+    T_site_lidar: Array
+    covariance: Array
+    budget: tuple[BudgetEntry, ...]
+    predicted_error: tuple[tuple[float, float], ...]
+    fitness: Fitness | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SitePole:
+    """A pole of one placement, as all LiDARs that saw it have it together.
+
+    Attributes
+    ----------
+    name
+        ``pole 2 of placement 1``, or its surveyed name.
+    placement
+        Index of the placement.
+    point, direction
+        (3,) a point on its axis and the unit direction, in the frame of the site.
+    length
+        Of its taped part as far as it was seen, metres; `point` is the middle of it.
+    seen_by
+        Indices of the LiDARs.
+    surveyed
+        Index in `Site.poles`; None where it was not surveyed.
+    """
+
+    name: str
+    placement: int
+    point: Array
+    direction: Array
+    length: float
+    seen_by: tuple[int, ...]
+    surveyed: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PairCheck:
+    """Two LiDARs of the site, and how well they agree.
+
+    Attributes
+    ----------
+    lidars
+        Their indices, the lower first.
+    shared_poles
+        How many poles of all placements both see.
+    standing
+        How many hypotheses the pair alone leaves standing: 0 where it has none, and is linked
+        through others; 1 where it decides by itself.
+    patches
+        How many pairs of surface patches the adjustment took from them; 0 where none.
+    w
+        Largest normalised residual (Baarda's w) of what the two share; None where nothing is
+        tested.
+    refusal
+        Why the pair alone has no answer; None where it has.
+    """
+
+    lidars: tuple[int, int]
+    shared_poles: int
+    standing: int
+    patches: int
+    w: float | None
+    refusal: Reason | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LoopClosure:
+    """LiDARs around a loop: their pairwise poses must compose to the identity.
+
+    Attributes
+    ----------
+    lidars
+        Indices, around the loop.
+    rotation, translation
+        Of the composed pose, rad and m.
+    chi2, freedom, probability
+        Its squared size in units of its covariance, and the probability of as much or more.
+    """
+
+    lidars: tuple[int, ...]
+    rotation: float
+    translation: float
+    chi2: float
+    freedom: int
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One observation, or what several have in common, tested against all others.
+
+    Attributes
+    ----------
+    kind
+        What would be wrong: ``pole`` (another place for one LiDAR than for the others),
+        ``placement`` (a LiDAR's recording of one), ``lidar``, ``survey`` (a surveyed end of a
+        pole), ``control point``, ``up``.
+    name
+        In words: ``pole 2 of placement 1 as mast-a sees it``.
+    lidar, placement, pole
+        Indices in the site, and in `SiteCalibration.poles`; None where it is about none.
+    chi2, freedom
+        By how much the fit improves without it, χ² with so many degrees of freedom.
+    w
+        The same as a standard normal number: Baarda's w with one degree of freedom.
+    redundancy
+        Share of it that the others check, 0 to 1: what is 0 nothing would show.
+    minimal_detectable
+        Least error that is found with a probability of 80 %, metres; None where none is.
+    external
+        By how much an error of that size would move a point 30 m away, metres; None likewise.
+    """
+
+    kind: Literal["pole", "placement", "lidar", "survey", "control point", "up"]
+    name: str
+    lidar: int | None
+    placement: int | None
+    pole: int | None
+    chi2: float
+    freedom: int
+    w: float
+    redundancy: float
+    minimal_detectable: float | None
+    external: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class WithoutPlacement:
+    """How the poses change without one placement.
+
+    Attributes
+    ----------
+    placement
+        Its index.
+    rotation, translation
+        Largest change of a pose relative to the reference, rad and m; None where the others give
+        none.
+    lidar
+        Index of the LiDAR that changes so.
+    """
+
+    placement: int
+    rotation: float | None
+    translation: float | None
+    lidar: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class SiteCalibration:
+    """The answer of `site.calibration.calibrate_site`, or why there is none.
+
+    Attributes
+    ----------
+    status, reasons
+        ``ok``, ``warn`` or ``refused``; and what is wrong or weak, empty when ok.
+    site
+        What it started from.
+    datum
+        What fixes the frame, in words.
+    scans
+        For each LiDAR, what was found in each placement; None where it recorded none.
+    lidars
+        Poses of all LiDARs, in the order of `Site.lidars`; empty when refused.
+    covariance
+        (6 L, 6 L) of all poses together, in that order; None when refused.
+    groups
+        Indices of the LiDARs that are linked with each other; one group where all are.
+    poles, pairs, loops, tests, without
+        Poles in the frame of the site; what was checked.
+    seconds
+        Time of each step.
+    """
+
+    status: Literal["ok", "warn", "refused"]
+    reasons: tuple[Reason, ...]
+    site: Site
+    datum: str
+    scans: tuple[tuple[Scan | None, ...], ...]
+    lidars: tuple[LidarPose, ...]
+    covariance: Array | None
+    groups: tuple[tuple[int, ...], ...]
+    poles: tuple[SitePole, ...]
+    pairs: tuple[PairCheck, ...]
+    loops: tuple[LoopClosure, ...]
+    tests: tuple[Test, ...]
+    without: tuple[WithoutPlacement, ...]
+    seconds: Mapping[str, float]
