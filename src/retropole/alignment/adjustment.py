@@ -32,7 +32,7 @@ from .certainty import (
 from .climb import climb, start_of
 from .factor import POSE, AxesTest, Expansion, PoleFactor, compare_axes, pole_factor
 from .observations import Beams
-from .posterior import Posterior
+from .posterior import Posterior, State
 from .solver import Solution
 
 RADIUS_TOLERANCE = 0.02
@@ -215,7 +215,7 @@ def _radius_of_returns(expansion: Expansion, model: ErrorModel, radius: float) -
 
 
 def _answer(
-    found: Solution[Posterior],
+    found: Solution[Posterior[State]],
     expansion: Expansion,
     model: ErrorModel,
     radius: RadiusEstimate,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from ..systematic import ErrorModel
 from .certainty import WORKING_SHARE
 from .factor import Expansion, expand
 from .observations import Beams
-from .posterior import Posterior, Priors, State, beam_geometry, evaluate
+from .posterior import Posterior, Priors, S, State, beam_geometry, evaluate
 from .solver import Solution, levenberg_marquardt
 from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
 
@@ -50,24 +50,31 @@ POLE_SLACK = 1e-9
 
 
 def maximise(
-    state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors
-) -> Solution[Posterior]:
-    """Climb to the nearest maximum of the posterior, noise and all (Levenberg–Marquardt).
+    state: S, log_noise: Array, posterior: Callable[[S, Array], Posterior[S]]
+) -> Solution[Posterior[S]]:
+    """Climb to the nearest maximum of a posterior, noise and all (Levenberg–Marquardt).
 
     First geometry and noise together, until they gain little, then the geometry alone.
+
+    Parameters
+    ----------
+    state, log_noise
+        Where to start; the noise (L, 2) of each LiDAR in depth and sideways, metres.
+    posterior
+        Gives it at a state under a noise.
     """
     floor = np.log(MIN_NOISE)
 
-    def with_noise(now: Posterior, step: Array, damping: float) -> Posterior:
+    def with_noise(now: Posterior[S], step: Array, damping: float) -> Posterior[S]:
         noise = np.maximum(now.log_noise + now.noise_step / (1.0 + damping), floor)
         noise[:, 0] = np.maximum(noise[:, 0], noise[:, 1] - np.log(MAX_LATERAL_NOISE))
         noise[:, 1] = np.maximum(noise[:, 1], noise[:, 0] + np.log(MIN_LATERAL_NOISE))
-        return _with_true_curvature(evaluate(now.state.moved(step), noise, beams, priors))
+        return _with_true_curvature(posterior(now.state.moved(step), noise))
 
-    def geometry_alone(now: Posterior, step: Array, damping: float) -> Posterior:
-        return _with_true_curvature(evaluate(now.state.moved(step), now.log_noise, beams, priors))
+    def geometry_alone(now: Posterior[S], step: Array, damping: float) -> Posterior[S]:
+        return _with_true_curvature(posterior(now.state.moved(step), now.log_noise))
 
-    start = evaluate(state, np.maximum(log_noise, floor), beams, priors)
+    start = posterior(state, np.maximum(log_noise, floor))
     found = levenberg_marquardt(
         start,
         with_noise,
@@ -96,7 +103,7 @@ def maximise(
     )
 
 
-def _with_true_curvature(now: Posterior) -> Posterior:
+def _with_true_curvature(now: Posterior[S]) -> Posterior[S]:
     """Give the posterior its second derivative as curvature, where that is positive definite."""
     scale = np.sqrt(np.diag(now.curvature))
     lowest = np.linalg.eigvalsh(now.information / np.outer(scale, scale))[0]
@@ -109,14 +116,14 @@ def climb(
     beams: tuple[Beams, Beams],
     model: ErrorModel,
     radius: float,
-) -> tuple[Solution[Posterior], Expansion]:
+) -> tuple[Solution[Posterior[State]], Expansion]:
     """Climb from a state, refuse what no shared poles explain, and expand about the maximum."""
     offsets = tuple(
         WORKING_SHARE * float(np.hypot(size.zero, size.tape))
         for size in (model.target, model.source)
     )
     priors = Priors((offsets[0], offsets[1]), radius, model.radius_sigma)
-    found = maximise(state, log_noise, beams, priors)
+    found = maximise(state, log_noise, lambda state, noise: evaluate(state, noise, beams, priors))
     end = found.point
     noise = float(np.exp(end.log_noise[:, 0].max()))
     total = sum(len(one.pole) for one in beams)

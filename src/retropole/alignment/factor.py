@@ -122,7 +122,9 @@ def expand(state: State, views: Sequence[View], beams: Sequence[Beams], radius: 
     errors = np.zeros(layout.size)
     errors[TAPE], errors[DEVICE + TAPE] = state.offsets
     errors[RADIUS] = state.radius - radius
-    found = [_of_lidar(state, lidar, one, views[lidar], layout) for lidar, one in enumerate(beams)]
+    found = [
+        expand_lidar(state, lidar, one, views[lidar], layout) for lidar, one in enumerate(beams)
+    ]
     return Expansion(
         state,
         layout,
@@ -213,10 +215,13 @@ def compare_axes(expansion: Expansion, precision: Array, considered: Array) -> A
     )
 
 
-def _of_lidar(
+def expand_lidar(
     state: State, lidar: int, one: Beams, view: View, layout: Layout
 ) -> tuple[Array, Array, Array]:
-    """Information, gradient, and inliers on each pole, of the beams of one LiDAR."""
+    """Expand the likelihood of one LiDAR's beams: information, gradient, inliers on each pole.
+
+    Over pose, errors and axes, as in `Expansion`; the target (0) has no part in the pose.
+    """
     seen, beside = own_geometry(state, lidar, one)
     on = with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view))
     passed = with_width(lambda by: average_passed(beside, one.wider(by), state.radius, view))

@@ -78,6 +78,24 @@ class Beams:
     passed_pole: IntArray
     passed_half_width: Array
 
+    def of_poles(self, poles: IntArray) -> Beams:
+        """Give the beams at some of the poles (K,), which are then numbered in that order."""
+        number = np.full(1 + max(self.pole.max(initial=-1), poles.max(initial=-1)), -1)
+        number[poles] = np.arange(len(poles))
+        met, passed = number[self.pole], number[self.passed_pole]
+        on, by = met >= 0, passed >= 0
+        return replace(
+            self,
+            directions=self.directions[on],
+            ranges=self.ranges[on],
+            pole=met[on],
+            half_width=self.half_width[on],
+            beside=self.beside[on],
+            passed_directions=self.passed_directions[by],
+            passed_pole=passed[by],
+            passed_half_width=self.passed_half_width[by],
+        )
+
     def wider(self, by: float) -> Beams:
         """Give the same beams, ``exp(by)`` times as wide."""
         times = np.exp(by)

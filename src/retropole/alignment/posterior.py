@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -150,8 +151,11 @@ def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, 
 
 
 @dataclass(frozen=True, eq=False)
-class _Terms:
-    """What the beams of one LiDAR add to the cost and its derivatives."""
+class Terms:
+    """What beams add to the logarithm of the posterior, to its slope (P,) and to its curvature.
+
+    `information` (P, P) is the true one, `lifted` one without negative eigenvalues.
+    """
 
     log: float
     score: Array
@@ -159,26 +163,36 @@ class _Terms:
     lifted: Array
 
 
+class Movable(Protocol):
+    """A state that a step moves."""
+
+    def moved(self: S, step: Array) -> S:
+        """Move by a step (P,)."""
+
+
+S = TypeVar("S", bound=Movable)
+
+
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class Posterior(Generic[S]):
     """The posterior at a state.
 
     Attributes
     ----------
     state, log_noise
-        Where, and the logarithm of the noise in depth and sideways of each LiDAR, (2, 2).
+        Where, and the logarithm of the noise in depth and sideways of each LiDAR, (L, 2).
     cost
         Negative logarithm of the posterior.
     gradient, information, curvature
         Of the cost: its derivative (P,), its second derivative (P, P), and one that is positive
         definite everywhere.
     noise_step
-        (2, 2) where the logarithm of the noise should go.
+        (L, 2) where the logarithm of the noise should go.
     inliers
         How many returns lie on the poles.
     """
 
-    state: State
+    state: S
     log_noise: Array
     cost: float
     gradient: Array
@@ -197,7 +211,9 @@ class Priors:
     radius_sigma: float
 
 
-def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors) -> Posterior:
+def evaluate(
+    state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors
+) -> Posterior[State]:
     """Evaluate the posterior of a state under given noise, and where the noise should go.
 
     Parameters
@@ -220,16 +236,13 @@ def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Pri
     information, lifted = np.diag(prior), np.diag(prior)
     noise_step, inliers = np.zeros((2, 2)), 0.0
     for lidar, one in enumerate(beams):
-        noise = np.exp(log_noise[lidar])
-        seen, beside = own_geometry(state, lidar, one)
-        on_poles = _on_poles(state, seen, one, noise)
+        terms, on_poles = evaluate_lidar(state, lidar, one, np.exp(log_noise[lidar]))
         noise_step[lidar] = on_poles.noise_step
         inliers += on_poles.inliers
-        for terms in (on_poles.terms, _passed(state, beside, one, noise)):
-            log += terms.log
-            score = score + terms.score
-            information = information + terms.information
-            lifted = lifted + terms.lifted
+        log += terms.log
+        score = score + terms.score
+        information = information + terms.information
+        lifted = lifted + terms.lifted
     return Posterior(
         state,
         log_noise,
@@ -243,15 +256,35 @@ def evaluate(state: State, log_noise: Array, beams: Sequence[Beams], priors: Pri
 
 
 @dataclass(frozen=True, eq=False)
-class _OnPoles:
+class OnPoles:
     """What the returns on the poles say: of the state, and of the log-noise (2,)."""
 
-    terms: _Terms
+    terms: Terms
     noise_step: Array
     inliers: float
 
 
-def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> _OnPoles:
+def evaluate_lidar(state: State, lidar: int, beams: Beams, noise: Array) -> tuple[Terms, OnPoles]:
+    """Evaluate what the beams of one LiDAR say, under a noise (2,) in depth and sideways, metres.
+
+    Returns
+    -------
+    Terms, OnPoles
+        Of all its beams; and what its returns on the poles say of the noise.
+    """
+    seen, beside = own_geometry(state, lidar, beams)
+    on_poles = _on_poles(state, seen, beams, noise)
+    on, by = on_poles.terms, _passed(state, beside, beams, noise)
+    together = Terms(
+        on.log + by.log,
+        on.score + by.score,
+        on.information + by.information,
+        on.lifted + by.lifted,
+    )
+    return together, on_poles
+
+
+def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> OnPoles:
     """Evaluate the returns on the poles."""
     size = SHARED + 4 * len(state.points)
     sigma_depth = np.hypot(noise[0] * seen.sine, noise[1] * np.sqrt(1.0 - seen.sine**2))
@@ -273,15 +306,15 @@ def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> _
     gradient = arc.inlier @ (arc.noise - 1.0)
     curvature = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
     noise_step = gradient / np.maximum(curvature, NOISE_CURVATURE * arc.inlier.sum())
-    return _OnPoles(terms, noise_step, float(arc.inlier.sum()))
+    return OnPoles(terms, noise_step, float(arc.inlier.sum()))
 
 
-def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> _Terms:
+def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> Terms:
     """What the beams that passed beside the poles say."""
     size = SHARED + 4 * len(state.points)
     if not len(beams.passed_pole):
         nothing = np.zeros((size, size))
-        return _Terms(0.0, np.zeros(size), nothing, nothing)
+        return Terms(0.0, np.zeros(size), nothing, nothing)
     zero = np.zeros(len(beams.passed_pole))
     free = passed_beam_likelihood(
         seen.lateral_offset,
@@ -295,7 +328,7 @@ def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> _Te
     return _terms(free.log, free.score, free.information, J, zero)
 
 
-def _terms(log: Array, score: Array, information: Array, J: Array, least: Array) -> _Terms:
+def _terms(log: Array, score: Array, information: Array, J: Array, least: Array) -> Terms:
     """Sum what beams say; no eigenvalue of their lifted information is below the least (N,)."""
     size = J.shape[2]
     flat = J.reshape(-1, size)
@@ -303,7 +336,7 @@ def _terms(log: Array, score: Array, information: Array, J: Array, least: Array)
     lift = lift_of(information, least)
     raised = np.flatnonzero(lift)
     rows = (np.sqrt(lift[raised])[:, None, None] * J[raised]).reshape(-1, size)
-    return _Terms(float(log.sum()), score.reshape(-1) @ flat, total, total + rows.T @ rows)
+    return Terms(float(log.sum()), score.reshape(-1) @ flat, total, total + rows.T @ rows)
 
 
 def lift_of(information: Array, least: Array) -> Array:

@@ -183,13 +183,16 @@ def _stride(linear: LinearProblem, before: Array | None) -> tuple[float, Array |
     return 1.0 / (1.0 - min(max(ratio, 0.0), MAX_RATIO)), None
 
 
-def _solve(
-    pairs: PatchPairs, factor: PoleFactor, T: Array, covariance: Array, precision: Array
-) -> LinearProblem:
-    """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior.
+def weigh(pairs: PatchPairs, covariance: Array) -> tuple[Array, Array]:
+    """Weigh the residuals, and find the directions of the pose that the surfaces hold.
 
     What the pose may still be off by, `covariance`, is no reason to take a residual for an outlier:
     a distant wall would be given up before the ground has let the pose turn towards it.
+
+    Returns
+    -------
+    weights, held
+        (P,) of the residuals, 1/m², and the projection (6, 6) of `held_directions`.
     """
     r = pairs.residuals
     spread = np.sqrt(pairs.variance)
@@ -197,7 +200,14 @@ def _solve(
     still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
-    held = held_directions(pairs, weights)
+    return weights, held_directions(pairs, weights)
+
+
+def _solve(
+    pairs: PatchPairs, factor: PoleFactor, T: Array, covariance: Array, precision: Array
+) -> LinearProblem:
+    """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior."""
+    weights, held = weigh(pairs, covariance)
     rows = np.concatenate([pairs.jacobian @ held, pairs.by_error], axis=1)
     # As the square of one array: BLAS then computes one half of it.
     root = np.sqrt(weights)
@@ -206,13 +216,13 @@ def _solve(
     index = np.arange(POSE, len(information))
     information[index, index] += precision
     here = np.r_[se3.local(factor.T_target_source, T), np.zeros(len(precision))]
-    gradient = weighted.T @ (root * r) + factor.information @ here - factor.vector
-    inverse = _inverse(information)
+    gradient = weighted.T @ (root * pairs.residuals) + factor.information @ here - factor.vector
+    inverse = inverse_of(information)
     step = -inverse @ gradient
     return LinearProblem(pairs, weights, rows, precision, step[:POSE], step[POSE:], inverse)
 
 
-def _inverse(information: Array) -> Array:
+def inverse_of(information: Array) -> Array:
     """Invert a positive definite matrix, in a third of the time that a general one takes."""
     root, failed = lapack.dpotrf(information)
     half, _ = lapack.dpotri(root)

@@ -1,0 +1,230 @@
+"""Which hypotheses of all pairs go together: the poses that most of what was seen agrees with.
+
+What one pair of LiDARs cannot decide the others may: around a loop the poses of the pairs must
+compose to the identity, and a third LiDAR that both see ties them. Poses are given to one LiDAR
+after the other, each from a hypothesis of a pair with one that has its pose already; a placement of
+a pair counts where a hypothesis that it allows, and the scene leaves standing, is met. The choice
+with the largest count is found by branch and bound, and with it every other one that counts as
+much: then the data do not decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array
+from .pairs import Pair, PairHypothesis, is_same_pose
+
+WITHOUT_SCENE = 0.25
+"""A placement of a pair whose scenes do not overlap counts so much: that their poles have one shape
+may be chance, but more of it is less."""
+
+EQUAL = 0.5
+"""Choices whose counts differ by less are equally good: by less than one placement of a pair whose
+scenes overlap."""
+
+MOST_STEPS = 200_000
+"""Steps of the search at most; a ring of 12 LiDARs with two hypotheses for each pair takes 4,000."""
+
+MOST_RIVALS = 8
+"""So many equally good choices are enough to tell where they differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Poses of some LiDARs that go together.
+
+    Attributes
+    ----------
+    poses
+        From index of the LiDAR to (4, 4), in the frame of the first.
+    count
+        How much of what was seen agrees with them.
+    """
+
+    poses: dict[int, Array]
+    count: float
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """The choices for one group of linked LiDARs, the best first.
+
+    Attributes
+    ----------
+    best
+        The one with the largest count, and of those the largest score of the scene.
+    rivals
+        Others that count as much, in which at least one LiDAR lies elsewhere.
+    complete
+        Whether the search came to its end.
+    """
+
+    best: Choice
+    rivals: tuple[Choice, ...]
+    complete: bool
+
+
+def linked_groups(count: int, pairs: Sequence[Pair]) -> list[list[int]]:
+    """Sort LiDARs into groups that hypotheses of pairs link, the largest first."""
+    label = list(range(count))
+    for pair in pairs:
+        if pair.hypotheses:
+            a, b = (label[k] for k in pair.lidars)
+            label = [a if each == b else each for each in label]
+    groups = [[i for i in range(count) if label[i] == one] for one in sorted(set(label))]
+    return sorted(groups, key=lambda group: (-len(group), group[0]))
+
+
+def choose_poses(
+    group: Sequence[int], pairs: Sequence[Pair], poles: Sequence[Array], first: int
+) -> Choices:
+    """Choose the poses of a linked group of LiDARs.
+
+    Parameters
+    ----------
+    group
+        Indices of the LiDARs.
+    pairs
+        All pairs.
+    poles
+        For each LiDAR of the site, (N, 3) points on the poles that it sees, in its own frame.
+    first
+        The LiDAR in whose frame the poses are.
+    """
+    search = _Search(
+        {each.lidars: each for each in pairs if each.hypotheses and set(each.lidars) <= set(group)},
+        poles,
+    )
+    search.run(Choice({first: np.eye(4)}, 0.0), [i for i in group if i != first], [])
+    found = sorted(search.found, key=lambda each: (-each.count, -_scene_score(each, search)))
+    best, *others = found
+    rivals = [
+        each for each in others if each.count > best.count - EQUAL and _differs(each, best, poles)
+    ]
+    return Choices(best, tuple(rivals), search.steps < MOST_STEPS)
+
+
+@dataclass(eq=False)
+class _Search:
+    """Branch and bound over the poses of one LiDAR after the other."""
+
+    pairs: dict[tuple[int, int], Pair]
+    poles: Sequence[Array]
+    steps: int = 0
+    best: float = -np.inf
+    found: list[Choice] | None = None
+
+    def __post_init__(self) -> None:
+        self.found = []
+
+    def run(self, so_far: Choice, left: list[int], unlinked: list[int]) -> None:
+        """Give poses to those left; the unlinked have none by those that have one already."""
+        assert self.found is not None
+        self.steps += 1
+        if self.steps > MOST_STEPS:
+            return
+        if so_far.count + self._most(so_far.poses, left + unlinked) <= self.best - EQUAL:
+            return
+        if not left:
+            if not unlinked:
+                self._keep(so_far)
+            return
+        lidar = max(left, key=lambda i: self._most_of(so_far.poses, i))
+        others = [i for i in left if i != lidar]
+        options = self._options(so_far, lidar)
+        for T, gain in options:
+            poses = {**so_far.poses, lidar: T}
+            self.run(Choice(poses, so_far.count + gain), others + unlinked, [])
+        if others and (not options or self._most_of({i: None for i in others}, lidar) > 0):
+            # Those that already have a pose may all be wrong about this one.
+            self.run(so_far, others, [*unlinked, lidar])
+
+    def _keep(self, choice: Choice) -> None:
+        assert self.found is not None
+        self.best = max(self.best, choice.count)
+        kept = [each for each in self.found if each.count > self.best - EQUAL]
+        if all(_differs(choice, each, self.poles) for each in kept):
+            kept.append(choice)
+        kept.sort(key=lambda each: -each.count)
+        self.found = kept[:MOST_RIVALS]
+
+    def _options(self, so_far: Choice, lidar: int) -> list[tuple[Array, float]]:
+        """Poses of a LiDAR by the hypotheses of its pairs, with what each would count."""
+        poses: list[Array] = []
+        for other, T_other in so_far.poses.items():
+            for hypothesis in self._between(other, lidar):
+                T = T_other @ hypothesis.T
+                if not any(is_same_pose(T, known, self.poles[lidar]) for known in poses):
+                    poses.append(T)
+        gains = [
+            (T, sum(self.gain(so_far.poses, lidar, T, other) for other in so_far.poses))
+            for T in poses
+        ]
+        return sorted(gains, key=lambda each: -each[1])
+
+    def gain(self, poses: dict[int, Array], lidar: int, T: Array, other: int) -> float:
+        """What a LiDAR's pose counts beside one other."""
+        pair = self._pair(other, lidar)
+        if pair is None:
+            return 0.0
+        first, second = pair.lidars
+        both = {other: poses[other], lidar: T}
+        met = pair.at(se3.inverse(both[first]) @ both[second], self.poles[second])
+        return 0.0 if met is None else weight_of(pair) * len(met.placements)
+
+    def _pair(self, a: int, b: int) -> Pair | None:
+        return self.pairs.get((min(a, b), max(a, b)))
+
+    def _between(self, other: int, lidar: int) -> list[PairHypothesis]:
+        """Standing hypotheses of a pair, from the frame of `other` to points of `lidar`."""
+        pair = self._pair(other, lidar)
+        if pair is None:
+            return []
+        if pair.lidars[0] == other:
+            return list(pair.standing)
+        return [replace(each, T=se3.inverse(each.T)) for each in pair.standing]
+
+    def _most_of(self, placed: dict[int, Array] | dict[int, None], lidar: int) -> float:
+        """Most that a LiDAR can count beside others."""
+        pairs = (self._pair(other, lidar) for other in placed)
+        return sum(most_of(pair) for pair in pairs if pair is not None)
+
+    def _most(self, placed: dict[int, Array], left: Sequence[int]) -> float:
+        """Most that all that is left can still add."""
+        waiting = set(left)
+        return sum(most_of(pair) for lidars, pair in self.pairs.items() if waiting & set(lidars))
+
+
+def weight_of(pair: Pair) -> float:
+    """What each placement of a pair counts."""
+    return 1.0 if pair.overlaps else WITHOUT_SCENE
+
+
+def most_of(pair: Pair) -> float:
+    """Most that a pair can count."""
+    return weight_of(pair) * max(len(each.placements) for each in pair.standing)
+
+
+def _scene_score(choice: Choice, search: _Search) -> float:
+    """Sum of the scene's scores of all hypotheses that a choice meets."""
+    score = 0.0
+    for (first, second), pair in search.pairs.items():
+        T = se3.inverse(choice.poses[first]) @ choice.poses[second]
+        met = pair.at(T, search.poles[second])
+        score += 0.0 if met is None else met.score
+    return score
+
+
+def _differs(one: Choice, other: Choice, poles: Sequence[Array]) -> bool:
+    """Whether some LiDAR lies elsewhere, as its poles show."""
+    return any(not is_same_pose(T, other.poses[i], poles[i]) for i, T in one.poses.items())
+
+
+def where_they_differ(best: Choice, rival: Choice, poles: Sequence[Array]) -> list[int]:
+    """LiDARs that two choices place elsewhere."""
+    return [i for i, T in best.poses.items() if not is_same_pose(T, rival.poses[i], poles[i])]

@@ -1,0 +1,221 @@
+"""What poles and survey say of all unknowns of a site: one quadratic form for each observation.
+
+About the maximum of the posterior each observation s (a LiDAR's returns in one placement, a
+surveyed end of a pole, a sight of a control point) says
+
+    log L_s = g_sᵀ (z − z₀) − ½ (z − z₀)ᵀ N_s (z − z₀)
+
+with z the unknowns of `unknowns`: poses and axes as steps from that maximum, errors as they are.
+The observations stay apart, so that each can be tested against all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ..alignment.factor import POSE, expand_lidar
+from ..alignment.posterior import Posterior
+from ..alignment.views import View, find_view
+from ..datatypes import Array, BoolArray, IntArray
+from ..systematic import TAPE, Layout, band_of
+from .model import Site
+from .posterior import Sight, SiteState
+from .shared import SharedPole
+from .survey import Surveyed, survey_terms
+from .unknowns import Unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What one observation says of some unknowns.
+
+    Attributes
+    ----------
+    kind, name
+        ``returns`` of a LiDAR in a placement, or as in `survey.SurveyTerm`; in words.
+    place
+        (P,) which unknowns.
+    information, gradient
+        (P, P) and (P,) of the logarithm of the likelihood at the start.
+    lidar, placement
+        Whose, and where; None where it is the surveyor's.
+    poles
+        (K,) the axes that are among the unknowns, in their order; the last ones of the place.
+    returns
+        How many returns lie on them.
+    """
+
+    kind: Literal["returns", "survey", "control point", "up"]
+    name: str
+    place: IntArray
+    information: Array
+    gradient: Array
+    lidar: int | None = None
+    placement: int | None = None
+    poles: IntArray | None = None
+    returns: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """All observations but those of the scene.
+
+    Attributes
+    ----------
+    unknowns
+        Their order.
+    state
+        Where the steps of poses, axes and control points start.
+    start
+        (Z,) the unknowns there: all zero but for the errors that the state already has.
+    observations
+        Each with its quadratic form.
+    free
+        (6 L,) which parameters of the poses are estimated; the others are the datum.
+    """
+
+    unknowns: Unknowns
+    state: SiteState
+    start: Array
+    observations: tuple[Observation, ...]
+    free: BoolArray
+
+    @property
+    def redundancy(self) -> float:
+        """Returns more than parameters of axes and poses: the freedom of their noise."""
+        returns = sum(each.returns for each in self.observations)
+        return max(returns - float(self.free.sum()) - 4.0 * self.unknowns.axes, 1.0)
+
+    def total(self) -> tuple[Array, Array]:
+        """Information (Z, Z) and gradient (Z,) of all observations at the start."""
+        size = self.unknowns.size
+        information, gradient = np.zeros((size, size)), np.zeros(size)
+        for each in self.observations:
+            information[np.ix_(each.place, each.place)] += each.information
+            gradient[each.place] += each.gradient
+        return information, gradient
+
+    def without(self, left_out: set[int]) -> Network:
+        """Give the same without some observations."""
+        kept = tuple(one for k, one in enumerate(self.observations) if k not in left_out)
+        return replace(self, observations=kept)
+
+
+def bands_of(sights: Sequence[Sight], scene_bands: Sequence[IntArray]) -> tuple[IntArray, ...]:
+    """Put together the bands of elevation of each LiDAR's returns on poles and on surfaces."""
+    found = list(scene_bands)
+    for sight in sights:
+        own = band_of(sight.beams.directions, sight.beams.axis)
+        found[sight.lidar] = np.union1d(found[sight.lidar], own).astype(np.int64)
+    return tuple(found)
+
+
+def observe(
+    end: Posterior[SiteState],
+    sights: Sequence[Sight],
+    poles: Sequence[SharedPole],
+    surveyed: Surveyed,
+    site: Site,
+    bands: tuple[IntArray, ...],
+    free: BoolArray,
+) -> Network:
+    """Expand every observation about the maximum of the posterior.
+
+    Parameters
+    ----------
+    end
+        The maximum.
+    sights, poles, surveyed
+        What was seen of the poles, and what is known of the site.
+    site
+        For names, and the radius as it was given.
+    bands
+        From `bands_of`.
+    free
+        (6 L,) which parameters of the poses are estimated.
+    """
+    state = end.state
+    unknowns = Unknowns(bands, len(poles), len(state.control))
+    start = np.zeros(unknowns.size)
+    start[unknowns.radius] = state.radius - site.radius
+    for lidar in range(unknowns.lidars):
+        start[unknowns.device(lidar)[TAPE]] = state.offsets[lidar]
+    found: list[Observation] = []
+    for sight in sights:
+        noise = np.exp(end.log_noise[sight.lidar])
+        view = find_view(state.of(sight.lidar, sight.own), 1, sight.beams, noise)
+        placement = np.array([poles[k].placement for k in sight.own])
+        for p in np.unique(placement):
+            some = np.flatnonzero(placement == p)
+            found.append(_returns(state, sight, some, view, int(p), unknowns, site))
+    for term in survey_terms(state, surveyed):
+        weighted = term.jacobian.T * term.sigma**-2.0
+        found.append(
+            Observation(
+                term.kind,
+                term.name,
+                _of_unknowns(term.place, state, unknowns),
+                weighted @ term.jacobian,
+                -weighted @ term.residual,
+                lidar=term.lidar,
+            )
+        )
+    return Network(unknowns, state, start, tuple(found), free)
+
+
+def _returns(
+    state: SiteState,
+    sight: Sight,
+    some: IntArray,
+    view: View,
+    placement: int,
+    unknowns: Unknowns,
+    site: Site,
+) -> Observation:
+    """Expand a LiDAR's returns in one placement: on some of its poles."""
+    beams, own = sight.beams.of_poles(some), sight.own[some]
+    part = View(view.shift[some], view.covariance[some], view.noise)
+    # The site is the target of a pair that has no returns.
+    none = np.zeros(0, dtype=np.int64)
+    layout = Layout((none, np.unique(band_of(beams.directions, beams.axis))))
+    information, gradient, inliers = expand_lidar(
+        state.of(sight.lidar, own), 1, beams, part, layout
+    )
+    errors = unknowns.of_layout(layout, (None, sight.lidar))
+    place = np.r_[unknowns.pose(sight.lidar), errors, unknowns.axis(own)]
+    kept = np.flatnonzero(place >= 0)
+    name = f"{site.lidars[sight.lidar].name} in placement {site.placements[placement]}"
+    return Observation(
+        "returns",
+        name,
+        place[kept],
+        information[np.ix_(kept, kept)],
+        gradient[kept],
+        sight.lidar,
+        placement,
+        own,
+        float(inliers.sum()),
+    )
+
+
+def _of_unknowns(place: IntArray, state: SiteState, unknowns: Unknowns) -> IntArray:
+    """Where parameters of a step of the state stand among the unknowns: poses, axes and points."""
+    behind = unknowns.kept - state.first_axis
+    return np.asarray(np.where(place < POSE * len(state.T), place, place + behind))
+
+
+def marginal(network: Network) -> tuple[Array, Array]:
+    """Eliminate axes and control points: Λ (K, K) and η (K,) of poses and errors.
+
+    ``log L = ηᵀ y − ½ yᵀ Λ y`` up to a constant, y the poses' steps and the errors.
+    """
+    information, gradient = network.total()
+    kept, gone = slice(0, network.unknowns.kept), slice(network.unknowns.kept, None)
+    eliminated = np.linalg.solve(information[gone, gone], information[gone, kept])
+    reduced = information[kept, kept] - information[kept, gone] @ eliminated
+    vector = gradient[kept] - eliminated.T @ gradient[gone]
+    return (reduced + reduced.T) / 2, np.asarray(vector + reduced @ network.start[kept])

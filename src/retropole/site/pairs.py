@@ -1,0 +1,205 @@
+"""What each pair of LiDARs says by itself: poses under which the poles of both can be the same.
+
+A pose of two LiDARs holds for all placements, so what each placement allows is put together: the
+same pose from several placements is one hypothesis. The scene is asked once for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, Hypothesis, Match
+from ..errors import Reason, Refusal
+from ..matching.correspondence import match_poles
+from ..matching.placements import AGREE_ANGLE, AGREE_DISTANCE
+from ..scene.choice import RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap
+from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views
+from .scans import SiteScans, Views
+
+
+@dataclass(frozen=True, eq=False)
+class PairHypothesis:
+    """A pose of two LiDARs that poles of at least one placement allow.
+
+    Attributes
+    ----------
+    T
+        (4, 4) maps points of the second LiDAR into the frame of the first.
+    placements
+        Those whose poles allow it.
+    poles
+        How many poles of all placements agree.
+    overlap, free_space_violation, score
+        What the scene says of it, as `datatypes.Hypothesis` has it.
+    stands
+        Whether the scene leaves it standing beside the best of the pair.
+    """
+
+    T: Array
+    placements: tuple[int, ...]
+    poles: int
+    overlap: float
+    free_space_violation: float
+    score: float
+    stands: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two LiDARs and their hypotheses, the best score first.
+
+    Attributes
+    ----------
+    lidars
+        Indices, the lower first.
+    hypotheses
+        Exact ones only; none where they share no two poles.
+    overlaps
+        Whether the scenes overlap under the best, so that they can be asked.
+    refusal
+        Why there is no hypothesis; None where there is one.
+    """
+
+    lidars: tuple[int, int]
+    hypotheses: tuple[PairHypothesis, ...]
+    overlaps: bool
+    refusal: Reason | None = None
+
+    @property
+    def standing(self) -> tuple[PairHypothesis, ...]:
+        """Hypotheses that the scene leaves standing."""
+        return tuple(each for each in self.hypotheses if each.stands)
+
+    def at(self, T: Array, points: Array) -> PairHypothesis | None:
+        """Find the standing hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
+        near = [each for each in self.standing if is_same_pose(T, each.T, points)]
+        return max(near, key=lambda each: (len(each.placements), each.score), default=None)
+
+
+def is_same_pose(T: Array, other: Array, points: Array) -> bool:
+    """Whether two poses are one up to what the poles of one placement leave open."""
+    apart = se3.difference_at(T, other, points)
+    return apart.rotation <= AGREE_ANGLE and apart.translation <= AGREE_DISTANCE
+
+
+def find_pairs(scans: SiteScans, views: Views) -> tuple[Pair, ...]:
+    """Find the hypotheses of every pair of LiDARs."""
+    return tuple(
+        _pair(scans, views, first, second)
+        for first, second in combinations(range(len(scans.by_lidar)), 2)
+    )
+
+
+def poles_of(scans: SiteScans, lidar: int) -> Array:
+    """(N, 3) middles of all poles that a LiDAR sees, in its own frame; its origin without any."""
+    points = [pole.point for scan in scans.used(lidar) for pole in scan.poles]
+    return np.array(points) if points else np.zeros((1, 3))
+
+
+def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
+    """Match the poles of every placement, put equal poses together, and ask the scene."""
+    found: list[tuple[Match, list[int], int]] = []
+    reason: Reason | None = None
+    at = poles_of(scans, second)
+    for placement in range(len(scans.by_lidar[first])):
+        target, source = scans.poles(first, placement), scans.poles(second, placement)
+        if min(len(target), len(source)) < 2:
+            continue
+        try:
+            matches = match_poles(target, source)
+        except Refusal as refusal:
+            reason = Reason(refusal.code, refusal.message, refusal.values)
+            continue
+        for match in matches:
+            if match.exact:
+                _add(found, match, placement, at)
+    if not found:
+        few = Reason("too_few_poles", "no placement shows both LiDARs two poles in common", {})
+        return Pair((first, second), (), False, reason or few)
+    return _scored((first, second), found, views.first(first), views.first(second))
+
+
+def _add(
+    found: list[tuple[Match, list[int], int]], match: Match, placement: int, at: Array
+) -> None:
+    """Add a match to the pose that it is, or as another one; more poles fix a pose better."""
+    T = match.T_target_source
+    for k, (known, placements, poles) in enumerate(found):
+        if is_same_pose(T, known.T_target_source, at):
+            better = known if len(known.pairs) >= len(match.pairs) else match
+            if placement not in placements:
+                placements.append(placement)
+                poles += len(match.pairs)
+            found[k] = (better, placements, poles)
+            return
+    found.append((match, [placement], len(match.pairs)))
+
+
+def _scored(
+    lidars: tuple[int, int],
+    found: Sequence[tuple[Match, list[int], int]],
+    target: View | None,
+    source: View | None,
+) -> Pair:
+    assert target is not None and source is not None
+    rows = []
+    for match, placements, poles in found:
+        T = match.T_target_source
+        seen = compare_views(target, source, T, within=OVERLAP_DISTANCE)
+        score = seen.overlap - seen.free_space_violation
+        hypothesis = Hypothesis(
+            match,
+            None,
+            None,
+            seen.overlap,
+            seen.free_space_violation,
+            score,
+            seen.covisible_overlap,
+        )
+        rows.append((hypothesis, tuple(placements), poles))
+    rows.sort(key=lambda row: -row[0].score)
+    best = rows[0][0]
+    overlaps = _overlaps(best)
+    return Pair(
+        lidars,
+        tuple(
+            PairHypothesis(
+                each.match.T_target_source,
+                placements,
+                poles,
+                each.overlap,
+                each.free_space_violation,
+                each.score,
+                each is best or _stands(each, rows, overlaps),
+            )
+            for each, placements, poles in rows
+        ),
+        overlaps,
+    )
+
+
+def _overlaps(best: Hypothesis) -> bool:
+    try:
+        check_overlap(best)
+    except Refusal:
+        return False
+    return True
+
+
+def _stands(
+    each: Hypothesis, rows: Sequence[tuple[Hypothesis, tuple[int, ...], int]], overlaps: bool
+) -> bool:
+    """Whether the scene leaves a hypothesis standing, as `scene.choice` has it for one pair.
+
+    Where the scenes hardly overlap only free space speaks.
+    """
+    best = rows[0][0]
+    least = min(row[0].free_space_violation for row in rows)
+    allowed = (best.free_space_violation if overlaps else least) + RIVAL_FREE_SPACE_VIOLATION
+    overlap = RIVAL_OVERLAP * best.overlap if overlaps else 0.0
+    return each.overlap >= overlap and each.free_space_violation <= allowed

@@ -1,0 +1,225 @@
+"""The posterior of poles that many LiDARs see: all poses, range offsets, the radius and the axes.
+
+Each LiDAR's beams say of the poles in the frame of the site what the source's say of them in the
+target's frame where there are two (`alignment.posterior`). Survey and inertial sensors add what
+they say of axes and poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import se3
+from ..alignment.climb import MAX_NOISE, MIN_INLIER_SHARE, maximise
+from ..alignment.observations import Beams
+from ..alignment.posterior import NOISE_STEP, SHARED, Posterior, State, evaluate_lidar
+from ..alignment.solver import Solution
+from ..datatypes import Array, BoolArray, IntArray
+from ..errors import Refusal
+from .survey import Surveyed, survey_terms
+
+POSE = 6
+
+START_ROTATION, START_TRANSLATION = 0.3, 1.0
+"""1 σ about the poses that the search starts from, rad and m: wide enough to say nothing where the
+poles do, and the climb has a way where the poles of a LiDAR leave it free."""
+
+
+@dataclass(frozen=True, eq=False)
+class SiteState:
+    """What is estimated from the poles.
+
+    Attributes
+    ----------
+    T
+        (L, 4, 4) site from LiDAR, about its beam origin.
+    offsets
+        (L,) range offset of all retro-reflective returns of each, metres.
+    radius
+        Of the poles, metres.
+    points, directions
+        (K, 3) the axes in the frame of the site.
+    control
+        (Q, 3) control points there.
+    """
+
+    T: Array
+    offsets: Array
+    radius: float
+    points: Array
+    directions: Array
+    control: Array
+
+    @property
+    def size(self) -> int:
+        """How many parameters a step has."""
+        return self.first_axis + 4 * len(self.points) + 3 * len(self.control)
+
+    @property
+    def first_axis(self) -> int:
+        """Where the parameters of the axes start: after poses, offsets and the radius."""
+        return (POSE + 1) * len(self.T) + 1
+
+    def axes(self, own: IntArray) -> IntArray:
+        """(4 N,) where the parameters of some axes stand."""
+        return np.asarray((self.first_axis + 4 * own[:, None] + np.arange(4)).reshape(-1))
+
+    def control_points(self) -> slice:
+        """Where the parameters of the control points stand."""
+        return slice(self.first_axis + 4 * len(self.points), self.size)
+
+    def of(self, lidar: int, own: IntArray) -> State:
+        """What one LiDAR sees of some axes, as the source of a pair whose target is the site."""
+        return State(
+            self.T[lidar],
+            np.array([0.0, self.offsets[lidar]]),
+            self.radius,
+            self.points[own],
+            self.directions[own],
+        )
+
+    def moved(self, step: Array) -> SiteState:
+        """Move by a step: poses (6 each), offsets, radius, axes (4 each), control points (3)."""
+        count = len(self.T)
+        steps = step[: POSE * count].reshape(-1, POSE)
+        whole = State(np.eye(4), np.zeros(2), self.radius, self.points, self.directions)
+        axes = step[self.first_axis : self.first_axis + 4 * len(self.points)]
+        moved = whole.moved(np.r_[np.zeros(8), step[self.first_axis - 1], axes])
+        return SiteState(
+            np.stack([se3.retract(T, one) for T, one in zip(self.T, steps, strict=True)]),
+            self.offsets + step[POSE * count : (POSE + 1) * count],
+            moved.radius,
+            moved.points,
+            moved.directions,
+            self.control + step[self.control_points()].reshape(-1, 3),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SitePriors:
+    """What is known before: the start with its width, 1 σ of offsets (L,), the radius, the datum.
+
+    `free` (6 L,) tells which parameters of the poses are estimated; the others are the datum.
+    """
+
+    start: Array
+    offsets: Array
+    radius: float
+    radius_sigma: float
+    free: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """The beams of one LiDAR at the poles of all placements, and which axis each of them is."""
+
+    lidar: int
+    beams: Beams
+    own: IntArray
+
+
+def evaluate_site(
+    state: SiteState,
+    log_noise: Array,
+    sights: Sequence[Sight],
+    surveyed: Surveyed,
+    priors: SitePriors,
+) -> Posterior[SiteState]:
+    """Evaluate the posterior, and where the noise (L, 2) of the LiDARs should go."""
+    count, size = len(state.T), state.size
+    x, prior = np.zeros(size), np.zeros(size)
+    steps = [se3.local(start, T) for start, T in zip(priors.start, state.T, strict=True)]
+    x[: POSE * count] = np.concatenate(steps)
+    prior[: POSE * count] = np.tile(
+        np.repeat([START_ROTATION**-2.0, START_TRANSLATION**-2.0], 3), count
+    )
+    offsets = slice(POSE * count, (POSE + 1) * count)
+    x[offsets], prior[offsets] = state.offsets, priors.offsets**-2.0
+    radius = state.first_axis - 1
+    x[radius], prior[radius] = state.radius - priors.radius, priors.radius_sigma**-2.0
+    log, score = -0.5 * float(prior @ x**2), -prior * x
+    information, lifted = np.diag(prior), np.diag(prior)
+    noise_step, inliers = np.zeros((count, 2)), 0.0
+    for sight in sights:
+        place = place_of(state, sight)
+        terms, on_poles = evaluate_lidar(
+            state.of(sight.lidar, sight.own), 1, sight.beams, np.exp(log_noise[sight.lidar])
+        )
+        noise_step[sight.lidar] = on_poles.noise_step
+        inliers += on_poles.inliers
+        log += terms.log
+        # The target's offset has no part in it.
+        kept = np.r_[0:POSE, 7:SHARED, SHARED : len(terms.score)]
+        score[place] += terms.score[kept]
+        information[np.ix_(place, place)] += terms.information[np.ix_(kept, kept)]
+        lifted[np.ix_(place, place)] += terms.lifted[np.ix_(kept, kept)]
+    for term in survey_terms(state, surveyed):
+        J = np.zeros((len(term.residual), size))
+        J[:, term.place] = term.jacobian
+        weighted = J.T * term.sigma**-2.0
+        log -= 0.5 * float(np.sum((term.residual / term.sigma) ** 2))
+        score -= weighted @ term.residual
+        information += weighted @ J
+        lifted += weighted @ J
+    held = np.flatnonzero(~np.r_[priors.free, np.ones(size - POSE * count, dtype=bool)])
+    score[held] = 0.0
+    for matrix in (information, lifted):
+        matrix[held], matrix[:, held] = 0.0, 0.0
+        matrix[held, held] = 1.0
+    return Posterior(
+        state,
+        log_noise,
+        -log,
+        -score,
+        information,
+        lifted,
+        np.clip(noise_step, *NOISE_STEP),
+        inliers,
+    )
+
+
+def place_of(state: SiteState, sight: Sight) -> IntArray:
+    """Where pose, offset, radius and axes of a LiDAR's terms stand in a step of the site."""
+    count = len(state.T)
+    return np.r_[
+        POSE * sight.lidar + np.arange(POSE),
+        POSE * count + sight.lidar,
+        state.first_axis - 1,
+        state.axes(sight.own),
+    ]
+
+
+def climb_site(
+    state: SiteState,
+    log_noise: Array,
+    sights: Sequence[Sight],
+    surveyed: Surveyed,
+    priors: SitePriors,
+) -> Solution[Posterior[SiteState]]:
+    """Climb to the nearest maximum of the posterior.
+
+    Raises
+    ------
+    Refusal
+        ``poor_fit`` where most returns lie on no common pole.
+    """
+
+    def evaluate(state: SiteState, log_noise: Array) -> Posterior[SiteState]:
+        return evaluate_site(state, log_noise, sights, surveyed, priors)
+
+    found = maximise(state, log_noise, evaluate)
+    end = found.point
+    total = sum(len(sight.beams.pole) for sight in sights)
+    noise = float(np.exp(end.log_noise[:, 0].max()))
+    if not np.isfinite(end.cost) or noise > MAX_NOISE or end.inliers < MIN_INLIER_SHARE * total:
+        raise Refusal(
+            "poor_fit",
+            f"the returns of all LiDARs do not lie on shared poles: noise {100 * noise:.1f} cm, "
+            f"{end.inliers:.0f} of {total} returns fit; check the radius and what was taken for a "
+            "pole",
+            {"noise_m": noise, "inliers": end.inliers, "points": total},
+        )
+    return found

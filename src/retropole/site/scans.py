@@ -1,0 +1,171 @@
+"""What each LiDAR of a site recorded, searched for poles, about where its beams start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, PointCloud, Pole, Scan
+from ..errors import Refusal
+from ..matching.placements import merged
+from ..pipeline import find_poles
+from ..scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
+from ..scene.static import check_static, check_still
+from ..scene.visibility import View, compare_views, view_of
+from .model import Site, SiteLidar
+
+SAME_PLACE = 0.5
+"""Least share of points that two recordings of one LiDAR have in common where it stood still."""
+
+Recording = tuple[int, int]
+"""Index of a LiDAR and of a placement."""
+
+
+@dataclass(frozen=True, eq=False)
+class SiteScans:
+    """Scans of all LiDARs in all placements, each about its LiDAR's beam origin.
+
+    Attributes
+    ----------
+    by_lidar
+        For each LiDAR and placement; None where nothing was recorded or it cannot be used.
+    origins
+        (L, 3) where the beams of each LiDAR start in the frame of its clouds.
+    faults
+        Why a recording cannot be used.
+    """
+
+    by_lidar: tuple[tuple[Scan | None, ...], ...]
+    origins: Array
+    faults: tuple[tuple[Recording, Refusal], ...] = ()
+
+    def poles(self, lidar: int, placement: int) -> tuple[Pole, ...]:
+        """Poles that a LiDAR sees in a placement."""
+        scan = self.by_lidar[lidar][placement]
+        return () if scan is None else scan.poles
+
+    def used(self, lidar: int) -> list[Scan]:
+        """Scans of a LiDAR that can be used."""
+        return [scan for scan in self.by_lidar[lidar] if scan is not None]
+
+    def scene(self, lidar: int) -> PointCloud | None:
+        """What a LiDAR recorded in all placements; None without any."""
+        used = self.used(lidar)
+        return merged([scan.cloud for scan in used]) if used else None
+
+    def without(self, recordings: set[Recording]) -> SiteScans:
+        """Give the same without some recordings."""
+        kept = tuple(
+            tuple(None if (i, p) in recordings else scan for p, scan in enumerate(row))
+            for i, row in enumerate(self.by_lidar)
+        )
+        return replace(self, by_lidar=kept)
+
+
+def find_scans(site: Site, progress: Callable[[str], None] = lambda step: None) -> SiteScans:
+    """Search every recording of a site for poles.
+
+    A recording that cannot be used is left out and told in `SiteScans.faults`: others may do.
+    """
+    rows, faults = [], []
+    origins = np.zeros((len(site.lidars), 3))
+    for i, lidar in enumerate(site.lidars):
+        progress(f"poles of {lidar.name}")
+        first = next((cloud for cloud in lidar.clouds if cloud is not None), None)
+        if first is not None:
+            origins[i] = first.origin
+        row: list[Scan | None] = []
+        for p, cloud in enumerate(lidar.clouds):
+            scan = None if cloud is None else _scan(lidar, cloud, origins[i], site.radius)
+            try:
+                row.append(_checked(lidar.name, scan))
+            except Refusal as refusal:
+                faults.append(((i, p), refusal))
+                row.append(None)
+        rows.append(tuple(row))
+    return SiteScans(tuple(rows), origins, tuple(faults))
+
+
+def _scan(lidar: SiteLidar, cloud: PointCloud, origin: Array, radius: float) -> Scan:
+    about = replace(cloud, xyz=cloud.xyz - origin, origin=cloud.origin - origin)
+    return find_poles(about, sensor=lidar.sensor, threshold=lidar.threshold, radius=radius)
+
+
+def _checked(name: str, scan: Scan | None) -> Scan | None:
+    if scan is None:
+        return None
+    if scan.refusal is not None:
+        raise scan.refusal
+    check_still(name, scan.cloud)
+    check_static(name, scan.cloud, scan.poles)
+    return scan
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """What each LiDAR saw, downsampled, to compare one with another; None where it saw nothing.
+
+    `every` has one view for each placement, `first` that of the first which was recorded.
+    """
+
+    every: tuple[tuple[View | None, ...], ...]
+
+    def first(self, lidar: int) -> View | None:
+        """View of the first placement that a LiDAR recorded."""
+        return next((view for view in self.every[lidar] if view is not None), None)
+
+
+def views_of(scans: SiteScans) -> Views:
+    """Downsample every scan."""
+    return Views(
+        tuple(
+            tuple(
+                None if scan is None else view_of(scan.cloud, SCORING_VOXEL, SCORING_SAMPLE)
+                for scan in row
+            )
+            for row in scans.by_lidar
+        )
+    )
+
+
+def same_place(one: View, other: View) -> float:
+    """Share of points, in both directions, that two recordings have in common as they are."""
+    return compare_views(one, other, np.eye(4), within=0.5, limit=0.5).overlap
+
+
+def elsewhere(views: Views, lidar: int) -> set[int]:
+    """Placements whose recording does not show the place that a LiDAR stands at.
+
+    With three recordings or more, those that agree with less than half of the others; with two that
+    differ, both.
+    """
+    known = [(p, view) for p, view in enumerate(views.every[lidar]) if view is not None]
+    count = np.zeros(len(known))
+    for a in range(len(known)):
+        for b in range(a):
+            agrees = same_place(known[a][1], known[b][1]) >= SAME_PLACE
+            count[[a, b]] += agrees
+    return {
+        p for (p, _), agreeing in zip(known, count, strict=True) if 2 * agreeing < len(known) - 1
+    }
+
+
+def moved_back(T: Array, covariance: Array, origin: Array) -> tuple[Array, Array]:
+    """Express a pose about a LiDAR's beam origin, and rows of a covariance, in its own frame.
+
+    Parameters
+    ----------
+    T
+        (4, 4) site from LiDAR, counted from the beam origin.
+    covariance
+        (6, N) rows ``[φ, δ]`` of that pose in a joint covariance.
+    origin
+        (3,) beam origin in the LiDAR's frame.
+    """
+    arm = T[:3, :3] @ origin
+    back = np.eye(6)
+    back[3:, :3] = se3.hat(arm)
+    return se3.from_rt(T[:3, :3], T[:3, 3] - arm), np.asarray(back @ covariance)

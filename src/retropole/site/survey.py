@@ -1,0 +1,142 @@
+"""What surveyors and inertial sensors say: ends of poles, control points, which way is up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, IntArray
+
+if TYPE_CHECKING:
+    from .posterior import SiteState
+
+POSE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyedEnd:
+    """A surveyed end of a pole: a point (3,) on an axis, in the frame of the site; 1 σ, metres."""
+
+    name: str
+    axis: int
+    at: Array
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPoint:
+    """A control point: (3,) in the frame of the site, and 1 σ, metres."""
+
+    name: str
+    at: Array
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoint:
+    """A control point as a LiDAR sees it: (3,) about its beam origin, and 1 σ, metres."""
+
+    name: str
+    lidar: int
+    point: int
+    at: Array
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredUp:
+    """Which way is up (3,) in the frame of a LiDAR, and 1 σ, rad."""
+
+    name: str
+    lidar: int
+    direction: Array
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class Surveyed:
+    """All that is known of a site beside the recordings."""
+
+    ends: tuple[SurveyedEnd, ...] = ()
+    known: tuple[KnownPoint, ...] = ()
+    seen: tuple[SeenPoint, ...] = ()
+    up: tuple[MeasuredUp, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyTerm:
+    """One observation: residual (M,), its derivative (M, P) by parameters at `place`, 1 σ (M,).
+
+    Attributes
+    ----------
+    kind, name
+        As in `model.Test`; what was observed, in words.
+    lidar
+        Whose observation it is; None where it is the surveyor's.
+    """
+
+    kind: Literal["survey", "control point", "up"]
+    name: str
+    residual: Array
+    jacobian: Array
+    place: IntArray
+    sigma: Array
+    lidar: int | None = None
+    axis: int | None = field(default=None)
+
+
+def survey_terms(state: SiteState, surveyed: Surveyed) -> Iterator[SurveyTerm]:
+    """Hold what was surveyed against a state."""
+    tangents = state.of(0, np.arange(len(state.points))).tangents
+    for end in surveyed.ends:
+        away = end.at - state.points[end.axis]
+        along = float(away @ state.directions[end.axis])
+        B = tangents[end.axis]
+        # Turning the axis moves it, beside the end, by the angle times how far along that is.
+        J = np.concatenate([-np.eye(2), -along * np.eye(2)], axis=1)
+        yield SurveyTerm(
+            "survey",
+            end.name,
+            B.T @ away,
+            J,
+            state.axes(np.array([end.axis])),
+            np.full(2, end.sigma),
+            axis=end.axis,
+        )
+    first = state.control_points().start
+    for q, point in enumerate(surveyed.known):
+        yield SurveyTerm(
+            "control point",
+            point.name,
+            state.control[q] - point.at,
+            np.eye(3),
+            first + 3 * q + np.arange(3),
+            np.full(3, point.sigma),
+        )
+    for seen in surveyed.seen:
+        rotated = state.T[seen.lidar][:3, :3] @ seen.at
+        place = np.r_[POSE * seen.lidar + np.arange(POSE), first + 3 * seen.point + np.arange(3)]
+        yield SurveyTerm(
+            "control point",
+            seen.name,
+            rotated + state.T[seen.lidar][:3, 3] - state.control[seen.point],
+            np.concatenate([-se3.hat(rotated), np.eye(3), -np.eye(3)], axis=1),
+            place,
+            np.full(3, seen.sigma),
+            lidar=seen.lidar,
+        )
+    for up in surveyed.up:
+        turned = state.T[up.lidar][:3, :3] @ up.direction
+        yield SurveyTerm(
+            "up",
+            up.name,
+            turned[:2],
+            -se3.hat(turned)[:2],
+            POSE * up.lidar + np.arange(3),
+            np.full(2, up.sigma),
+            lidar=up.lidar,
+        )

@@ -1,0 +1,137 @@
+"""The order of all that a site's adjustment estimates: poses, errors of LiDARs, axes, points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..datatypes import Array, IntArray
+from ..systematic import (
+    DEVICE,
+    DEVICE_KINDS,
+    MIN_ERROR_SIGMA,
+    RADIUS,
+    RADIUS_KIND,
+    RING_KINDS,
+    Groups,
+    Kind,
+    Layout,
+    Sizes,
+)
+
+POSE = 6
+"""Parameters of a pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Where each unknown stands: poses, errors LiDAR by LiDAR, radius, axes, control points.
+
+    Attributes
+    ----------
+    bands
+        For each LiDAR, the bands of elevation that it has returns in, sorted.
+    axes, control
+        How many there are.
+    """
+
+    bands: tuple[IntArray, ...]
+    axes: int
+    control: int
+
+    @property
+    def lidars(self) -> int:
+        """How many LiDARs there are."""
+        return len(self.bands)
+
+    @property
+    def poses(self) -> int:
+        """How many parameters all poses have: the first ones."""
+        return POSE * self.lidars
+
+    @property
+    def errors(self) -> int:
+        """How many errors there are: they stand behind the poses."""
+        return sum(self._of_lidar(i) for i in range(self.lidars)) + 1
+
+    @property
+    def kept(self) -> int:
+        """How many poses' parameters and errors there are."""
+        return self.poses + self.errors
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are."""
+        return self.kept + 4 * self.axes + 3 * self.control
+
+    def _of_lidar(self, lidar: int) -> int:
+        return DEVICE + 2 * len(self.bands[lidar])
+
+    def pose(self, lidar: int) -> IntArray:
+        """(6,) where a pose stands."""
+        return np.asarray(POSE * lidar + np.arange(POSE))
+
+    def device(self, lidar: int) -> IntArray:
+        """(9,) where the errors of a whole LiDAR stand."""
+        first = self.poses + sum(self._of_lidar(i) for i in range(lidar))
+        return np.asarray(first + np.arange(DEVICE))
+
+    def rings(self, lidar: int, kind: int, bands: IntArray) -> IntArray:
+        """Where the range (0) or elevation (1) errors of some of a LiDAR's bands stand."""
+        first = int(self.device(lidar)[-1]) + 1 + kind * len(self.bands[lidar])
+        return np.asarray(first + np.searchsorted(self.bands[lidar], bands))
+
+    @property
+    def radius(self) -> int:
+        """Where the error of the radius stands."""
+        return self.kept - 1
+
+    def axis(self, own: IntArray) -> IntArray:
+        """(4 N,) where some axes stand."""
+        return np.asarray((self.kept + 4 * own[:, None] + np.arange(4)).reshape(-1))
+
+    def control_point(self, number: int) -> IntArray:
+        """(3,) where a control point stands."""
+        return np.asarray(self.kept + 4 * self.axes + 3 * number + np.arange(3))
+
+    def of_layout(self, layout: Layout, lidars: tuple[int | None, int]) -> IntArray:
+        """Where the errors of a pair's layout stand; −1 where the target is no LiDAR (None)."""
+        place = np.full(layout.size, -1)
+        for side, lidar in enumerate(lidars):
+            if lidar is None:
+                continue
+            place[layout.device(side)] = self.device(lidar)
+            for kind in (0, 1):
+                bands = layout.bands[side]
+                place[layout.rings(side, kind)] = self.rings(lidar, kind, bands)
+        place[RADIUS] = self.radius
+        return place
+
+    def groups(self) -> Groups:
+        """Group the errors by kind and LiDAR."""
+        label = np.zeros(self.errors, dtype=np.int64)
+        kinds: list[Kind] = []
+        sensors: list[int | None] = []
+        for lidar in range(self.lidars):
+            places = [np.array([each]) for each in self.device(lidar)]
+            places += [self.rings(lidar, kind, self.bands[lidar]) for kind in (0, 1)]
+            for place, kind in zip(places, (*DEVICE_KINDS, *RING_KINDS), strict=True):
+                if not (kinds and kinds[-1] == kind and sensors[-1] == lidar):
+                    kinds.append(kind)
+                    sensors.append(lidar)
+                label[place - self.poses] = len(kinds) - 1
+        kinds.append(RADIUS_KIND)
+        sensors.append(None)
+        label[-1] = len(kinds) - 1
+        return Groups(label, tuple(kinds), tuple(sensors))
+
+
+def known_sigmas(groups: Groups, sizes: Sequence[Sizes], radius_sigma: float) -> Array:
+    """(G,) 1 σ of each group of errors as it is known beforehand, in its own unit."""
+    known = [
+        radius_sigma if lidar is None else getattr(sizes[lidar], kind.field)
+        for kind, lidar in zip(groups.kinds, groups.sensors, strict=True)
+    ]
+    return np.maximum(np.array(known), MIN_ERROR_SIGMA)
