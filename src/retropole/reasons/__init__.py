@@ -15,6 +15,7 @@ from .cluster import CLUSTER, ClusterCode
 from .explanation import Explanation, plain, unlinked
 from .other_methods import OTHER_METHODS, OtherMethodCode
 from .refused import REFUSED, RefusedCode
+from .site import SITE, SiteCode
 from .warning import WARNINGS, WarningCode
 
 __all__ = [
@@ -33,7 +34,7 @@ __all__ = [
     "unlinked",
 ]
 
-Code = RefusedCode | WarningCode | CheckCode | OtherMethodCode | ClusterCode
+Code = RefusedCode | WarningCode | CheckCode | SiteCode | OtherMethodCode | ClusterCode
 
 
 class Group(NamedTuple):
@@ -54,6 +55,12 @@ GROUPS: tuple[Group, ...] = (
         "Reasons of [`retropole check`](check.md): why it cannot tell, or what to know of its "
         "answer.",
         tuple(CHECK.items()),
+    ),
+    Group(
+        "Site",
+        "Reasons of [`retropole site calibrate`](site.md), beside those of a pair: the first eight "
+        "and `site_inconsistent` refuse, the others warn.",
+        tuple(SITE.items()),
     ),
     Group(
         "Other methods",

@@ -71,6 +71,8 @@ class PatchPairs:
         (P,) weight, 0 to 1: how far the limits of what corresponds allow the pair.
     cluster
         (P,) which residuals lie at one place.
+    at
+        (P, 3) where the source's patch lies in the target's frame, metres.
     """
 
     residuals: Array
@@ -82,6 +84,7 @@ class PatchPairs:
     variance: Array
     agreement: Array
     cluster: IntArray
+    at: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +246,7 @@ def pair_patches(
         + tilt * along,
         agreement=agreement,
         cluster=np.unique(sets.clusters[s], return_inverse=True)[1].astype(np.int64),
+        at=moved[s],
     )
 
 

@@ -3,106 +3,30 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..alignment.adjustment import RADIUS_TOLERANCE
-from ..alignment.certainty import WORKING_SHARE
-from ..alignment.climb import START_NOISE
-from ..alignment.posterior import beam_geometry
-from ..systematic import MIN_ERROR_SIGMA, sizes_of
+from ..datatypes import Array
+from ..errors import Reason, Refusal
+from ..uncertainty import predicted_error
+from .adjustment import Adjusted, adjust
+from .blunders import without_blunders
+from .certainty import budget_of
 from .choice import choose_poses, linked_groups
-from .model import Site, SiteCalibration
-from .network import bands_of, observe
-from .pairs import find_pairs, poles_of
-from .posterior import SitePriors, SiteState, climb_site
-from .refinement import patches_of, refine_site, scene_pairs
-from .scans import find_scans, views_of
-from .shared import shared_poles, sights_of
-from .survey import Surveyed
-from .unknowns import known_sigmas
-
-
-def experiment(site: Site):
-    t0 = time.time()
-    seconds = {}
-
-    def lap(name):
-        nonlocal t0
-        seconds[name] = time.time() - t0
-        t0 = time.time()
-
-    with threadpool_limits(1, user_api="blas"):
-        scans = find_scans(site)
-        lap("scans")
-        views = views_of(scans)
-        pairs = find_pairs(scans, views)
-        lap("pairs")
-        groups = linked_groups(len(site.lidars), pairs)
-        at = [poles_of(scans, i) for i in range(len(site.lidars))]
-        choices = choose_poses(groups[0], pairs, at, site.reference)
-        lap("choose")
-        poses = choices.best.poses
-        poles = [p for p in shared_poles(scans, poses, site.radius) if len(p.seen) > 1]
-        sights = sights_of(scans, poles)
-        L = len(site.lidars)
-        sizes = [sizes_of(l.sensor) for l in site.lidars]
-        T = np.stack([poses.get(i, np.eye(4)) for i in range(L)])
-        state = SiteState(
-            T,
-            np.zeros(L),
-            site.radius,
-            np.array([p.point for p in poles]),
-            np.array([p.direction for p in poles]),
-            np.zeros((0, 3)),
-        )
-        noise = np.zeros((L, 2))
-        for s in sights:
-            seen = beam_geometry(
-                state.of(s.lidar, s.own),
-                1,
-                s.beams.origin,
-                s.beams.directions,
-                s.beams.ranges,
-                s.beams.pole,
-            )
-            spread = np.sqrt(np.mean((seen.depth - site.radius) ** 2 + seen.lateral_offset**2))
-            noise[s.lidar] = np.log(np.clip(spread, *START_NOISE))
-        free = np.ones(6 * L, dtype=bool)
-        free[6 * site.reference : 6 * site.reference + 6] = False
-        rs = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
-        priors = SitePriors(
-            T,
-            WORKING_SHARE * np.array([np.hypot(s.zero, s.tape) for s in sizes]),
-            site.radius,
-            rs,
-            free,
-        )
-        found = climb_site(state, noise, sights, Surveyed(), priors)
-        lap("climb")
-        patches = patches_of(scans)
-        lap("patches")
-        none = np.zeros(0, dtype=np.int64)
-        bands = bands_of(sights, [none if p is None else np.unique(p.bands) for p in patches])
-        network = observe(found.point, sights, poles, Surveyed(), site, bands, free)
-        lap("expand")
-        eg = network.unknowns.groups()
-        known = known_sigmas(eg, sizes, rs)
-        ready = scene_pairs(patches, groups[0])
-        end = refine_site(network, ready, eg, known)
-        lap("refine")
-    return dict(
-        scans=scans,
-        pairs=pairs,
-        choices=choices,
-        poles=poles,
-        found=found,
-        network=network,
-        end=end,
-        seconds=seconds,
-    )
+from .closures import close_loops
+from .datum import find_datum
+from .exchanged import check_exchanged, check_places
+from .model import LidarPose, PairCheck, Site, SiteCalibration, SitePole
+from .pairs import Pair, find_pairs, poles_of
+from .refinement import patches_of, scene_pairs
+from .scans import SiteScans, find_scans, poses_in_clouds, views_of
+from .shared import shared_poles
+from .unknowns import POSE
+from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
+from .without import without_placements
 
 
 def calibrate_site(
@@ -122,4 +46,168 @@ def calibrate_site(
     SiteCalibration
         With `status` ``refused``, the reasons and no poses where the data carry no answer.
     """
-    raise NotImplementedError
+    seconds: dict[str, float] = {}
+    step = partial(_timed, seconds, progress)
+    count = len(site.lidars)
+    pairs: tuple[Pair, ...] = ()
+    groups: list[list[int]] = []
+    # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the way.
+    with threadpool_limits(1, user_api="blas"):
+        with step("extract"):
+            scans = find_scans(site)
+        try:
+            with step("match"):
+                views = views_of(scans)
+                check_places(site, views)
+                pairs = find_pairs(scans, views)
+                groups = linked_groups(count, pairs)
+            with step("choose"):
+                at = [poles_of(scans, lidar) for lidar in range(count)]
+                choices = choose_poses(groups[0], pairs, at, groups[0][0])
+                check_exchanged(site, scans, views, pairs, choices.best, at)
+                check_linked(site, groups, pairs)
+                check_decided(site, choices, pairs, at)
+            with step("adjust"):
+                poles = shared_poles(scans, choices.best.poses, site.radius)
+                datum = find_datum(site, scans.origins, choices.best.poses, poles)
+                patches = patches_of(scans)
+                scenes = scene_pairs(patches, groups[0])
+                adjust_from = partial(adjust, site, scans, patches=patches, scenes=scenes)
+                adjusted = adjust_from(datum)
+            with step("test"):
+                adjusted, blunders = without_blunders(site, adjusted, adjust_from)
+            with step("confirm"):
+                unconfirmed = list(confirm_links(site, scans, adjusted, pairs))
+        except Refusal as refusal:
+            return refused(site, scans, pairs, groups, refusal, seconds)
+        with step("state"):
+            found = [*unusable(site, scans), *blunders, *unconfirmed]
+            return answered(site, scans, pairs, groups, adjusted, found, seconds)
+
+
+def answered(
+    site: Site,
+    scans: SiteScans,
+    pairs: Sequence[Pair],
+    groups: Sequence[Sequence[int]],
+    adjusted: Adjusted,
+    found: Sequence[Reason],
+    seconds: dict[str, float],
+) -> SiteCalibration:
+    """State the answer: all poses in the frames of the clouds, and everything that was checked."""
+    end = adjusted.end
+    poses, covariance = poses_in_clouds(end.T, adjusted.covariance, scans.origins)
+    lidars = tuple(_lidar_pose(site, adjusted, i, T, covariance) for i, T in enumerate(poses))
+    loops = tuple(close_loops(adjusted.solved, end))
+    reasons = (*found, *weaknesses(site, adjusted, loops, lidars))
+    return SiteCalibration(
+        status="warn" if reasons else "ok",
+        reasons=reasons,
+        site=site,
+        datum=adjusted.datum.words,
+        scans=scans.by_lidar,
+        lidars=lidars,
+        covariance=covariance,
+        groups=tuple(tuple(group) for group in groups),
+        poles=_site_poles(site, adjusted),
+        pairs=tuple(_pair_check(pair, adjusted) for pair in pairs),
+        loops=loops,
+        tests=adjusted.tests,
+        without=tuple(without_placements(adjusted.network, end, len(site.placements))),
+        seconds=seconds,
+    )
+
+
+def refused(
+    site: Site,
+    scans: SiteScans,
+    pairs: Sequence[Pair],
+    groups: Sequence[Sequence[int]],
+    refusal: Refusal,
+    seconds: dict[str, float],
+) -> SiteCalibration:
+    """State a refusal, with all that was found before it."""
+    reason = Reason(refusal.code, refusal.message, refusal.values)
+    return SiteCalibration(
+        status="refused",
+        reasons=(reason, *unusable(site, scans)),
+        site=site,
+        datum="",
+        scans=scans.by_lidar,
+        lidars=(),
+        covariance=None,
+        groups=tuple(tuple(group) for group in groups),
+        poles=(),
+        pairs=tuple(_pair_check(pair, None) for pair in pairs),
+        loops=(),
+        tests=(),
+        without=(),
+        seconds=seconds,
+    )
+
+
+def unusable(site: Site, scans: SiteScans) -> Iterator[Reason]:
+    """Say which recordings could not be used."""
+    for (lidar, placement), refusal in scans.faults:
+        name, where = site.lidars[lidar].name, site.placements[placement]
+        yield Reason(
+            "recording_unusable",
+            f"{name} in placement {where}: {refusal.message}",
+            {"lidar": name, "placement": where, "code": refusal.code},
+        )
+
+
+def _lidar_pose(
+    site: Site, adjusted: Adjusted, lidar: int, T: Array, covariance: Array
+) -> LidarPose:
+    own = slice(POSE * lidar, POSE * (lidar + 1))
+    block = covariance[own, own]
+    names = [each.name for each in site.lidars]
+    return LidarPose(
+        lidar,
+        T,
+        block,
+        budget_of(adjusted.parts, lidar, names),
+        predicted_error(block),
+        fitness_of(site, block),
+    )
+
+
+def _site_poles(site: Site, adjusted: Adjusted) -> tuple[SitePole, ...]:
+    return tuple(
+        SitePole(
+            pole.name(site),
+            pole.placement,
+            pole.extent.mean(axis=0),
+            pole.direction,
+            pole.length,
+            tuple(sorted(pole.seen)),
+            pole.surveyed,
+        )
+        for pole in adjusted.datum.poles
+    )
+
+
+def _pair_check(pair: Pair, adjusted: Adjusted | None) -> PairCheck:
+    """Say how two LiDARs agree: by the tests of the poles that both see."""
+    poles = [] if adjusted is None else adjusted.datum.poles
+    shared = {k for k, pole in enumerate(poles) if set(pair.lidars) <= pole.seen.keys()}
+    tests = () if adjusted is None else adjusted.tests
+    terms = () if adjusted is None else adjusted.end.scene
+    return PairCheck(
+        pair.lidars,
+        len(shared),
+        len(pair.standing),
+        sum(len(term.weights) for term in terms if term.lidars == pair.lidars),
+        max((test.w for test in tests if test.pole in shared), default=None),
+        pair.refusal,
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
+    """Name a step that starts, and note how long it took."""
+    progress(name)
+    start = time.perf_counter()
+    yield
+    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start

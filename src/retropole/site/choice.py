@@ -11,7 +11,7 @@ much: then the data do not decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ EQUAL = 0.5
 scenes overlap."""
 
 MOST_STEPS = 200_000
-"""Steps of the search at most; a ring of 12 LiDARs with two hypotheses for each pair takes 4,000."""
+"""Steps of the search at most: a ring of 12 LiDARs, two hypotheses for each pair, takes 4,000."""
 
 MOST_RIVALS = 8
 """So many equally good choices are enough to tell where they differ."""
@@ -117,14 +117,10 @@ class _Search:
     poles: Sequence[Array]
     steps: int = 0
     best: float = -np.inf
-    found: list[Choice] | None = None
-
-    def __post_init__(self) -> None:
-        self.found = []
+    found: list[Choice] = field(default_factory=list)
 
     def run(self, so_far: Choice, left: list[int], unlinked: list[int]) -> None:
         """Give poses to those left; the unlinked have none by those that have one already."""
-        assert self.found is not None
         self.steps += 1
         if self.steps > MOST_STEPS:
             return
@@ -145,7 +141,6 @@ class _Search:
             self.run(so_far, others, [*unlinked, lidar])
 
     def _keep(self, choice: Choice) -> None:
-        assert self.found is not None
         self.best = max(self.best, choice.count)
         kept = [each for each in self.found if each.count > self.best - EQUAL]
         if all(_differs(choice, each, self.poles) for each in kept):

@@ -47,6 +47,9 @@ class Observation:
         (K,) the axes that are among the unknowns, in their order; the last ones of the place.
     returns
         How many returns lie on them.
+    by_value
+        Of a single measurement its derivative (M, P) over its 1 σ, its residual (M,) likewise, and
+        that 1 σ, metres or rad; None of returns.
     """
 
     kind: Literal["returns", "survey", "control point", "up"]
@@ -58,6 +61,7 @@ class Observation:
     placement: int | None = None
     poles: IntArray | None = None
     returns: float = 0.0
+    by_value: tuple[Array, Array, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,15 +157,16 @@ def observe(
             some = np.flatnonzero(placement == p)
             found.append(_returns(state, sight, some, view, int(p), unknowns, site))
     for term in survey_terms(state, surveyed):
-        weighted = term.jacobian.T * term.sigma**-2.0
+        J, residual = term.jacobian / term.sigma[:, None], term.residual / term.sigma
         found.append(
             Observation(
                 term.kind,
                 term.name,
                 _of_unknowns(term.place, state, unknowns),
-                weighted @ term.jacobian,
-                -weighted @ term.residual,
+                J.T @ J,
+                -J.T @ residual,
                 lidar=term.lidar,
+                by_value=(J, residual, float(term.sigma[0])),
             )
         )
     return Network(unknowns, state, start, tuple(found), free)
@@ -208,12 +213,23 @@ def _of_unknowns(place: IntArray, state: SiteState, unknowns: Unknowns) -> IntAr
     return np.asarray(np.where(place < POSE * len(state.T), place, place + behind))
 
 
-def marginal(network: Network) -> tuple[Array, Array]:
+def marginal(network: Network, ridge: float = 0.0) -> tuple[Array, Array]:
     """Eliminate axes and control points: Λ (K, K) and η (K,) of poses and errors.
 
     ``log L = ηᵀ y − ½ yᵀ Λ y`` up to a constant, y the poses' steps and the errors.
+
+    Parameters
+    ----------
+    network
+        The observations.
+    ridge
+        Precision that axes and points get which nothing is said of.
     """
     information, gradient = network.total()
+    if ridge:
+        nothing = np.flatnonzero(np.diag(information) <= 0.0)
+        nothing = nothing[nothing >= network.unknowns.kept]
+        information[nothing, nothing] = ridge
     kept, gone = slice(0, network.unknowns.kept), slice(network.unknowns.kept, None)
     eliminated = np.linalg.solve(information[gone, gone], information[gone, kept])
     reduced = information[kept, kept] - information[kept, gone] @ eliminated

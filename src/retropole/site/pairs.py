@@ -146,7 +146,8 @@ def _scored(
     target: View | None,
     source: View | None,
 ) -> Pair:
-    assert target is not None and source is not None
+    assert target is not None
+    assert source is not None
     rows = []
     for match, placements, poles in found:
         T = match.T_target_source

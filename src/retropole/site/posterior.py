@@ -184,12 +184,13 @@ def evaluate_site(
 def place_of(state: SiteState, sight: Sight) -> IntArray:
     """Where pose, offset, radius and axes of a LiDAR's terms stand in a step of the site."""
     count = len(state.T)
-    return np.r_[
+    parts = np.r_[
         POSE * sight.lidar + np.arange(POSE),
         POSE * count + sight.lidar,
         state.first_axis - 1,
         state.axes(sight.own),
     ]
+    return np.asarray(parts, dtype=np.int64)
 
 
 def climb_site(

@@ -153,19 +153,26 @@ def elsewhere(views: Views, lidar: int) -> set[int]:
     }
 
 
-def moved_back(T: Array, covariance: Array, origin: Array) -> tuple[Array, Array]:
-    """Express a pose about a LiDAR's beam origin, and rows of a covariance, in its own frame.
+def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array, Array]:
+    """Express poses about the LiDARs' beam origins, and their covariance, in the clouds' frames.
 
     Parameters
     ----------
-    T
-        (4, 4) site from LiDAR, counted from the beam origin.
-    covariance
-        (6, N) rows ``[φ, δ]`` of that pose in a joint covariance.
-    origin
-        (3,) beam origin in the LiDAR's frame.
+    T, covariance
+        (L, 4, 4) site from LiDAR, counted from the beam origin, and (6 L, 6 L) of all poses.
+    origins
+        (L, 3) beam origins in the LiDARs' frames.
+
+    Returns
+    -------
+    poses, covariance
+        Of the same shapes.
     """
-    arm = T[:3, :3] @ origin
-    back = np.eye(6)
-    back[3:, :3] = se3.hat(arm)
-    return se3.from_rt(T[:3, :3], T[:3, 3] - arm), np.asarray(back @ covariance)
+    back = np.eye(len(covariance))
+    poses = []
+    for i, (pose, origin) in enumerate(zip(T, origins, strict=True)):
+        arm = pose[:3, :3] @ origin
+        back[6 * i + 3 : 6 * i + 6, 6 * i : 6 * i + 3] = se3.hat(arm)
+        poses.append(se3.from_rt(pose[:3, :3], pose[:3, 3] - arm))
+    moved = back @ covariance @ back.T
+    return np.stack(poses), np.asarray((moved + moved.T) / 2)

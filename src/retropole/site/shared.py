@@ -34,6 +34,8 @@ class SharedPole:
         From the index of the LiDAR to the pole as it sees it, about its beam origin.
     point, direction
         (3,) the axis in the frame of the site, roughly.
+    extent
+        (2, 3) the ends of what all LiDARs saw of it, on that axis.
     surveyed
         Index in `Site.poles`; None where it was not surveyed.
     """
@@ -43,7 +45,13 @@ class SharedPole:
     seen: dict[int, Pole]
     point: Array
     direction: Array
+    extent: Array
     surveyed: int | None = None
+
+    @property
+    def length(self) -> float:
+        """Between the ends of what was seen, metres."""
+        return float(np.linalg.norm(self.extent[1] - self.extent[0]))
 
     def name(self, site: Site) -> str:
         """What it is called."""
@@ -85,6 +93,7 @@ def _add(
     """Add a pole to the one that it is, or as another one."""
     point = se3.apply(T, (pole.point + _behind(pole, radius))[None])[0]
     direction = T[:3, :3] @ pole.direction
+    extent = _extent(point, direction, se3.apply(T, pole.xyz))
     gaps = [
         max(
             _distance(point, each.point, each.direction),
@@ -98,14 +107,22 @@ def _add(
         if near and lidar not in each.seen and _angle(direction, each.direction) <= SAME_ANGLE:
             # The better one is seen, the nearer its line runs to the axis.
             better = len(pole.xyz) > max(len(one.xyz) for one in each.seen.values())
+            point, direction = (point, direction) if better else (each.point, each.direction)
             here[k] = replace(
                 each,
                 seen={**each.seen, lidar: pole},
-                point=point if better else each.point,
-                direction=direction if better else each.direction,
+                point=point,
+                direction=direction,
+                extent=_extent(point, direction, np.concatenate([each.extent, extent])),
             )
             return
-    here.append(SharedPole(placement, len(here) + 1, {lidar: pole}, point, direction))
+    here.append(SharedPole(placement, len(here) + 1, {lidar: pole}, point, direction, extent))
+
+
+def _extent(point: Array, direction: Array, xyz: Array) -> Array:
+    """(2, 3) ends of points (N, 3) along an axis."""
+    along = (xyz - point) @ direction
+    return np.asarray(point + np.array([[along.min()], [along.max()]]) * direction)
 
 
 def _behind(pole: Pole, radius: float) -> Array:

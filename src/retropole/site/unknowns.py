@@ -134,4 +134,4 @@ def known_sigmas(groups: Groups, sizes: Sequence[Sizes], radius_sigma: float) ->
         radius_sigma if lidar is None else getattr(sizes[lidar], kind.field)
         for kind, lidar in zip(groups.kinds, groups.sensors, strict=True)
     ]
-    return np.maximum(np.array(known), MIN_ERROR_SIGMA)
+    return np.asarray(np.maximum(np.array(known), MIN_ERROR_SIGMA), dtype=np.float64)

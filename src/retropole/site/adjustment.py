@@ -1,0 +1,179 @@
+"""One adjustment of a site: from chosen poses to adjusted ones, their covariance, and all tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..alignment.adjustment import MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA, RADIUS_TOLERANCE
+from ..alignment.certainty import WORKING_SHARE
+from ..alignment.climb import START_NOISE
+from ..alignment.posterior import beam_geometry
+from ..datatypes import Array
+from ..errors import Refusal
+from ..scene.patches import Patches
+from ..systematic import MIN_ERROR_SIGMA, sizes_of
+from .certainty import Part, joint_covariance, parts_of
+from .datum import Datum, without_poles
+from .model import Site, Test
+from .network import Network, bands_of, observe
+from .posterior import Sight, SitePriors, SiteState, climb_site
+from .refinement import ScenePair, SiteEnd, refine_site
+from .scans import SiteScans
+from .shared import sights_of
+from .snooping import Solved, all_tests, solved
+from .unknowns import POSE, known_sigmas
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """An adjusted site.
+
+    Attributes
+    ----------
+    datum
+        What it started from.
+    network, end
+        The observations, and where poles, survey and scenes ended together.
+    parts, covariance
+        Every source of error, and (6 L, 6 L) of all poses.
+    solved, tests
+        All unknowns at the answer, and every test of an observation.
+    converged
+        Whether poles and refinement came to rest.
+    """
+
+    datum: Datum
+    network: Network
+    end: SiteEnd
+    parts: tuple[Part, ...]
+    covariance: Array
+    solved: Solved
+    tests: tuple[Test, ...]
+    converged: bool
+
+
+def adjust(
+    site: Site,
+    scans: SiteScans,
+    datum: Datum,
+    patches: Sequence[Patches | None],
+    scenes: Sequence[ScenePair],
+) -> Adjusted:
+    """Adjust all poses by poles, survey and scenes together.
+
+    Parameters
+    ----------
+    site, scans
+        What was recorded.
+    datum
+        Poses to start from, shared poles and what is known of them.
+    patches, scenes
+        Surfaces of each LiDAR, and the pairs that may be compared.
+
+    Raises
+    ------
+    Refusal
+        ``poor_fit``; ``degenerate_poles`` or ``survey_too_weak`` where a pose is left all but free.
+    """
+    sights = sights_of(scans, datum.poles)
+    sizes = [sizes_of(lidar.sensor) for lidar in site.lidars]
+    state = _start(site, datum)
+    radius_sigma = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
+    offsets = np.array([WORKING_SHARE * np.hypot(size.zero, size.tape) for size in sizes])
+    priors = SitePriors(state.T, offsets, site.radius, radius_sigma, datum.free)
+    climbed = climb_site(state, _start_noise(state, sights), sights, datum.surveyed, priors)
+    none = np.zeros(0, dtype=np.int64)
+    bands = bands_of(sights, [none if one is None else np.unique(one.bands) for one in patches])
+    network = observe(climbed.point, sights, datum.poles, datum.surveyed, site, bands, datum.free)
+    groups = network.unknowns.groups()
+    end = refine_site(network, scenes, groups, known_sigmas(groups, sizes, radius_sigma))
+    parts = tuple(parts_of(network, end, groups))
+    covariance = joint_covariance(parts)
+    check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
+    at = solved(network, end, groups)
+    tests = tuple(all_tests(at, site, datum.poles))
+    converged = climbed.converged and end.converged
+    return Adjusted(datum, network, end, parts, covariance, at, tests, converged)
+
+
+def _start(site: Site, datum: Datum) -> SiteState:
+    count = len(site.lidars)
+    return SiteState(
+        np.stack([datum.poses.get(i, np.eye(4)) for i in range(count)]),
+        np.zeros(count),
+        site.radius,
+        np.array([pole.point for pole in datum.poles]).reshape(-1, 3),
+        np.array([pole.direction for pole in datum.poles]).reshape(-1, 3),
+        np.array([point.at for point in datum.surveyed.known]).reshape(-1, 3),
+    )
+
+
+def _start_noise(state: SiteState, sights: Sequence[Sight]) -> Array:
+    """(L, 2) logarithm of how far the returns lie from where the search starts."""
+    noise = np.zeros((len(state.T), 2))
+    for sight in sights:
+        beams = sight.beams
+        seen = beam_geometry(
+            state.of(sight.lidar, sight.own),
+            1,
+            beams.origin,
+            beams.directions,
+            beams.ranges,
+            beams.pole,
+        )
+        spread = np.sqrt(np.mean((seen.depth - state.radius) ** 2 + seen.lateral_offset**2))
+        noise[sight.lidar] = np.log(np.clip(spread, *START_NOISE))
+    return noise
+
+
+def check_held(site: Site, covariance: Array, *, is_surveyed: bool) -> None:
+    """Refuse poses that poles, survey and scenes leave all but free.
+
+    Raises
+    ------
+    Refusal
+        ``survey_too_weak`` where all are free together, ``degenerate_poles`` where one is.
+    """
+    variance = np.diag(covariance).reshape(-1, POSE)
+    turned = np.sqrt(variance[:, :3].max(axis=1))
+    moved = np.sqrt(variance[:, 3:].max(axis=1))
+    free = np.flatnonzero((turned > MAX_ROTATION_SIGMA) | (moved > MAX_TRANSLATION_SIGMA))
+    if not len(free):
+        return
+    worst = int(free[np.argmax(moved[free])])
+    words = f"{np.degrees(turned[worst]):.1f}° and {moved[worst]:.2f} m (1 σ)"
+    values = {
+        "rotation_sigma_rad": float(turned[worst]),
+        "translation_sigma_m": float(moved[worst]),
+    }
+    if is_surveyed and len(free) == len(site.lidars):
+        raise Refusal(
+            "survey_too_weak",
+            f"the survey leaves the site free by {words}: survey both ends of a second pole, or "
+            "more control points",
+            values,
+        )
+    name = site.lidars[worst].name
+    raise Refusal(
+        "degenerate_poles",
+        f"the poles leave {name} free by {words}; add a pole or a placement that it sees with "
+        "others",
+        {"lidar": name, **values},
+    )
+
+
+def without_observations(datum: Datum, lidar: int, placement: int) -> Datum:
+    """Leave out what one LiDAR saw of the poles of one placement."""
+    poles = []
+    gone = set()
+    for k, pole in enumerate(datum.poles):
+        seen = dict(pole.seen)
+        if pole.placement == placement:
+            seen.pop(lidar, None)
+        poles.append(replace(pole, seen=seen))
+        if not seen or (len(seen) == 1 and pole.surveyed is None):
+            gone.add(k)
+    return without_poles(replace(datum, poles=poles), gone)

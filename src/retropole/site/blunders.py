@@ -1,0 +1,164 @@
+"""Blunders: which observation does not fit is named, left out, and the rest adjusted again.
+
+A blunder draws the tests of its neighbours along. So each of the worst is left out by turns, and
+the one without which everything fits is the blunder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from ..errors import Reason, Refusal
+from .adjustment import Adjusted, without_observations
+from .datum import Datum, without_poles, without_survey
+from .model import Site, Test
+
+SIGNIFICANT = 5.0
+"""Normalised residual (w) from which an observation does not fit. Of healthy sites none came to
+more than 4 (benchmarks/site.py, tuning seeds)."""
+
+MOST_BLUNDERS = 3
+"""So many are left out at most."""
+
+MOST_TRIED = 5
+"""So many suspects are tried by turns, the worst first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """What may be the blunder: the reason to give, and how to leave it out."""
+
+    reason: Reason
+    without: Callable[[Datum], Datum]
+
+
+def worst_test(tests: Sequence[Test]) -> Test | None:
+    """Find the test that fits worst, of those that do not fit."""
+    return max(significant(tests), key=lambda test: test.chi2 - 2 * test.freedom, default=None)
+
+
+def significant(tests: Sequence[Test]) -> list[Test]:
+    """Tests of what does not fit."""
+    return [test for test in tests if test.w > SIGNIFICANT]
+
+
+def without_blunders(
+    site: Site, first: Adjusted, adjust: Callable[[Datum], Adjusted]
+) -> tuple[Adjusted, list[Reason]]:
+    """Leave out what does not fit, one after the other, until the rest does.
+
+    Parameters
+    ----------
+    site
+        For names.
+    first
+        Everything adjusted together.
+    adjust
+        Adjusts what is left.
+
+    Returns
+    -------
+    Adjusted, list of Reason
+        The rest, and what was left out.
+
+    Raises
+    ------
+    Refusal
+        ``site_inconsistent`` where no few observations explain it.
+    """
+    now = first
+    reasons: list[Reason] = []
+    for _ in range(MOST_BLUNDERS):
+        if worst_test(now.tests) is None:
+            return now, reasons
+        tried: list[tuple[float, Adjusted, Suspect]] = []
+        for suspect in _suspects(site, now):
+            try:
+                rest = adjust(suspect.without(now.datum))
+            except Refusal:
+                continue
+            worst = worst_test(rest.tests)
+            tried.append((0.0 if worst is None else worst.chi2, rest, suspect))
+            if worst is None:
+                break
+        if not tried:
+            break
+        _, now, suspect = min(tried, key=lambda each: each[0])
+        reasons.append(suspect.reason)
+    worst = worst_test(now.tests)
+    if worst is None:
+        return now, reasons
+    worst = worst_test(first.tests)
+    assert worst is not None
+    raise Refusal(
+        "site_inconsistent",
+        f"{worst.name} does not fit the others (w {worst.w:.1f}, {SIGNIFICANT:g} is the most to "
+        "expect), and no few observations explain it: did poles move between the recordings, or "
+        "is a file of another placement?",
+        {"w": worst.w, "chi2": worst.chi2, "allowed": SIGNIFICANT},
+    )
+
+
+def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
+    """What to leave out by turns: the worst first, each once."""
+    order = sorted(significant(now.tests), key=lambda test: 2 * test.freedom - test.chi2)
+    known: set[tuple[object, ...]] = set()
+    for test in order:
+        if test.kind == "lidar":
+            continue
+        key: tuple[object, ...] = ("pole", test.pole)
+        if test.kind == "placement":
+            key = ("placement", test.lidar, test.placement)
+        elif test.kind != "pole":
+            key = (test.kind, test.name)
+        if key in known or len(known) >= MOST_TRIED:
+            continue
+        known.add(key)
+        yield _suspect(site, now, test)
+
+
+def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
+    values: dict[str, float | int | str] = {"w": test.w, "chi2": test.chi2}
+    if test.kind == "pole":
+        assert test.pole is not None
+        pole = now.datum.poles[test.pole]
+        name, gone = pole.name(site), {test.pole}
+        seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
+        values |= {"pole": name, "placement": site.placements[pole.placement]}
+        return Suspect(
+            Reason(
+                "pole_moved",
+                f"{name} does not stand at one place for all that see it ({seen}; w {test.w:.1f}), "
+                "and was left out: did it move between the recordings?",
+                values,
+            ),
+            lambda datum: without_poles(datum, gone),
+        )
+    if test.kind == "placement":
+        lidar, placement = test.lidar, test.placement
+        assert lidar is not None
+        assert placement is not None
+        values |= {"lidar": site.lidars[lidar].name, "placement": site.placements[placement]}
+        return Suspect(
+            Reason(
+                "recording_left_out",
+                f"the poles of {test.name} do not fit those of the other recordings (w "
+                f"{test.w:.1f}), and were left out: was it recorded with that placement?",
+                values,
+            ),
+            lambda datum: without_observations(datum, lidar, placement),
+        )
+    values["observation"] = test.name
+    return Suspect(
+        Reason(
+            "survey_outlier",
+            f"{test.name} does not fit (w {test.w:.1f}), and was left out: check its coordinates",
+            values,
+        ),
+        lambda datum: _without_survey(datum, test.name),
+    )
+
+
+def _without_survey(datum: Datum, name: str) -> Datum:
+    return replace(datum, surveyed=without_survey(datum.surveyed, name))

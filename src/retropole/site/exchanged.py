@@ -1,0 +1,159 @@
+"""Recordings that are not what the site file says: of another LiDAR, or of another placement.
+
+A LiDAR stands still, so that all its recordings show one place; and the poles of a placement are
+the same for all LiDARs. A recording that nothing agrees with is tried in the place of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TypeVar
+
+from .. import se3
+from ..datatypes import Array
+from ..errors import Refusal
+from .choice import Choice, choose_poses, linked_groups
+from .model import Site
+from .pairs import Pair, find_pairs, poles_of
+from .scans import SAME_PLACE, Recording, SiteScans, Views, elsewhere, same_place
+
+T = TypeVar("T")
+Rows = tuple[tuple[T, ...], ...]
+"""Something of every recording: for each LiDAR and placement."""
+
+
+def check_places(site: Site, views: Views) -> None:
+    """Refuse recordings of one LiDAR that do not all show one place.
+
+    Raises
+    ------
+    Refusal
+        ``recordings_exchanged`` where two LiDARs' recordings of a placement show each other's
+        place, ``lidar_moved`` elsewhere.
+    """
+    names = [lidar.name for lidar in site.lidars]
+    apart = {i: away for i in range(len(names)) if (away := elsewhere(views, i))}
+    for i, j in combinations(apart, 2):
+        for p in sorted(apart[i] & apart[j]):
+            if _show_each_other(views, i, j, p):
+                raise _exchanged(site, ((i, p), (j, p)), "show each other's place")
+    for i, away in apart.items():
+        which = ", ".join(site.placements[p] for p in sorted(away))
+        raise Refusal(
+            "lidar_moved",
+            f"the recordings of {names[i]} do not all show one place, placement {which} does not: "
+            "did it move, or is the file another LiDAR's? Give it another name after a move",
+            {"lidar": names[i], "placements": which},
+        )
+
+
+def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
+    """Whether two LiDARs' recordings of a placement fit the other's recordings elsewhere."""
+    found = []
+    for own, other in ((i, j), (j, i)):
+        here = views.every[own][p]
+        there = [view for q, view in enumerate(views.every[other]) if q != p and view is not None]
+        found.append(
+            here is not None and any(same_place(here, view) >= SAME_PLACE for view in there)
+        )
+    return all(found)
+
+
+def _exchanged(site: Site, recordings: tuple[Recording, Recording], why: str) -> Refusal:
+    (i, p), (j, q) = recordings
+    one = f"{site.lidars[i].name} in placement {site.placements[p]}"
+    other = f"{site.lidars[j].name} in placement {site.placements[q]}"
+    return Refusal(
+        "recordings_exchanged",
+        f"the recordings of {one} and of {other} are exchanged: they {why}; exchange them in the "
+        "site file",
+        {"first": one, "second": other},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Supported:
+    """How much of a choice each recording supports.
+
+    Attributes
+    ----------
+    met, possible
+        For each recording: pairs with others of the same placement that agree, and those that
+        could, since both see two poles.
+    """
+
+    met: dict[Recording, int]
+    possible: dict[Recording, int]
+
+    def unsupported(self) -> list[Recording]:
+        """Recordings that no other of their placement agrees with, though some could."""
+        return [each for each, count in self.possible.items() if count and not self.met[each]]
+
+
+def support_of(
+    choice: Choice, scans: SiteScans, pairs: Sequence[Pair], poles: Sequence[Array]
+) -> Supported:
+    """Count what supports each recording under a choice."""
+    recordings = [
+        (i, p)
+        for i, row in enumerate(scans.by_lidar)
+        for p, scan in enumerate(row)
+        if scan is not None
+    ]
+    met, possible = dict.fromkeys(recordings, 0), dict.fromkeys(recordings, 0)
+    for pair in pairs:
+        i, j = pair.lidars
+        placed = i in choice.poses and j in choice.poses
+        found = None
+        if placed and pair.hypotheses:
+            found = pair.at(se3.inverse(choice.poses[i]) @ choice.poses[j], poles[j])
+        for p in range(len(scans.by_lidar[0])):
+            if min(len(scans.poles(i, p)), len(scans.poles(j, p))) < 2:
+                continue
+            agrees = found is not None and p in found.placements
+            for each in ((i, p), (j, p)):
+                possible[each] += 1
+                met[each] += agrees
+    return Supported(met, possible)
+
+
+def check_exchanged(
+    site: Site,
+    scans: SiteScans,
+    views: Views,
+    pairs: Sequence[Pair],
+    choice: Choice,
+    poles: Sequence[Array],
+) -> None:
+    """Refuse where recordings that nothing agrees with fit in each other's place.
+
+    Raises
+    ------
+    Refusal
+        ``recordings_exchanged``.
+    """
+    lost = support_of(choice, scans, pairs, poles).unsupported()
+    for one, other in combinations(lost, 2):
+        if one[0] != other[0] and one[1] != other[1]:
+            continue
+        tried = replace(scans, by_lidar=_swapped(scans.by_lidar, one, other))
+        seen = Views(_swapped(views.every, one, other))
+        found = find_pairs(tried, seen)
+        group = next((g for g in linked_groups(len(site.lidars), found) if one[0] in g), [])
+        if len(group) < 2:
+            continue
+        at = [poles_of(tried, i) for i in range(len(site.lidars))]
+        again = choose_poses(group, found, at, group[0]).best
+        left = support_of(again, tried, found, at).unsupported()
+        if one not in left and other not in left:
+            raise _exchanged(site, (one, other), "fit all others in each other's place")
+
+
+def _swapped(rows: Rows[T], one: Recording, other: Recording) -> Rows[T]:
+    """Exchange two recordings."""
+    kept = [list(row) for row in rows]
+    (i, p), (j, q) = one, other
+    kept[i][p], kept[j][q] = kept[j][q], kept[i][p]
+    return tuple(tuple(row) for row in kept)

@@ -1,0 +1,268 @@
+"""What makes the answer of a site weak that is good enough to give, and what denies it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, Hypothesis, Match, Placement
+from ..errors import Reason, Refusal
+from ..matching.placements import PairedPlacement
+from ..quantities import at_most
+from ..scene.confirmation import check_confirmation, confirm
+from ..uncertainty import Confirmation
+from ..uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
+from .adjustment import Adjusted
+from .choice import Choices, where_they_differ
+from .model import LidarPose, LoopClosure, Site, Test
+from .pairs import Pair
+from .scans import SiteScans
+
+OPEN = 1e-5
+"""A loop is open where its misclosure is as large by chance less often than this."""
+
+CHECKED = 0.1
+"""Least redundancy of one of a LiDAR's recordings: below, nothing checks its pose."""
+
+MAX_WRONG = 0.03
+"""Probability that a link of the site is wrong up to which it counts as confirmed, as for a pair
+(`scene.confirmation`)."""
+
+
+def check_linked(site: Site, groups: Sequence[Sequence[int]], pairs: Sequence[Pair]) -> None:
+    """Refuse a site that falls into groups, or has no two LiDARs with poles.
+
+    Raises
+    ------
+    Refusal
+        ``too_few_lidars`` or ``disconnected``.
+    """
+    if len(groups) == 1:
+        return
+    named = "; ".join(", ".join(site.lidars[i].name for i in group) for group in groups)
+    first = next((pair.refusal for pair in pairs if pair.refusal is not None), None)
+    why = "" if first is None else f" ({first.message})"
+    if len(groups[0]) < 2:
+        raise Refusal(
+            "too_few_lidars",
+            f"no two LiDARs see the same two poles in one placement{why}",
+            {"lidars": len(site.lidars)},
+        )
+    raise Refusal(
+        "disconnected",
+        f"the LiDARs fall into {len(groups)} groups that share no two poles: {named}; add a "
+        "placement with two poles that LiDARs of both groups see",
+        {"groups": len(groups), "names": named},
+    )
+
+
+def check_decided(
+    site: Site, choices: Choices, pairs: Sequence[Pair], poles: Sequence[Array]
+) -> None:
+    """Refuse where several choices of the hypotheses go together as well.
+
+    Raises
+    ------
+    Refusal
+        ``ambiguous_loop``.
+    """
+    if choices.complete and not choices.rivals:
+        return
+    if not choices.rivals:
+        raise Refusal(
+            "ambiguous_loop",
+            "too many arrangements of the LiDARs are possible to tell them apart; add a pole or a "
+            "placement that several of them see",
+            {"rivals": 0},
+        )
+    moved = sorted(
+        {i for one in choices.rivals for i in where_they_differ(choices.best, one, poles)}
+    )
+    names = [site.lidars[i].name for i in moved]
+    loop = _loop_through(moved, pairs)
+    around = "" if loop is None else " around " + " – ".join(site.lidars[i].name for i in loop)
+    raise Refusal(
+        "ambiguous_loop",
+        f"{1 + len(choices.rivals)} arrangements fit as well{around}; they differ in "
+        f"{', '.join(names)}: lean the poles so that no half turn lays them on each other, or add "
+        "a third pole that these LiDARs see with others",
+        {"rivals": len(choices.rivals), "lidars": ", ".join(names)},
+    )
+
+
+def _loop_through(moved: Sequence[int], pairs: Sequence[Pair]) -> list[int] | None:
+    """A LiDAR that may lie elsewhere, with those that it shares poles with."""
+    for i in moved:
+        others = [
+            a if b == i else b
+            for a, b in (pair.lidars for pair in pairs if pair.hypotheses)
+            if i in (a, b)
+        ]
+        if len(others) > 1:
+            return [others[0], i, *others[1:]]
+    return None
+
+
+def confirm_links(
+    site: Site, scans: SiteScans, adjusted: Adjusted, pairs: Sequence[Pair]
+) -> Iterator[Reason]:
+    """Hold each LiDAR's pose against what stands in the scene it shares with its best partner.
+
+    Yields
+    ------
+    Reason
+        ``not_confirmed`` where poles of one placement alone vouch for a LiDAR, and the scene does
+        not.
+
+    Raises
+    ------
+    Refusal
+        ``scene_contradicts``.
+    """
+    by_lidars = {pair.lidars: pair for pair in pairs}
+    done: set[tuple[int, int]] = set()
+    for lidar in range(len(site.lidars)):
+        links = [
+            (_shared(adjusted, lidar, other), other)
+            for other in range(len(site.lidars))
+            if other != lidar
+        ]
+        count, other = max(links)
+        key = (min(lidar, other), max(lidar, other))
+        if key in done or not count:
+            continue
+        done.add(key)
+        found = _confirmation(scans, adjusted, by_lidars[key])
+        names = f"{site.lidars[key[0]].name} and {site.lidars[key[1]].name}"
+        try:
+            check_confirmation(found)
+        except Refusal as refusal:
+            raise Refusal(refusal.code, f"{names}: {refusal.message}", refusal.values) from None
+        wrong = found.probability_wrong
+        if wrong is not None and wrong > MAX_WRONG and _alone(adjusted, lidar):
+            yield Reason(
+                "not_confirmed",
+                f"two poles of one placement alone vouch for {names}, and their surroundings do "
+                f"not tell (wrong with {100 * wrong:.0f} %): add a pole or a placement",
+                {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
+            )
+
+
+def _shared(adjusted: Adjusted, lidar: int, other: int) -> int:
+    return sum({lidar, other} <= pole.seen.keys() for pole in adjusted.datum.poles)
+
+
+def _alone(adjusted: Adjusted, lidar: int) -> bool:
+    """Whether a LiDAR shares no more than two poles with all others."""
+    own = [pole for pole in adjusted.datum.poles if lidar in pole.seen and len(pole.seen) > 1]
+    return len(own) <= 2
+
+
+def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmation:
+    """Count what stands in the scenes of two LiDARs, under their adjusted poses and others."""
+    i, j = pair.lidars
+    T = se3.inverse(adjusted.end.T[i]) @ adjusted.end.T[j]
+    at = {p for p in range(len(scans.by_lidar[0])) if _both(scans, i, j, p)}
+    shared = [pole for pole in adjusted.datum.poles if {i, j} <= pole.seen.keys()]
+    first = max(at, key=lambda p: sum(pole.placement == p for pole in shared))
+    target, source = scans.by_lidar[i][first], scans.by_lidar[j][first]
+    assert target is not None
+    assert source is not None
+    pairs = tuple(
+        (_index(target.poles, pole.seen[i]), _index(source.poles, pole.seen[j]))
+        for pole in shared
+        if pole.placement == first
+    )
+    hypothesis = _hypothesis(T, pairs)
+    paired = [PairedPlacement(Placement(target, source), hypothesis)]
+    others = [_hypothesis(each.T, ()) for each in pair.hypotheses[:4] if _is_other(each.T, T)]
+    return confirm(paired, T, others, np.random.default_rng(0), trusted=len(shared) > 2)
+
+
+def _both(scans: SiteScans, i: int, j: int, placement: int) -> bool:
+    return scans.by_lidar[i][placement] is not None and scans.by_lidar[j][placement] is not None
+
+
+def _index(poles: Sequence[object], pole: object) -> int:
+    return next(k for k, each in enumerate(poles) if each is pole)
+
+
+def _is_other(T: Array, answer: Array) -> bool:
+    apart = se3.difference(T, answer)
+    return apart.rotation > 0.2 or apart.translation > 1.0
+
+
+def _hypothesis(T: Array, pairs: tuple[tuple[int, int], ...]) -> Hypothesis:
+    match = Match(pairs, T, 0.0, True, True, np.eye(6))
+    return Hypothesis(match, None, None, 0.0, 0.0, 0.0)
+
+
+def weaknesses(
+    site: Site, adjusted: Adjusted, loops: Sequence[LoopClosure], lidars: Sequence[LidarPose]
+) -> Iterator[Reason]:
+    """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
+    yield from _open_loops(site, loops)
+    yield from _unchecked(site, adjusted.tests)
+    if not adjusted.converged:
+        yield Reason(
+            "not_converged",
+            f"the poses still moved after {adjusted.end.iterations} iterations; record more frames",
+            {"stage": "site", "iterations": adjusted.end.iterations},
+        )
+    yield from _not_fit(site, lidars)
+
+
+def _open_loops(site: Site, loops: Sequence[LoopClosure]) -> Iterator[Reason]:
+    found = [loop for loop in loops if loop.probability < OPEN]
+    if found:
+        worst = max(found, key=lambda loop: loop.chi2)
+        names = " – ".join(site.lidars[i].name for i in worst.lidars)
+        yield Reason(
+            "loop_open",
+            f"{len(found)} of {len(loops)} loops do not close; worst is {names}, by "
+            f"{np.degrees(worst.rotation):.3f}° and {1000 * worst.translation:.1f} mm (χ² "
+            f"{worst.chi2:.0f} with {worst.freedom} degrees of freedom)",
+            {"loops": len(found), "chi2": worst.chi2, "allowed": OPEN},
+        )
+
+
+def _unchecked(site: Site, tests: Sequence[Test]) -> Iterator[Reason]:
+    for i, lidar in enumerate(site.lidars):
+        own = [test.redundancy for test in tests if test.kind == "placement" and test.lidar == i]
+        if own and max(own) < CHECKED:
+            yield Reason(
+                "not_checked",
+                f"nothing checks {lidar.name} (redundancy {max(own):.2f}): a blunder there would "
+                "not show; add a pole, a placement, or a LiDAR that sees the same poles",
+                {"lidar": lidar.name, "redundancy": max(own), "needed": CHECKED},
+            )
+
+
+def fitness_of(site: Site, covariance: Array) -> Fitness | None:
+    """Whether a pose is as accurate as was asked for; None where nothing was, and it is usable."""
+    if site.need is None and is_surely_met(covariance, USABLE):
+        return None
+    return fitness(covariance, site.need or USABLE)
+
+
+def _not_fit(site: Site, lidars: Sequence[LidarPose]) -> Iterator[Reason]:
+    short = [one for one in lidars if one.fitness is not None and one.fitness.answer != "yes"]
+    if not short:
+        return
+    worst = min(short, key=lambda one: one.fitness.probability if one.fitness else 1.0)
+    fit = worst.fitness
+    assert fit is not None
+    bound = "" if fit.bound is None else f"; 95 % sure: within {at_most(fit.bound)}"
+    names = ", ".join(site.lidars[one.lidar].name for one in short)
+    yield Reason(
+        "not_fit_for_purpose",
+        f"{names}: {fit.words}{bound}; what would help: a placement with the poles in another way",
+        {
+            "lidars": names,
+            "within_m": fit.need.within,
+            "at_m": fit.need.at,
+            "probability": fit.probability,
+        },
+    )
