@@ -19,12 +19,13 @@ from .certainty import Part, joint_covariance, parts_of
 from .datum import Datum, without_poles
 from .model import Site, Test
 from .network import Network, bands_of, observe
-from .posterior import Sight, SitePriors, SiteState, climb_site
+from .posterior import Sight, SitePriors, climb_site
 from .refinement import ScenePair, SiteEnd, refine_site
 from .scans import SiteScans
 from .shared import sights_of
 from .snooping import Solved, all_tests, solved
-from .unknowns import POSE, known_sigmas
+from .state import POSE, SiteState
+from .unknowns import known_sigmas
 
 
 @dataclass(frozen=True, eq=False)

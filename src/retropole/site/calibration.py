@@ -24,7 +24,7 @@ from .pairs import Pair, find_pairs, poles_of
 from .refinement import patches_of, scene_pairs
 from .scans import SiteScans, find_scans, poses_in_clouds, views_of
 from .shared import shared_poles
-from .unknowns import POSE
+from .state import POSE
 from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
 from .without import without_placements
 

@@ -21,7 +21,7 @@ from ..systematic import Groups
 from ..uncertainty import BudgetEntry, predicted_error
 from .network import Network, marginal
 from .refinement import SceneTerm, SiteEnd
-from .unknowns import POSE
+from .state import POSE
 
 BUDGET_RANGE = 30.0
 """Range at which shares of the budget are told, metres."""

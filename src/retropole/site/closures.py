@@ -21,7 +21,7 @@ from .model import LoopClosure
 from .network import Observation
 from .refinement import SceneTerm, SiteEnd
 from .snooping import Solved
-from .unknowns import POSE
+from .state import POSE
 
 MOST_LOOPS = 60
 """So many loops are closed at most: of 8 LiDARs that all see each other, all 56 triangles."""

@@ -23,8 +23,9 @@ from ..alignment.views import View, find_view
 from ..datatypes import Array, BoolArray, IntArray
 from ..systematic import TAPE, Layout, band_of
 from .model import Site
-from .posterior import Sight, SiteState
+from .posterior import Sight
 from .shared import SharedPole
+from .state import SiteState
 from .survey import Surveyed, survey_terms
 from .unknowns import Unknowns
 

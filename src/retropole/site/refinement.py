@@ -40,7 +40,8 @@ from ..systematic import Groups, Layout
 from .network import Network, marginal
 from .relative import joint_of, relative, relative_jacobian
 from .scans import SiteScans
-from .unknowns import POSE, Unknowns
+from .state import POSE
+from .unknowns import Unknowns
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from .model import Site, Test
 from .network import Network, Observation
 from .refinement import SiteEnd
 from .shared import SharedPole
-from .unknowns import POSE
+from .state import POSE
 
 NONCENTRALITY = 17.07
 """Of a test at 0.1 % with a power of 80 %: (3.29 + 0.84)² (Baarda 1968)."""

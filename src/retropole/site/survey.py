@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from .. import se3
 from ..datatypes import Array, IntArray
-
-if TYPE_CHECKING:
-    from .posterior import SiteState
-
-POSE = 6
+from .state import POSE, SiteState
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,7 @@ from ..systematic import (
     Layout,
     Sizes,
 )
-
-POSE = 6
-"""Parameters of a pose."""
+from .state import POSE
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from ..datatypes import Array, IntArray
 from .model import WithoutPlacement
 from .network import Network, marginal
 from .refinement import SiteEnd
-from .unknowns import POSE
+from .state import POSE
 
 MAX_SIGMA = 0.5
 """Where a pose is left more open than this without a placement, m or rad, there is none."""
