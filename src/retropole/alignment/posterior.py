@@ -152,9 +152,8 @@ def own_geometry(state: State, lidar: int, beams: Beams) -> tuple[BeamGeometry, 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """What beams add to the logarithm of the posterior, to its slope (P,) and to its curvature.
-
-    `information` (P, P) is the true one, `lifted` one without negative eigenvalues.
+    """What beams add to the logarithm of the posterior, its slope (P,), and its curvature (P, P):
+    the true one, and one without negative eigenvalues.
     """
 
     log: float
