@@ -83,7 +83,7 @@ class SimulatedPair:
     def sees_every_pole(self) -> bool:
         """Whether both LiDARs see every pole, with `MIN_RETURNS` on `MIN_RINGS`."""
         return all(
-            _is_seen(labels == len(self.surroundings) + k, cloud.ring)
+            is_seen(labels == len(self.surroundings) + k, cloud.ring)
             for cloud, labels in zip((self.target, self.source), self.labels, strict=True)
             for k in range(len(self.poles))
         )
@@ -118,7 +118,7 @@ class Recorders(NamedTuple):
     frames: int
 
 
-def _is_seen(on_pole: BoolArray, rings: IntArray | None, returns: int = MIN_RETURNS) -> bool:
+def is_seen(on_pole: BoolArray, rings: IntArray | None, returns: int = MIN_RETURNS) -> bool:
     """Whether a pole's returns, a mask (N,) of those with rings (N,), are enough to find it."""
     count = int(np.count_nonzero(on_pole))
     return count >= returns and (rings is None or len(np.unique(rings[on_pole])) >= MIN_RINGS)
@@ -129,50 +129,104 @@ def are_in_view(
 ) -> bool:
     """Whether both LiDARs see every pole along thin, exact beams, with so many returns or more.
 
-    This is the demand on an arrangement, so that it is the same under every noise model. Only beams
-    that may meet a pole are cast.
+    This is the demand on an arrangement, so that it is the same under every noise model.
     """
-    everything, first = [*at.surroundings, *at.poles], len(at.surroundings)
-    for sensor, pose in zip(recorders.sensors, at.poses, strict=True):
-        surface, rings = [], []
-        for _ in range(recorders.frames):
-            sweep = beams(sensor, rng)
-            world = sweep.rays @ pose[:3, :3].T
-            toward = np.flatnonzero(cast(pose[:3, 3], world, at.poles).surface >= 0)
-            hits = cast(pose[:3, 3], world[toward], everything)
-            near = (hits.ranges > sensor.min_range) & (hits.ranges < sensor.max_range)
-            surface.append(np.where(near, hits.surface, -1))
-            rings.append(sweep.rings[toward])
-        own = np.concatenate(rings) if sensor.pattern == "spinning" else None
-        met = np.concatenate(surface)
-        if not all(_is_seen(met == first + k, own, returns) for k in range(len(at.poles))):
-            return False
-    return True
+    return all(
+        all(poles_in_view(at.surroundings, at.poles, sensor, pose, rng, returns, recorders.frames))
+        for sensor, pose in zip(recorders.sensors, at.poses, strict=True)
+    )
+
+
+def poles_in_view(
+    surroundings: Sequence[Surface],
+    poles: Sequence[Cylinder],
+    sensor: Sensor,
+    pose: Array,
+    rng: np.random.Generator,
+    returns: int = MIN_RETURNS,
+    frames: int = 1,
+) -> tuple[bool, ...]:
+    """Which poles a LiDAR at a pose (4, 4) sees along thin, exact beams.
+
+    Only beams that may meet a pole are cast.
+    """
+    everything, first = [*surroundings, *poles], len(surroundings)
+    surface, rings = [], []
+    for _ in range(frames):
+        sweep = beams(sensor, rng)
+        world = sweep.rays @ pose[:3, :3].T
+        toward = np.flatnonzero(cast(pose[:3, 3], world, poles).surface >= 0)
+        hits = cast(pose[:3, 3], world[toward], everything)
+        near = (hits.ranges > sensor.min_range) & (hits.ranges < sensor.max_range)
+        surface.append(np.where(near, hits.surface, -1))
+        rings.append(sweep.rings[toward])
+    own = np.concatenate(rings) if sensor.pattern == "spinning" else None
+    met = np.concatenate(surface)
+    return tuple(is_seen(met == first + k, own, returns) for k in range(len(poles)))
+
+
+def record_in_turn(
+    scenes: Sequence[Sequence[Surface]],
+    poses: Sequence[Array],
+    sensors: Sequence[Sensor],
+    devices: Sequence[Device],
+    noise: NoiseModel,
+    frames: int,
+    reach: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[LabelledScan, ...]:
+    """Scan with one LiDAR after the other.
+
+    Parameters
+    ----------
+    scenes
+        All surfaces as they stand when each LiDAR records.
+    poses, sensors, devices
+        Of each LiDAR.
+    noise, frames
+        As in `scanning.scan`.
+    reach
+        Half extents in x and y in which movers start, metres.
+    rng
+        Source of all that is random.
+    """
+    *each, for_movers = rng.spawn(len(scenes) + 1)
+    waits = [float(for_movers.uniform(*DELAY)) for _ in range(len(scenes) - 1)]
+    starts = np.cumsum([0.0, *waits])
+    until = float(starts[-1]) + frames * SWEEP_SECONDS
+    movers = draw_movers(noise.movers, reach, [pose[:3, 3] for pose in poses], until, for_movers)
+    return tuple(
+        scan(
+            surfaces,
+            sensor,
+            pose,
+            own,
+            noise,
+            frames,
+            device=device,
+            movers=movers,
+            start=float(start),
+        )
+        for surfaces, sensor, device, pose, own, start in zip(
+            scenes, sensors, devices, poses, each, starts, strict=True
+        )
+    )
 
 
 def record(at: Arrangement, recorders: Recorders, rng: np.random.Generator) -> SimulatedPair:
     """Scan an arrangement once with both LiDARs."""
     everything: list[Surface] = [*at.surroundings, *at.poles]
-    rng_target, rng_source, rng_movers = rng.spawn(3)
-    noise, frames = recorders.noise, recorders.frames
-    starts = 0.0, float(rng_movers.uniform(*DELAY))
-    lidars = [pose[:3, 3] for pose in at.poses]
+    noise = recorders.noise
     reach = at.clear if min(at.clear) > 0 else paper.PAPER_CLEAR
-    movers = draw_movers(
-        noise.movers, reach, lidars, starts[1] + frames * SWEEP_SECONDS, rng_movers
-    )
-    target, source = (
-        scan(
-            everything, sensor, pose, own, noise, frames, device=device, movers=movers, start=start
-        )
-        for sensor, device, pose, own, start in zip(
-            recorders.sensors,
-            recorders.devices,
-            at.poses,
-            (rng_target, rng_source),
-            starts,
-            strict=True,
-        )
+    target, source = record_in_turn(
+        (everything, everything),
+        at.poses,
+        recorders.sensors,
+        recorders.devices,
+        noise,
+        recorders.frames,
+        reach,
+        rng,
     )
     first = len(at.surroundings)
     return SimulatedPair(

@@ -1,0 +1,243 @@
+"""What goes wrong at a site: a pole is bumped, files are exchanged, a surveyed point is off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal, TypeVar, cast
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array
+from .raycast import Cylinder
+from .scenes import UP
+from .site_graph import Seen, are_linked
+from .site_survey import Surveyed
+
+BLUNDERS = "pole", "files", "control"
+"""What can go wrong."""
+
+BUMP_SHIFT = 0.03, 0.15
+"""Least and greatest distance by which a pole is pushed, metres."""
+
+BUMP_TURN = float(np.radians(1.0)), float(np.radians(5.0))
+"""Least and greatest angle by which a pole is tilted about its foot, rad."""
+
+CONTROL_OFFSET = 0.1
+"""By how much a surveyed point is off, metres."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Blunder:
+    """What is wrong at a site; indices are those of the site.
+
+    Attributes
+    ----------
+    kind
+        ``pole``, ``files`` or ``control``.
+    name
+        In words.
+    lidars
+        Of a bumped pole those that recorded after it moved; of files those whose they are.
+    placements
+        That it is about; of files between two placements both.
+    pole
+        Index in its placement; None where it is about none.
+    surveyed, end, point
+        Index of the surveyed pole and which end, or of the control point; None where about none.
+    moved
+        (4, 4) how the pole moved in the world; None for the others.
+    offset
+        (3,) by how much a surveyed point is off, metres; None for the others.
+    checked
+        Whether poles link all LiDARs without what is wrong; for a survey nothing is said.
+    """
+
+    kind: Literal["pole", "files", "control"]
+    name: str
+    lidars: tuple[int, ...] = ()
+    placements: tuple[int, ...] = ()
+    pole: int | None = None
+    surveyed: int | None = None
+    end: Literal["foot", "top"] | None = None
+    point: int | None = None
+    moved: Array | None = None
+    offset: Array | None = None
+    checked: bool = True
+
+
+def choose(
+    kind: str | None,
+    poles: Sequence[Sequence[Cylinder]],
+    seen: Seen,
+    recorded: Sequence[tuple[int, ...]],
+    rng: np.random.Generator,
+) -> Blunder | None:
+    """Draw what goes wrong, rather such that the others check it; a survey's comes after it."""
+    if kind is None:
+        return None
+    if kind == "control":
+        return Blunder("control", "")
+    return _bump(poles, seen, rng) if kind == "pole" else _exchange(seen, recorded, rng)
+
+
+def _bump(
+    poles: Sequence[Sequence[Cylinder]], seen: Seen, rng: np.random.Generator
+) -> Blunder | None:
+    count = len(seen[0])
+    both = [
+        (p, k)
+        for p, own in enumerate(poles)
+        for k in range(len(own))
+        if sum(view[k] for view in seen[p]) >= 2
+    ]
+    checked = [at for at in both if are_linked(_without(seen, [(at[0], None, at[1])]), count)]
+    p, k = (checked or both)[int(rng.integers(len(checked or both)))]
+    who = [lidar for lidar in range(count) if seen[p][lidar][k]]
+    # LiDARs record in their order; one that sees the pole is the first to see it elsewhere.
+    first = who[int(rng.integers(1, len(who)))]
+    pole = poles[p][k]
+    heading = rng.uniform(0, 2 * np.pi)
+    level = np.array([np.cos(heading), np.sin(heading), 0.0])
+    across = level - pole.axis * (level @ pole.axis)
+    shift, turn = rng.uniform(*BUMP_SHIFT), rng.uniform(*BUMP_TURN)
+    if rng.uniform() < 0.5:
+        moved = se3.from_rt(np.eye(3), shift * across / np.linalg.norm(across))
+        how = f"pushed by {100 * shift:.1f} cm"
+    else:
+        about = np.cross(UP, across)
+        foot = pole.centre - pole.axis * pole.length / 2
+        # About an axis across the pole: about its own it would not show.
+        about -= pole.axis * (about @ pole.axis)
+        R = se3.exp_so3(turn * about / np.linalg.norm(about))
+        moved = se3.from_rt(R, foot - R @ foot)
+        how = f"tilted by {np.degrees(turn):.1f}°"
+    return Blunder(
+        "pole",
+        f"pole {k + 1} of placement {p + 1} {how} before LiDAR {first + 1} recorded it",
+        lidars=tuple(range(first, count)),
+        placements=(p,),
+        pole=k,
+        moved=moved,
+        checked=bool(checked),
+    )
+
+
+def _exchange(
+    seen: Seen, recorded: Sequence[tuple[int, ...]], rng: np.random.Generator
+) -> Blunder | None:
+    count = len(seen[0])
+    two = [((a, b), (p,)) for p, who in enumerate(recorded) for a, b in combinations(who, 2)]
+    one = [
+        ((lidar,), (p, q))
+        for p, q in combinations(range(len(recorded)), 2)
+        for lidar in range(count)
+        if lidar in recorded[p] and lidar in recorded[q]
+    ]
+    of_two = rng.uniform() < 0.5 or not one
+    choices: list[tuple[tuple[int, ...], tuple[int, ...]]] = [*two] if of_two else [*one]
+    # Where a LiDAR sees no pole, nothing shows that the file is another.
+    choices = [
+        own for own in choices if all(sum(seen[p][lidar]) >= 2 for lidar in own[0] for p in own[1])
+    ] or choices
+    checked = [
+        own
+        for own in choices
+        if are_linked(_without(seen, [(p, lidar, None) for lidar in own[0] for p in own[1]]), count)
+    ]
+    lidars, placements = (checked or choices)[int(rng.integers(len(checked or choices)))]
+    name = (
+        f"recordings of LiDARs {lidars[0] + 1} and {lidars[1] + 1} of placement "
+        f"{placements[0] + 1} exchanged"
+        if len(lidars) == 2
+        else f"recordings of placements {placements[0] + 1} and {placements[1] + 1} of LiDAR "
+        f"{lidars[0] + 1} exchanged"
+    )
+    return Blunder("files", name, lidars, placements, checked=bool(checked))
+
+
+def _without(
+    seen: Seen, hidden: Sequence[tuple[int, int | None, int | None]]
+) -> list[list[list[bool]]]:
+    """Who sees what without some (placement, LiDAR, pole), where None is all of them."""
+    left = [[list(own) for own in view] for view in seen]
+    for p, lidar, pole in hidden:
+        for a, view in enumerate(left[p]):
+            if lidar in (None, a):
+                left[p][a] = [own and pole not in (None, k) for k, own in enumerate(view)]
+    return left
+
+
+def disturbed(
+    poles: Sequence[Cylinder], wrong: Blunder | None, lidar: int, placement: int
+) -> list[Cylinder]:
+    """The poles of a placement as they stand when a LiDAR records it."""
+    standing = list(poles)
+    if (
+        wrong is not None
+        and wrong.moved is not None
+        and wrong.pole is not None
+        and placement in wrong.placements
+        and lidar in wrong.lidars
+    ):
+        pole = standing[wrong.pole]
+        standing[wrong.pole] = replace(
+            pole,
+            centre=se3.apply(wrong.moved, pole.centre[None])[0],
+            axis=wrong.moved[:3, :3] @ pole.axis,
+        )
+    return standing
+
+
+def exchanged(recordings: list[list[T]], wrong: Blunder) -> None:
+    """Exchange two of ``recordings[lidar][placement]``, in place."""
+    (a, p), (b, q) = (
+        (wrong.lidars[0], wrong.placements[0]),
+        (wrong.lidars[-1], wrong.placements[-1]),
+    )
+    recordings[a][p], recordings[b][q] = recordings[b][q], recordings[a][p]
+
+
+def resurveyed(
+    stated: Surveyed, poles: Sequence[Sequence[Cylinder]], rng: np.random.Generator
+) -> tuple[Surveyed, Blunder]:
+    """Move one surveyed point by `CONTROL_OFFSET`; the end of a pole across its axis.
+
+    Along the axis nobody sees where a surveyed point lies on it.
+    """
+    surveyed, points = list(stated[0]), list(stated[1])
+    which = int(rng.integers(2 * len(surveyed) + len(points)))
+    step = rng.normal(size=3)
+    if which >= 2 * len(surveyed):
+        k = which - 2 * len(surveyed)
+        offset = CONTROL_OFFSET * step / np.linalg.norm(step)
+        points[k] = replace(points[k], at=points[k].at + offset)
+        blunder = Blunder(
+            "control", f"control point {points[k].name} off by 0.1 m", point=k, offset=offset
+        )
+    else:
+        k = which // 2
+        end = cast(Literal["foot", "top"], ("foot", "top")[which % 2])
+        own = surveyed[k]
+        foot, top = own.foot, own.top
+        assert foot is not None
+        assert top is not None
+        axis = (top - foot) / np.linalg.norm(top - foot)
+        step -= axis * (step @ axis)
+        offset = CONTROL_OFFSET * step / np.linalg.norm(step)
+        surveyed[k] = (
+            replace(own, foot=foot + offset) if end == "foot" else replace(own, top=top + offset)
+        )
+        blunder = Blunder(
+            "control",
+            f"{end} of surveyed pole {own.name} off by 0.1 m",
+            placements=(own.placement,),
+            surveyed=k,
+            end=end,
+            offset=offset,
+        )
+    return (tuple(surveyed), tuple(points)), blunder
