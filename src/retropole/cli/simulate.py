@@ -3,14 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ..datatypes import MAX_POLES
 from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option, show
+from .simulate_site import simulate_site
 
 
-@click.command(context_settings=CONTEXT)
+class _OrSite(click.Command):
+    """The command for pairs, and ``simulate site`` behind the word that no scene has."""
+
+    def make_context(
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: Any,
+    ) -> click.Context:
+        """Read the words of either command."""
+        if args[:1] == ["site"]:
+            return simulate_site.make_context(f"{info_name} site", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+
+@click.command(cls=_OrSite, context_settings=CONTEXT)
 @click.argument(
     "scene",
     type=click.Choice(["corridor", "street", "harbor", "paper", "bare"]),
@@ -60,6 +78,8 @@ def simulate(
     quiet: bool,
 ) -> int:
     """Make two scans of taped poles whose true transform is known.
+
+    For a site of several LiDARs: retropole simulate site --help.
 
     \b
     Examples:

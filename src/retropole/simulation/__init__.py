@@ -1,4 +1,4 @@
-"""Simulated pairs of scans whose true transform is known."""
+"""Simulated pairs and sites whose true poses are known."""
 
 from .devices import Device, draw_device
 from .insertion import InsertedPair, insert_poles
@@ -7,6 +7,10 @@ from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
 from .recording import SimulatedPair, SimulationError
 from .scanning import LabelledScan, scan
+from .site_blunders import Blunder
+from .site_survey import Survey
+from .site_writing import write_site
+from .sites import SITES, SimulatedSite, simulate_site
 from .writing import write_pair
 
 __all__ = [
@@ -14,7 +18,9 @@ __all__ = [
     "FIELD",
     "NOISE_MODELS",
     "SCENES",
+    "SITES",
     "TYPICAL",
+    "Blunder",
     "Box",
     "Cylinder",
     "Device",
@@ -24,13 +30,17 @@ __all__ = [
     "NoiseModel",
     "Rectangle",
     "SimulatedPair",
+    "SimulatedSite",
     "SimulationError",
     "Surface",
+    "Survey",
     "draw_device",
     "insert_poles",
     "place_again",
     "record_again",
     "scan",
     "simulate_pair",
+    "simulate_site",
     "write_pair",
+    "write_site",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal, TypeVar, cast
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -221,7 +221,7 @@ def resurveyed(
         )
     else:
         k = which // 2
-        end = cast(Literal["foot", "top"], ("foot", "top")[which % 2])
+        end: Literal["foot", "top"] = "top" if which % 2 else "foot"
         own = surveyed[k]
         foot, top = own.foot, own.top
         assert foot is not None

@@ -44,7 +44,7 @@ def posts(rng: np.random.Generator, count: int) -> SitePlace:
     """Draw LiDARs on posts along a street, or at the corners and arms of a crossing."""
     heights = rng.uniform(1.8, 3.2, count)
     if rng.uniform() < 0.5:
-        step = rng.uniform(4.5, 7.0)
+        step = rng.uniform(7.0, 11.0)
         along = (np.arange(count) - (count - 1) / 2) * step + rng.uniform(-0.7, 0.7, count)
         side = np.where(np.arange(count) % 2, 1.0, -1.0) * rng.uniform(5.3, 5.9, count)
         places = np.stack([along, side], axis=1)
@@ -52,10 +52,10 @@ def posts(rng: np.random.Generator, count: int) -> SitePlace:
         reach = (float(np.abs(along).max()), 3.8)
     else:
         number = np.arange(count)
-        corner = np.pi / 4 + np.pi / 2 * (number % 4)
+        corner: Array = np.asarray(np.pi / 4 + np.pi / 2 * (number % 4), dtype=np.float64)
         places = rng.uniform(5.0, 6.5, count)[:, None] * np.sqrt(2) * _level(corner)
         # Those that find no free corner stand farther out on an arm.
-        outward = _level(corner + np.where(number // 4 % 2, np.pi / 4, -np.pi / 4))
+        outward = _level(np.asarray(corner + np.where(number // 4 % 2, np.pi / 4, -np.pi / 4)))
         places += (number // 4)[:, None] * rng.uniform(5.0, 7.0) * outward
         surroundings = _crossing(rng)
         reach = (5.0, 5.0) if count <= 4 else (9.0, 9.0)
@@ -153,7 +153,7 @@ def ring(rng: np.random.Generator, count: int) -> SitePlace:
     """Draw LiDARs in a ring on bare ground, where neighbours stand some 7 m apart."""
     edge = rng.uniform(6.0, 8.0)
     start = rng.uniform(0, 2 * np.pi)
-    headings = start + 2 * np.pi * np.arange(count) / count
+    headings: Array = np.asarray(start + 2 * np.pi * np.arange(count) / count)
     radius = edge / (2 * np.sin(np.pi / count)) + rng.uniform(-0.6, 0.6, count)
     places = radius[:, None] * _level(headings)
     ground = Rectangle(

@@ -379,7 +379,7 @@ def _place_ring(
 ) -> _Arrangement | None:
     """Put two symmetric poles between each LiDAR and the next; None where the ring is ambiguous."""
     count = len(sensors)
-    recorded = [(k, (k + 1) % count) for k in range(count)]
+    recorded: list[tuple[int, ...]] = [(k, (k + 1) % count) for k in range(count)]
     at = np.array([pose[:2, 3] for pose in place.poses])
     middles, standing, seen = [], [], []
     for pair in recorded:
