@@ -136,6 +136,9 @@ def test_command_lines_exist(page: str, words: list[str]) -> None:
         return
     assert words[0] in cli.commands, f"{page}: there is no command {words[0]}"
     command = cli.commands[words[0]]
+    if isinstance(command, click.Group) and words[1:2] and words[1] in command.commands:
+        words = words[1:]
+        command = command.commands[words[0]]
     options = {
         name: option
         for option in command.params

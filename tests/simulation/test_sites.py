@@ -3,6 +3,7 @@
 import itertools
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import click.testing
@@ -13,8 +14,8 @@ from retropole import se3
 from retropole.cli.simulate import simulate
 from retropole.errors import UsageError
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
+from retropole.simulation.site_arrangement import closes_otherwise
 from retropole.simulation.site_graph import are_linked, groups_of
-from retropole.simulation.sites import closes_otherwise
 from tests.simulation.surfaces import distance_from
 
 
@@ -45,7 +46,7 @@ def everything(site: SimulatedSite) -> set[tuple[int, int, int]]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "lidars"), [("posts", 5), ("crane", 4), ("truck", 5), ("ring", 4)]
+    ("kind", "lidars"), [("posts", 4), ("crane", 4), ("truck", 5), ("ring", 4)]
 )
 def test_exact_returns_lie_on_poles_that_link_all_lidars(kind: str, lidars: int) -> None:
     site = made(kind, lidars=lidars)
@@ -66,8 +67,6 @@ def test_equal_generators_give_equal_sites() -> None:
 
 
 def test_a_lidar_keeps_its_range_error_in_all_placements() -> None:
-    from dataclasses import replace
-
     site = made(noise=replace(EXACT, zero_offset=0.5))
     for lidar, device in enumerate(site.devices):
         for p, pole in itertools.product(range(2), range(3)):
@@ -130,19 +129,19 @@ def test_a_bumped_pole_is_elsewhere_for_those_that_record_later() -> None:
 
 def test_exchanged_files_are_those_of_the_other_recording() -> None:
     for seed in range(3):
-        right, wrong = made(seed=seed), made(seed=seed, blunder="files")
-        blunder = wrong.blunder
+        site = made(seed=seed, blunder="files")
+        blunder = site.blunder
         assert blunder is not None
         ats = list(itertools.product(blunder.lidars, blunder.placements))
         assert len(ats) == 2
-        if not np.array_equal(right.T_world_lidar[0], wrong.T_world_lidar[0]):
-            continue
-        for one, two in (ats, ats[::-1]):
-            assert wrong.clouds[one[0]][one[1]] is not None
-            np.testing.assert_array_equal(
-                wrong.clouds[one[0]][one[1]].xyz,  # type: ignore[union-attr]
-                right.clouds[two[0]][two[1]].xyz,  # type: ignore[union-attr]
-            )
+        for (lidar, p), (true_lidar, true_p) in (ats, ats[::-1]):
+            cloud, labels = site.clouds[lidar][p], site.labels[lidar][p]
+            assert cloud is not None
+            assert labels is not None
+            world = se3.apply(site.T_world_lidar[true_lidar], cloud.xyz)
+            surfaces = (*site.surroundings, *site.poles[true_p])
+            for k, surface in enumerate(surfaces):
+                assert distance_from(surface, world[labels == k]).max(initial=0.0) < 1e-8
 
 
 def test_one_surveyed_point_is_off() -> None:

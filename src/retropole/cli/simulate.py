@@ -12,7 +12,7 @@ from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option, sh
 from .simulate_site import simulate_site
 
 
-class _OrSite(click.Command):
+class _OrSite(click.Group):
     """The command for pairs, and ``simulate site`` behind the word that no scene has."""
 
     def make_context(
@@ -27,8 +27,22 @@ class _OrSite(click.Command):
             return simulate_site.make_context(f"{info_name} site", args[1:], parent, **extra)
         return super().make_context(info_name, args, parent, **extra)
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the words of a pair as a plain command does: a scene is no command."""
+        return click.Command.parse_args(self, ctx, args)
 
-@click.command(cls=_OrSite, context_settings=CONTEXT)
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command whose words were read."""
+        return click.Command.invoke(self if ctx.command is self else simulate_site, ctx)
+
+
+@click.group(
+    cls=_OrSite,
+    commands={"site": simulate_site},
+    invoke_without_command=True,
+    subcommand_metavar="| site KIND",
+    context_settings={**CONTEXT, "allow_extra_args": False, "allow_interspersed_args": True},
+)
 @click.argument(
     "scene",
     type=click.Choice(["corridor", "street", "harbor", "paper", "bare"]),
@@ -78,8 +92,6 @@ def simulate(
     quiet: bool,
 ) -> int:
     """Make two scans of taped poles whose true transform is known.
-
-    For a site of several LiDARs: retropole simulate site --help.
 
     \b
     Examples:

@@ -10,7 +10,7 @@ from ..datatypes import MAX_POLES
 from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
 
 
-@click.command(context_settings=CONTEXT)
+@click.command("site", context_settings=CONTEXT)
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
 @click.option("--out", type=OUT, default=Path("retropole-site"), show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)

@@ -44,7 +44,7 @@ def posts(rng: np.random.Generator, count: int) -> SitePlace:
     """Draw LiDARs on posts along a street, or at the corners and arms of a crossing."""
     heights = rng.uniform(1.8, 3.2, count)
     if rng.uniform() < 0.5:
-        step = rng.uniform(7.0, 11.0)
+        step = rng.uniform(4.5, 10.0)
         along = (np.arange(count) - (count - 1) / 2) * step + rng.uniform(-0.7, 0.7, count)
         side = np.where(np.arange(count) % 2, 1.0, -1.0) * rng.uniform(5.3, 5.9, count)
         places = np.stack([along, side], axis=1)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,13 +13,12 @@ from ..sensors import Sensor, find_sensor
 from ..site.model import ControlPoint, Frame, Site, SiteLidar, SurveyedPole
 from .devices import Device, draw_device
 from .noise import TYPICAL, NoiseModel
-from .pairs import MAX_POLE_ANGLE, MIN_POLE_ANGLE
 from .raycast import Cylinder, Surface
-from .recording import SimulationError, is_seen, poles_in_view, record_in_turn
-from .scenes import draw_poles, symmetric_poles
+from .recording import SimulationError, is_seen, record_in_turn
+from .site_arrangement import Arrangement, arrange
 from .site_blunders import BLUNDERS, Blunder, choose, disturbed, exchanged, resurveyed
-from .site_graph import Seen, are_linked, groups_of
-from .site_places import PLACES, SitePlace, is_free, stands_free
+from .site_graph import Seen, are_linked
+from .site_places import PLACES
 from .site_survey import Survey, draw_survey
 
 SITES = tuple(PLACES)
@@ -37,27 +35,11 @@ DEFAULT_SENSORS = {
 MAX_LIDARS, MAX_PLACEMENTS = 12, 8
 """Of a simulated site."""
 
-SHARED_RETURNS = 12
-"""Two LiDARs that are to be linked see a pole with so many returns of thin beams or more: twice
-what a line needs, as noise takes some."""
-
-MAX_DRAWS = 100
-"""Draws of a place before a `SimulationError`."""
-
-MAX_SPOTS = 25
-"""Draws of where the poles of one placement stand before the place is drawn anew."""
-
 MAX_UNCHECKED = 12
 """Arrangements that are drawn for one where the others check a blunder."""
 
 MAX_RECORDINGS = 5
 """Recordings of a placement before a `SimulationError`: noise hides too many poles."""
-
-SPOT_SPREAD = 1.5
-"""1 σ by which a placement misses the middle of the LiDARs that it links, metres (chosen)."""
-
-MIN_GAP = 1.0
-"""By how much a ring fails to close, metres, where pairs take the other hypothesis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,16 +119,6 @@ class SimulatedSite:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Arrangement:
-    """A place, the poles of each placement, who sees them, and who records."""
-
-    place: SitePlace
-    poles: list[tuple[Cylinder, ...]]
-    seen: Seen
-    recorded: list[tuple[int, ...]]
-
-
 def simulate_site(
     kind: str,
     rng: np.random.Generator,
@@ -222,12 +194,12 @@ def simulate_site(
     devices = tuple(
         draw_device(sensor, noise, own) for sensor, own in zip(models, for_devices, strict=True)
     )
-    at = _arrange(kind, rng, models, placements, poles, radius)
+    at = arrange(kind, rng, models, placements, poles, radius)
     wrong = choose(blunder, at.poles, at.seen, at.recorded, for_blunder)
     for _ in range(MAX_UNCHECKED):
         if wrong is None or wrong.checked:
             break
-        at = _arrange(kind, rng, models, placements, poles, radius)
+        at = arrange(kind, rng, models, placements, poles, radius)
         wrong = choose(blunder, at.poles, at.seen, at.recorded, for_blunder)
     clouds, labels, seen = _record(at, models, devices, noise, frames, wrong, for_recording)
     if wrong is not None and wrong.kind == "files":
@@ -273,150 +245,8 @@ def _numbers(kind: str, lidars: int, placements: int | None, poles: int | None) 
     return placements, poles
 
 
-def _arrange(
-    kind: str,
-    rng: np.random.Generator,
-    sensors: tuple[Sensor, ...],
-    placements: int,
-    poles: int,
-    radius: float,
-) -> _Arrangement:
-    """Draw places until poles link all LiDARs."""
-    for _ in range(MAX_DRAWS):
-        place = PLACES[kind](rng, len(sensors))
-        if not all(is_free(pose[:3, 3], place.surroundings) for pose in place.poses):
-            continue
-        found = (
-            _place_ring(place, rng, sensors, radius)
-            if kind == "ring"
-            else _place_poles(place, rng, sensors, placements, poles, radius)
-        )
-        if found is not None:
-            return found
-    raise SimulationError(
-        f"{MAX_DRAWS} draws of {kind!r} gave none where {placements} placements of {poles} poles "
-        f"link {len(sensors)} LiDARs: give more placements, or sensors with more rings"
-    )
-
-
-def _view(
-    place: SitePlace,
-    standing: Sequence[Cylinder],
-    sensors: Sequence[Sensor],
-    rng: np.random.Generator,
-    who: Sequence[int],
-) -> tuple[tuple[bool, ...], ...]:
-    """Which LiDAR sees which pole; those that do not record see none."""
-    none = (False,) * len(standing)
-    return tuple(
-        poles_in_view(place.surroundings, standing, sensor, pose, rng.spawn(1)[0], SHARED_RETURNS)
-        if k in who
-        else none
-        for k, (sensor, pose) in enumerate(zip(sensors, place.poses, strict=True))
-    )
-
-
-def _place_poles(
-    place: SitePlace,
-    rng: np.random.Generator,
-    sensors: tuple[Sensor, ...],
-    placements: int,
-    poles: int,
-    radius: float,
-) -> _Arrangement | None:
-    """Put the poles of each placement where they link LiDARs that nothing links yet."""
-    at = np.array([pose[:2, 3] for pose in place.poses])
-    everyone = tuple(range(len(sensors)))
-    standing: list[tuple[Cylinder, ...]] = []
-    seen: list[tuple[tuple[bool, ...], ...]] = []
-    for left in range(placements, 0, -1):
-        groups = groups_of(seen, len(sensors))
-        # So many groups may remain, that each of the other placements joins an equal share.
-        may_remain = 1 + (len(groups) - 1) * (left - 1) // left
-        for _ in range(MAX_SPOTS):
-            # Around the middle of a LiDAR and the nearest of the other groups.
-            one = int(rng.integers(len(at)))
-            others = [
-                min(group, key=lambda k: float(np.linalg.norm(at[k] - at[one])))
-                for group in groups
-                if one not in group
-            ]
-            others.sort(key=lambda k: float(np.linalg.norm(at[k] - at[one])))
-            joined = [one, *others[: max(len(groups) - may_remain, 1)]]
-            middle = at[joined].mean(axis=0) + rng.normal(0, SPOT_SPREAD, 2)
-            middle = np.clip(middle, -np.array(place.reach), place.reach)
-            new = _stand(rng, poles, middle, place, radius)
-            if new is None:
-                continue
-            view = _view(place, new, sensors, rng, everyone)
-            if len(groups_of([*seen, view], len(sensors))) <= may_remain:
-                standing.append(new)
-                seen.append(view)
-                break
-        else:
-            return None
-    return _Arrangement(place, standing, tuple(seen), [everyone] * placements)
-
-
-def _stand(
-    rng: np.random.Generator, count: int, middle: Array, place: SitePlace, radius: float
-) -> tuple[Cylinder, ...] | None:
-    """Draw poles around a place (2,); None where this draw has none that stand free."""
-    drawn = draw_poles(rng, count, (3.0, 3.0), (MIN_POLE_ANGLE, MAX_POLE_ANGLE), radius)
-    if drawn is None:
-        return None
-    moved = tuple(replace(pole, centre=pole.centre + np.r_[middle, 0.0]) for pole in drawn)
-    far = (
-        np.linalg.norm(pole.centre - pose[:3, 3]) < 1.0 for pole in moved for pose in place.poses
-    )
-    if any(far) or not all(stands_free(pole, place.surroundings) for pole in moved):
-        return None
-    return moved
-
-
-def _place_ring(
-    place: SitePlace, rng: np.random.Generator, sensors: tuple[Sensor, ...], radius: float
-) -> _Arrangement | None:
-    """Put two symmetric poles between each LiDAR and the next; None where the ring is ambiguous."""
-    count = len(sensors)
-    recorded: list[tuple[int, ...]] = [(k, (k + 1) % count) for k in range(count)]
-    at = np.array([pose[:2, 3] for pose in place.poses])
-    middles, standing, seen = [], [], []
-    for pair in recorded:
-        for _ in range(MAX_SPOTS):
-            middle = np.r_[at[list(pair)].mean(axis=0) + rng.uniform(-1.5, 1.5, 2), 0.0]
-            new = tuple(
-                replace(pole, centre=pole.centre + middle) for pole in symmetric_poles(rng, radius)
-            )
-            view = _view(place, new, sensors, rng, pair)
-            if all(all(view[k]) for k in pair):
-                break
-        else:
-            return None
-        middles.append(middle[:2])
-        standing.append(new)
-        seen.append(view)
-    if closes_otherwise(np.array(middles)):
-        return None
-    return _Arrangement(place, standing, tuple(seen), recorded)
-
-
-def closes_otherwise(axes: Array) -> bool:
-    """Whether half turns about some vertical axes (N, 2), in turn, make no step of `MIN_GAP`.
-
-    An odd number of half turns is one itself; an even number a step of twice the alternating sum.
-    """
-    for taken in product((False, True), repeat=len(axes)):
-        chosen = axes[np.array(taken)]
-        if len(chosen) and len(chosen) % 2 == 0:
-            step = 2 * (chosen[::2] - chosen[1::2]).sum(axis=0)
-            if np.linalg.norm(step) < MIN_GAP:
-                return True
-    return False
-
-
 def _record(
-    at: _Arrangement,
+    at: Arrangement,
     sensors: tuple[Sensor, ...],
     devices: tuple[Device, ...],
     noise: NoiseModel,
