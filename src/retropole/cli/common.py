@@ -18,6 +18,7 @@ import click
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS
 from ..errors import escaped, printable
+from ..io.recordings import frames_named
 from ..io.thinning import LEAST_POINTS
 from ..io.units import Unit
 from ..reasons import explain, page, plain
@@ -113,16 +114,10 @@ def _slice(context: click.Context, option: click.Parameter, value: str | None) -
     """Turn ``A:B``, ``A:B:STEP`` or ``N`` into a slice."""
     if value is None:
         return None
-    try:
-        parts = [int(part) if part.strip() else None for part in value.split(":")]
-    except ValueError:
-        parts = []
-    if len(parts) == 1 and parts[0] is not None:
-        return slice(parts[0], parts[0] + 1 or None)
-    step = parts[2] if len(parts) == 3 else None
-    if len(parts) not in (2, 3) or (step is not None and step < 1):
+    frames = frames_named(value)
+    if frames is None:
         raise click.BadParameter(f"{value!r}: expected A:B, A:B:STEP or the number of a frame")
-    return slice(*parts)
+    return frames
 
 
 frames_option = click.option(
