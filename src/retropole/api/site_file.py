@@ -54,14 +54,14 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """A table of the site file: what it does not know is a slip."""
 
 
-class PolesTable(_Table, frozen=True):
+class PolesTable(_Table, frozen=True, kw_only=True):
     """What all poles have in common."""
 
     radius_m: Annotated[float, RADIUS] = DEFAULT_RADIUS
     radius_sigma_m: Annotated[float, Meta(ge=0.0, le=MAX_RADIUS)] = 0.0
 
 
-class ReferenceTable(_Table, frozen=True):
+class ReferenceTable(_Table, frozen=True, kw_only=True):
     """The frame of the site: that of a LiDAR, or the one that coordinates were surveyed in."""
 
     lidar: Name | None = None
@@ -72,14 +72,14 @@ class ReferenceTable(_Table, frozen=True):
     height_m: Annotated[float, Meta(ge=-1e4, le=1e5)] | None = None
 
 
-class NeedTable(_Table, frozen=True):
+class NeedTable(_Table, frozen=True, kw_only=True):
     """How accurate every pose must be."""
 
     within_cm: Annotated[float, Meta(gt=0.0, le=100 * LARGEST_NEED)]
     at_m: Annotated[float, Meta(gt=0.0, le=FARTHEST_NEED)] = DEFAULT_AT
 
 
-class LidarTable(_Table, frozen=True):
+class LidarTable(_Table, frozen=True, kw_only=True):
     """One LiDAR, and what it recorded in each placement."""
 
     name: Name
@@ -93,11 +93,14 @@ class LidarTable(_Table, frozen=True):
     unit: Unit = "m"
     topic: Annotated[str, Meta(min_length=1, max_length=1000)] | None = None
     frames: Annotated[str, Meta(min_length=1, max_length=60)] | None = None
-    up: Annotated[list[Annotated[float, Meta(ge=-1e3, le=1e3)]], Meta(min_length=3, max_length=3)] | None = None
+    up: (
+        Annotated[list[Annotated[float, Meta(ge=-1e3, le=1e3)]], Meta(min_length=3, max_length=3)]
+        | None
+    ) = None
     up_sigma_deg: Annotated[float, Meta(gt=0.0, le=90.0)] | None = None
 
 
-class SurveyedPoleTable(_Table, frozen=True):
+class SurveyedPoleTable(_Table, frozen=True, kw_only=True):
     """A pole of which an end on the axis was surveyed, or both."""
 
     name: Name
@@ -107,7 +110,7 @@ class SurveyedPoleTable(_Table, frozen=True):
     sigma_m: Sigma
 
 
-class SeenTable(_Table, frozen=True):
+class SeenTable(_Table, frozen=True, kw_only=True):
     """Where a LiDAR sees a control point, in its own frame."""
 
     lidar: Name
@@ -118,7 +121,7 @@ class SeenTable(_Table, frozen=True):
     sigma_m: Sigma
 
 
-class ControlPointTable(_Table, frozen=True):
+class ControlPointTable(_Table, frozen=True, kw_only=True):
     """A surveyed point that LiDARs see as a target."""
 
     name: Name
@@ -127,7 +130,7 @@ class ControlPointTable(_Table, frozen=True):
     seen: Annotated[list[SeenTable], Meta(min_length=1, max_length=MOST_LIDARS)]
 
 
-class SiteFile(_Table, frozen=True):
+class SiteFile(_Table, frozen=True, kw_only=True):
     """A whole site file, as it stands there: degrees and centimetres where the keys say so."""
 
     name: Name

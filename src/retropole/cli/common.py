@@ -267,25 +267,39 @@ def echo_sensor_doubt(given: Input) -> None:
         say(f"retropole: {doubt}")
 
 
-def echo_left_out(given: Input, frames: slice | None) -> None:
-    """Say on stderr what of a recording is damaged, and what was left out unasked."""
+def echo_left_out(
+    given: Input,
+    frames: slice | None,
+    *,
+    to_keep: str = "--max-points N",
+    to_choose: str = "--frames A:B",
+) -> None:
+    """Say on stderr what of a recording is damaged, and what was left out unasked.
+
+    Parameters
+    ----------
+    given, frames
+        What was read, and which frames were asked for; None for none.
+    to_keep, to_choose
+        What a user gives to keep more points, and to read other frames.
+    """
     read = given.read
     lines = list(given.cloud.notes)
     if read is not None and read.left_out:
         lines.append(
             f"read {len(read.numbers)} of {len(read.asked)} frames, one in "
             f"{read.numbers.step // read.asked.step}, since all have too many points; "
-            "--max-points N reads more"
+            f"{to_keep} reads more"
         )
     elif read is not None and frames is None and not read.is_whole:
         lines.append(
             f"read {len(read.numbers)} of {read.recording.count} frames, every "
-            f"{read.numbers.step}th; --frames A:B reads others"
+            f"{read.numbers.step}th; {to_choose} reads others"
         )
     if given.cloud.thinned:
         lines.append(
             f"thinned from {len(given.cloud) + given.cloud.thinned:,} points to "
-            f"{len(given.cloud):,}, the brightest kept; --max-points N keeps more"
+            f"{len(given.cloud):,}, the brightest kept; {to_keep} keeps more"
         )
     for line in lines:
         say(f"retropole: {given.name}: {line}")
