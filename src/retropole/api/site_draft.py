@@ -256,13 +256,16 @@ HEAD = """\
 
 name = {name}
 placements = [{placements}]
+# max_points = 1500000     # of a cloud with more, so many are kept
 
 [poles]
 radius_m = 0.02            # half their thickness, tape included
 # radius_sigma_m = 0.0002  # 1 sigma of it
 
 [reference]
-lidar = {first}            # the site's frame is that of this LiDAR; or, with surveyed coordinates:
+# The site's frame is that of this LiDAR.
+lidar = {first}
+# Or, where coordinates were surveyed, without lidar, one of:
 # frame = "local"          # the frame they were surveyed in; z is up
 # frame = "enu"            # east, north, up; its origin, where you know it:
 # latitude_deg = 52.1

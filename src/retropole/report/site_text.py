@@ -152,12 +152,19 @@ def _found(document: SiteDoc, room: int) -> list[str]:
     """Count the poles that each LiDAR sees in each placement."""
     if not document.found:
         return []
-    rows = [
+    # A run that was refused early has looked at no recording.
+    counts = [
         [
-            shortened(lidar.name, LONGEST_NAME),
-            *(UNKNOWN if each is None else f"{len(each.poles)}" for each in found),
+            UNKNOWN if each is None or each.threshold is None else f"{len(each.poles)}"
+            for each in row
         ]
-        for lidar, found in zip(document.lidars, document.found, strict=True)
+        for row in document.found
+    ]
+    if all(count == UNKNOWN for row in counts for count in row):
+        return []
+    rows = [
+        [shortened(lidar.name, LONGEST_NAME), *row]
+        for lidar, row in zip(document.lidars, counts, strict=True)
     ]
     header = ["poles found", *(shortened(name, 12) for name in document.placements)]
     lines = table(header, rows).split("\n")
