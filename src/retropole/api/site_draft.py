@@ -14,7 +14,7 @@ from ..errors import ReadError, UsageError, printable, shortened
 from ..io import BAGS, PACKETS, READERS
 from ..io.bag_files import is_rosbag2
 from ..quantities import counted
-from .site_file import decode_site
+from .site_file import decode_site_file
 
 SUFFIXES = frozenset((*READERS, *BAGS, *PACKETS)) - {".txt"}
 """Of recordings. In a folder of recordings a text is somebody's notes; one of points can be written
@@ -87,7 +87,7 @@ def draft_site(folder: Path, path: Path) -> Draft:
         )
     text = _written(folder, path, lidars, placements, seen.recordings)
     try:
-        decode_site(text.encode())
+        decode_site_file(text.encode())
     except (ReadError, UnicodeEncodeError) as error:
         # Names that no site file can hold: too long, not printable, too many.
         raise UsageError(f"{folder}: its names make no site file: {error}") from None

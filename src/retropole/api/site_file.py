@@ -163,12 +163,12 @@ def read_site_file(path: Path) -> SiteFile:
     except OSError as error:
         raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
     try:
-        return decode_site(data)
+        return decode_site_file(data)
     except ReadError as error:
         raise ReadError(f"{path}: {error}") from None
 
 
-def decode_site(data: bytes) -> SiteFile:
+def decode_site_file(data: bytes) -> SiteFile:
     """Take a site file from its bytes.
 
     Raises

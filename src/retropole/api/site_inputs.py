@@ -17,6 +17,7 @@ from ..quantities import error as length
 from ..quantities import step_of
 from ..result import InputDoc
 from ..result.site import SiteConfig
+from ..sensors import sensor_or_auto
 from ..site.model import (
     ControlPoint,
     Frame,
@@ -26,6 +27,7 @@ from ..site.model import (
     SurveyedPole,
     Up,
 )
+from ..site.world import in_metres
 from ..uncertainty.purpose import Need
 from .inputs import Input, input_documents, read_input
 from .site_file import LidarTable, SiteFile, read_site_file
@@ -84,7 +86,7 @@ def read_site(
     ReadError
         Where the file or a recording cannot be read; names the file, the LiDAR and the placement.
     MissingExtraError
-        Where a recording needs an extra.
+        Where a recording needs an extra, or projected coordinates do.
     """
     file = read_site_file(path)
     wanted = {
@@ -107,8 +109,8 @@ def read_site(
         on_read(given)
         inputs[k, n] = given
     try:
-        site = site_of(file, inputs)
-    except ReadError as error:
+        site = in_metres(site_of(file, inputs))
+    except (ReadError, UsageError) as error:
         raise ReadError(f"{path}: {error}") from None
     config = SiteConfig(
         site_file=path_in_text(path), site_sha256=sha256_of(str(path)), max_points=file.max_points
@@ -136,23 +138,29 @@ def _read(
 
 
 def inputs_of(site: Site) -> SiteInputs:
-    """Say of a site that was put together in Python what it was made of."""
+    """Say of a site that was put together in Python what it was made of.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        Where its frame is a projected one, as `site.world.in_metres`.
+    """
     inputs = {
         (k, n): Input(cloud, cloud, lidar.sensor, lidar.threshold)
         for k, lidar in enumerate(site.lidars)
         for n, cloud in enumerate(lidar.clouds)
         if cloud is not None
     }
-    return SiteInputs(site, inputs, SiteConfig())
+    return SiteInputs(in_metres(site), inputs, SiteConfig())
 
 
 def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:
-    """Make a site of a site file and its recordings.
+    """Make a site of a site file and its recordings, in the coordinates that the file has.
 
     Parameters
     ----------
     file
-        As `api.site_file.decode_site` takes it.
+        As `api.site_file.decode_site_file` takes it.
     inputs
         What was read, by the indices of the LiDAR and of the placement.
 
@@ -174,7 +182,7 @@ def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:
                     inputs[k, n].cloud if (k, n) in inputs else None
                     for n in range(len(file.placements))
                 ),
-                next((inputs[k, n].sensor for n, r in enumerate(lidar.recordings) if r), None),
+                sensor_or_auto(lidar.sensor),
                 lidar.threshold,
                 lidar.serial,
                 _up(lidar),
