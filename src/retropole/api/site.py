@@ -137,7 +137,11 @@ class SiteResult:
         """Say the verdict, the datum, where each LiDAR is and the reasons, a line each."""
         rows = [("datum", self.document.datum)] if self.document.datum else []
         rows += [
-            (each.name, f"x {each.x}  y {each.y}  z {each.z} m, ± {error(each.sigma)} at 30 m")
+            (
+                each.name,
+                f"x {each.x}  y {each.y}  z {each.z} m"
+                + (f", ± {error(each.sigma)} at 30 m" if each.sigma else ""),
+            )
             for each in pose_rows(self.document)
         ]
         rows += [(reason.code, reason.message) for reason in self.reasons]

@@ -29,7 +29,7 @@ NUMBERED = re.compile(r"(?:(?:p|pos|pl|place|placement|position|setup|station)[-
 OF_BOTH = re.compile(rf"(.+?)[-_]({NUMBERED.pattern})", re.I)
 """LiDAR and placement in one name."""
 
-SHOWN = 4
+SHOWN = 6
 """So many names are quoted of what was seen."""
 
 

@@ -119,5 +119,5 @@ def _command_of(words: Sequence[str]) -> str:
         return "retropole"
     group = cli.commands[words[named]]
     inner = group.commands if isinstance(group, click.Group) else {}
-    of_group = next((f" {word}" for word in words[named + 1 :] if word in inner), "")
-    return f"retropole {words[named]}{of_group}"
+    following = words[named + 1 : named + 2]
+    return " ".join(["retropole", words[named], *(word for word in following if word in inner)])

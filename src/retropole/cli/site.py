@@ -144,7 +144,8 @@ def calibrate(
         show(encode(result.document))
     elif not quiet:
         paths = [str(path) for path in written]
-        words = describe_site(result.document, paths, verbose=verbose)
+        following = {"next": command_line("export", written[0], "--to", "urdf")}
+        words = describe_site(result.document, paths, following, verbose=verbose)
         show(in_colour(words, result.status))
     if result.status == "refused":
         # Who sees stdout has read it there.

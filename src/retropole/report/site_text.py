@@ -86,7 +86,7 @@ def describe_site(
         reasons = reasons_whole(document.status, document.reasons)
         poses = _poses(document, len(document.lidars))
         checked += _every_check(document)
-        found = [*_found(document, len(document.inputs)), *_read(document)]
+        found = ["", *_found(document, len(document.inputs)), *_read(document)]
     else:
         room = LINES - len(head) - len(body) - len(checked) - len(tail) - 2
         # Header and at least three rows of what was found or where the LiDARs are.
@@ -248,15 +248,15 @@ def _every_check(document: SiteDoc) -> list[str]:
     if document.tests:
         rows = [
             [
+                each.name,
                 _number(each.w),
                 UNKNOWN if each.redundancy is None else f"{each.redundancy:.2f}",
                 error(each.minimal_detectable_m),
                 error(each.external_at_30m_m),
-                each.name,
             ]
             for each in sorted(document.tests, key=lambda each: -abs(each.w or 0.0))
         ]
-        header = ("w", "redundancy", "found from", "at 30 m", "observation")
+        header = ("observation", "w", "redundancy", "smallest\nfound", "its effect\nat 30 m")
         lines += ["", *table(header, rows).split("\n")]
     return lines
 
