@@ -138,8 +138,6 @@ def test_command_lines_exist(page: str, words: list[str]) -> None:
     command = cli.commands[words[0]]
     if isinstance(command, click.Group) and words[1:2] and words[1] in command.commands:
         words = words[1:]
-    if isinstance(command, click.Group) and words[1:2] != ["--help"]:
-        words = words[1:]
         command = command.commands[words[0]]
     options = {
         name: option

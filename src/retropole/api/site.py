@@ -42,6 +42,8 @@ class SiteResult:
         Everything that was found, as ``site-result.json`` holds it.
     calibration
         The same as arrays, with the clouds.
+    status
+        ``ok``, ``warn`` or ``refused``.
     """
 
     document: SiteDoc
@@ -183,7 +185,7 @@ def calibrate_site(
     Returns
     -------
     SiteResult
-        With `status` ``refused``, the reasons and no poses where the data carry no answer.
+        With ``status`` ``refused``, the reasons and no poses where the data carry no answer.
 
     Raises
     ------
