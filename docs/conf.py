@@ -53,10 +53,14 @@ class Commands(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Make one section per command."""
         sections: list[nodes.Node] = []
+        commands: list[tuple[str, click.Command]] = []
         for name, command in sorted(cli.commands.items()):
+            inner = command.commands if isinstance(command, click.Group) else {}
+            commands += [(name, command), *((f"{name} {sub}", inner[sub]) for sub in sorted(inner))]
+        for name, command in commands:
             context = click.Context(command, info_name=f"retropole {name}")
             context.max_content_width = 92
-            section = nodes.section(ids=[name], names=[name])
+            section = nodes.section(ids=[name.replace(" ", "-")], names=[name])
             section += nodes.title(text=name)
             block = nodes.literal_block(text=command.get_help(context))
             block["language"] = "text"

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .api.evaluation import evaluate
     from .api.result import CalibrationResult, load_result
     from .api.simulation import simulate
+    from .api.site import SiteResult, calibrate_site
     from .datatypes import PointCloud
     from .errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
     from .io import read_cloud
@@ -32,8 +33,10 @@ _MODULES = {
     "ReadError": "errors",
     "Refusal": "errors",
     "RetropoleError": "errors",
+    "SiteResult": "api.site",
     "UsageError": "errors",
     "calibrate": "api.calibration",
+    "calibrate_site": "api.site",
     "detect": "api.detection",
     "evaluate": "api.evaluation",
     "load_result": "api.result",
@@ -49,9 +52,11 @@ __all__ = [
     "ReadError",
     "Refusal",
     "RetropoleError",
+    "SiteResult",
     "UsageError",
     "__version__",
     "calibrate",
+    "calibrate_site",
     "detect",
     "evaluate",
     "load_result",

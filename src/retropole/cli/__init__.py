@@ -26,6 +26,7 @@ COMMANDS = (
     "paper",
     "report",
     "simulate",
+    "site",
     "view",
 )
 """Every command, by the name of its module."""
@@ -97,7 +98,7 @@ def run(words: Sequence[str] | None = None) -> int:
     try:
         code = cli.main(args, prog_name="retropole", standalone_mode=False)
     except (click.ClickException, RetropoleError, OSError, MemoryError) as error:
-        command = next((f"retropole {word}" for word in args if word in COMMANDS), "retropole")
+        command = _command_of(args)
         refused = isinstance(error, Refusal)
         return tell(failure_of(error, command), refused=refused, as_json=asks_for_json(args))
     except SystemExit as error:
@@ -109,3 +110,14 @@ def run(words: Sequence[str] | None = None) -> int:
         say("retropole: interrupted")
         return EXIT_INTERRUPTED
     return int(code or 0)
+
+
+def _command_of(words: Sequence[str]) -> str:
+    """Name the command that was called, and of a group which of it: ``retropole site init``."""
+    named = next((k for k, word in enumerate(words) if word in COMMANDS), None)
+    if named is None:
+        return "retropole"
+    group = cli.commands[words[named]]
+    inner = group.commands if isinstance(group, click.Group) else {}
+    following = words[named + 1 : named + 2]
+    return " ".join(["retropole", words[named], *(word for word in following if word in inner)])

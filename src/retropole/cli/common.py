@@ -18,6 +18,7 @@ import click
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS
 from ..errors import escaped, printable
+from ..io.recordings import frames_named
 from ..io.thinning import LEAST_POINTS
 from ..io.units import Unit
 from ..reasons import explain, page, plain
@@ -113,16 +114,10 @@ def _slice(context: click.Context, option: click.Parameter, value: str | None) -
     """Turn ``A:B``, ``A:B:STEP`` or ``N`` into a slice."""
     if value is None:
         return None
-    try:
-        parts = [int(part) if part.strip() else None for part in value.split(":")]
-    except ValueError:
-        parts = []
-    if len(parts) == 1 and parts[0] is not None:
-        return slice(parts[0], parts[0] + 1 or None)
-    step = parts[2] if len(parts) == 3 else None
-    if len(parts) not in (2, 3) or (step is not None and step < 1):
+    frames = frames_named(value)
+    if frames is None:
         raise click.BadParameter(f"{value!r}: expected A:B, A:B:STEP or the number of a frame")
-    return slice(*parts)
+    return frames
 
 
 frames_option = click.option(
@@ -272,25 +267,39 @@ def echo_sensor_doubt(given: Input) -> None:
         say(f"retropole: {doubt}")
 
 
-def echo_left_out(given: Input, frames: slice | None) -> None:
-    """Say on stderr what of a recording is damaged, and what was left out unasked."""
+def echo_left_out(
+    given: Input,
+    frames: slice | None,
+    *,
+    to_keep: str = "--max-points N",
+    to_choose: str = "--frames A:B",
+) -> None:
+    """Say on stderr what of a recording is damaged, and what was left out unasked.
+
+    Parameters
+    ----------
+    given, frames
+        What was read, and which frames were asked for; None for none.
+    to_keep, to_choose
+        What a user gives to keep more points, and to read other frames.
+    """
     read = given.read
     lines = list(given.cloud.notes)
     if read is not None and read.left_out:
         lines.append(
             f"read {len(read.numbers)} of {len(read.asked)} frames, one in "
             f"{read.numbers.step // read.asked.step}, since all have too many points; "
-            "--max-points N reads more"
+            f"{to_keep} reads more"
         )
     elif read is not None and frames is None and not read.is_whole:
         lines.append(
             f"read {len(read.numbers)} of {read.recording.count} frames, every "
-            f"{read.numbers.step}th; --frames A:B reads others"
+            f"{read.numbers.step}th; {to_choose} reads others"
         )
     if given.cloud.thinned:
         lines.append(
             f"thinned from {len(given.cloud) + given.cloud.thinned:,} points to "
-            f"{len(given.cloud):,}, the brightest kept; --max-points N keeps more"
+            f"{len(given.cloud):,}, the brightest kept; {to_keep} keeps more"
         )
     for line in lines:
         say(f"retropole: {given.name}: {line}")

@@ -18,17 +18,27 @@ DEFAULT_OUT = Path("retropole-out")
 
 
 @contextmanager
-def older_set_aside(folder: Path) -> Iterator[None]:
-    """Where what is within fails, rename the results that are in a folder, and say so."""
+def older_set_aside(folder: Path, *, site: bool = False) -> Iterator[None]:
+    """Where what is within fails, rename the results that are in a folder, and say so.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    site
+        Whether the results are those of a site.
+    """
     try:
         yield
     except (RetropoleError, click.UsageError, OSError, MemoryError):
-        _set_aside(folder)
+        _set_aside(folder, site)
         raise
 
 
 class SettingAside(click.Command):
     """A command that sets an older result aside also where its options are wrong."""
+
+    of_site = False
 
     def make_context(
         self,
@@ -38,8 +48,14 @@ class SettingAside(click.Command):
         **extra: Any,
     ) -> click.Context:
         """Read the options, as any command."""
-        with older_set_aside(_out_of(args)):
+        with older_set_aside(_out_of(args), site=self.of_site):
             return super().make_context(info_name, args, parent, **extra)
+
+
+class SettingSiteAside(SettingAside):
+    """The same for the result of a site."""
+
+    of_site = True
 
 
 def _out_of(words: Sequence[str]) -> Path:
@@ -55,15 +71,17 @@ def _out_of(words: Sequence[str]) -> Path:
     return out
 
 
-def _set_aside(folder: Path) -> None:
+def _set_aside(folder: Path, site: bool) -> None:
     from ..api.result import REPORT_FILE
+    from ..api.site import SITE_REPORT_FILE, SITE_RESULT_FILE
     from ..export.documents import RESULT_FILE
 
+    names = (SITE_RESULT_FILE, SITE_REPORT_FILE) if site else (RESULT_FILE, REPORT_FILE)
     try:
-        moved = set_aside([folder / RESULT_FILE, folder / REPORT_FILE])
+        moved = set_aside([folder / name for name in names])
     except OSError as error:
         say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
         return
     if moved:
-        names = " and ".join(printable(str(path)) for path in moved)
-        say(f"retropole: no result of this run; the one before is now {names}")
+        now = " and ".join(printable(str(path)) for path in moved)
+        say(f"retropole: no result of this run; the one before is now {now}")

@@ -38,7 +38,8 @@ def left_out_words(document: InputDoc) -> str:
     return f"{' and '.join(parts)} left out as too many" if parts else ""
 
 
-def _input_lines(name: str, document: InputDoc) -> list[str]:
+def input_lines(name: str, document: InputDoc) -> list[str]:
+    """Say what was read of a recording, and what was left out."""
     threshold = "none" if document.threshold is None else f"{document.threshold:g}"
     left_out = left_out_words(document)
     line = (
@@ -157,36 +158,40 @@ def describe_result(
     if result.T_target_source is not None:
         tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
     if verbose:
-        reasons = [line for reason in result.reasons for line in _reason_whole(result, reason)]
+        reasons = reasons_whole(result.status, result.reasons)
         found = [*_found_lines(result), *_verbose_lines(result)]
     else:
         found = _found_counts(result)
         room = LINES - len(head) - len(standing) - len(body) - len(tail)
-        reasons = _reasons_within(result, room - len(found))
+        reasons = reasons_within(result.status, result.reasons, room - len(found))
         every = _found_lines(result)
         found = every if len(every) + len(reasons) <= room else found
     return "\n".join([*head, *reasons, *standing, *body, *found, *tail])
 
 
-def _reason_whole(result: ResultDoc, reason: ReasonDoc, actions: int = ACTIONS) -> list[str]:
-    """Write a reason, what to do about it and, of a refusal, where to read on."""
-    lines = reason_lines(reason, actions)
-    if result.status == "refused" and explain(reason.code) is not None:
-        lines.append(f"    read on: documentation, {page(reason.code)}")
+def reasons_whole(status: str, reasons: Sequence[ReasonDoc], actions: int = ACTIONS) -> list[str]:
+    """Write reasons, what to do about each and, of a refusal, where to read on."""
+    lines = []
+    for reason in reasons:
+        lines += reason_lines(reason, actions)
+        if status == "refused" and explain(reason.code) is not None:
+            lines.append(f"    read on: documentation, {page(reason.code)}")
     return lines
 
 
-def _reasons_within(result: ResultDoc, room: int) -> list[str]:
+def reasons_within(
+    status: str, reasons: Sequence[ReasonDoc], room: int, report: str = "report.html"
+) -> list[str]:
     """Write every reason, with as much of what to do as there is room for."""
     for actions in range(ACTIONS, 0, -1):
-        lines = [x for reason in result.reasons for x in _reason_whole(result, reason, actions)]
+        lines = reasons_whole(status, reasons, actions)
         if len(lines) <= room:
             return lines
-    lines = ["  what to do about each: -v, or report.html"]
-    whole = [line for reason in result.reasons for line in reason_lines(reason, 0)]
+    lines = [f"  what to do about each: -v, or {report}"]
+    whole = [line for reason in reasons for line in reason_lines(reason, 0)]
     if len(whole) < room:
         return whole + lines
-    cut = [shortened(f"  {reason.code}: {reason.message}", WIDTH) for reason in result.reasons]
+    cut = [shortened(f"  {reason.code}: {reason.message}", WIDTH) for reason in reasons]
     # Never fewer than one: a verdict without its reason says nothing.
     shown = cut if len(cut) < room else cut[: max(room - 2, 1)]
     if len(shown) < len(cut):
@@ -227,7 +232,7 @@ def _verbose_lines(result: ResultDoc) -> list[str]:
     lines.append("")
     for k, document in enumerate(result.inputs):
         several = f" {k // 2 + 1}" if len(result.inputs) > 2 else ""
-        lines += _input_lines(LIDARS[k % 2] + several, document)
+        lines += input_lines(LIDARS[k % 2] + several, document)
     if result.seconds:
         times = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds.items())
         lines += ["", *wrapped(f"time: {times}", "      ")]
@@ -283,7 +288,7 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     detection, written = legible(detection), [printable(path) for path in written]
     names = [f"pole {k}" for k in range(len(detection.poles))]
     parts = [
-        *_input_lines("file", detection.input),
+        *input_lines("file", detection.input),
         f"  {counted(detection.retro_points, 'retro-reflective point')} "
         f"(threshold from: {detection.threshold_source})",
         "",

@@ -1,0 +1,263 @@
+"""`calibrate_site`: a site file in, the poses of all its LiDARs in one frame out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array, Scan
+from ..errors import Reason, Refusal, UsageError
+from ..files import write_together
+from ..quantities import error
+from ..report.site import render_site
+from ..report.site_text import pose_rows
+from ..result import ReasonDoc, encode
+from ..result.site import SiteDoc, site_document
+from ..site.calibration import calibrate_site as find_poses
+from ..site.model import LidarPose, Site, SiteCalibration
+from ..site.relative import joint_of, relative
+from .inputs import Input
+from .site_inputs import SiteInputs, inputs_of, read_site, repeated
+
+if TYPE_CHECKING:
+    from ..reasons import Code
+
+SITE_RESULT_FILE, SITE_REPORT_FILE = "site-result.json", "site-report.html"
+"""What the result and the report of a site are called in their folder."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SiteResult:
+    """The calibration of a site, or why there is none.
+
+    Attributes
+    ----------
+    document
+        Everything that was found, as ``site-result.json`` holds it.
+    calibration
+        The same as arrays, with the clouds.
+    status
+        ``ok``, ``warn`` or ``refused``.
+    """
+
+    document: SiteDoc
+    calibration: SiteCalibration
+
+    @property
+    def status(self) -> str:
+        """``ok``, ``warn`` or ``refused``."""
+        return self.document.status
+
+    @property
+    def reasons(self) -> tuple[ReasonDoc, ...]:
+        """What is wrong or weak: code, message and values of each; empty when ok."""
+        return tuple(self.document.reasons)
+
+    @property
+    def lidars(self) -> tuple[str, ...]:
+        """Names of the LiDARs."""
+        return tuple(lidar.name for lidar in self.calibration.site.lidars)
+
+    def pose(self, name: str) -> LidarPose:
+        """Give the pose of a LiDAR in the frame of the site, with its covariance and budget.
+
+        Parameters
+        ----------
+        name
+            Of the LiDAR.
+
+        Raises
+        ------
+        UsageError
+            Where no LiDAR is called so.
+        Refusal
+            Where the calibration was refused.
+        """
+        return self._poses()[self._index(name)]
+
+    def T(self, a: str, b: str) -> Array:
+        """Give (4, 4) that maps points of LiDAR b into the frame of LiDAR a.
+
+        Parameters
+        ----------
+        a, b
+            Names of LiDARs.
+
+        Raises
+        ------
+        UsageError, Refusal
+            As `pose`.
+        """
+        T_a, T_b = self.pose(a).T_site_lidar, self.pose(b).T_site_lidar
+        return np.asarray(se3.inverse(T_a) @ T_b)
+
+    def covariance(self, a: str, b: str) -> Array:
+        """Give (6, 6) of `T`, over ``[φ, δ]``, rad and m, axes of a.
+
+        What the poses of a and b have in common cancels: it is less than the sum of both.
+
+        Parameters
+        ----------
+        a, b
+            Names of LiDARs.
+
+        Raises
+        ------
+        UsageError, Refusal
+            As `pose`.
+        """
+        poses = self.pose(a), self.pose(b)
+        assert self.calibration.covariance is not None
+        joint = joint_of(self.calibration.covariance, self._index(a), self._index(b))
+        return relative(poses[0].T_site_lidar, poses[1].T_site_lidar, joint).covariance
+
+    def save(self, folder: str | Path) -> tuple[Path, Path]:
+        """Write ``site-result.json`` and ``site-report.html`` to a folder, never of two runs.
+
+        Returns
+        -------
+        tuple of Path
+            The two files.
+
+        Raises
+        ------
+        OSError
+            Where the folder cannot be written to.
+        """
+        result, page = Path(folder) / SITE_RESULT_FILE, Path(folder) / SITE_REPORT_FILE
+        html = render_site(self.document, self.calibration)
+        write_together({result: encode(self.document), page: html.encode()})
+        return result, page
+
+    def __repr__(self) -> str:
+        """Say the verdict, the datum, where each LiDAR is and the reasons, a line each."""
+        rows = [("datum", self.document.datum)] if self.document.datum else []
+        rows += [
+            (
+                each.name,
+                f"x {each.x}  y {each.y}  z {each.z} m"
+                + (f", ± {error(each.sigma)} at 30 m" if each.sigma else ""),
+            )
+            for each in pose_rows(self.document)
+        ]
+        rows += [(reason.code, reason.message) for reason in self.reasons]
+        return "\n".join(
+            [f"SiteResult: {self.status}"] + [f"  {name:<16} {value}" for name, value in rows]
+        )
+
+    def _index(self, name: str) -> int:
+        if name not in self.lidars:
+            raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
+        return self.lidars.index(name)
+
+    def _poses(self) -> tuple[LidarPose, ...]:
+        if self.status == "refused":
+            unknown = ReasonDoc("refused", "the result gives no reason", {})
+            why = next(iter(self.reasons), unknown)
+            raise Refusal(cast("Code", why.code), why.message, why.values)
+        return self.calibration.lidars
+
+
+def calibrate_site(
+    site: str | Path | Site,
+    *,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> SiteResult:
+    """Find the poses of all LiDARs of a site in one frame.
+
+    Parameters
+    ----------
+    site
+        A site file; or a `site.model.Site` that was put together in Python.
+    progress
+        Called with the name of each step as it starts, and with which recording of how many is
+        read.
+    on_read
+        Called with each cloud once it is read.
+
+    Returns
+    -------
+    SiteResult
+        With ``status`` ``refused``, the reasons and no poses where the data carry no answer.
+
+    Raises
+    ------
+    ReadError, MissingExtraError
+        Where the site file or a recording cannot be read; names the key.
+    UsageError
+        Where a site that was put together in Python makes no sense.
+    """
+    progress("read")
+    start = time.perf_counter()
+    if isinstance(site, Site):
+        check_site(site)
+        read = inputs_of(site)
+    else:
+        read = read_site(Path(site), progress=progress, on_read=on_read)
+    documents = read.documents()
+    seconds = {"read": time.perf_counter() - start}
+    twice = repeated(read, documents)
+    if twice is None:
+        calibration = find_poses(read.site, progress=progress)
+    else:
+        calibration = _refused(read, twice)
+    document = site_document(
+        calibration,
+        inputs=documents,
+        config=read.config,
+        seconds={**seconds, **calibration.seconds},
+    )
+    return SiteResult(document, calibration)
+
+
+def check_site(site: Site) -> None:
+    """Refuse a site that was put together in Python and makes no sense.
+
+    Raises
+    ------
+    UsageError
+        Naming what is wrong and what is expected.
+    """
+    names = [lidar.name for lidar in site.lidars]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise UsageError(f"the LiDARs are {names}, expected two or more of different names")
+    for lidar in site.lidars:
+        if len(lidar.clouds) != len(site.placements) or not any(
+            cloud is not None for cloud in lidar.clouds
+        ):
+            raise UsageError(
+                f"{lidar.name} has {len(lidar.clouds)} clouds, expected {len(site.placements)}, "
+                "one for each placement or None, and one at least"
+            )
+    if not 0 <= site.reference < len(names):
+        raise UsageError(f"reference is {site.reference}, expected 0 to {len(names) - 1}")
+
+
+def _refused(read: SiteInputs, reason: Reason) -> SiteCalibration:
+    """State a refusal before anything was looked for."""
+    return SiteCalibration(
+        status="refused",
+        reasons=(reason,),
+        site=read.site,
+        datum="",
+        scans=tuple(
+            tuple(None if cloud is None else Scan(cloud, lidar.sensor) for cloud in lidar.clouds)
+            for lidar in read.site.lidars
+        ),
+        lidars=(),
+        covariance=None,
+        groups=(),
+        poles=(),
+        pairs=(),
+        loops=(),
+        tests=(),
+        without=(),
+        seconds={},
+    )

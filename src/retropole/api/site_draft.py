@@ -1,0 +1,320 @@
+"""A site file from a folder of recordings, by the names of its folders and files."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path, PurePath
+from typing import NamedTuple
+
+from ..errors import ReadError, UsageError, printable, shortened
+from ..io import BAGS, PACKETS, READERS
+from ..io.bag_files import is_rosbag2
+from ..quantities import counted
+from .site_file import decode_site_file
+
+SUFFIXES = frozenset((*READERS, *BAGS, *PACKETS)) - {".txt"}
+"""Of recordings. In a folder of recordings a text is somebody's notes; one of points can be written
+into the file by hand."""
+
+MOST_ENTRIES = 10_000
+"""Of one folder that is looked through: a site has a hundred LiDARs at most."""
+
+NUMBERED = re.compile(r"(?:(?:p|pos|pl|place|placement|position|setup|station)[-_ ]?)?\d+", re.I)
+"""What a placement is called: a number, or a word and a number."""
+
+OF_BOTH = re.compile(rf"(.+?)[-_]({NUMBERED.pattern})", re.I)
+"""LiDAR and placement in one name."""
+
+SHOWN = 6
+"""So many names are quoted of what was seen."""
+
+
+class Draft(NamedTuple):
+    """A site file that was drafted.
+
+    Attributes
+    ----------
+    text
+        TOML.
+    summary
+        What was found, in a line.
+    notes
+        What was left out, and which recordings are missing.
+    """
+
+    text: str
+    summary: str
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Recordings by LiDAR and placement, and the names of what is none."""
+
+    recordings: Mapping[tuple[str, str], Path]
+    left_out: tuple[str, ...] = ()
+
+
+def draft_site(folder: Path, path: Path) -> Draft:
+    """Draft a site file from a folder; nothing is written, and no recording is opened.
+
+    Parameters
+    ----------
+    folder
+        Holds ``LIDAR/PLACEMENT.pcd``, ``PLACEMENT/LIDAR.pcd``, ``LIDAR_PLACEMENT.pcd`` or, of one
+        placement, ``LIDAR.pcd``; a recording may have any format that is read.
+    path
+        Where the file is going to be: paths in it count from its folder.
+
+    Raises
+    ------
+    ReadError
+        Where the folder cannot be read.
+    UsageError
+        Where its names do not say which recording is whose; says what was seen.
+    """
+    seen = _look_through(folder)
+    lidars = _ordered({lidar for lidar, _ in seen.recordings})
+    placements = _ordered({placement for _, placement in seen.recordings})
+    if len(lidars) < 2:
+        raise UsageError(
+            f"{folder}: recordings of one LiDAR, {lidars[0]}, in {_list(placements, 'placement')}; "
+            "a site has two LiDARs at least"
+        )
+    text = _written(folder, path, lidars, placements, seen.recordings)
+    try:
+        decode_site_file(text.encode())
+    except (ReadError, UnicodeEncodeError) as error:
+        # Names that no site file can hold: too long, not printable, too many.
+        raise UsageError(f"{folder}: its names make no site file: {error}") from None
+    missing = [
+        f"{lidar} has no recording of placement {placement}"
+        for lidar in lidars
+        for placement in placements
+        if (lidar, placement) not in seen.recordings
+    ]
+    left_out = [f"{folder}: left out {_quoted(seen.left_out)}"] if seen.left_out else []
+    summary = f"{_list(lidars, 'LiDAR')}; {_list(placements, 'placement')}"
+    return Draft(text, summary, (*left_out, *missing))
+
+
+def _look_through(folder: Path) -> _Seen:
+    """Find recordings, and whose they are."""
+    files, folders, others = _entries(folder)
+    if files and folders:
+        raise UsageError(
+            f"{folder}: holds recordings ({_quoted([f.name for f in files])}) and folders "
+            f"({_quoted([f.name for f in folders])}); expected one or the other"
+        )
+    if files:
+        return _Seen(_flat(folder, files), others)
+    inner: dict[str, list[Path]] = {}
+    for each in folders:
+        here, deeper, left = _entries(each)
+        # A folder in a folder may be a recording: frames, one a file.
+        frames = [d for d in deeper if _entries(d)[0]]
+        others += tuple(f"{each.name}/{name}" for name in left)
+        if here or frames:
+            inner[each.name] = [*here, *frames]
+        else:
+            others += (each.name,)
+    if not inner:
+        raise UsageError(
+            f"{folder}: holds no recordings; expected LIDAR/PLACEMENT.pcd, PLACEMENT/LIDAR.pcd or "
+            f"LIDAR_PLACEMENT.pcd, or another of {', '.join(sorted(SUFFIXES))}"
+        )
+    return _Seen(_nested(folder, inner), others)
+
+
+def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
+    """List recordings, folders, and names of neither; what is hidden, and site files, are not."""
+    try:
+        with os.scandir(folder) as entries:
+            names = [entry.name for entry in islice(entries, MOST_ENTRIES + 1)]
+    except OSError as error:
+        raise ReadError(f"{folder}: cannot be read ({error.strerror or error})") from None
+    if len(names) > MOST_ENTRIES:
+        raise UsageError(f"{folder}: has more than {MOST_ENTRIES} entries, no site has so many")
+    paths = [folder / name for name in _ordered(names) if not name.startswith(".")]
+    paths = [path for path in paths if path.suffix != ".toml"]
+    folders = [path for path in paths if path.is_dir() and not is_rosbag2(path)]
+    files = [
+        path
+        for path in paths
+        if is_rosbag2(path) or (path.suffix.lower() in SUFFIXES and path.is_file())
+    ]
+    known = {*files, *folders}
+    return files, folders, tuple(path.name for path in paths if path not in known)
+
+
+def _flat(folder: Path, files: Sequence[Path]) -> dict[tuple[str, str], Path]:
+    """Take LiDAR and placement from the name of each file."""
+    both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
+    found: dict[tuple[str, str], Path] = {}
+    if not any(both.values()):
+        for path in files:
+            _add(found, _name(path), "1", path)
+        return found
+    for path, match in both.items():
+        if match is None:
+            raise UsageError(
+                f"{folder}: {_quoted([p.name for p, m in both.items() if m])} may be LIDAR_"
+                f"PLACEMENT, {path.name} is not; name all the same way"
+            )
+        _add(found, match[1], match[2], path)
+    return found
+
+
+def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> dict[tuple[str, str], Path]:
+    """Tell whether the folders are the LiDARs or the placements: the latter have numbers."""
+    outer = list(inner)
+    within = _ordered({_name(path) for paths in inner.values() for path in paths})
+    of_placements = all(NUMBERED.fullmatch(name) for name in outer)
+    of_lidars = all(NUMBERED.fullmatch(name) for name in within)
+    if of_placements == of_lidars:
+        both = "both" if of_lidars else "neither"
+        raise UsageError(
+            f"{folder}: folders {_quoted(outer)} hold {_quoted(within)}, and {both} look like "
+            "numbers of placements; name the placements 1, 2, …, and the LiDARs otherwise"
+        )
+    found: dict[tuple[str, str], Path] = {}
+    for name, paths in inner.items():
+        for path in paths:
+            lidar, placement = (name, _name(path)) if of_lidars else (_name(path), name)
+            _add(found, lidar, placement, path)
+    return found
+
+
+def _add(found: dict[tuple[str, str], Path], lidar: str, placement: str, path: Path) -> None:
+    other = found.setdefault((lidar, placement), path)
+    if other != path:
+        raise UsageError(
+            f"{other} and {path} are both {lidar} in placement {placement}; leave one of them"
+        )
+
+
+def _name(path: Path) -> str:
+    """Give the name of a recording without its suffix; a folder has none."""
+    return path.name if path.is_dir() else path.stem
+
+
+def _ordered(names: set[str] | Sequence[str]) -> list[str]:
+    """Sort names as people do: 2 before 10."""
+    return sorted(
+        names, key=lambda name: [(len(p), p) if p.isdigit() else (0, p) for p in _parts(name)]
+    )
+
+
+def _parts(name: str) -> list[str]:
+    return [part.lstrip("0") or part for part in re.split(r"(\d+)", name.lower())] + [name]
+
+
+def _quoted(names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(shortened(printable(name), 60) for name in names[:SHOWN]) + more
+
+
+def _list(names: Sequence[str], what: str) -> str:
+    return f"{counted(len(names), what)}: {_quoted(names)}"
+
+
+def _written(
+    folder: Path,
+    path: Path,
+    lidars: Sequence[str],
+    placements: Sequence[str],
+    recordings: Mapping[tuple[str, str], Path],
+) -> str:
+    """Write the file: what was found, and in comments what may be added."""
+    name = printable(folder.resolve().name)[:60].strip() or "site"
+    parts = [
+        HEAD.format(
+            name=_text(name),
+            placements=", ".join(map(_text, placements)),
+            first=_text(lidars[0]),
+            placement=_text(placements[0]),
+        )
+    ]
+    for lidar in lidars:
+        lines = []
+        for placement in placements:
+            recording = recordings.get((lidar, placement))
+            there = "" if recording is None else _relative(recording, path.parent)
+            lines.append(f"  {_text(there)},  # placement {placement}\n")
+        table = f'[[lidar]]\nname = {_text(lidar)}\nsensor = "auto"\n'
+        parts.append(f"{table}recordings = [\n{''.join(lines)}]\n")
+    return "\n".join([*parts, TAIL.format(first=_text(lidars[0]), placement=_text(placements[0]))])
+
+
+HEAD = """\
+# A site for 'retropole site calibrate': metres; paths count from this file's folder.
+# What follows a # is a comment; take the # away from what you want to say.
+
+name = {name}
+placements = [{placements}]
+# max_points = 1500000     # of a cloud with more, so many are kept
+
+[poles]
+radius_m = 0.02            # half their thickness, tape included
+# radius_sigma_m = 0.0002  # 1 sigma of it
+
+[reference]
+# The site's frame is that of this LiDAR.
+lidar = {first}
+# Or, where coordinates were surveyed, without lidar, one of:
+# frame = "local"          # the frame they were surveyed in; z is up
+# frame = "enu"            # east, north, up; its origin, where you know it:
+# latitude_deg = 52.1
+# longitude_deg = 4.2
+# height_m = 12.0
+# epsg = 25832             # a projected frame: east, north, height
+
+# [need]                   # how accurate every pose must be, 95 % sure
+# within_cm = 2
+# at_m = 30
+
+# What else a [[lidar]] may say:
+#   sensor = "VLP-16"      # its model; 'retropole calibrate --help' lists them
+#   serial = "…"
+#   threshold = 150        # intensity from which a return is retro-reflective
+#   unit = "mm"            # of its coordinates, where not metres
+#   topic = "/points"      # of a bag
+#   frames = "0:20"        # of a recording of many
+#   up = [0.0, 0.0, 1.0]   # its inertial sensor's direction up, in its frame …
+#   up_sigma_deg = 0.5     # … and 1 sigma of that
+"""
+
+TAIL = """\
+# A pole that was surveyed on its axis, at the lower end, the upper end or both:
+# [[surveyed_pole]]
+# name = "A"
+# placement = {placement}
+# foot_m = [0.0, 0.0, 0.0]
+# top_m = [0.0, 0.3, 2.0]
+# sigma_m = 0.005
+
+# A surveyed point that LiDARs see as a target:
+# [[control_point]]
+# name = "P1"
+# at_m = [0.0, 0.0, 0.0]
+# sigma_m = 0.005
+# [[control_point.seen]]
+# lidar = {first}
+# at_m = [5.0, 0.0, 0.0]   # in the LiDAR's frame
+# sigma_m = 0.01
+"""
+
+
+def _relative(recording: Path, folder: Path) -> str:
+    """Write a path from a folder, with slashes on every system."""
+    return PurePath(os.path.relpath(recording, folder)).as_posix()
+
+
+def _text(text: str) -> str:
+    """Write text as a basic string of TOML."""
+    text = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + re.sub(r"[\x00-\x1f\x7f]", lambda c: f"\\u{ord(c[0]):04x}", text) + '"'

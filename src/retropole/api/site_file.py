@@ -1,0 +1,338 @@
+"""The site file: which LiDARs recorded what, and what was surveyed, as TOML.
+
+It stands in `api`, above `site`: to make a site of it, clouds are read as `calibrate` reads them,
+and no other part of the program needs it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from ..datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
+from ..errors import ReadError, RetropoleError
+from ..io.recordings import frames_named
+from ..io.thinning import LEAST_POINTS, MAX_POINTS
+from ..io.units import Unit
+from ..se3 import FARTHEST
+from ..sensors import sensor_or_auto
+from ..uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
+from ..uncertainty.purpose import FARTHEST as FARTHEST_NEED
+
+LARGEST_SITE_FILE = 2**18
+"""Bytes: a hundred LiDARs with twenty placements take half of it."""
+
+MOST_DOTS = 300
+"""Dots on a line. The time that `tomllib` takes for a key grows with the square of its parts: 76 s
+for 65,000 of them, a second for a whole file of lines with 300."""
+
+MOST_LIDARS, MOST_PLACEMENTS, MOST_SURVEYED = 100, 100, 1000
+"""Of one site."""
+
+LONGEST_PATH = 4096
+
+FARTHEST_SEEN = 1000.0
+"""Of a control point from the LiDAR that sees it, metres: none reaches it."""
+
+Name = Annotated[str, Meta(min_length=1, max_length=60)]
+Coordinate = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+Place = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
+Sigma = Annotated[float, Meta(ge=1e-4, le=10.0)]
+"""1 σ of a coordinate, metres: no survey is surer than 0.1 mm, and none so poor helps."""
+
+RADIUS = Meta(ge=MIN_RADIUS, le=MAX_RADIUS)
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of the site file: what it does not know is a slip."""
+
+
+class PolesTable(_Table, frozen=True, kw_only=True):
+    """What all poles have in common."""
+
+    radius_m: Annotated[float, RADIUS] = DEFAULT_RADIUS
+    radius_sigma_m: Annotated[float, Meta(ge=0.0, le=MAX_RADIUS)] = 0.0
+
+
+class ReferenceTable(_Table, frozen=True, kw_only=True):
+    """The frame of the site: that of a LiDAR, or the one that coordinates were surveyed in."""
+
+    lidar: Name | None = None
+    frame: Literal["local", "enu"] | None = None
+    epsg: Annotated[int, Meta(ge=1024, le=32767)] | None = None
+    latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] | None = None
+    longitude_deg: Annotated[float, Meta(ge=-180.0, le=360.0)] | None = None
+    height_m: Annotated[float, Meta(ge=-1e4, le=1e5)] | None = None
+
+
+class NeedTable(_Table, frozen=True, kw_only=True):
+    """How accurate every pose must be."""
+
+    within_cm: Annotated[float, Meta(gt=0.0, le=100 * LARGEST_NEED)]
+    at_m: Annotated[float, Meta(gt=0.0, le=FARTHEST_NEED)] = DEFAULT_AT
+
+
+class LidarTable(_Table, frozen=True, kw_only=True):
+    """One LiDAR, and what it recorded in each placement."""
+
+    name: Name
+    recordings: Annotated[
+        list[Annotated[str, Meta(max_length=LONGEST_PATH)]],
+        Meta(min_length=1, max_length=MOST_PLACEMENTS),
+    ]
+    sensor: Name = "auto"
+    serial: Annotated[str, Meta(max_length=100)] = ""
+    threshold: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None
+    unit: Unit = "m"
+    topic: Annotated[str, Meta(min_length=1, max_length=1000)] | None = None
+    frames: Annotated[str, Meta(min_length=1, max_length=60)] | None = None
+    up: (
+        Annotated[list[Annotated[float, Meta(ge=-1e3, le=1e3)]], Meta(min_length=3, max_length=3)]
+        | None
+    ) = None
+    up_sigma_deg: Annotated[float, Meta(gt=0.0, le=90.0)] | None = None
+
+
+class SurveyedPoleTable(_Table, frozen=True, kw_only=True):
+    """A pole of which an end on the axis was surveyed, or both."""
+
+    name: Name
+    placement: Name
+    foot_m: Place | None = None
+    top_m: Place | None = None
+    sigma_m: Sigma
+
+
+class SeenTable(_Table, frozen=True, kw_only=True):
+    """Where a LiDAR sees a control point, in its own frame."""
+
+    lidar: Name
+    at_m: Annotated[
+        list[Annotated[float, Meta(ge=-FARTHEST_SEEN, le=FARTHEST_SEEN)]],
+        Meta(min_length=3, max_length=3),
+    ]
+    sigma_m: Sigma
+
+
+class ControlPointTable(_Table, frozen=True, kw_only=True):
+    """A surveyed point that LiDARs see as a target."""
+
+    name: Name
+    at_m: Place
+    sigma_m: Sigma
+    seen: Annotated[list[SeenTable], Meta(min_length=1, max_length=MOST_LIDARS)]
+
+
+class SiteFile(_Table, frozen=True, kw_only=True):
+    """A whole site file, as it stands there: degrees and centimetres where the keys say so."""
+
+    name: Name
+    placements: Annotated[list[Name], Meta(min_length=1, max_length=MOST_PLACEMENTS)]
+    poles: PolesTable = PolesTable()
+    reference: ReferenceTable = ReferenceTable()
+    need: NeedTable | None = None
+    max_points: Annotated[int, Meta(ge=LEAST_POINTS, le=2**53)] = MAX_POINTS
+    lidar: Annotated[list[LidarTable], Meta(min_length=2, max_length=MOST_LIDARS)]
+    surveyed_pole: Annotated[list[SurveyedPoleTable], Meta(max_length=MOST_SURVEYED)] = []
+    control_point: Annotated[list[ControlPointTable], Meta(max_length=MOST_SURVEYED)] = []
+
+    @property
+    def surveyed(self) -> bool:
+        """Whether coordinates are given that fix the frame."""
+        return bool(self.surveyed_pole or self.control_point)
+
+
+def read_site_file(path: Path) -> SiteFile:
+    """Read a site file; no recording is opened.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be read or is no site file; names the file, the key and what was expected.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_SITE_FILE + 1)
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
+    try:
+        return decode_site_file(data)
+    except ReadError as error:
+        raise ReadError(f"{path}: {error}") from None
+
+
+def decode_site_file(data: bytes) -> SiteFile:
+    """Take a site file from its bytes.
+
+    Raises
+    ------
+    ReadError
+        Where it is none; names the key and what was expected.
+    """
+    if len(data) > LARGEST_SITE_FILE:
+        raise ReadError(f"more than {LARGEST_SITE_FILE} bytes, no site file is so long")
+    for k, line in enumerate(data.splitlines(), 1):
+        if line.count(b".") > MOST_DOTS:
+            raise ReadError(f"line {k} has more than {MOST_DOTS} dots; break it")
+    try:
+        raw = tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        # Also of what is no UTF-8, and of integers that Python does not convert.
+        raise ReadError(f"is not TOML: {error}") from None
+    try:
+        site = msgspec.convert(raw, SiteFile)
+    except msgspec.ValidationError as error:
+        raise ReadError(_in_words(str(error), raw)) from None
+    for fault in _faults(site):
+        raise ReadError(fault)
+    return site
+
+
+TYPES = {"array": "a list", "object": "a table", "str": "text", "float": "a number"}
+TYPES |= {"int": "a whole number", "bool": "true or false", "null": "nothing"}
+
+
+def _in_words(message: str, raw: dict[str, Any]) -> str:
+    """Name the key that is wrong as the file has it, and what was expected there."""
+    what, _, where = message.partition(" - at `$")
+    what = re.sub(r"`(\w+)`", lambda found: TYPES.get(found[1], found[1]), what)
+    what = what.replace("Object missing required field", "missing key")
+    steps = re.findall(r"\.(\w+)|\[(\d+)\]", where)
+    names: list[str] = []
+    at: Any = raw
+    for key, number in steps:
+        at = at.get(key) if key and isinstance(at, dict) else at
+        if key:
+            names.append(key)
+            continue
+        at = at[int(number)] if isinstance(at, list) else at
+        names[-1] += f" {int(number) + 1}"
+        if isinstance(at, dict) and isinstance(at.get("name"), str):
+            names[-1] += f" ({at['name'][:60]})"
+    unknown = re.fullmatch(r"Object contains unknown field (.+)", what)
+    if unknown:
+        near = difflib.get_close_matches(unknown[1].strip("`"), _keys_at(steps), 1)
+        what = f"unknown key {unknown[1]}" + (f", expected {near[0]}" if near else "")
+    lead = ", ".join(names)
+    return f"{lead}: {what[0].lower()}{what[1:]}" if lead else f"{what[0].lower()}{what[1:]}"
+
+
+TABLES: dict[str, type[_Table]] = {
+    "poles": PolesTable,
+    "reference": ReferenceTable,
+    "need": NeedTable,
+    "lidar": LidarTable,
+    "surveyed_pole": SurveyedPoleTable,
+    "control_point": ControlPointTable,
+    "seen": SeenTable,
+}
+
+
+def _keys_at(steps: Sequence[tuple[str, str]]) -> tuple[str, ...]:
+    """Give the keys that a table of the file may have."""
+    keys = [key for key, _ in steps if key]
+    return TABLES.get(keys[-1] if keys else "", SiteFile).__struct_fields__
+
+
+def _faults(site: SiteFile) -> Iterator[str]:
+    """Say what is wrong that the types of the keys cannot say."""
+    yield from _names(site)
+    for lidar in site.lidar:
+        yield from _lidar_faults(lidar, len(site.placements))
+    yield from _reference_faults(site)
+    names = [lidar.name for lidar in site.lidar]
+    for pole in site.surveyed_pole:
+        of = f"surveyed_pole {pole.name}"
+        if pole.placement not in site.placements:
+            yield f"{of}, placement: {_no(pole.placement, site.placements)}"
+        if pole.foot_m is None and pole.top_m is None:
+            yield f"{of}: expected foot_m, top_m or both"
+        if pole.foot_m is not None and pole.foot_m == pole.top_m:
+            yield f"{of}: foot_m and top_m are the same point"
+    for point in site.control_point:
+        seeing = [each.lidar for each in point.seen]
+        for name in seeing:
+            if name not in names:
+                yield f"control_point {point.name}, seen, lidar: {_no(name, names)}"
+        yield from _twice(f"control_point {point.name}, seen, lidar", seeing)
+
+
+def _names(site: SiteFile) -> Iterator[str]:
+    """Say which names are none, or are given twice."""
+    for what, names in (
+        ("name", [site.name]),
+        ("placements", site.placements),
+        ("lidar, name", [each.name for each in site.lidar]),
+        ("surveyed_pole, name", [each.name for each in site.surveyed_pole]),
+        ("control_point, name", [each.name for each in site.control_point]),
+    ):
+        for name in names:
+            if name != name.strip() or not name.isprintable():
+                yield f"{what}: {name!r} is no name, expected printable text with no space around"
+        yield from _twice(what, names)
+
+
+def _twice(what: str, names: Sequence[str]) -> Iterator[str]:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            yield f"{what}: {name!r} is there twice, expected another for each"
+        seen.add(name)
+
+
+def _no(name: str, known: Sequence[str]) -> str:
+    return f"{name!r} is none, expected one of {', '.join(known)}"
+
+
+def _lidar_faults(lidar: LidarTable, placements: int) -> Iterator[str]:
+    of = f"lidar {lidar.name}"
+    if len(lidar.recordings) != placements:
+        yield (
+            f"{of}, recordings: expected {placements}, one for each of the placements, "
+            f'"" where there is none; there are {len(lidar.recordings)}'
+        )
+    if not any(lidar.recordings):
+        yield f"{of}, recordings: expected one at least"
+    if any("\0" in recording for recording in lidar.recordings):
+        yield f"{of}, recordings: no path has a null character"
+    if lidar.up is not None and not any(abs(value) > 1e-3 for value in lidar.up):
+        yield f"{of}, up: expected a direction; this has no length"
+    if (lidar.up is None) != (lidar.up_sigma_deg is None):
+        yield f"{of}: up and up_sigma_deg need each other"
+    try:
+        sensor_or_auto(lidar.sensor)
+    except RetropoleError as error:
+        yield f"{of}, sensor: {error}"
+    if lidar.frames is not None and frames_named(lidar.frames) is None:
+        yield f"{of}, frames: {lidar.frames!r}, expected A:B, A:B:STEP or the number of a frame"
+
+
+def _reference_faults(site: SiteFile) -> Iterator[str]:
+    given = site.reference
+    lidars = [lidar.name for lidar in site.lidar]
+    if given.lidar is not None and given.lidar not in lidars:
+        yield f"reference, lidar: {_no(given.lidar, lidars)}"
+    frame_given = given.frame is not None or given.epsg is not None
+    if given.frame is not None and given.epsg is not None:
+        yield "reference: expected frame or epsg, not both"
+    if given.lidar is not None and (frame_given or site.surveyed):
+        other = "frame or epsg is given" if frame_given else "coordinates are surveyed"
+        yield f"reference, lidar: {other}, which fixes the frame; leave lidar out"
+    if frame_given and not site.surveyed:
+        yield (
+            "reference: expected a [[surveyed_pole]] or [[control_point]]: nothing else ties the "
+            "site to a frame of the survey"
+        )
+    origin = (given.latitude_deg, given.longitude_deg, given.height_m)
+    if any(value is not None for value in origin):
+        if given.frame != "enu":
+            yield 'reference: latitude_deg, longitude_deg and height_m need frame = "enu"'
+        if None in origin:
+            yield "reference: latitude_deg, longitude_deg and height_m need each other"

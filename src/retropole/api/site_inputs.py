@@ -1,0 +1,300 @@
+"""From a site file to a site: the recordings are read, and coordinates counted from nearby."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..datatypes import Array
+from ..errors import ReadError, Reason, UsageError
+from ..files import path_in_text
+from ..io import sha256_of
+from ..io.recordings import frames_named
+from ..quantities import error as length
+from ..quantities import step_of
+from ..result import InputDoc
+from ..result.site import SiteConfig
+from ..sensors import sensor_or_auto
+from ..site.model import (
+    ControlPoint,
+    Frame,
+    Sighting,
+    Site,
+    SiteLidar,
+    SurveyedPole,
+    Up,
+)
+from ..site.world import in_metres
+from ..uncertainty.purpose import Need
+from .inputs import Input, input_documents, read_input
+from .site_file import LidarTable, SiteFile, read_site_file
+
+OFFSET_STEP = 100.0
+"""The offset of large coordinates is a multiple of this, metres: a site that is surveyed about its
+own origin has none."""
+
+LARGEST_SITE = 10_000.0
+"""What is surveyed lies this near to its median, metres: a digit too many or left out, or east and
+north exchanged, puts a point further off."""
+
+
+@dataclass(frozen=True, eq=False)
+class SiteInputs:
+    """A site, and what it was made of.
+
+    Attributes
+    ----------
+    site
+        LiDARs with their clouds, and what was surveyed.
+    inputs
+        What was read, by the indices of the LiDAR and of the placement.
+    config
+        How it was read.
+    """
+
+    site: Site
+    inputs: Mapping[tuple[int, int], Input]
+    config: SiteConfig
+
+    def documents(self) -> dict[tuple[int, int], InputDoc]:
+        """Give the entries of the recordings in the result document; each file is hashed once."""
+        return dict(zip(self.inputs, input_documents(self.inputs.values()), strict=True))
+
+
+def read_site(
+    path: Path,
+    *,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> SiteInputs:
+    """Read a site file and all its recordings.
+
+    Parameters
+    ----------
+    path
+        Of the site file; the paths in it count from its folder.
+    progress
+        Called with which recording of how many is read.
+    on_read
+        Called with each cloud once it is read.
+
+    Raises
+    ------
+    ReadError
+        Where the file or a recording cannot be read; names the file, the LiDAR and the placement.
+    MissingExtraError
+        Where a recording needs an extra, or projected coordinates do.
+    """
+    file = read_site_file(path)
+    wanted = {
+        (k, n): path.parent / recording
+        for k, lidar in enumerate(file.lidar)
+        for n, recording in enumerate(lidar.recordings)
+        if recording
+    }
+    # All are looked for before one is read: that takes long.
+    for (k, n), recording in wanted.items():
+        if not recording.exists():
+            raise ReadError(f"{_where(path, file, k, n)}: {recording}: no such file")
+    inputs: dict[tuple[int, int], Input] = {}
+    for count, ((k, n), recording) in enumerate(wanted.items(), 1):
+        progress(step_of("read", count, len(wanted)))
+        try:
+            given = _read(recording, file.lidar[k], file.max_points, progress)
+        except (ReadError, UsageError) as error:
+            raise ReadError(f"{_where(path, file, k, n)}: {error}") from None
+        on_read(given)
+        inputs[k, n] = given
+    try:
+        site = in_metres(site_of(file, inputs))
+    except (ReadError, UsageError) as error:
+        raise ReadError(f"{path}: {error}") from None
+    config = SiteConfig(
+        site_file=path_in_text(path), site_sha256=sha256_of(str(path)), max_points=file.max_points
+    )
+    return SiteInputs(site, inputs, config)
+
+
+def _where(path: Path, file: SiteFile, k: int, n: int) -> str:
+    return f"{path}: lidar {file.lidar[k].name}, placement {file.placements[n]}"
+
+
+def _read(
+    recording: Path, lidar: LidarTable, max_points: int, progress: Callable[[str], None]
+) -> Input:
+    return read_input(
+        recording,
+        sensor=lidar.sensor,
+        threshold=lidar.threshold,
+        topic=lidar.topic,
+        frames=None if lidar.frames is None else frames_named(lidar.frames),
+        max_points=max_points,
+        unit=lidar.unit,
+        progress=progress,
+    )
+
+
+def inputs_of(site: Site) -> SiteInputs:
+    """Say of a site that was put together in Python what it was made of.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        Where its frame is a projected one, as `site.world.in_metres`.
+    """
+    inputs = {
+        (k, n): Input(cloud, cloud, lidar.sensor, lidar.threshold)
+        for k, lidar in enumerate(site.lidars)
+        for n, cloud in enumerate(lidar.clouds)
+        if cloud is not None
+    }
+    return SiteInputs(in_metres(site), inputs, SiteConfig())
+
+
+def site_of(file: SiteFile, inputs: Mapping[tuple[int, int], Input]) -> Site:
+    """Make a site of a site file and its recordings, in the coordinates that the file has.
+
+    Parameters
+    ----------
+    file
+        As `api.site_file.decode_site_file` takes it.
+    inputs
+        What was read, by the indices of the LiDAR and of the placement.
+
+    Raises
+    ------
+    ReadError
+        Where surveyed coordinates cannot be those of one site.
+    """
+    names = [lidar.name for lidar in file.lidar]
+    offset = offset_of(file)
+    reference = 0 if file.reference.lidar is None else names.index(file.reference.lidar)
+    need = file.need
+    return Site(
+        name=file.name,
+        lidars=tuple(
+            SiteLidar(
+                lidar.name,
+                tuple(
+                    inputs[k, n].cloud if (k, n) in inputs else None
+                    for n in range(len(file.placements))
+                ),
+                sensor_or_auto(lidar.sensor),
+                lidar.threshold,
+                lidar.serial,
+                _up(lidar),
+            )
+            for k, lidar in enumerate(file.lidar)
+        ),
+        placements=tuple(file.placements),
+        radius=file.poles.radius_m,
+        radius_sigma=file.poles.radius_sigma_m,
+        reference=reference,
+        frame=_frame(file, names[reference], offset),
+        poles=tuple(
+            SurveyedPole(
+                pole.name,
+                file.placements.index(pole.placement),
+                None if pole.foot_m is None else np.array(pole.foot_m) - offset,
+                None if pole.top_m is None else np.array(pole.top_m) - offset,
+                pole.sigma_m,
+            )
+            for pole in file.surveyed_pole
+        ),
+        points=tuple(
+            ControlPoint(
+                point.name,
+                np.array(point.at_m) - offset,
+                point.sigma_m,
+                tuple(
+                    Sighting(names.index(each.lidar), np.array(each.at_m), each.sigma_m)
+                    for each in point.seen
+                ),
+            )
+            for point in file.control_point
+        ),
+        need=None if need is None else Need(need.within_cm / 100, need.at_m),
+    )
+
+
+def offset_of(file: SiteFile) -> Array:
+    """Choose the origin that computations count from: near what is surveyed, a round number.
+
+    Returns
+    -------
+    numpy.ndarray
+        (3,) metres; zero where nothing is surveyed.
+
+    Raises
+    ------
+    ReadError
+        Where what is surveyed is too far apart for one site; names the point.
+    """
+    surveyed: list[tuple[str, list[float]]] = []
+    for pole in file.surveyed_pole:
+        ends = (("foot_m", pole.foot_m), ("top_m", pole.top_m))
+        surveyed += [(f"surveyed_pole {pole.name}, {k}", end) for k, end in ends if end is not None]
+    surveyed += [(f"control_point {each.name}, at_m", each.at_m) for each in file.control_point]
+    if not surveyed:
+        return np.zeros(3)
+    places = np.array([place for _, place in surveyed])
+    away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+    worst = int(np.argmax(away))
+    if away[worst] > LARGEST_SITE:
+        raise ReadError(
+            f"{surveyed[worst][0]}: lies {length(float(away[worst]))} from the middle of what is "
+            f"surveyed, expected {LARGEST_SITE:g} m at most: is a digit wrong?"
+        )
+    return np.asarray(OFFSET_STEP * np.round(places.mean(axis=0) / OFFSET_STEP)) + 0.0
+
+
+def _up(lidar: LidarTable) -> Up | None:
+    if lidar.up is None or lidar.up_sigma_deg is None:
+        return None
+    direction = np.array(lidar.up)
+    return Up(direction / np.linalg.norm(direction), float(np.radians(lidar.up_sigma_deg)))
+
+
+def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
+    """Name the frame of the site, and say where its origin is."""
+    given = file.reference
+    if not file.surveyed:
+        return Frame(f"LiDAR {lidar}")
+    if given.epsg is not None:
+        return Frame(f"EPSG:{given.epsg}", surveyed=True, offset=offset, epsg=given.epsg)
+    latitude, longitude, height = given.latitude_deg, given.longitude_deg, given.height_m
+    if latitude is None or longitude is None or height is None:
+        name = "ENU" if given.frame == "enu" else "local frame of the survey"
+        return Frame(name, surveyed=True, offset=offset)
+    return Frame(
+        f"ENU at {latitude:g}, {longitude:g}",
+        surveyed=True,
+        offset=offset,
+        geodetic=np.array([*np.radians([latitude, longitude]), height]),
+    )
+
+
+def repeated(read: SiteInputs, documents: Mapping[tuple[int, int], InputDoc]) -> Reason | None:
+    """Refuse a recording that stands for two, under whatever name; None where none does.
+
+    One bag may hold several LiDARs, a topic for each.
+    """
+    seen: dict[tuple[str, str | None], tuple[int, int]] = {}
+    for at, given in read.inputs.items():
+        first = seen.setdefault((documents[at].sha256, given.topic), at)
+        if first == at:
+            continue
+        names = [
+            f"{read.site.lidars[k].name} in placement {read.site.placements[n]}"
+            for k, n in (first, at)
+        ]
+        return Reason(
+            "same_recording",
+            f"{names[0]} and {names[1]}, {read.inputs[first].name} and {given.name}, are the same "
+            "byte for byte; give each LiDAR and placement a recording of its own",
+            {"sha256": documents[at].sha256},
+        )
+    return None

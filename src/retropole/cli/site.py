@@ -1,0 +1,176 @@
+"""The commands ``retropole site init`` and ``retropole site calibrate``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .common import (
+    CLOUD,
+    CONTEXT,
+    EXIT_REFUSED,
+    EXIT_WARNED,
+    OUT,
+    command_line,
+    echo_left_out,
+    echo_refusal,
+    echo_sensor_doubt,
+    echo_warning,
+    in_colour,
+    progress_on_terminal,
+    say,
+    show,
+)
+from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
+
+if TYPE_CHECKING:
+    from ..api.inputs import Input
+
+
+@click.group(context_settings=CONTEXT)
+def site() -> None:
+    """Calibrate many LiDARs of one site in one frame.
+
+    Put taped poles where two LiDARs or more see them, record a moment on each LiDAR, move the poles
+    and record again: that is another placement. A site file says which file is whose.
+
+    \b
+    Examples:
+      retropole site init recordings
+      retropole site calibrate recordings/site.toml
+    """
+
+
+@site.command(context_settings=CONTEXT)
+@click.argument("folder", type=CLOUD)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The site file to write.  [default: site.toml in FOLDER]",
+)
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
+    """Write a site file from the recordings in FOLDER.
+
+    \b
+    Names say which recording is whose:
+      FOLDER/mast-a/1.pcd    a folder for each LiDAR, a file for each placement
+      FOLDER/1/mast-a.pcd    a folder for each placement, a file for each LiDAR
+      FOLDER/mast-a_1.pcd    all in one folder
+      FOLDER/mast-a.pcd      one placement only
+
+    Placements have numbers, or a word and a number (1, p2, placement-3); LiDARs any names.
+    Comments in the file say what may be added: sensors, surveyed poles, the accuracy needed.
+
+    \b
+    Examples:
+      retropole site init recordings
+      retropole site init recordings --out quay.toml
+    """
+    from ..api.site_draft import draft_site
+    from ..errors import UsageError, printable
+    from ..files import write_atomically
+
+    path = folder / "site.toml" if out is None else out
+    if path.exists() and not force:
+        raise UsageError(f"{path}: is there already; --force replaces it, --out names another")
+    draft = draft_site(folder, path)
+    write_atomically(path, draft.text.encode())
+    if not quiet:
+        for note in draft.notes:
+            say(f"retropole: {note}")
+        show(f"{draft.summary}\nwritten: {printable(str(path))}")
+        show(f"next: {printable(command_line('site', 'calibrate', path))}")
+    return 0
+
+
+@site.command(cls=SettingSiteAside, context_settings=CONTEXT)
+@click.argument("site_file", metavar="SITE.toml", type=CLOUD)
+@click.option(
+    "--out",
+    type=OUT,
+    default=DEFAULT_OUT,
+    show_default=True,
+    help="Folder for site-result.json and site-report.html.",
+)
+@click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
+@click.option(
+    "-v",
+    "--verbose",
+    is_flag=True,
+    help="Print every pair and test, what was read and the time of each step as well.",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
+def calibrate(
+    site_file: Path, out: Path, strict: bool, as_json: bool, verbose: bool, quiet: bool
+) -> int:
+    """Find the poses of all LiDARs of a site in one frame.
+
+    SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
+    what was surveyed; 'retropole site init' writes one.
+
+    \b
+    Examples:
+      retropole site calibrate site.toml
+      retropole site calibrate quay/site.toml --out today --strict
+      retropole site calibrate site.toml --json | jq '.lidars[] | {name, T_site_lidar}'
+
+    \b
+    Exit code:
+      0    calibrated; the verdict is ok, or warn with what is weak
+      1    with --strict: the verdict is warn
+      2    a file or an option is wrong; an older result in --out is renamed
+      3    refused: the data carry no answer; the reason is printed and in site-result.json
+      130  interrupted
+    """
+    from ..api.site import calibrate_site
+    from ..report.site_text import describe_site
+    from ..result import encode
+
+    def tell(given: Input) -> None:
+        if not quiet:
+            _echo_doubts(given)
+
+    with older_set_aside(out, site=True), progress_on_terminal(quiet) as progress:
+        result = calibrate_site(site_file, progress=progress, on_read=tell)
+        progress("report")
+        written = result.save(out)
+    if as_json:
+        show(encode(result.document))
+    elif not quiet:
+        paths = [str(path) for path in written]
+        following = {"next": command_line("export", written[0], "--to", "urdf")}
+        words = describe_site(result.document, paths, following, verbose=verbose)
+        show(in_colour(words, result.status))
+    if result.status == "refused":
+        # Who sees stdout has read it there.
+        unseen = quiet or as_json
+        for reason in result.reasons if unseen or not sys.stdout.isatty() else ():
+            echo_refusal(reason.code, reason.message, advise=unseen)
+        return EXIT_REFUSED
+    if quiet or as_json:
+        for reason in result.reasons:
+            echo_warning(reason.code, reason.message)
+    return EXIT_WARNED if strict and result.status == "warn" else 0
+
+
+def _echo_doubts(given: Input) -> None:
+    """Say on stderr what was left out unasked, and what cannot be right."""
+    from ..io.coordinates import oddity_of
+
+    read = given.read
+    chosen = read is not None and len(read.asked) < read.recording.count
+    frames = slice(None) if chosen else None
+    echo_left_out(given, frames, to_keep="max_points = N", to_choose='frames = "A:B"')
+    odd = oddity_of(given.cloud)
+    if odd is None:
+        echo_sensor_doubt(given)
+        return
+    keys = " or ".join(f'unit = "{unit}"' for unit in odd.units)
+    advice = f"; if they are, set {keys} of its LiDAR in the site file" if keys else ""
+    say(f"retropole: {given.name}: {odd.words}{advice}")

@@ -1,0 +1,109 @@
+"""`calibrate_site`, and what its result gives."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import retropole as rp
+from retropole import se3
+from retropole.api import site as api_site
+from retropole.datatypes import Array
+from retropole.errors import Refusal, UsageError
+from retropole.result.bounded import Status
+from retropole.result.site_decoding import decode_site
+from retropole.site.model import Site, SiteCalibration
+from retropole.site.relative import joint_of, relative
+from tests.api.site_files import NAMES, answer_to, recorded, write_site
+
+
+def answering(monkeypatch: pytest.MonkeyPatch, status: Status = "ok") -> None:
+    def answer(site: Site, **options: object) -> SiteCalibration:
+        return answer_to(site, status)
+
+    monkeypatch.setattr(api_site, "find_poses", answer)
+
+
+@pytest.fixture
+def result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> rp.SiteResult:
+    answering(monkeypatch)
+    return rp.calibrate_site(write_site(tmp_path))
+
+
+def pose(result: rp.SiteResult, name: str) -> Array:
+    return result.pose(name).T_site_lidar
+
+
+def test_any_two_lidars_have_a_transform(result: rp.SiteResult) -> None:
+    assert result.status == "ok"
+    assert result.lidars == NAMES
+    point = np.array([[1.0, 2.0, 3.0]])
+    np.testing.assert_allclose(
+        se3.apply(pose(result, "gate"), se3.apply(result.T("gate", "mast-b"), point)),
+        se3.apply(pose(result, "mast-b"), point),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        result.T("mast-a", "gate") @ result.T("gate", "mast-a"), np.eye(4), atol=1e-12
+    )
+
+
+def test_its_covariance_counts_what_both_have_in_common(result: rp.SiteResult) -> None:
+    whole = result.calibration.covariance
+    assert whole is not None
+    found = relative(pose(result, "gate"), pose(result, "mast-b"), joint_of(whole, 2, 1))
+    np.testing.assert_allclose(result.covariance("gate", "mast-b"), found.covariance)
+    np.testing.assert_allclose(result.covariance("gate", "gate"), 0.0, atol=1e-18)
+
+
+def test_an_unknown_name_is_told(result: rp.SiteResult) -> None:
+    with pytest.raises(UsageError, match="no LiDAR 'quay'; there are mast-a, mast-b, gate"):
+        result.T("mast-a", "quay")
+
+
+def test_it_is_saved_whole(result: rp.SiteResult, tmp_path: Path) -> None:
+    written = result.save(tmp_path / "out")
+    assert [path.name for path in written] == ["site-result.json", "site-report.html"]
+    assert decode_site(written[0].read_bytes()).name == "Quay"
+    assert written[1].read_text().lower().startswith("<!doctype html>")
+
+
+def test_it_prints_where_each_lidar_is(result: rp.SiteResult) -> None:
+    words = repr(result)
+    assert words.startswith("SiteResult: ok")
+    for name in NAMES:
+        assert name in words
+
+
+def test_a_refusal_has_no_transform(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answering(monkeypatch, "refused")
+    result = rp.calibrate_site(write_site(tmp_path))
+    assert result.status == "refused"
+    with pytest.raises(Refusal, match="leaves two ways"):
+        result.T("mast-a", "gate")
+    result.save(tmp_path / "out")
+
+
+def test_one_recording_for_two_is_refused(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    (tmp_path / "mast-b" / "2.pcd").write_bytes((tmp_path / "mast-a" / "1.pcd").read_bytes())
+    result = rp.calibrate_site(path)
+    assert [reason.code for reason in result.reasons] == ["same_recording"]
+    assert result.save(tmp_path / "out")[0].exists()
+
+
+def test_a_site_from_python_is_taken_as_it_is(
+    result: rp.SiteResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = result.calibration.site
+    again = rp.calibrate_site(site)
+    assert again.calibration.site is site
+    assert len(again.document.inputs) == 5
+    with pytest.raises(UsageError, match="of different names"):
+        rp.calibrate_site(replace(site, lidars=site.lidars[:1]))
+    with pytest.raises(UsageError, match="reference is 3, expected 0 to 2"):
+        rp.calibrate_site(replace(site, reference=3))
+    short = replace(site.lidars[0], clouds=(recorded(0),))
+    with pytest.raises(UsageError, match="mast-a has 1 clouds, expected 2"):
+        rp.calibrate_site(replace(site, lidars=(short, *site.lidars[1:])))

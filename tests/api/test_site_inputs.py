@@ -1,0 +1,145 @@
+"""From a site file to a site."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.api.site_file import decode_site_file
+from retropole.api.site_inputs import offset_of, read_site, repeated, site_of
+from retropole.errors import ReadError
+from tests.api.site_files import NAMES, recorded, write_site
+
+SURVEY = """
+[[surveyed_pole]]
+name = "A"
+placement = "2"
+foot_m = [500_012.1234, 5_700_034.5678, 12.25]
+top_m = [500_012.1234, 5_700_034.9678, 14.25]
+sigma_m = 0.005
+[[control_point]]
+name = "P"
+at_m = [500_020.0, 5_700_040.0, 11.0]
+sigma_m = 0.004
+[[control_point.seen]]
+lidar = "gate"
+at_m = [5, 0, 1]
+sigma_m = 0.01
+"""
+
+
+def test_recordings_are_read_from_beside_the_file(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    seen: list[str] = []
+    read = read_site(path, on_read=lambda given: seen.append(given.name))
+    site = read.site
+    assert [lidar.name for lidar in site.lidars] == list(NAMES)
+    assert len(seen) == len(read.inputs) == 5
+    assert site.lidars[2].clouds[1] is None
+    cloud = site.lidars[1].clouds[0]
+    assert cloud is not None
+    np.testing.assert_allclose(cloud.xyz, recorded(10).xyz, atol=1e-5)
+    assert site.frame.name == "LiDAR mast-a"
+    assert not site.frame.surveyed
+    documents = read.documents()
+    assert documents[1, 0].path.endswith("mast-b/1.pcd")
+    assert len(read.config.site_sha256) == 64
+
+
+def test_what_a_lidar_table_says_goes_with_its_clouds(tmp_path: Path) -> None:
+    more = 'sensor = "VLP-16"\nthreshold = 120\nserial = "7"\nunit = "cm"\n'
+    more += "up = [0, 0, 2]\nup_sigma_deg = 1\n"
+    gate = read_site(write_site(tmp_path, more)).site.lidars[2]
+    assert gate.sensor is not None
+    assert gate.sensor.name == "VLP-16"
+    assert (gate.threshold, gate.serial) == (120, "7")
+    assert gate.up is not None
+    np.testing.assert_array_equal(gate.up.direction, [0, 0, 1])
+    assert gate.up.sigma == pytest.approx(np.radians(1))
+    assert gate.clouds[0] is not None
+    np.testing.assert_allclose(gate.clouds[0].xyz, recorded(20).xyz / 100, atol=1e-6)
+
+
+def test_large_coordinates_lose_nothing(tmp_path: Path) -> None:
+    site = read_site(write_site(tmp_path, SURVEY)).site
+    assert site.frame.surveyed
+    assert np.abs(site.frame.offset % 100).max() == 0
+    foot = site.poles[0].foot
+    assert foot is not None
+    assert np.abs(foot).max() <= 100
+    assert site.poles[0].placement == 1
+    # To a nanometre, half of the last digit of a float64 there.
+    np.testing.assert_allclose(
+        foot + site.frame.offset, [500_012.1234, 5_700_034.5678, 12.25], rtol=0, atol=1e-9
+    )
+    np.testing.assert_allclose(site.points[0].at - foot, [7.8766, 5.4322, -1.25], atol=2e-9)
+    assert site.points[0].seen[0].lidar == 2
+
+
+def test_a_survey_about_its_own_origin_has_no_offset(tmp_path: Path) -> None:
+    text = write_site(tmp_path, SURVEY.replace("500_0", "").replace("5_700_0", "")).read_bytes()
+    np.testing.assert_array_equal(offset_of(decode_site_file(text)), [0, 0, 0])
+
+
+def test_frames_are_named(tmp_path: Path) -> None:
+    text = write_site(tmp_path, SURVEY).read_text()
+    enu = '[reference]\nframe = "enu"\nlatitude_deg = 52\nlongitude_deg = 4.5\nheight_m = 7\n'
+    for head, name in (
+        ("", "local frame of the survey"),
+        ('[reference]\nframe = "enu"\n', "ENU"),
+        (enu, "ENU at 52, 4.5"),
+        ("[reference]\nepsg = 25832\n", "EPSG:25832"),
+    ):
+        frame = site_of(decode_site_file((text + head).encode()), {}).frame
+        assert frame.name == name
+        assert frame.epsg == (25832 if "epsg" in head else None)
+    frame = site_of(decode_site_file((text + enu).encode()), {}).frame
+    assert frame.geodetic is not None
+    np.testing.assert_allclose(frame.geodetic, [*np.radians([52, 4.5]), 7])
+
+
+def test_a_survey_in_a_projected_system_is_taken_to_metres_on_the_ground(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj", reason="needs the extra world")
+    path = write_site(tmp_path, SURVEY + "[reference]\nepsg = 25832\n")
+    site = read_site(path).site
+    assert site.frame.geodetic is not None
+    first, second = site.poles[0].foot, site.points[0].at
+    assert first is not None
+    grid = np.linalg.norm([7.8766, 5.4322, -1.25])
+    assert np.linalg.norm(second - first) / grid == pytest.approx(1 / 0.9996, abs=2e-5)
+
+
+def test_a_point_that_is_too_far_off_is_named(tmp_path: Path) -> None:
+    path = write_site(tmp_path, SURVEY.replace("500_020.0", "50_020.0"))
+    with pytest.raises(
+        ReadError, match=r"site\.toml: control_point P, at_m: lies .* a digit wrong"
+    ):
+        read_site(path)
+
+
+def test_a_recording_that_is_missing_is_named_before_any_is_read(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    (tmp_path / "gate" / "1.pcd").unlink()
+    read: list[str] = []
+    with pytest.raises(ReadError, match=r"lidar gate, placement 1: .*1\.pcd: no such file"):
+        read_site(path, on_read=lambda given: read.append(given.name))
+    assert not read
+
+
+def test_a_recording_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    (tmp_path / "mast-b" / "2.pcd").write_text("nothing")
+    with pytest.raises(ReadError, match="lidar mast-b, placement 2: "):
+        read_site(path)
+
+
+def test_one_recording_for_two_is_told(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    read = read_site(path)
+    assert repeated(read, read.documents()) is None
+    (tmp_path / "mast-b" / "2.pcd").write_bytes((tmp_path / "mast-a" / "1.pcd").read_bytes())
+    read = read_site(path)
+    reason = repeated(read, read.documents())
+    assert reason is not None
+    assert reason.code == "same_recording"
+    assert "mast-a in placement 1 and mast-b in placement 2" in reason.message

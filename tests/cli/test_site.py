@@ -1,0 +1,115 @@
+"""The commands ``retropole site init`` and ``retropole site calibrate``."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from retropole.api import site as api_site
+from retropole.cli import run
+from retropole.result.bounded import Status
+from retropole.result.site_decoding import decode_site
+from retropole.site.model import Site, SiteCalibration
+from tests.api.site_files import answer_to, write_recordings, write_site
+from tests.cli.commands import retropole, retropole_here
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write_site(tmp_path)
+
+
+def answering(monkeypatch: pytest.MonkeyPatch, status: Status) -> None:
+    def answer(site: Site, **options: object) -> SiteCalibration:
+        return answer_to(site, status)
+
+    monkeypatch.setattr(api_site, "find_poses", answer)
+
+
+def test_a_folder_becomes_a_site_that_is_read(tmp_path: Path) -> None:
+    write_recordings(tmp_path)
+    done = retropole_here("site", "init", tmp_path)
+    assert done.returncode == 0
+    assert "3 LiDARs: gate, mast-a, mast-b; 2 placements: 1, 2" in done.stdout
+    assert f"next: retropole site calibrate {tmp_path / 'site.toml'}" in done.stdout
+    assert "gate has no recording of placement 2" in done.stderr
+    before = (tmp_path / "site.toml").read_text()
+    again = retropole_here("site", "init", tmp_path)
+    assert again.returncode == 2
+    assert "is there already; --force replaces it" in again.stderr
+    assert "'retropole site init --help'" in again.stderr
+    assert retropole_here("site", "init", tmp_path, "--force", "-q").returncode == 0
+    assert (tmp_path / "site.toml").read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("status", "options", "code"),
+    [
+        *(("ok", (), 0), ("warn", (), 0), ("ok", ("--strict",), 0), ("warn", ("--strict",), 1)),
+        *(("refused", (), 3), ("refused", ("--strict", "-q"), 3)),
+    ],
+)
+def test_exit_codes_are_those_of_calibrate(
+    path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    status: Status,
+    options: tuple[str, ...],
+    code: int,
+) -> None:
+    answering(monkeypatch, status)
+    out = path.parent / "out"
+    done = retropole_here("site", "calibrate", path, "--out", out, *options)
+    assert done.returncode == code
+    assert decode_site((out / "site-result.json").read_bytes()).status == status
+    assert (out / "site-report.html").exists()
+    quiet = "-q" in options
+    assert done.stdout.startswith("" if quiet else f"verdict: {status}\n")
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 40
+    assert all(len(line) <= 80 for line in lines if not line.startswith(("written", "next")))
+    assert ("refused (ambiguous)" in done.stderr) == (status == "refused")
+
+
+def test_json_is_the_document_alone(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    answering(monkeypatch, "warn")
+    out = path.parent / "out"
+    assert run(["site", "calibrate", str(path), "--out", str(out), "--json"]) == 0
+    said = capfd.readouterr()
+    assert said.out.encode() == (out / "site-result.json").read_bytes()
+    assert "warning (small_margin)" in said.err
+
+
+def test_after_an_error_an_older_result_is_set_aside(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answering(monkeypatch, "ok")
+    out = path.parent / "out"
+    assert retropole_here("site", "calibrate", path, "--out", out, "-q").returncode == 0
+    path.write_text(path.read_text().replace("recordings", "recording"))
+    done = retropole_here("site", "calibrate", path, "--out", out, "--json")
+    assert done.returncode == 2
+    assert "lidar 1 (mast-a): " in done.stderr
+    assert json.loads(done.stdout)["error"]["code"] == "unreadable"
+    names = {each.name for each in out.iterdir()}
+    assert names == {"older-site-result.json", "older-site-report.html"}
+
+
+def test_what_a_recording_cannot_be_is_said_in_the_words_of_the_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answering(monkeypatch, "ok")
+    path.write_text(path.read_text() + 'unit = "mm"\n')
+    done = retropole_here("site", "calibrate", path, "--out", path.parent / "out")
+    assert "gate/1.pcd: 95 % of the points are within 0.0" in done.stderr
+
+
+def test_the_group_tells_its_commands() -> None:
+    done = retropole("site", "--help")
+    assert done.returncode == 0
+    for name in ("init", "calibrate"):
+        assert f"\n  {name} " in done.stdout
+    wrong = retropole_here("site", "nothing")
+    assert wrong.returncode == 2
+    assert "'retropole site --help'" in wrong.stderr
