@@ -1,0 +1,184 @@
+"""Projected coordinate systems by their EPSG code, and what they do to lengths and directions.
+
+PROJ knows them, by pyproj, the extra ``world``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..datatypes import Array
+from ..errors import MissingExtraError, UsageError
+from .geodesy import Ellipsoid, mean_radius
+
+BEYOND_AREA = np.radians(5.0)
+"""How far outside its area of use a projected system is taken: most of a zone of 6° more. Exchanged
+east and north lie farther off."""
+
+
+class Projected(NamedTuple):
+    """A projected system as PROJ has it: the projection, its ellipsoid and its name."""
+
+    proj: Any
+    crs: Any
+    ellipsoid: Ellipsoid
+    name: str
+    epsg: int
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What a projected system does to lengths and directions at a place.
+
+    Attributes
+    ----------
+    name
+        ``EPSG:25832, ETRS89 / UTM zone 32N``.
+    scale
+        Length in the grid of one metre on the ellipsoid.
+    height_factor
+        Length on the ellipsoid of one metre on the ground, at the height of the place.
+    convergence
+        True azimuth of grid north, rad: positive where it points east of true north.
+    distortion
+        Most by which the grid bends an angle, rad; zero for conformal systems.
+    """
+
+    name: str
+    scale: float
+    height_factor: float
+    convergence: float
+    distortion: float
+
+    @property
+    def combined(self) -> float:
+        """Length in the grid of one metre on the ground."""
+        return self.scale * self.height_factor
+
+    @property
+    def words(self) -> str:
+        """Say what that means for a site, in one line."""
+        off = 30.0 * (self.combined - 1)
+        side = "east" if self.convergence >= 0 else "west"
+        return (
+            f"{self.name}: 30 m on the ground are {30.0 + off:.4f} m in the grid "
+            f"({1000 * off:+.1f} mm, scale {self.scale:.7f}, for the height "
+            f"{self.height_factor:.7f}), and grid north is "
+            f"{np.degrees(abs(self.convergence)):.4f} deg {side} of true north"
+        )
+
+
+def projected(epsg: int) -> Projected:
+    """Look up a projected system.
+
+    Parameters
+    ----------
+    epsg
+        Its code. Of a compound one, the horizontal part is taken; heights stay as they are.
+
+    Raises
+    ------
+    MissingExtraError
+        Where pyproj is not installed.
+    UsageError
+        Where there is no such code, where it is not projected, where its unit is not the metre,
+        its axes are not east and north, or its longitudes not from Greenwich.
+    """
+    try:
+        from pyproj import CRS, Proj
+        from pyproj.exceptions import CRSError
+    except ImportError:
+        raise MissingExtraError("world", f"projected coordinates (EPSG:{epsg})") from None
+    try:
+        crs = CRS.from_epsg(epsg)
+    except (CRSError, OverflowError):
+        raise UsageError(f"EPSG:{epsg} is in no register of coordinate systems") from None
+    if crs.is_compound:
+        crs = crs.sub_crs_list[0]
+    if not crs.is_projected:
+        raise UsageError(
+            f"EPSG:{epsg}, {crs.name}, is {crs.type_name}, not a projected system in metres"
+        )
+    axes = {axis.direction: axis for axis in crs.axis_info}
+    units = {axis.unit_name for axis in crs.axis_info if axis.unit_conversion_factor != 1.0}
+    if units:
+        raise UsageError(f"EPSG:{epsg}, {crs.name}, counts in {', '.join(units)}, not in metres")
+    if not {"east", "north"} <= set(axes):
+        directions = " and ".join(axis.direction for axis in crs.axis_info)
+        raise UsageError(f"the axes of EPSG:{epsg}, {crs.name}, are {directions}, not east, north")
+    if crs.prime_meridian.longitude != 0:
+        # PROJ's factors take longitudes from Greenwich for these from there.
+        meridian = crs.prime_meridian.name
+        raise UsageError(f"EPSG:{epsg}, {crs.name}, counts from {meridian}, not from Greenwich")
+    body = crs.ellipsoid
+    flat = 1 / body.inverse_flattening if body.inverse_flattening else 0.0
+    ellipsoid = Ellipsoid(float(body.semi_major_metre), flat)
+    return Projected(Proj(crs), crs, ellipsoid, f"EPSG:{epsg}, {crs.name}", epsg)
+
+
+def grid_at(epsg: int, at: Array) -> Grid:
+    """What a projected system does to lengths and directions at a place.
+
+    Parameters
+    ----------
+    epsg
+        Code of the projected system.
+    at
+        (3,) latitude, longitude, rad, and height, metres, on its datum.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `projected`.
+    """
+    system = projected(epsg)
+    factors = system.proj.get_factors(at[1], at[0], radians=True)
+    radius = mean_radius(float(at[0]), system.ellipsoid)
+    return Grid(
+        system.name,
+        float(np.sqrt(factors.areal_scale)),
+        radius / (radius + float(at[2])),
+        float(np.radians(factors.meridian_convergence)),
+        float(np.radians(factors.angular_distortion)),
+    )
+
+
+def unproject(system: Projected, coordinates: Array) -> Array:
+    """Latitude, longitude, rad, and height (N, 3) of projected coordinates."""
+    east, north, height = coordinates.T
+    longitude, latitude = system.proj(east, north, inverse=True, radians=True)
+    found = np.column_stack([latitude, longitude, height])
+    _check_area(system, found, coordinates)
+    return found
+
+
+def project(system: Projected, at: Array) -> Array:
+    """Projected coordinates (N, 3) of latitudes, longitudes and heights."""
+    east, north = system.proj(at[:, 1], at[:, 0], radians=True)
+    coordinates = np.column_stack([east, north, at[:, 2]])
+    _check_area(system, at, coordinates)
+    return coordinates
+
+
+def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
+    """Refuse what lies far outside of where a system is used, as exchanged coordinates do."""
+    inside = np.isfinite(at).all(axis=1) & np.isfinite(coordinates).all(axis=1)
+    area = system.crs.area_of_use
+    at = np.where(inside[:, None], at, 0.0)
+    if area is not None:
+        west, south, east, north = np.radians(area.bounds)
+        middle = west + ((east - west) % (2 * np.pi)) / 2
+        half = ((east - west) % (2 * np.pi)) / 2 or np.pi
+        away = np.abs((at[:, 1] - middle + np.pi) % (2 * np.pi) - np.pi)
+        inside &= away <= half + BEYOND_AREA
+        inside &= (at[:, 0] >= south - BEYOND_AREA) & (at[:, 0] <= north + BEYOND_AREA)
+    if not inside.all():
+        k = int(np.argmin(inside))
+        degrees = ", ".join(f"{angle:.3f}" for angle in np.degrees(at[k, :2]))
+        raise UsageError(
+            f"{coordinates[k, 0]:.3f} east, {coordinates[k, 1]:.3f} north lie at {degrees} deg, "
+            f"far outside of where {system.name} is used; are east and north exchanged?"
+        )

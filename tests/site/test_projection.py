@@ -1,0 +1,61 @@
+"""Projected systems: their scale and convergence, and those that are no frame for a site."""
+
+import numpy as np
+import pytest
+
+from retropole.errors import UsageError
+from retropole.site import projection, world
+from retropole.site.model import Frame
+
+pytest.importorskip("pyproj", reason="needs pip install 'retropole[world]'")
+UTM = 25832
+POLES = np.array([[691_607.25, 5_334_765.5, 512.0], [691_637.5, 5_334_790.25, 513.0]])
+
+
+@pytest.mark.parametrize("epsg", [25832, 31468, 5514, 2056, 27700, 28355, 2154])
+def test_scale_and_convergence_are_the_slopes_of_the_projection(epsg: int) -> None:
+    west, south, east, north = np.radians(projection.projected(epsg).crs.area_of_use.bounds)
+    at = np.array([0.6 * south + 0.4 * north, 0.3 * west + 0.7 * east, 300.0])
+    frame = Frame("f", surveyed=True, epsg=epsg, geodetic=at)
+    steps = world.to_frame(frame, np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
+    to_east, to_north = steps[1, :2] - steps[0, :2], steps[2, :2] - steps[0, :2]
+    grid = projection.grid_at(epsg, at)
+    assert np.linalg.norm(to_east) == pytest.approx(grid.combined, abs=2e-7)
+    assert np.linalg.norm(to_north) == pytest.approx(grid.combined, abs=2e-7)
+    assert np.arctan2(-to_north[0], to_north[1]) == pytest.approx(grid.convergence, abs=1e-6)
+    assert grid.distortion < 1e-6
+
+
+def test_the_words_say_what_30_m_become() -> None:
+    words = projection.grid_at(UTM, np.radians([50.0, 9.0, 0.0])).words
+    assert "EPSG:25832, ETRS89 / UTM zone 32N: 30 m on the ground are 29.9880 m" in words
+    assert "-12.0 mm, scale 0.9996000" in words
+
+
+@pytest.mark.parametrize(
+    ("epsg", "reason"),
+    [
+        (4326, "not a projected system"),
+        (4978, "not a projected system"),
+        (2263, "US survey foot"),
+        (2048, "west and south"),
+        (3031, "north and north"),
+        (27572, "Paris"),
+        (999_999, "in no register"),
+        (2**53, "in no register"),
+    ],
+)
+def test_systems_that_are_no_frame_for_a_site_are_refused(epsg: int, reason: str) -> None:
+    with pytest.raises(UsageError, match=reason):
+        world.tangent_frame(epsg, POLES)
+
+
+def test_exchanged_coordinates_are_refused() -> None:
+    with pytest.raises(UsageError, match="are east and north exchanged"):
+        world.tangent_frame(UTM, POLES[:, [1, 0, 2]])
+    with pytest.raises(UsageError, match="far outside"):
+        world.tangent_frame(UTM, POLES + np.array([1e9, 0, 0]))
+
+
+def test_a_compound_system_gives_its_horizontal_part() -> None:
+    assert projection.projected(7415).name == "EPSG:7415, Amersfoort / RD New"
