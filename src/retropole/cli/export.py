@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..export import FORMATS
+from ..export import FORMATS, TREE_FORMATS
 from .common import CLOUD, CONTEXT, echo_warning, say, show
 
 if TYPE_CHECKING:
-    from ..export import Transform
+    from ..export import Transform, Tree
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 MCAP = "mcap"
@@ -19,12 +19,17 @@ MCAP = "mcap"
 
 TITLES = {name: each.title for name, each in FORMATS.items()}
 TITLES[MCAP] = "ROS 2 recording for Foxglove, RViz: both clouds and /tf_static"
-FORMAT_HELP = "\n".join(f"      {name:<14}{title}" for name, title in TITLES.items())
+TREE_TITLES = {name: each.title for name, each in TREE_FORMATS.items()}
+TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
+FORMAT_HELP, TREE_HELP = (
+    "\n".join(f"      {name:<14}{title}" for name, title in titles.items())
+    for titles in (TITLES, TREE_TITLES)
+)
 
 
 @click.command(
     context_settings=CONTEXT,
-    help=f"""Write the transform of RESULT in the format of another program.
+    help=f"""Write the transform of RESULT, or all of a site, in the format of another program.
 
     RESULT is result.json, the folder that holds it, or any file that this command wrote. The
     target is the parent frame, the source the child: the transform maps points of the child into
@@ -38,6 +43,15 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{title}" for name, title in TITLES.ite
     Formats:
 {FORMAT_HELP}
 
+    Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
+    survey has coordinates of its own) over site over every LiDAR. With --parent and --child, which
+    name two LiDARs, site or map, the transform between these is written, in any format above, with
+    the covariance of both together.
+
+    \b
+    Formats of a whole site:
+{TREE_HELP}
+
     \b
     Examples:
       retropole export retropole-out --to ros2 --parent base_link --child rear_lidar
@@ -47,6 +61,9 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{title}" for name, title in TITLES.ite
       retropole export sensors_calibration.yaml --to urdf --parent front --child rear
       retropole export retropole-out --to mcap --out aligned.mcap
       retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
+      retropole export site-result.json --to geojson --out lidars.geojson
+      retropole export site-result.json --to urdf --out site.urdf
+      retropole export site-result.json --to ros2 --parent mast-a --child mast-b
 
     \b
     Exit code:
@@ -57,7 +74,7 @@ FORMAT_HELP = "\n".join(f"      {name:<14}{title}" for name, title in TITLES.ite
 )
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
-@click.option("--to", "fmt", type=click.Choice(list(TITLES)), help="Format to write.")
+@click.option("--to", "fmt", type=click.Choice(list(TITLES | TREE_TITLES)), help="Format to write.")
 @click.option(
     "--from",
     "source_format",
@@ -88,17 +105,31 @@ def export(
     into: Path | None,
 ) -> int:
     """Read the transform, invert it where asked, write it."""
-    from ..export import inverted, read_transform
+    from ..export import inverted, read_transform, read_tree
     from ..files import write_atomically
 
     if fmt is None and into is None:
-        raise click.UsageError(f"--to is needed: one of {', '.join(TITLES)}")
+        raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
     if into is not None and fmt not in (None, "urdf"):
         raise click.UsageError(f"--into takes a joint, --to urdf, not --to {fmt}")
     if clouds and fmt != MCAP:
         raise click.UsageError(f"only --to {MCAP} takes clouds")
     if fmt == MCAP and out is None:
         raise click.UsageError(f"--to {MCAP} needs --out: it is nothing to print")
+    if parent is None or child is None:
+        tree = read_tree(result) if source_format in ("auto", "json") else None
+        if tree is not None:
+            if parent or child or invert or clouds or into is not None:
+                raise click.UsageError(
+                    f"{result} is of a site: --parent and --child together name two of its frames; "
+                    "without both, all of them are written, and --invert, --into and clouds do not "
+                    "apply"
+                )
+            _warn(result)
+            _write_tree(tree, fmt or "", out)
+            return 0
+    if fmt not in (None, *TITLES):
+        raise click.UsageError(f"--to {fmt} takes all of a site: site-result.json")
     transform = read_transform(result, fmt=source_format, parent=parent, child=child)
     _warn(result)
     if invert:
@@ -117,6 +148,26 @@ def export(
     return 0
 
 
+def _write_tree(tree: Tree, fmt: str, out: Path | None) -> None:
+    """Write all frames of a site, or print them."""
+    from ..export.recording import write_transforms
+    from ..files import write_atomically
+
+    if fmt not in TREE_TITLES:
+        raise click.UsageError(
+            f"--to {fmt} holds one transform; name two frames of the site with --parent and "
+            f"--child, or write all of them: --to {', '.join(TREE_TITLES)}"
+        )
+    if fmt == MCAP and out is not None:
+        write_atomically(out, write_transforms(tree.edges))
+        return
+    text = TREE_FORMATS[fmt].write(tree)
+    if out is None:
+        show(text)
+    else:
+        write_atomically(out, text.encode())
+
+
 def _warn(path: Path) -> None:
     """Say on stderr what a result warns of; other files hold no verdict."""
     from ..export import read_verdict
@@ -128,7 +179,7 @@ def _warn(path: Path) -> None:
 def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) -> bytes:
     """Read the clouds of the first placement as its run did, and write them with the transform."""
     from ..errors import UsageError
-    from ..export.documents import is_result, result_file
+    from ..export.documents import any_result_file, is_result
     from ..export.recording import frames_of, write_mcap
     from ..files import read_document
     from ..io import read_recording
@@ -136,7 +187,7 @@ def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) ->
     from ..result import DEFAULT_CONFIG
     from ..result.decoding import decode
 
-    file = result_file(result)
+    file = any_result_file(result)
     data = read_document(file)
     paths, config = list(given), DEFAULT_CONFIG
     if is_result(data):

@@ -1,7 +1,8 @@
 """The transform in the forms that other programs take, and the way back.
 
 `FORMATS` holds a writer and a reader for each; `read_transform` reads any of them, a result
-document, or the truth that ``retropole simulate`` writes.
+document, or the truth that ``retropole simulate`` writes. `TREE_FORMATS` hold the frames of a whole
+site, which `read_tree` gives.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from ..result import ReasonDoc
 from ..result.decoding import decode
 from ..se3 import rigid
 from .documents import (
+    any_result_file,
     is_result,
     read_json,
     read_yaml,
-    result_file,
+    site_result,
     write_json,
     write_yaml,
 )
@@ -37,16 +39,21 @@ from .text import (
     write_rpy,
 )
 from .transform import Transform, inverted
+from .tree import Tree, tree_of
+from .tree_formats import TREE_FORMATS
 from .urdf import put_into_urdf, read_urdf, write_urdf
 
 __all__ = [
     "FORMATS",
+    "TREE_FORMATS",
     "Format",
     "Transform",
+    "Tree",
     "export_lines",
     "inverted",
     "put_into_urdf",
     "read_transform",
+    "read_tree",
     "read_verdict",
 ]
 
@@ -117,7 +124,7 @@ def read_transform(
     Parameters
     ----------
     path
-        A file, or a folder that holds ``result.json``.
+        A file, or a folder that holds ``result.json`` or ``site-result.json``.
     fmt
         Name of the format; None or ``auto`` to tell it by the suffix and the content.
     parent, child
@@ -140,7 +147,7 @@ def read_transform(
         Where it cannot be read.
     """
     path = Path(path)
-    file = result_file(path)
+    file = any_result_file(path)
     data = read_document(file).removeprefix(codecs.BOM_UTF8)
     try:
         name = fmt if fmt not in (None, "auto") else detect_format(file, data)
@@ -155,9 +162,37 @@ def read_transform(
 
 def read_verdict(path: Path) -> list[ReasonDoc]:
     """Read what a result document warns of: empty for one that is ok, and for any other file."""
-    path = Path(path)
-    data = read_document(result_file(path))
-    return decode(data).reasons if is_result(data) else []
+    data = read_document(any_result_file(Path(path)))
+    if is_result(data):
+        return decode(data).reasons
+    site = site_result(data)
+    return [] if site is None else site.reasons
+
+
+def read_tree(path: Path) -> Tree | None:
+    """Read the frames of a site from its result document, or the folder that holds it.
+
+    Returns
+    -------
+    Tree or None
+        None where the file is another one.
+
+    Raises
+    ------
+    ReadError, UsageError, MissingExtraError
+        Where it is not sound, and as `tree_of`; the message names the file.
+    Refusal
+        Where the site was refused.
+    OSError
+        Where it cannot be read.
+    """
+    file = any_result_file(Path(path))
+    data = read_document(file).removeprefix(codecs.BOM_UTF8)
+    try:
+        document = site_result(data)
+        return None if document is None else tree_of(document)
+    except (ReadError, UsageError) as error:
+        raise type(error)(f"{file}: {error}") from None
 
 
 def detect_format(path: Path, data: bytes) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,11 +17,13 @@ import msgspec
 import numpy as np
 
 from ..datatypes import Array
-from ..errors import MissingExtraError, ReadError, Refusal
+from ..errors import MissingExtraError, ReadError, Refusal, UsageError
 from ..reasons import Code
 from ..result import COVARIANCE_ORDER, ResultDoc
 from ..result.bounded import LARGEST
 from ..result.decoding import decode
+from ..result.site import SiteDoc
+from ..result.site_decoding import decode_site
 from ..se3 import rigid
 from ..uncertainty import covariance_fault
 from .found import Found
@@ -34,10 +36,11 @@ from .transform import (
     from_quaternion,
     to_quaternion,
 )
+from .tree import found_in_site, is_site_result
 
-TRANSFORM_SCHEMA = "retropole/transform/1"
-RESULT_FILE = "result.json"
-"""What the result document is called in its folder."""
+TRANSFORM_SCHEMA, TREE_SCHEMA = "retropole/transform/1", "retropole/tree/1"
+RESULT_FILE, SITE_RESULT_FILE = "result.json", "site-result.json"
+"""What the result document of two LiDARs, and that of a site, is called in its folder."""
 
 LARGEST_YAML, DEEPEST_YAML = 2**19, 20
 """Bytes, and levels; PyYAML takes some 10 s for a million bytes, and longer for each level."""
@@ -54,25 +57,33 @@ _YAML_WORDS = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
 
 def write_json(transform: Transform) -> str:
     """Write the matrix, its parts by name and, where known, the covariance in ROS's order."""
+    key = f"T_{'_'.join(transform.roles)}"
+    document = {"schema": TRANSFORM_SCHEMA, **transform_fields(transform, key)}
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def transform_fields(transform: Transform, key: str) -> dict[str, Any]:
+    """Name all that a transform says, its matrix by the key."""
     T = transform.T_parent_child
-    document: dict[str, Any] = {
-        "schema": TRANSFORM_SCHEMA,
+    fields: dict[str, Any] = {
         "description": transform.meaning,
         "parent": transform.parent,
         "child": transform.child,
-        f"T_{'_'.join(transform.roles)}": (T + 0.0).tolist(),
+        key: (T + 0.0).tolist(),
         "translation_m": dict(zip("xyz", (T[:3, 3] + 0.0).tolist(), strict=True)),
         "quaternion": dict(zip("xyzw", (to_quaternion(T) + 0.0).tolist(), strict=True)),
     }
     if transform.covariance is not None:
-        document["covariance"] = covariance_to_ros(transform.covariance).tolist()
-        document["covariance_order"] = ROS_COVARIANCE_ORDER
-        document["covariance_frame"] = ROS_COVARIANCE_FRAME
-    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+        fields["covariance"] = covariance_to_ros(transform.covariance).tolist()
+        fields["covariance_order"] = ROS_COVARIANCE_ORDER
+        fields["covariance_frame"] = ROS_COVARIANCE_FRAME
+    return fields
 
 
 def read_json(data: bytes) -> list[Found]:
     """Read a transform file, a result document, or the truth that ``retropole simulate`` writes.
+
+    Of a site's result document, the transforms between any two of its frames.
 
     Raises
     ------
@@ -87,12 +98,24 @@ def read_json(data: bytes) -> list[Found]:
         raise ReadError("the JSON is no object with a key T_target_source")
     if _names_result(document):
         return [_of_result(decode(data))]
+    if is_site_result(document):
+        return found_in_site(decode_site(data))
+    if document.get("schema") == TREE_SCHEMA:
+        entries = document.get("transforms")
+        if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
+            raise ReadError("transforms is no list of objects")
+        return [_found(entry) for entry in entries]
+    return [_found(document)]
+
+
+def _found(document: dict[str, Any]) -> Found:
+    """Read one transform of our own files."""
     keys = [key for key in _KEYS if key in document]
     if len(keys) != 1:
         raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")
     covariance = _covariance(document)
     parent, child = _name(document, "parent"), _name(document, "child")
-    return [Found(parent, child, lambda: _pose(document, keys[0]), covariance, _KEYS[keys[0]])]
+    return Found(parent, child, lambda: _pose(document, keys[0]), covariance, _KEYS[keys[0]])
 
 
 def result_file(path: Path) -> Path:
@@ -100,13 +123,36 @@ def result_file(path: Path) -> Path:
     return path / RESULT_FILE if path.is_dir() else path
 
 
+def any_result_file(path: Path) -> Path:
+    """Take the result document in a folder, that of two LiDARs or of a site, and a file as it is.
+
+    Raises
+    ------
+    UsageError
+        Where the folder holds both.
+    """
+    if not path.is_dir() or not (path / SITE_RESULT_FILE).exists():
+        return result_file(path)
+    if (path / RESULT_FILE).exists():
+        raise UsageError(f"{path} holds {RESULT_FILE} and {SITE_RESULT_FILE}; name one of them")
+    return path / SITE_RESULT_FILE
+
+
 def is_result(data: bytes) -> bool:
     """Tell a result document by its schema; whether it is sound, `decode` says."""
+    return _names_result(_parsed(data))
+
+
+def site_result(data: bytes) -> SiteDoc | None:
+    """Read the result document of a site; None where the schema is another."""
+    return decode_site(data) if is_site_result(_parsed(data)) else None
+
+
+def _parsed(data: bytes) -> Any:
     try:
-        document = msgspec.json.decode(data)
+        return msgspec.json.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return False
-    return _names_result(document)
+        return None
 
 
 def _names_result(document: Any) -> bool:
@@ -179,11 +225,19 @@ def _square(values: Any) -> Array:
 
 def write_yaml(transform: Transform) -> str:
     """Write Autoware's ``sensors_calibration.yaml``: ``parent: child: x y z roll pitch yaw``."""
-    lines = "".join(f"    {k}: {v}\n" for k, v in pose_values(transform, RPY).items())
-    return (
-        f"# {transform.meaning}\n# {RPY_MEANING}\n"
-        f"{_yaml_key(transform.parent)}:\n  {_yaml_key(transform.child)}:\n{lines}"
-    )
+    return yaml_of([transform], [transform.meaning])
+
+
+def yaml_of(transforms: Sequence[Transform], notes: Sequence[str]) -> str:
+    """Write transforms as `write_yaml`, those of one parent together, under notes as comments."""
+    text = "".join(f"# {note}\n" for note in (*notes, RPY_MEANING))
+    for parent in dict.fromkeys(each.parent for each in transforms):
+        text += f"{_yaml_key(parent)}:\n"
+        for each in transforms:
+            if each.parent == parent:
+                lines = "".join(f"    {k}: {v}\n" for k, v in pose_values(each, RPY).items())
+                text += f"  {_yaml_key(each.child)}:\n{lines}"
+    return text
 
 
 def _yaml_key(name: str) -> str:

@@ -7,8 +7,8 @@ the frames. The types are those of ROS 2 Humble, which later ones have kept.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,13 @@ _LATCHED = f"""\
 """Who listens to ``/tf_static`` late is told all the same, also by ``ros2 bag play``."""
 
 
+class Track(NamedTuple):
+    """What is recorded on one topic: the name of its frame, and clouds in it."""
+
+    frame: str
+    frames: Sequence[Frame]
+
+
 def frames_of(read: ReadRecording) -> list[Frame]:
     """Take a cloud apart into the frames that it was read from, those with points."""
     number = read.cloud.frame
@@ -88,15 +95,33 @@ def write_mcap(transform: Transform, target: Sequence[Frame], source: Sequence[F
     MissingExtraError
         Where mcap or rosbags is not installed.
     """
+    names = dict(zip(transform.roles, (transform.parent, transform.child), strict=True))
+    clouds = {"target": list(target), "source": list(source)}
+    return _write([transform], {TOPICS[role]: Track(names[role], clouds[role]) for role in TOPICS})
+
+
+def write_transforms(transforms: Sequence[Transform]) -> bytes:
+    """Write transforms alone, as one message on ``/tf_static`` at time zero.
+
+    Played or opened beside a recording of the LiDARs, it places their frames.
+
+    Raises
+    ------
+    MissingExtraError
+        Where mcap or rosbags is not installed.
+    """
+    return _write(transforms, {})
+
+
+def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track]) -> bytes:
+    """Write transforms, then the frames of all tracks in the order of their times."""
     try:
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise MissingExtraError("ros", "writing MCAP files") from None
     store = get_typestore(Stores.ROS2_HUMBLE)
-    names = dict(zip(transform.roles, (transform.parent, transform.child), strict=True))
-    clouds = {"target": list(target), "source": list(source)}
-    times = _times(clouds)
+    times = _times({topic: track.frames for topic, track in tracks.items()})
     file = io.BytesIO()
     writer: Any = Writer(file)
     writer.start(profile="ros2", library="retropole")
@@ -104,7 +129,7 @@ def write_mcap(transform: Transform, target: Sequence[Frame], source: Sequence[F
         kind: writer.register_schema(
             kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()
         )
-        for kind in (CLOUDS, TRANSFORMS)
+        for kind in ((CLOUDS, TRANSFORMS) if tracks else (TRANSFORMS,))
     }
 
     def channel(topic: str, kind: str, qos: str = "") -> int:
@@ -115,35 +140,37 @@ def write_mcap(transform: Transform, target: Sequence[Frame], source: Sequence[F
         data = bytes(store.serialize_cdr(message, kind))
         writer.add_message(number, when, data, when)
 
-    first = min(min(own) for own in times.values())
+    first = min((min(own) for own in times.values()), default=0)
     poses = channel(TRANSFORM_TOPIC, TRANSFORMS, _LATCHED)
-    add(poses, TRANSFORMS, first, _transform_message(transform, first, store))
-    numbers = {role: channel(topic, CLOUDS) for role, topic in TOPICS.items()}
-    for when, role, cloud in _in_order(clouds, times):
-        add(numbers[role], CLOUDS, when, _cloud_message(cloud, names[role], when, store))
+    add(poses, TRANSFORMS, first, _transform_message(transforms, first, store))
+    numbers = {topic: channel(topic, CLOUDS) for topic in tracks}
+    for when, topic, cloud in _in_order(tracks, times):
+        message = _cloud_message(cloud, tracks[topic].frame, when, store)
+        add(numbers[topic], CLOUDS, when, message)
     writer.finish()
     return file.getvalue()
 
 
-def _times(clouds: dict[str, list[Frame]]) -> dict[str, list[int]]:
-    """Give the time of each frame, ns; one clock for both, so all or none by the recorder's."""
-    stamps = {role: [frame.stamp for frame in frames] for role, frames in clouds.items()}
+def _times(clouds: Mapping[str, Sequence[Frame]]) -> dict[str, list[int]]:
+    """Give the time of each frame, ns; one clock for all, so all or none by the recorder's."""
+    stamps = {topic: [frame.stamp for frame in frames] for topic, frames in clouds.items()}
     if not all(s is not None and 0 <= s < LAST_SECOND for own in stamps.values() for s in own):
-        stamps = {role: [k * FRAME_PERIOD for k in range(len(own))] for role, own in stamps.items()}
-    return {r: [round((s or 0.0) * NANOSECONDS) for s in own] for r, own in stamps.items()}
+        stamps = {name: [k * FRAME_PERIOD for k in range(len(own))] for name, own in stamps.items()}
+    return {name: [round((s or 0.0) * NANOSECONDS) for s in own] for name, own in stamps.items()}
 
 
 def _in_order(
-    clouds: dict[str, list[Frame]], times: dict[str, list[int]]
+    tracks: Mapping[str, Track], times: dict[str, list[int]]
 ) -> Iterator[tuple[int, str, PointCloud]]:
-    """Give the frames of both in the order of their times, those of equal times target first."""
+    """Give the frames of all in the order of their times, those of equal times as the tracks."""
+    topics = list(tracks)
     entries = [
         (when, k, frame.cloud)
-        for k, role in enumerate(TOPICS)
-        for when, frame in zip(times[role], clouds[role], strict=True)
+        for k, topic in enumerate(topics)
+        for when, frame in zip(times[topic], tracks[topic].frames, strict=True)
     ]
     for when, k, cloud in sorted(entries, key=lambda entry: entry[:2]):
-        yield when, list(TOPICS)[k], cloud
+        yield when, topics[k], cloud
 
 
 def _header(frame: str, when: int, store: Any) -> Any:
@@ -152,19 +179,24 @@ def _header(frame: str, when: int, store: Any) -> Any:
     return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
 
 
-def _transform_message(transform: Transform, when: int, store: Any) -> Any:
-    types, T = store.types, transform.T_parent_child
-    translation = dict(zip("xyz", map(float, T[:3, 3]), strict=True))
-    rotation = dict(zip("xyzw", map(float, to_quaternion(T)), strict=True))
-    stamped = types["geometry_msgs/msg/TransformStamped"](
-        header=_header(transform.parent, when, store),
-        child_frame_id=transform.child,
-        transform=types["geometry_msgs/msg/Transform"](
-            translation=types["geometry_msgs/msg/Vector3"](**translation),
-            rotation=types["geometry_msgs/msg/Quaternion"](**rotation),
-        ),
-    )
-    return types[TRANSFORMS](transforms=[stamped])
+def _transform_message(transforms: Sequence[Transform], when: int, store: Any) -> Any:
+    types = store.types
+    stamped = []
+    for each in transforms:
+        T = each.T_parent_child
+        translation = dict(zip("xyz", map(float, T[:3, 3]), strict=True))
+        rotation = dict(zip("xyzw", map(float, to_quaternion(T)), strict=True))
+        stamped.append(
+            types["geometry_msgs/msg/TransformStamped"](
+                header=_header(each.parent, when, store),
+                child_frame_id=each.child,
+                transform=types["geometry_msgs/msg/Transform"](
+                    translation=types["geometry_msgs/msg/Vector3"](**translation),
+                    rotation=types["geometry_msgs/msg/Quaternion"](**rotation),
+                ),
+            )
+        )
+    return types[TRANSFORMS](transforms=stamped)
 
 
 def _cloud_message(cloud: PointCloud, frame: str, when: int, store: Any) -> Any:

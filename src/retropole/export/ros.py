@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import shlex
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -47,23 +48,38 @@ def write_ros2(transform: Transform) -> str:
 
 
 def write_launch(transform: Transform) -> str:
-    """Write a Python launch file for ROS 2 that publishes the transform.
+    """Write a Python launch file for ROS 2 that publishes the transform."""
+    return launch_of([transform], [transform.meaning])
 
-    The comment stands below the imports: in one of the first two lines, Python takes ``coding:``
+
+def launch_of(transforms: Sequence[Transform], notes: Sequence[str]) -> str:
+    """Write a Python launch file for ROS 2 that publishes transforms, under notes as comments.
+
+    The comments stand below the imports: in one of the first two lines, Python takes ``coding:``
     in a name for the encoding of the file.
     """
-    flags = _flags(transform)
-    pairs = zip(flags[::2], flags[1::2], strict=True)
-    arguments = "".join(f"                    {flag!r}, {value!r},\n" for flag, value in pairs)
+    comments = "".join(f"# {note}\n" for note in notes)
     return (
         "from launch import LaunchDescription\n"
         "from launch_ros.actions import Node\n"
         "\n"
-        f"# {transform.meaning}\n"
+        f"{comments}"
         "\n\n"
         "def generate_launch_description():\n"
         "    return LaunchDescription(\n"
         "        [\n"
+        f"{''.join(map(_node, transforms))}"
+        "        ]\n"
+        "    )\n"
+    )
+
+
+def _node(transform: Transform) -> str:
+    """Write the node of a launch file that publishes a transform."""
+    flags = _flags(transform)
+    pairs = zip(flags[::2], flags[1::2], strict=True)
+    arguments = "".join(f"                    {flag!r}, {value!r},\n" for flag, value in pairs)
+    return (
         "            Node(\n"
         "                package='tf2_ros',\n"
         f"                executable='{PROGRAM}',\n"
@@ -71,8 +87,6 @@ def write_launch(transform: Transform) -> str:
         f"{arguments}"
         "                ],\n"
         "            ),\n"
-        "        ]\n"
-        "    )\n"
     )
 
 

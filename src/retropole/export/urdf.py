@@ -6,6 +6,7 @@ angles about fixed axes, x then y then z.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
@@ -20,12 +21,19 @@ from .xml_scan import Element, Scan, scan_xml, with_attributes
 
 def write_urdf(transform: Transform) -> str:
     """Write a robot of two links and the fixed joint between them."""
-    parent, child = _quote(transform.parent), _quote(transform.child)
-    joint = "\n".join(f"  {line}" for line in _joint(transform, "  "))
+    return robot_of([transform], "retropole", [])
+
+
+def robot_of(transforms: Sequence[Transform], name: str, notes: Sequence[str]) -> str:
+    """Write a robot of fixed joints, parents before children, under notes as comments."""
+    frames = {name: None for each in transforms for name in (each.parent, each.child)}
+    # Two hyphens would end a comment.
+    comments = "".join(f"  <!-- {note.replace('--', '- -').rstrip('-')} -->\n" for note in notes)
+    links = "".join(f"  <link name={_quote(frame)}/>\n" for frame in frames)
+    joints = "".join(f"  {line}\n" for each in transforms for line in _joint(each, "  "))
     return (
         '<?xml version="1.0" encoding="utf-8"?>\n'
-        '<robot name="retropole">\n'
-        f"  <link name={parent}/>\n  <link name={child}/>\n{joint}\n</robot>\n"
+        f"<robot name={_quote(name)}>\n{comments}{links}{joints}</robot>\n"
     )
 
 

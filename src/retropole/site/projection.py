@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..datatypes import Array
 from ..errors import MissingExtraError, UsageError
@@ -165,7 +166,7 @@ def project(system: Projected, at: Array) -> Array:
 
 def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
     """Refuse what lies far outside of where a system is used, as exchanged coordinates do."""
-    inside = np.isfinite(at).all(axis=1) & np.isfinite(coordinates).all(axis=1)
+    inside: NDArray[np.bool_] = np.asarray(np.isfinite(np.hstack([at, coordinates])).all(axis=1))
     area = system.crs.area_of_use
     at = np.where(inside[:, None], at, 0.0)
     if area is not None:

@@ -40,8 +40,8 @@ from .geodesy import enu_axes, geodetic_of_local, local_of
 from .model import Frame
 from .projection import grid_at, project, projected, unproject
 
-LEVEL = 0.02
-"""Sine of the least angle to the vertical, 1°, at which an axis has a heading."""
+LEVEL = np.sin(np.radians(1.0))
+"""Sine of the least angle to the vertical at which an axis has a heading."""
 
 
 class OnWgs84(NamedTuple):
@@ -84,8 +84,8 @@ def tangent_frame(epsg: int, coordinates: Array) -> Frame:
         As `projected`; and where the points are outside of where the system is used.
     """
     system = projected(epsg)
-    middle: Array = np.round(np.mean(np.asarray(coordinates, dtype=float), axis=0))
-    (origin,) = unproject(system, middle[None])
+    middle = np.asarray(coordinates, dtype=float).mean(axis=0, keepdims=True)
+    (origin,) = unproject(system, np.round(middle))
     at = ", ".join(f"{np.degrees(angle):.6f}" for angle in origin[:2])
     return Frame(f"ENU at {at} ({system.name})", surveyed=True, epsg=epsg, geodetic=origin)
 
@@ -143,7 +143,8 @@ def geodetic(frame: Frame, xyz: Array) -> Array:
 def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
     """Latitude, longitude and height of places of the site (N, 3), on WGS 84.
 
-    From another datum by the best operation that PROJ has the data for: nothing is fetched.
+    From another datum by the best operation that PROJ has the data for. None are fetched, unless
+    PROJ itself is set up to (``PROJ_NETWORK``).
 
     Raises
     ------
@@ -158,6 +159,8 @@ def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
     full = to_frame(frame, xyz)
     step = Transformer.from_crs(projected(frame.epsg).crs, "EPSG:4326", always_xy=True)
     longitude, latitude = step.transform(full[:, 0], full[:, 1])
+    if not np.isfinite([longitude, latitude]).all():
+        raise UsageError(f"PROJ has no way from {projected(frame.epsg).name} to WGS 84 there")
     moved = np.column_stack([np.radians(latitude), np.radians(longitude), full[:, 2]])
     with suppress(ProjError):
         # Of several operations, the one for this place.

@@ -1,0 +1,213 @@
+"""The frames of a whole site as a tree: ``map`` → ``site`` → every LiDAR.
+
+``site`` is the frame of the calibration, in metres on the ground, and small: what lies in it, a
+viewer may hold in float32. ``map`` is written where the coordinates of the user's frame are others:
+large ones, or those of a projected system. Then the large numbers stand in one transform alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from .. import se3
+from ..datatypes import Array
+from ..errors import Refusal, UsageError, printable
+from ..reasons import Code
+from ..result.site import SITE_SCHEMA, SiteDoc
+from ..result.site_parts import FrameDoc, LidarDoc
+from ..site.model import Frame
+from ..site.projection import Grid, grid_at
+from ..site.relative import joint_of, relative
+from ..site.world import geodetic, site_in_frame, to_frame
+from .found import Found
+from .transform import Transform
+
+MAP, SITE = "map", "site"
+
+WORTH_SAYING = 1e-4
+"""Of what a tree is off in the grid, metres: a tenth of a millimetre is below any survey."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """The frames of a site.
+
+    Attributes
+    ----------
+    name
+        Of the site.
+    datum
+        What fixes its frame, in words.
+    frame
+        The frame of the site.
+    lidars
+        Of the document, in its order; each has a pose.
+    joint
+        (6 L, 6 L) covariance of all poses.
+    edges
+        The transforms, parents before children.
+    """
+
+    name: str
+    datum: str
+    frame: Frame
+    lidars: tuple[LidarDoc, ...]
+    joint: Array
+    edges: tuple[Transform, ...]
+
+    @property
+    def has_map(self) -> bool:
+        """Whether the user's frame is another than that of the site's coordinates."""
+        return self.edges[0].parent == MAP
+
+
+def is_site_result(document: Any) -> bool:
+    """Tell the result document of a site by its schema."""
+    schema = document.get("schema") if isinstance(document, dict) else None
+    return isinstance(schema, str) and schema.startswith(SITE_SCHEMA.rpartition("/")[0])
+
+
+def frame_of(document: FrameDoc) -> Frame:
+    """Take the frame of a site from its document."""
+    at = document.geodetic
+    origin = None if at is None else np.array([at.latitude_rad, at.longitude_rad, at.height_m])
+    return Frame(
+        document.name, document.surveyed, np.array(document.offset_m), document.epsg, origin
+    )
+
+
+def tree_of(document: SiteDoc) -> Tree:
+    """Make the tree of a site's frames.
+
+    Raises
+    ------
+    Refusal
+        Where the site was refused: it holds no poses.
+    UsageError
+        Where a LiDAR is named as another frame is, or no frame can be named so.
+    MissingExtraError
+        Where its frame is projected and pyproj is not installed.
+    """
+    poses = _poses(document)
+    frame = frame_of(document.frame)
+    names = [lidar.name for lidar in document.lidars]
+    for name in (MAP, SITE):
+        if name in names:
+            raise UsageError(f"a LiDAR is named {name!r}, which is the name of a frame of the site")
+    joint = np.array(document.joint_covariance, dtype=float)
+    edges = [
+        Transform(pose, SITE, name, _own(joint, k))
+        for k, (name, pose) in enumerate(zip(names, poses, strict=True))
+    ]
+    if np.any(frame.offset) or (frame.epsg is not None and frame.geodetic is not None):
+        edges.insert(0, Transform(site_in_frame(frame), MAP, SITE))
+    return Tree(document.name, document.datum, frame, tuple(document.lidars), joint, tuple(edges))
+
+
+def _poses(document: SiteDoc) -> list[Array]:
+    if document.status == "refused":
+        why = document.reasons[0] if document.reasons else None
+        raise Refusal(
+            cast("Code", why.code) if why else "refused",
+            f"the site was refused, there are no poses: {why.message if why else '–'}",
+            why.values if why else None,
+        )
+    return [se3.rigid(np.array(lidar.T_site_lidar, dtype=float)) for lidar in document.lidars]
+
+
+def _own(joint: Array, k: int) -> Array | None:
+    """Covariance of one LiDAR; None for that whose frame is the site's."""
+    own = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+    return own if (np.diag(own) > 0).all() else None
+
+
+def found_in_site(document: SiteDoc) -> list[Found]:
+    """Give the transform between any two frames of a site, with the covariance of both together.
+
+    What two LiDARs have in common cancels in it. ``map`` counts as exact.
+
+    Raises
+    ------
+    Refusal, UsageError, MissingExtraError
+        As `tree_of`.
+    """
+    tree = tree_of(document)
+    to_site = {edge.child: edge.T_parent_child for edge in tree.edges if edge.parent == SITE}
+    lidars = {lidar.name: k for k, lidar in enumerate(tree.lidars)}
+    frames = {SITE: np.eye(4), **to_site}
+    if tree.has_map:
+        frames[MAP] = se3.inverse(tree.edges[0].T_parent_child)
+    size = len(tree.joint)
+    # The frames that are exact stand last, with no variance.
+    joint = np.zeros((size + 6, size + 6))
+    joint[:size, :size] = tree.joint
+
+    def between(parent: str, child: str) -> Found:
+        i, j = (lidars.get(name, len(lidars)) for name in (parent, child))
+        T, covariance = frames[parent], None
+        pose = relative(T, frames[child], joint_of(joint, i, j))
+        if (np.diag(pose.covariance) > 0).all():
+            covariance = pose.covariance
+        return Found(parent, child, lambda: pose.T_i_j, covariance)
+
+    return [between(a, b) for a in frames for b in frames if a != b]
+
+
+def grid_of(tree: Tree) -> Grid | None:
+    """What the projected system of a site does to lengths in the middle of it; None without one."""
+    if tree.frame.epsg is None:
+        return None
+    places = np.array([edge.T_parent_child[:3, 3] for edge in _lidar_edges(tree)])
+    (at,) = geodetic(tree.frame, places.mean(axis=0, keepdims=True))
+    return grid_at(tree.frame.epsg, at)
+
+
+def _lidar_edges(tree: Tree) -> Sequence[Transform]:
+    return [edge for edge in tree.edges if edge.parent == SITE]
+
+
+def notes_of(tree: Tree) -> list[str]:
+    """Say in words what the frames are, a line each, without line breaks.
+
+    Of a projected system also what it does to lengths, and by how much the tree, which has the
+    lengths of the ground, then differs from the coordinates in it.
+    """
+    frame = tree.frame
+    notes = [f"site {tree.name}; its frame: {frame.name}; fixed by: {tree.datum}"]
+    if frame.geodetic is not None:
+        degrees = ", ".join(f"{angle:.9f}" for angle in np.degrees(frame.geodetic[:2]))
+        of = "WGS 84" if frame.epsg is None else f"the datum of EPSG:{frame.epsg}"
+        less = f", less {frame.offset.tolist()} m" if np.any(frame.offset) else ""
+        notes.append(
+            f"{SITE}: east, north, up{less}, metres on the ground, from latitude and longitude "
+            f"{degrees} deg, height {frame.geodetic[2]:.3f} m on the ellipsoid of {of}"
+        )
+    grid = grid_of(tree)
+    if tree.has_map:
+        system = frame.name if grid is None or frame.geodetic is None else grid.name
+        notes.append(f"{MAP}: the frame that the survey is given in ({system}), full coordinates")
+    if grid is None:
+        return [printable(note) for note in notes]
+    notes += [grid.words, "heights are as surveyed, taken for heights above the ellipsoid"]
+    edges = _lidar_edges(tree)
+    places = np.array([edge.T_parent_child[:3, 3] for edge in edges])
+    exact = to_frame(frame, places)
+    if frame.geodetic is None:
+        notes.append(
+            f"{SITE}: coordinates of the grid less an offset: their lengths are not those on the "
+            "ground"
+        )
+    elif tree.has_map:
+        off = np.linalg.norm(se3.apply(tree.edges[0].T_parent_child, places) - exact, axis=1)
+        worst = int(off.argmax())
+        if off[worst] >= WORTH_SAYING:
+            notes.append(
+                f"the tree keeps lengths on the ground, so by it {edges[worst].child} is "
+                f"{1000 * off[worst]:.1f} mm from its coordinates in the grid; json and geojson "
+                "hold those exactly"
+            )
+    return [printable(note) for note in notes]
