@@ -211,3 +211,32 @@ def test_the_recording_holds_the_whole_tree_for_late_listeners() -> None:
         t, q = stamped.transform.translation, stamped.transform.rotation
         T = se3.from_quaternion_xyzw(np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z]))
         np.testing.assert_allclose(T, edge.T_parent_child, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("transforms", "reason"),
+    [
+        (None, "no list of objects"),
+        ({}, "no list of objects"),
+        ([1], "no list of objects"),
+        ([{}], "expected one of the keys"),
+        ([{"T_parent_child": [[1]], "parent": "a", "child": "b"}], "no rigid transform"),
+        ([{"T_parent_child": np.eye(4).tolist(), "parent": 1, "child": "b"}], "not a name"),
+        ([], "0 transforms fit"),
+    ],
+)
+def test_a_tree_that_is_not_sound_is_refused(transforms: Any, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "tree.json"
+    path.write_text(json.dumps({"schema": "retropole/tree/1", "transforms": transforms}))
+    with pytest.raises(ReadError, match=reason):
+        read_transform(path, parent="a", child="b")
+
+
+def test_a_frame_that_no_map_can_hold_is_refused() -> None:
+    document = sites.on_plan()
+    frame = msgspec.structs.replace(document.frame, offset_m=[1e12, 0.0, 0.0])
+    with pytest.raises(ReadError, match="beyond"):
+        tree_of(msgspec.structs.replace(document, frame=frame))
+    frame = msgspec.structs.replace(sites.in_utm().frame, epsg=1)
+    with pytest.raises(UsageError, match="in no register"):
+        tree_of(msgspec.structs.replace(document, frame=frame))

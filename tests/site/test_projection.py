@@ -59,3 +59,20 @@ def test_exchanged_coordinates_are_refused() -> None:
 
 def test_a_compound_system_gives_its_horizontal_part() -> None:
     assert projection.projected(7415).name == "EPSG:7415, Amersfoort / RD New"
+
+
+def test_a_place_that_a_system_is_not_meant_for_is_said() -> None:
+    # Norway uses zone 33 as far as Bergen; exchanged coordinates of the Netherlands lie in Germany.
+    assert "not meant for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
+    assert "not meant for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
+    frame = world.tangent_frame(28992, np.array([[470_000.0, 190_000.0, 0.0]]))
+    assert frame.geodetic is not None
+    assert "are its coordinates right" in projection.grid_at(28992, frame.geodetic).words
+
+
+def test_an_area_may_lie_across_180_degrees() -> None:
+    west, _, east, _ = projection.projected(3832).crs.area_of_use.bounds
+    assert west > east
+    for longitude, is_inside in ((179.0, True), (-179.0, True), (0.0, False)):
+        grid = projection.grid_at(3832, np.radians([0.1, longitude, 0.0]))
+        assert grid.in_area == is_inside

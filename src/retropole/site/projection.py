@@ -15,9 +15,9 @@ from ..datatypes import Array
 from ..errors import MissingExtraError, UsageError
 from .geodesy import Ellipsoid, mean_radius
 
-BEYOND_AREA = np.radians(5.0)
-"""How far outside its area of use a projected system is taken: most of a zone of 6° more. Exchanged
-east and north lie farther off."""
+BEYOND_AREA = np.radians(20.0)
+"""How far outside its area of use a projected system is taken: Norway uses the zone from 12° to 18°
+up to 31°. Exchanged east and north of UTM lie farther off."""
 
 
 class Projected(NamedTuple):
@@ -46,6 +46,8 @@ class Grid:
         True azimuth of grid north, rad: positive where it points east of true north.
     distortion
         Most by which the grid bends an angle, rad; zero for conformal systems.
+    in_area
+        Whether the place is where the register says that the system is used.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Grid:
     height_factor: float
     convergence: float
     distortion: float
+    in_area: bool
 
     @property
     def combined(self) -> float:
@@ -69,6 +72,11 @@ class Grid:
             f"({1000 * off:+.1f} mm, scale {self.scale:.7f}, for the height "
             f"{self.height_factor:.7f}), and grid north is "
             f"{np.degrees(abs(self.convergence)):.4f} deg {side} of true north"
+            + (
+                ""
+                if self.in_area
+                else "; it is not meant for this place: are its coordinates right?"
+            )
         )
 
 
@@ -144,6 +152,7 @@ def grid_at(epsg: int, at: Array) -> Grid:
         radius / (radius + float(at[2])),
         float(np.radians(factors.meridian_convergence)),
         float(np.radians(factors.angular_distortion)),
+        bool(_in_area(system, np.asarray(at)[None], 0.0)[0]),
     )
 
 
@@ -164,20 +173,27 @@ def project(system: Projected, at: Array) -> Array:
     return coordinates
 
 
+def _in_area(system: Projected, at: Array, beyond: float) -> NDArray[np.bool_]:
+    """Which places (N,) are no farther outside of where a system is used, rad."""
+    inside: NDArray[np.bool_] = np.asarray(np.isfinite(at).all(axis=1))
+    area = system.crs.area_of_use
+    if area is None:
+        return inside
+    at = np.where(inside[:, None], at, 0.0)
+    west, south, east, north = np.radians(area.bounds)
+    # An area may lie across the meridian of 180°, or all around.
+    half = ((east - west) % (2 * np.pi)) / 2 or np.pi
+    away = np.abs((at[:, 1] - west - half + np.pi) % (2 * np.pi) - np.pi)
+    inside &= away <= half + beyond
+    inside &= (at[:, 0] >= south - beyond) & (at[:, 0] <= north + beyond)
+    return inside
+
+
 def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
     """Refuse what lies far outside of where a system is used, as exchanged coordinates do."""
-    inside: NDArray[np.bool_] = np.asarray(np.isfinite(np.hstack([at, coordinates])).all(axis=1))
-    area = system.crs.area_of_use
-    at = np.where(inside[:, None], at, 0.0)
-    if area is not None:
-        west, south, east, north = np.radians(area.bounds)
-        middle = west + ((east - west) % (2 * np.pi)) / 2
-        half = ((east - west) % (2 * np.pi)) / 2 or np.pi
-        away = np.abs((at[:, 1] - middle + np.pi) % (2 * np.pi) - np.pi)
-        inside &= away <= half + BEYOND_AREA
-        inside &= (at[:, 0] >= south - BEYOND_AREA) & (at[:, 0] <= north + BEYOND_AREA)
-    if not inside.all():
-        k = int(np.argmin(inside))
+    inside = _in_area(system, at, BEYOND_AREA)
+    if not (inside.all() and np.isfinite(coordinates).all()):
+        k = int(np.argmin(inside & np.isfinite(coordinates).all(axis=1)))
         degrees = ", ".join(f"{angle:.3f}" for angle in np.degrees(at[k, :2]))
         raise UsageError(
             f"{coordinates[k, 0]:.3f} east, {coordinates[k, 1]:.3f} north lie at {degrees} deg, "
