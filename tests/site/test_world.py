@@ -13,7 +13,7 @@ from retropole import se3
 from retropole.datatypes import Array
 from retropole.errors import MissingExtraError, UsageError
 from retropole.site import geodesy, world
-from retropole.site.model import Frame
+from retropole.site.model import ControlPoint, Frame, Sighting, Site, SurveyedPole
 from retropole.site.projection import grid_at
 
 UTM = 25832
@@ -182,3 +182,42 @@ def test_another_datum_is_moved_to_wgs84_and_said() -> None:
     assert 100 < np.linalg.norm(away[0, :2]) < 200
     assert "DHDN to WGS 84" in found.datum
     assert found.accuracy is not None
+
+
+def surveyed_site(frame: Frame) -> Site:
+    """Give a site of two poles and a control point, less the frame's offset."""
+    local = POLES - frame.offset
+    return Site(
+        "yard",
+        lidars=(),
+        placements=("one",),
+        frame=frame,
+        poles=(
+            SurveyedPole("A", 0, local[0], local[1], 0.005),
+            SurveyedPole("B", 0, local[2], None, 0.005),
+        ),
+        points=(ControlPoint("P", local[3], 0.004, (Sighting(0, np.ones(3), 0.01),)),),
+    )
+
+
+def test_a_survey_in_a_grid_is_taken_to_metres_on_the_ground() -> None:
+    with_pyproj()
+    offset = np.array([691_000.0, 5_334_000.0, 500.0])
+    given = surveyed_site(Frame("EPSG:25832", surveyed=True, offset=offset, epsg=UTM))
+    site = world.in_metres(given)
+    first, second = site.poles
+    places = [first.foot, first.top, second.foot, site.points[0].at]
+    local = np.array([place for place in places if place is not None])
+    assert len(local) == len(POLES)
+    assert second.top is None
+    np.testing.assert_allclose(world.to_frame(site.frame, local), POLES, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(local, world.to_site(world.tangent_frame(UTM, POLES), POLES))
+    assert site.points[0].seen == given.points[0].seen
+    # Once is enough.
+    assert world.in_metres(site) is site
+
+
+def test_a_metric_site_stays_as_it_is() -> None:
+    for frame in (ENU, Frame("plan", surveyed=True, offset=np.array([4e5, 5.7e6, 0.0]))):
+        site = surveyed_site(frame)
+        assert world.in_metres(site) is site

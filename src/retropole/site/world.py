@@ -3,8 +3,8 @@
 An adjustment counts in metres on the ground; the coordinates of a projected system do not. At the
 central meridian of a UTM zone 30 m on the ground are 29.988 m in the grid, and everywhere else in
 the zone its north is not true north. So a survey in a projected system is taken to an
-east-north-up frame that touches the earth in the middle of it (`tangent_frame`, `to_site`), the
-adjustment runs there, and what it found is taken back (`to_frame`, `pose_in_frame`).
+east-north-up frame that touches the earth in the middle of it (`in_metres`), the adjustment runs
+there, and what it found is taken back (`to_frame`, `pose_in_frame`).
 
 What the coordinates of a site are follows from its `Frame`:
 
@@ -29,6 +29,7 @@ Projected systems need PROJ, by the extra ``world``; all else is in closed form.
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ from .. import se3
 from ..datatypes import Array
 from ..errors import UsageError
 from .geodesy import enu_axes, geodetic_of_local, local_of
-from .model import Frame
+from .model import Frame, Site
 from .projection import grid_at, project, projected, unproject
 
 LEVEL = np.sin(np.radians(1.0))
@@ -103,6 +104,41 @@ def to_site(frame: Frame, coordinates: Array) -> Array:
         system = projected(frame.epsg)
         full = local_of(unproject(system, full), _origin(frame), system.ellipsoid)
     return np.asarray(full - frame.offset)
+
+
+def in_metres(site: Site) -> Site:
+    """Take a site that was surveyed in a projected system to its metric frame (`tangent_frame`).
+
+    What LiDARs measure is as it was. A site in any other frame is metric already, and stays.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `tangent_frame`.
+    """
+    frame = site.frame
+    ends = [end for pole in site.poles for end in (pole.foot, pole.top) if end is not None]
+    places = [*ends, *(point.at for point in site.points)]
+    if frame.epsg is None or frame.geodetic is not None or not places:
+        return site
+    metric = tangent_frame(frame.epsg, np.array(places) + frame.offset)
+
+    def moved(place: Array) -> Array:
+        return np.asarray(to_site(metric, (place + frame.offset)[None])[0])
+
+    return replace(
+        site,
+        frame=metric,
+        poles=tuple(
+            replace(
+                pole,
+                foot=None if pole.foot is None else moved(pole.foot),
+                top=None if pole.top is None else moved(pole.top),
+            )
+            for pole in site.poles
+        ),
+        points=tuple(replace(point, at=moved(point.at)) for point in site.points),
+    )
 
 
 def to_frame(frame: Frame, xyz: Array) -> Array:
