@@ -61,6 +61,18 @@ def test_a_compound_system_gives_its_horizontal_part() -> None:
     assert projection.projected(7415).name == "EPSG:7415, Amersfoort / RD New"
 
 
+def test_a_system_that_bends_angles_says_so_and_by_how_much() -> None:
+    at = np.radians([50.0, 20.0, 0.0])
+    grid = projection.grid_at(3035, at)
+    assert "it is not conformal" in grid.words
+    assert "conformal" not in projection.grid_at(25834, at).words
+    ways = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0, np.pi, 181)])
+    frame = Frame("f", surveyed=True, epsg=3035, geodetic=at)
+    full = world.to_frame(frame, np.vstack([np.zeros(3), ways]))
+    lengths = np.linalg.norm(full[1:, :2] - full[0, :2], axis=1)
+    assert (lengths.max() - lengths.min()) / 2 == pytest.approx(grid.distortion / 2, rel=0.01)
+
+
 def test_a_place_that_a_system_is_not_meant_for_is_said() -> None:
     # Norway uses zone 33 as far as Bergen; exchanged coordinates of the Netherlands lie in Germany.
     assert "not meant for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words

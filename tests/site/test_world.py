@@ -14,7 +14,7 @@ from retropole.datatypes import Array
 from retropole.errors import MissingExtraError, UsageError
 from retropole.site import geodesy, world
 from retropole.site.model import ControlPoint, Frame, Sighting, Site, SurveyedPole
-from retropole.site.projection import grid_at
+from retropole.site.projection import grid_at, projected
 
 UTM = 25832
 POLES = np.array(
@@ -87,12 +87,16 @@ def without_pyproj(monkeypatch: pytest.MonkeyPatch) -> None:
         return imported(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", absent)
+    projected.cache_clear()
 
 
 def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     without_pyproj(monkeypatch)
     with pytest.raises(MissingExtraError, match=r"retropole\[world\]"):
         world.tangent_frame(UTM, POLES)
+    in_grid = Frame("EPSG:25832", surveyed=True, epsg=UTM)
+    with pytest.raises(MissingExtraError, match=r"retropole\[world\]"):
+        world.on_wgs84(in_grid, POLES)
 
 
 def transverse_mercator(latitude: float, longitude: float) -> Array:

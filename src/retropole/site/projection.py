@@ -6,6 +6,7 @@ PROJ knows them, by pyproj, the extra ``world``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,10 @@ from .geodesy import Ellipsoid, mean_radius
 BEYOND_AREA = np.radians(20.0)
 """How far outside its area of use a projected system is taken: Norway uses the zone from 12° to 18°
 up to 31°. Exchanged east and north of UTM lie farther off."""
+
+
+CONFORMAL = 1e-5
+"""Up to which a distortion of angles is rounding, rad: 0.3 mm at 30 m."""
 
 
 class Projected(NamedTuple):
@@ -67,19 +72,24 @@ class Grid:
         """Say what that means for a site, in one line."""
         off = 30.0 * (self.combined - 1)
         side = "east" if self.convergence >= 0 else "west"
-        return (
+        words = (
             f"{self.name}: 30 m on the ground are {30.0 + off:.4f} m in the grid "
             f"({1000 * off:+.1f} mm, scale {self.scale:.7f}, for the height "
             f"{self.height_factor:.7f}), and grid north is "
             f"{np.degrees(abs(self.convergence)):.4f} deg {side} of true north"
-            + (
-                ""
-                if self.in_area
-                else "; it is not meant for this place: are its coordinates right?"
-            )
         )
+        if self.distortion > CONFORMAL:
+            # Scales along and across differ by sin(distortion / 2) of their mean either way.
+            words += (
+                f"; it is not conformal: in some directions 30 m are {15e3 * self.distortion:.1f} "
+                f"mm more or less, and angles bend by up to {np.degrees(self.distortion):.3f} deg"
+            )
+        if not self.in_area:
+            words += "; it is not meant for this place: are its coordinates right?"
+        return words
 
 
+@lru_cache(maxsize=8)
 def projected(epsg: int) -> Projected:
     """Look up a projected system.
 

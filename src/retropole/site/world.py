@@ -189,14 +189,15 @@ def on_wgs84(frame: Frame, xyz: Array) -> OnWgs84:
     """
     if frame.epsg is None:
         return OnWgs84(geodetic(frame, xyz), "", None)
+    system = projected(frame.epsg)
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
     full = to_frame(frame, xyz)
-    step = Transformer.from_crs(projected(frame.epsg).crs, "EPSG:4326", always_xy=True)
+    step = Transformer.from_crs(system.crs, "EPSG:4326", always_xy=True)
     longitude, latitude = step.transform(full[:, 0], full[:, 1])
     if not np.isfinite([longitude, latitude]).all():
-        raise UsageError(f"PROJ has no way from {projected(frame.epsg).name} to WGS 84 there")
+        raise UsageError(f"PROJ has no way from {system.name} to WGS 84 there")
     moved = np.column_stack([np.radians(latitude), np.radians(longitude), full[:, 2]])
     with suppress(ProjError):
         # Of several operations, the one for this place.
