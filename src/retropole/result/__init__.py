@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from .. import __version__
@@ -342,5 +343,8 @@ def result_document(
 
 
 def encode(document: msgspec.Struct) -> bytes:
-    """Write a document as indented JSON."""
-    return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+    """Write a document as indented JSON; numbers of NumPy become Python's."""
+    return (
+        msgspec.json.format(msgspec.json.encode(document, enc_hook=np.generic.item), indent=1)
+        + b"\n"
+    )

@@ -112,6 +112,11 @@ def budget_document(uncertainty: Uncertainty | None) -> list[BudgetEntryDoc] | N
     """Write every source of error, the largest first; None where they are not known."""
     if uncertainty is None:
         return None
+    return budget_entries(uncertainty.budget)
+
+
+def budget_entries(budget: Sequence[BudgetEntry]) -> list[BudgetEntryDoc]:
+    """Write sources of error, the largest first."""
     return [
         BudgetEntryDoc(
             entry.name,
@@ -121,7 +126,7 @@ def budget_document(uncertainty: Uncertainty | None) -> list[BudgetEntryDoc] | N
             None if entry.estimated is None else float(entry.estimated),
             float(entry.share_at_30m),
         )
-        for entry in sorted(uncertainty.budget, key=lambda entry: -entry.share_at_30m)
+        for entry in sorted(budget, key=lambda entry: -entry.share_at_30m)
     ]
 
 

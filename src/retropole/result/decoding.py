@@ -15,7 +15,7 @@ import numpy as np
 from .. import se3
 from ..errors import ReadError
 from ..uncertainty import covariance_fault
-from . import COVARIANCE_ORDER, PoseEstimateDoc, ResultDoc
+from . import COVARIANCE_ORDER, PoseEstimateDoc, ReasonDoc, ResultDoc
 from .bounded import LARGEST, Covariance, Pose
 
 CODE = re.compile("[a-z][a-z0-9_]{,59}")
@@ -70,12 +70,23 @@ def _check_verdict(document: ResultDoc) -> None:
     if sum(hypothesis.chosen for hypothesis in document.hypotheses) > 1:
         raise ReadError("hypotheses: more than one is chosen")
     for k, reason in enumerate(document.reasons):
-        # One of another version is a code all the same, and comes with its message.
-        if not CODE.fullmatch(reason.code):
-            raise ReadError(f"reasons[{k}].code: {reason.code[:50]!r} is no code")
-        for name, value in reason.values.items():
-            if not isinstance(value, str) and not abs(value) <= LARGEST:
-                raise ReadError(f"reasons[{k}].values[{name[:50]!r}]: beyond {LARGEST:g}")
+        check_reason(reason, f"reasons[{k}]")
+
+
+def check_reason(reason: ReasonDoc, name: str) -> None:
+    """Check the code and the numbers of a reason; `name` is that of its field.
+
+    Raises
+    ------
+    ReadError
+        Where the code is none, or a number is beyond `LARGEST`.
+    """
+    # One of another version is a code all the same, and comes with its message.
+    if not CODE.fullmatch(reason.code):
+        raise ReadError(f"{name}.code: {reason.code[:50]!r} is no code")
+    for key, value in reason.values.items():
+        if not isinstance(value, str) and not abs(value) <= LARGEST:
+            raise ReadError(f"{name}.values[{key[:50]!r}]: beyond {LARGEST:g}")
 
 
 def _stages(document: ResultDoc) -> Iterator[tuple[str, PoseEstimateDoc]]:

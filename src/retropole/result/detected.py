@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from ..datatypes import Detection, Pole
+from ..datatypes import Detection, Pole, RejectedCluster
 from .bounded import Count, Number, Size, Text, Vector
 
 
@@ -76,6 +76,11 @@ def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
     ]
 
 
+def rejected_documents(rejected: Sequence[RejectedCluster]) -> list[RejectedDoc]:
+    """Write rejected clusters as the result document holds them."""
+    return [RejectedDoc(r.centre.tolist(), len(r.index), r.code, r.reason) for r in rejected]
+
+
 def detection_document(detection: Detection, source: InputDoc) -> DetectionDoc:
     """Write what was found in one cloud, the rejected clusters included."""
     return DetectionDoc(
@@ -83,8 +88,5 @@ def detection_document(detection: Detection, source: InputDoc) -> DetectionDoc:
         threshold_source=detection.threshold_source,
         retro_points=detection.retro_points,
         poles=pole_documents(detection.poles),
-        rejected=[
-            RejectedDoc(r.centre.tolist(), len(r.index), r.code, r.reason)
-            for r in detection.rejected
-        ],
+        rejected=rejected_documents(detection.rejected),
     )

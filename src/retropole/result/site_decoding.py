@@ -1,0 +1,178 @@
+"""Reading the result document of a site that may have been edited, cut short or made elsewhere.
+
+Whoever holds one that was decoded relies on it: every number is finite, rotations rotate,
+covariances are covariances that agree with each other, and every index finds what it points to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import numpy as np
+
+from .. import se3
+from ..errors import ReadError
+from ..uncertainty import covariance_fault
+from . import COVARIANCE_ORDER, ReasonDoc
+from .decoding import check_reason
+from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
+
+BLOCKS_AGREE = 1e-6
+"""A LiDAR's covariance is its block of the joint one, but for this part of the largest number."""
+
+UNIT = 1e-6
+"""A direction is as long as 1 but for this."""
+
+
+def decode_site(data: bytes) -> SiteDoc:
+    """Read the result document of a site.
+
+    Raises
+    ------
+    ReadError
+        Where it is not one; names the field, and says what is wrong with it.
+    """
+    try:
+        document = msgspec.json.decode(data, type=SiteDoc)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ReadError(f"no result document of a site: {error}") from None
+    _check_verdict(document)
+    _check_indices(document)
+    _check_poses(document)
+    _check_directions(document)
+    return document
+
+
+def _check_verdict(document: SiteDoc) -> None:
+    """Hold the status, the names and what must be there against each other."""
+    names = [lidar.name for lidar in document.lidars]
+    if len(set(names)) < len(names):
+        raise ReadError("lidars: two have the same name")
+    if document.covariance_order != COVARIANCE_ORDER:
+        raise ReadError(f"covariance_order: expected {' '.join(COVARIANCE_ORDER)}")
+    if document.covariance_frame != SITE_COVARIANCE_FRAME:
+        raise ReadError(f"covariance_frame: expected {SITE_COVARIANCE_FRAME}")
+    if document.joint_order != joint_order(names):
+        raise ReadError("joint_order: expected six rows for each LiDAR, in their order")
+    answered = document.status != "refused"
+    for k, lidar in enumerate(document.lidars):
+        for name in ("T_site_lidar", "covariance"):
+            if answered != (getattr(lidar, name) is not None):
+                raise ReadError(f"lidars[{k}].{name}: {_there(answered, document.status)}")
+    if answered != (document.joint_covariance is not None):
+        raise ReadError(f"joint_covariance: {_there(answered, document.status)}")
+    for name, reason in _reasons(document):
+        check_reason(reason, name)
+
+
+def _there(answered: bool, status: str) -> str:
+    return f"{'none' if answered else 'there is one'}, and the status is {status}"
+
+
+def _reasons(document: SiteDoc) -> Iterator[tuple[str, ReasonDoc]]:
+    """Every reason with the name of its field."""
+    for k, reason in enumerate(document.reasons):
+        yield f"reasons[{k}]", reason
+    for k, pair in enumerate(document.pairs):
+        if pair.refusal is not None:
+            yield f"pairs[{k}].refusal", pair.refusal
+    for i, of_lidar in enumerate(document.found):
+        for j, found in enumerate(of_lidar):
+            if found is not None and found.refusal is not None:
+                yield f"found[{i}][{j}].refusal", found.refusal
+
+
+def _check_indices(document: SiteDoc) -> None:
+    """Let every index find a LiDAR, a placement or a pole."""
+    counts = {
+        "lidar": len(document.lidars),
+        "placement": len(document.placements),
+        "pole": len(document.poles),
+        "surveyed": len(document.surveyed_poles),
+    }
+    for name, of, indices in _indices(document):
+        beyond = [index for index in indices if index is not None and index >= counts[of]]
+        if beyond:
+            raise ReadError(f"{name}: {beyond[0]}, there are {counts[of]}")
+    for k, pair in enumerate(document.pairs):
+        if pair.lidars[0] >= pair.lidars[1]:
+            raise ReadError(f"pairs[{k}].lidars: expected two, the lower first")
+    grouped = [index for group in document.groups for index in group]
+    if grouped and sorted(grouped) != list(range(len(document.lidars))):
+        raise ReadError("groups: every LiDAR is in one group")
+    rows = {"found": (len(document.found), len(document.lidars))} if document.found else {}
+    rows |= {
+        f"found[{k}]": (len(row), len(document.placements)) for k, row in enumerate(document.found)
+    }
+    for name, (count, expected) in rows.items():
+        if count != expected:
+            raise ReadError(f"{name}: {count} entries, expected {expected}")
+    recorded = {(each.lidar, each.placement) for each in document.inputs}
+    if len(recorded) < len(document.inputs):
+        raise ReadError("inputs: two of the same LiDAR and placement")
+
+
+def _indices(document: SiteDoc) -> Iterator[tuple[str, str, Sequence[int | None]]]:
+    """Every index: the name of its field, of what it is one, and the indices."""
+    yield "reference", "lidar", (document.reference,)
+    for k, group in enumerate(document.groups):
+        yield f"groups[{k}]", "lidar", group
+    for k, pole in enumerate(document.poles):
+        yield f"poles[{k}].placement", "placement", (pole.placement,)
+        yield f"poles[{k}].seen_by", "lidar", pole.seen_by
+        yield f"poles[{k}].surveyed", "surveyed", (pole.surveyed,)
+    for k, pair in enumerate(document.pairs):
+        yield f"pairs[{k}].lidars", "lidar", pair.lidars
+    for k, loop in enumerate(document.loops):
+        yield f"loops[{k}].lidars", "lidar", loop.lidars
+    for k, test in enumerate(document.tests):
+        yield f"tests[{k}].lidar", "lidar", (test.lidar,)
+        yield f"tests[{k}].placement", "placement", (test.placement,)
+        yield f"tests[{k}].pole", "pole", (test.pole,)
+    for k, without in enumerate(document.without):
+        yield f"without[{k}].placement", "placement", (without.placement,)
+        yield f"without[{k}].lidar", "lidar", (without.lidar,)
+    for k, surveyed in enumerate(document.surveyed_poles):
+        yield f"surveyed_poles[{k}].placement", "placement", (surveyed.placement,)
+    for k, point in enumerate(document.control_points):
+        yield f"control_points[{k}].seen", "lidar", [each.lidar for each in point.seen]
+    for k, source in enumerate(document.inputs):
+        yield f"inputs[{k}].lidar", "lidar", (source.lidar,)
+        yield f"inputs[{k}].placement", "placement", (source.placement,)
+
+
+def _check_poses(document: SiteDoc) -> None:
+    """Check rotations and covariances, and that the joint one holds those of the LiDARs."""
+    if document.joint_covariance is None:
+        return
+    size = 6 * len(document.lidars)
+    if [len(row) for row in document.joint_covariance] != [size] * size:
+        raise ReadError(f"joint_covariance: expected {size} rows of {size} numbers")
+    joint = np.array(document.joint_covariance, dtype=float)
+    fault = covariance_fault(joint, is_part=True)
+    if fault is not None:
+        raise ReadError(f"joint_covariance: {fault}")
+    for k, lidar in enumerate(document.lidars):
+        try:
+            se3.rigid(np.array(lidar.T_site_lidar, dtype=float))
+        except ReadError as error:
+            raise ReadError(f"lidars[{k}].T_site_lidar: {error}") from None
+        own = np.array(lidar.covariance, dtype=float)
+        fault = covariance_fault(own, is_part=True)
+        if fault is not None:
+            raise ReadError(f"lidars[{k}].covariance: {fault}")
+        block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        if np.abs(own - block).max() > BLOCKS_AGREE * np.abs(block).max():
+            raise ReadError(f"lidars[{k}].covariance: not its block of joint_covariance")
+
+
+def _check_directions(document: SiteDoc) -> None:
+    """Let every direction be a unit vector."""
+    directions = [(f"poles[{k}]", pole.direction) for k, pole in enumerate(document.poles)]
+    for k, lidar in enumerate(document.lidars):
+        if lidar.up is not None:
+            directions.append((f"lidars[{k}].up", lidar.up.direction))
+    for name, direction in directions:
+        if abs(float(np.linalg.norm(direction)) - 1) > UNIT:
+            raise ReadError(f"{name}.direction: no unit vector")
