@@ -70,7 +70,7 @@ def test_page_asks_for_nothing_from_anywhere() -> None:
     assert str(policy["content"]).startswith("default-src 'none';")
     assert "unsafe" not in str(policy["content"])
     hashed = re.findall(r"<(?:script|style)>(.*?)</(?:script|style)>", html, re.DOTALL)
-    assert len(hashed) == 4
+    assert len(hashed) == 5
     for text in hashed:
         digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         assert f"'sha256-{digest}'" in str(policy["content"])

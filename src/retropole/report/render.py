@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
 from ..datatypes import Placement
 from ..files import write_atomically
@@ -18,6 +14,7 @@ from .certificate import certificate
 from .markup import share_styles
 from .missing import missing_poles
 from .names import LIDARS, input_names
+from .page import fill_page
 from .uncertainty import uncertainty
 from .view_data import embed_json, page_view
 
@@ -27,6 +24,7 @@ MAX_PAGE_POINTS = 100_000
 MAX_PAGE_POINTS_TOGETHER = 600_000
 """Points of all clouds together where there are many placements: the page stays under 8 MB."""
 
+SCRIPTS = ("three.min.js", "page.js", "view.js", "app.js")
 
 CERTIFICATE_BUTTON = '<button type="button" id="print-certificate">Print certificate</button>'
 
@@ -78,13 +76,6 @@ def render_report(
     budget = min(max_points, MAX_PAGE_POINTS_TOGETHER // (2 * len(placements)))
     view = page_view(result, placements, names, budget)
     several = f" (and {len(placements) - 1} more)" if len(placements) > 1 else ""
-    assets = files(__package__) / "assets"
-    page = Template((assets / "template.html").read_text(encoding="utf-8"))
-    style = (assets / "style.css").read_text(encoding="utf-8") + share_styles()
-    scripts = {
-        name: (assets / file).read_text(encoding="utf-8")
-        for name, file in (("three", "three.min.js"), ("view_js", "view.js"), ("app_js", "app.js"))
-    }
     sheet = certificate(result, site, serials)
     lacking = missing_poles(result, placements)
     parts = {
@@ -96,31 +87,21 @@ def render_report(
         "placements": evidence.placements(result),
         "run": evidence.provenance(result),
     }
-    return page.substitute(
-        title=escape(f"{target_name} ← {source_name}{several}"),
-        several=escape(several),
-        status=escape(result.status),
-        target_name=escape(target_name),
-        source_name=escape(source_name),
-        created=escape(result.created),
-        certificate=sheet,
-        certificate_button=CERTIFICATE_BUTTON if sheet else "",
-        verdict=sections.verdict(result, notes),
-        links=_links(parts),
-        shown=escape(view.placements[0].shown),
-        style=style,
-        style_hash=_source_of(style),
-        script_hashes=" ".join(map(_source_of, scripts.values())),
-        data=embed_json(view),
-        **scripts,
-        **parts,
-    )
-
-
-def _source_of(text: str) -> str:
-    """Name a script or a style by its hash: the page runs these and no others."""
-    digest = hashlib.sha256(text.encode("utf-8")).digest()
-    return f"'sha256-{base64.b64encode(digest).decode()}'"
+    parts |= {
+        "title": escape(f"{target_name} ← {source_name}{several}"),
+        "several": escape(several),
+        "status": escape(result.status),
+        "target_name": escape(target_name),
+        "source_name": escape(source_name),
+        "created": escape(result.created),
+        "certificate": sheet,
+        "certificate_button": CERTIFICATE_BUTTON if sheet else "",
+        "verdict": sections.verdict(result, notes),
+        "links": _links(parts),
+        "shown": escape(view.placements[0].shown),
+        "data": embed_json(view),
+    }
+    return fill_page("template.html", ("style.css",), SCRIPTS, parts, share_styles())
 
 
 def write_report(

@@ -307,16 +307,9 @@ function topView(canvas, pad, clouds) {
   };
 }
 
-/** Draw what lies over the points: range circles, sensors, poles, marked points, rejected clusters, the ellipsoid. */
-function drawMarks(context, pane, lens, scene, style) {
-  const halo = `rgba(${style.ground.join(",")},0.85)`;
-  const css = (c) => `rgb(${c.join(",")})`;
-  context.save();
-  context.beginPath();
-  context.rect(pane.x, pane.y, pane.w, pane.h);
-  context.clip();
-  context.lineCap = "round";
-
+/** What draws lines, labels and spots over the points, each with a halo in the colour of the ground. */
+function penFor(context, lens, ground) {
+  const halo = `rgba(${ground.join(",")},0.85)`;
   function trace(points) {
     context.beginPath();
     let open = false, before = null;
@@ -368,6 +361,18 @@ function drawMarks(context, pane, lens, scene, style) {
     context.fillStyle = colour;
     context.fillText(text, ...at);
   }
+  return { halo, trace, line, spot, label };
+}
+
+/** Draw what lies over the points: range circles, sensors, poles, marked points, rejected clusters, the ellipsoid. */
+function drawMarks(context, pane, lens, scene, style) {
+  const { halo, trace, line, spot, label } = penFor(context, lens, style.ground);
+  const css = (c) => `rgb(${c.join(",")})`;
+  context.save();
+  context.beginPath();
+  context.rect(pane.x, pane.y, pane.w, pane.h);
+  context.clip();
+  context.lineCap = "round";
 
   const base = scene.clouds[pane.frame];
   context.strokeStyle = style.faint;
