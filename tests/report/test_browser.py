@@ -144,7 +144,7 @@ def test_file_name_stays_text(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(hostile, placements))
     assert "<script>window.injected=1" in browser.find("h1").text
     assert browser.run("return window.injected") is None
-    assert browser.run("return document.scripts.length") == 4
+    assert browser.run("return document.scripts.length") == 5
 
 
 @pytest.mark.parametrize("empty", [False, True])

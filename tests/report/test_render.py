@@ -94,7 +94,7 @@ def test_text_of_the_run_stays_text() -> None:
         created=HOSTILE,
     )
     page = Page(render_report(hostile, placements))
-    assert [tag for tag, _ in page.tags].count("script") == 4
+    assert [tag for tag, _ in page.tags].count("script") == 5
     assert page.open == []
     assert page.text.count("window.injected=1") >= 9
     assert json.loads(page.data)["status"] == HOSTILE

@@ -51,7 +51,7 @@ def verdict(result: ResultDoc, notes: Sequence[str] = ()) -> str:
     status = result.status
     title, words = VERDICTS.get(status, (status, ""))
     paths = tuple(item.path for item in result.inputs)
-    items = "".join(_reason(reason, paths) for reason in result.reasons)
+    items = "".join(reason_item(reason, paths) for reason in result.reasons)
     kind = status if status in VERDICTS else "refused"
     alerts = "".join(f'<p class="alert" role="note">{escape(note)}</p>' for note in notes)
     return (
@@ -89,7 +89,7 @@ def _next_steps(result: ResultDoc) -> str:
     return f'<div class="advice next"><b>What to do next</b><ol>{items}</ol></div>'
 
 
-def _reason(reason: ReasonDoc, paths: tuple[str, ...]) -> str:
+def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> str:
     """Show a reason: what happened here, what its code means, and what to do about it."""
     # A path keeps its small letter, also at the start.
     kind = "said" if reason.message.startswith(paths) else "said sentence"
@@ -150,7 +150,7 @@ def transform(result: ResultDoc) -> str:
     )
     lines = export_lines(T, *FRAMES)
     first, more = (
-        "".join(_to_copy(key, text) for key, text in lines.items() if (key in UNFOLDED) is wanted)
+        "".join(to_copy(key, text) for key, text in lines.items() if (key in UNFOLDED) is wanted)
         for wanted in (True, False)
     )
     if more:
@@ -166,14 +166,14 @@ def transform(result: ResultDoc) -> str:
     )
 
 
-def transform_matrix(T: Array) -> str:
-    """Lay out a transform (4, 4) as a matrix."""
+def transform_matrix(T: Array, name: str = "T_target_source") -> str:
+    """Lay out a transform (4, 4) as a matrix under its name."""
     cells = "".join(
         "<tr>" + "".join(f"<td>{value:.6f}</td>" for value in row) + "</tr>" for row in T
     )
     return (
-        '<div class="scroll" tabindex="0" role="region" aria-label="matrix">'
-        f'<table class="matrix"><caption>T_target_source</caption>{cells}</table></div>'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(name)}">'
+        f'<table class="matrix"><caption>{escape(name)}</caption>{cells}</table></div>'
     )
 
 
@@ -202,11 +202,12 @@ def pose_parts(T: Array) -> str:
     return f'<dl class="parts">{named}</dl>'
 
 
-def _to_copy(key: str, text: str) -> str:
+def to_copy(key: str, text: str, whose: str = "") -> str:
+    """Show a transform in one format with a button that copies it, and say aloud whose it is."""
     title = escape(FORMATS[key].title)
     return (
-        f'<figure class="copy"><figcaption>{title}'
-        f'<button type="button" class="copy-button" aria-label="Copy: {title}">Copy</button>'
+        f'<figure class="copy"><figcaption>{title}<button type="button" class="copy-button" '
+        f'aria-label="Copy: {title}{escape(whose)}">Copy</button>'
         f'</figcaption><pre tabindex="0" data-export="{escape(key)}">{escape(text.strip())}</pre>'
         "</figure>"
     )

@@ -110,9 +110,12 @@ def _residuals(result: ResultDoc) -> str:
 
 def _budget(result: ResultDoc) -> str:
     """List every source of error, the largest first, each with a bar as long as its share."""
-    if not result.budget:
-        return ""
-    entries = sorted(result.budget, key=lambda entry: -entry.share_at_30m)
+    return budget_table(result.budget) if result.budget else ""
+
+
+def budget_table(budget: Sequence[BudgetEntryDoc]) -> str:
+    """List sources of error, the largest first; those of a small share are folded away."""
+    entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
     # At least the largest is shown, also of a budget of many equal parts.
     shown = max(1, sum(entry.share_at_30m >= FOLDED_BELOW for entry in entries))
     rest, folded = entries[shown:], ""
