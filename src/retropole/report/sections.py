@@ -180,21 +180,22 @@ def transform_matrix(T: Array, name: str = "T_target_source") -> str:
 def pose_parts(T: Array) -> str:
     """Write a transform (4, 4) as translation, quaternion and angles."""
     parts = (
-        ("translation", "xyz", T[:3, 3], ".4f", " m"),
-        ("quaternion", "xyzw", se3.quaternion_xyzw(T[:3, :3]), ".6f", ""),
+        ("translation", "xyz", T[:3, 3], 4, " m"),
+        ("quaternion", "xyzw", se3.quaternion_xyzw(T[:3, :3]), 6, ""),
         (
             "angles",
             ("roll", "pitch", "yaw"),
             np.degrees(se3.rpy_from_rotation(T[:3, :3])),
-            ".3f",
+            3,
             "°",
         ),
     )
     named = "".join(
         f"<dt>{part}</dt><dd>"
         + "".join(
-            f"<span><b>{name}</b> {value:{digits}}{unit}</span>"
-            for name, value in zip(names, values, strict=True)
+            # What is rounded to nothing is no negative zero.
+            f"<span><b>{name}</b> {round(value, digits) + 0.0:.{digits}f}{unit}</span>"
+            for name, value in zip(names, values.tolist(), strict=True)
         )
         + "</dd>"
         for part, names, values, digits, unit in parts

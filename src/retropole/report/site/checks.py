@@ -58,14 +58,13 @@ def tests(document: SiteDoc) -> str:
         return ""
     ordered = sorted(document.tests, key=lambda each: -abs(each.w or 0.0))
     shown, rest = ordered[:SHOWN_TESTS], ordered[SHOWN_TESTS:]
-    blind = [
-        each for each in ordered if each.redundancy is not None and each.redundancy < UNCHECKED
-    ]
     folded = (
         f"<details><summary>{len(rest)} more</summary>{_tests('The other tests', rest)}</details>"
         if rest
         else ""
     )
+    shares = [each.redundancy for each in ordered if each.redundancy is not None]
+    blind = sum(share < UNCHECKED for share in shares)
     unchecked = (
         f"<p>Nothing checks {counted(blind, 'observation')}: an error there would not be seen.</p>"
         if blind

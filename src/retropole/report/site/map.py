@@ -70,6 +70,9 @@ def _figure(document: SiteDoc, plan: Plan) -> str:
     labels = Labels(WIDTH, height)
     for x, y in [*to_picture(lidars), *to_picture(points), *to_picture(ends.mean(axis=1))]:
         labels.keep_free(x, y, 6.0)
+    # The corners of the scale bar and of north.
+    labels.keep_free(40.0, height - 10.0, 40.0)
+    labels.keep_free(WIDTH - 35.0, 30.0, 35.0)
     factor, ellipses = _ellipses(document, R, to_picture(lidars), scale)
     bar = round_below(0.3 * (WIDTH - 2 * MARGIN) / scale)
     marks = [
@@ -195,7 +198,7 @@ def _direction(plan: Plan) -> str:
 
 def _caption(document: SiteDoc, plan: Plan, factor: float | None) -> str:
     """Say what the picture shows, also for those who do not see it."""
-    up = f"Seen from above; up is {plan.words}."
+    up = f"Seen from above, taking for up {plan.words}."
     north = f" {plan.north.capitalize()} is at the top." if plan.north else ""
     ellipses = (
         " No LiDAR has an ellipse: where it stands is without error."
@@ -223,7 +226,7 @@ def _places(document: SiteDoc) -> str:
             (
                 lidar.name,
                 *(number(float(v), 3) for v in at),
-                " ".join(error(float(s)) for s in sigma) if sigma.any() else MISSING,
+                ", ".join(error(float(s)) for s in sigma) if sigma.any() else MISSING,
             )
         )
     caption = f"Where the LiDARs stand, {document.frame.name}"

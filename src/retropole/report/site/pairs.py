@@ -27,6 +27,9 @@ RADIUS = 145.0
 LABELLED_PAIRS = 10
 """Up to so many lines all bear their w; of more only those beyond `DOUBT_W`."""
 
+SHOWN_PAIRS = 12
+"""So many pairs are listed at once; the page unfolds the others."""
+
 LEVELS = (
     ("calm", f"|w| up to {DOUBT_W:g}"),
     ("doubt", f"{DOUBT_W:g} to {LIMIT_W:g}"),
@@ -112,7 +115,7 @@ def _figure(document: SiteDoc) -> str:
 def _table(document: SiteDoc) -> str:
     refused = document.status == "refused"
     ordered = sorted(document.pairs, key=lambda each: (-abs(each.w or 0.0), each.lidars))
-    rows = [
+    rows: list[tuple[object, ...]] = [
         (
             " – ".join(document.lidars[k].name for k in pair.lidars),
             number(None if pair.w is None else abs(pair.w), 1)
@@ -125,4 +128,12 @@ def _table(document: SiteDoc) -> str:
         for pair in ordered
     ]
     header = ("pair", "|w|", "shared poles", "patches", "the pair alone")
-    return table("Pairs, the largest |w| first", header, rows, (4,))
+    listed = table(
+        "Pairs" if refused else "Pairs, the largest |w| first", header, rows[:SHOWN_PAIRS], (4,)
+    )
+    rest = rows[SHOWN_PAIRS:]
+    if not rest:
+        return listed
+    others = table("The other pairs", header, rest, (4,))
+    folded = f"<details><summary>{len(rest)} more</summary>{others}</details>"
+    return f'<div class="stack">{listed}{folded}</div>'

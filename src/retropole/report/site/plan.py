@@ -39,7 +39,7 @@ def plan_of(document: SiteDoc) -> Plan:
     for lidar in document.lidars:
         if lidar.up is not None and lidar.T_site_lidar is not None:
             up = np.array(lidar.T_site_lidar)[:3, :3] @ np.array(lidar.up.direction)
-            return Plan(_turning(up), f"as the inertial sensor of {lidar.name} says", None)
+            return Plan(_turning(up), f"what the inertial sensor of {lidar.name} says", None)
     if not document.poles:
         return Plan(np.eye(3), "the z axis of the site's frame", None)
     return Plan(_turning(_along_poles(document)), "the way the poles stand on average", None)

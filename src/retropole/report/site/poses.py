@@ -38,8 +38,8 @@ def poses(document: SiteDoc) -> str:
         rows.append(
             (
                 lidar.name,
-                *(number(float(v), 4) for v in T[:3, 3]),
-                *(number(float(v), 3) for v in angles),
+                *(number(round(float(v), 4) + 0.0, 4) for v in T[:3, 3]),
+                *(number(round(float(v), 3) + 0.0, 3) for v in angles),
                 error(far_error(lidar)),
                 MISSING if lidar.fitness is None else lidar.fitness.answer,
             )

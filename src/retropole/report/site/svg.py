@@ -15,8 +15,9 @@ LONGEST_LABEL = 18
 LETTER = 0.58
 """Width of a letter over the size of the font, on average (measured on sans-serif fonts)."""
 
-FONT = 15.0
-"""Size of the labels in a picture's own units: 11 px on a phone of 390 px."""
+FONT = 17.0
+"""Size of the labels in a picture's own units, between those of a screen (15) and of a phone (18:
+11 px where the picture is 330 px wide)."""
 
 _AROUND = (
     *((1, 0, "start"), (-1, 0, "end"), (0, -1.3, "middle"), (0, 1.3, "middle")),

@@ -49,7 +49,11 @@ def _fitness(document: SiteDoc) -> str:
     asked = [(each.name, each.fitness) for each in document.lidars if each.fitness is not None]
     if not asked:
         return ""
-    short = [f"{name}: {fitness.words}" for name, fitness in asked if fitness.answer != "yes"]
+    short = [
+        f"{name}: {fitness.words.partition(': ')[2] or fitness.words}"
+        for name, fitness in asked
+        if fitness.answer != "yes"
+    ]
     first = asked[0][1]
     need = f"Within {100 * first.within_m:g} cm at {first.at_m:g} m"
     if not short:
@@ -74,8 +78,9 @@ def _accuracy(document: SiteDoc) -> list[str]:
     worst = _worst(document)
     if worst is not None:
         said.append(
-            f"A point {BUDGET_RANGE:g} m from its LiDAR lands within {plus_minus(worst[0])} (1 σ) "
-            f"of its true place in the site, or closer; worst is {worst[1]}."
+            f"A point {BUDGET_RANGE:g} m from its LiDAR is expected to land within "
+            f"{plus_minus(worst[0])} (1 σ) of its true place in the site; that is the worst, of "
+            f"{worst[1]}."
         )
     return said
 
