@@ -25,6 +25,15 @@ FOLDED_BELOW = 0.005
 """Sources of error with a smaller share, written ``< 1 %``, are folded away."""
 
 
+BUDGET_NOTE = (
+    '<p class="note">1 σ: how large an error of that kind may be; of what is no error of an '
+    f"instrument or a pole, how far it moves a point {BUDGET_RANGE:g} m away. Estimated: what "
+    "these data say of it; the pose is free of that. Share: of the variance of where a point "
+    f"{BUDGET_RANGE:g} m away lands; all shares make 100 %.</p>"
+)
+"""What the columns of `budget_table` mean."""
+
+
 def uncertainty(result: ResultDoc) -> str:
     """Show the covariance, what it means at each range, and what it is made of."""
     if result.T_target_source is None:
@@ -110,7 +119,7 @@ def _residuals(result: ResultDoc) -> str:
 
 def _budget(result: ResultDoc) -> str:
     """List every source of error, the largest first, each with a bar as long as its share."""
-    return budget_table(result.budget) if result.budget else ""
+    return budget_table(result.budget) + BUDGET_NOTE if result.budget else ""
 
 
 def budget_table(budget: Sequence[BudgetEntryDoc]) -> str:
@@ -125,15 +134,8 @@ def budget_table(budget: Sequence[BudgetEntryDoc]) -> str:
             f"<details><summary>{len(rest)} smaller, together {together}</summary>"
             f"{_entries('The rest of the error budget', rest)}</details>"
         )
-    return (
-        "<h3>What the error is made of</h3>"
-        + _entries("Error budget", entries[:shown])
-        + folded
-        + '<p class="note">1 σ: how large an error of that kind may be; of what is no error of an '
-        f"instrument or a pole, how far it moves a point {BUDGET_RANGE:g} m away. Estimated: what "
-        "these data say of it; the pose is free of that. Share: of the variance of where a point "
-        f"{BUDGET_RANGE:g} m away lands; all shares make 100 %.</p>"
-    )
+    shown_entries = _entries("Error budget", entries[:shown])
+    return f"<h3>What the error is made of</h3>{shown_entries}{folded}"
 
 
 def _entries(caption: str, entries: Sequence[BudgetEntryDoc]) -> str:

@@ -14,7 +14,7 @@ from ...result.site import SiteDoc
 from ...result.site_parts import LidarDoc
 from ..markup import MISSING, number, table
 from ..sections import pose_parts, to_copy, transform_matrix
-from ..uncertainty import budget_table
+from ..uncertainty import BUDGET_NOTE, budget_table
 from .svg import colour_class
 from .verdict import far_error
 
@@ -56,7 +56,9 @@ def poses(document: SiteDoc) -> str:
         f"rotations about the fixed axes x, then y, then z. Frame: {escape(document.frame.name)}. "
         f"{_offset(document)}</p>"
         + table("Poses of all LiDARs", header, rows)
-        + f'<div class="lidars">{unfolded}</div></section>'
+        + f'<div class="lidars">{unfolded}</div>'
+        + (BUDGET_NOTE if any(lidar.budget for lidar in document.lidars) else "")
+        + "</section>"
     )
 
 
