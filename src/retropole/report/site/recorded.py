@@ -32,7 +32,7 @@ def found(document: SiteDoc) -> str:
         '<section aria-labelledby="found"><h2 id="found">What was found</h2>'
         "<p>Poles that each LiDAR sees in each placement, and retro-reflective clusters that are "
         "none. Two poles in common link two LiDARs.</p>"
-        + table("Poles found", header, rows, range(1, len(header)))
+        + table("Poles found in each placement", header, rows, range(1, len(header)))
         + listed
         + "</section>"
     )
