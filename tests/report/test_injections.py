@@ -141,7 +141,7 @@ def check_report(browser: Browser, tmp_path: Path, start: int) -> set[str]:
     counted = """return ['script', 'style', 'link', 'meta', 'base', 'img', 'animate', 'math',
         'iframe', 'object', 'video', 'audio', 'form', 'textarea', 'template'].map(
         (tag) => document.getElementsByTagName(tag).length)"""
-    assert browser.run(counted) == [4, 1, 1, 4, *[0] * 11]
+    assert browser.run(counted) == [5, 1, 1, 4, *[0] * 11]
     attributes = """return [...document.querySelectorAll('*')].flatMap((e) => [...e.attributes])
         .filter((a) => a.name.startsWith('on')
           || a.name === 'style' && a.ownerElement.tagName !== 'CANVAS'

@@ -122,8 +122,16 @@ def _budget(result: ResultDoc) -> str:
     return budget_table(result.budget) + BUDGET_NOTE if result.budget else ""
 
 
-def budget_table(budget: Sequence[BudgetEntryDoc]) -> str:
-    """List sources of error, the largest first; those of a small share are folded away."""
+def budget_table(budget: Sequence[BudgetEntryDoc], whose: bool = True) -> str:
+    """List sources of error, the largest first; those of a small share are folded away.
+
+    Parameters
+    ----------
+    budget
+        Sources of error.
+    whose
+        Whether a column says which LiDAR's each is; in a site its name does.
+    """
     entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
     # At least the largest is shown, also of a budget of many equal parts.
     shown = max(1, sum(entry.share_at_30m >= FOLDED_BELOW for entry in entries))
@@ -132,17 +140,17 @@ def budget_table(budget: Sequence[BudgetEntryDoc]) -> str:
         together = percent(sum(entry.share_at_30m for entry in rest))
         folded = (
             f"<details><summary>{len(rest)} smaller, together {together}</summary>"
-            f"{_entries('The rest of the error budget', rest)}</details>"
+            f"{_entries('The rest of the error budget', rest, whose)}</details>"
         )
-    shown_entries = _entries("Error budget", entries[:shown])
+    shown_entries = _entries("Error budget", entries[:shown], whose)
     return f"<h3>What the error is made of</h3>{shown_entries}{folded}"
 
 
-def _entries(caption: str, entries: Sequence[BudgetEntryDoc]) -> str:
+def _entries(caption: str, entries: Sequence[BudgetEntryDoc], whose: bool) -> str:
     rows = [
         (
             entry.name,
-            entry.sensor or MISSING,
+            *([entry.sensor or MISSING] if whose else []),
             error(entry.sigma, entry.unit),
             value(entry.estimated, entry.sigma, entry.unit),
             percent(entry.share_at_30m),
@@ -150,8 +158,9 @@ def _entries(caption: str, entries: Sequence[BudgetEntryDoc]) -> str:
         for entry in entries
     ]
     bars = [(entry.sensor or "both", entry.share_at_30m) for entry in entries]
-    header = ("source of error", "LiDAR", "1 σ", "estimated", f"share at {BUDGET_RANGE:g} m")
-    return table(caption, header, rows, (1,), bars)
+    lidar = ["LiDAR"] if whose else []
+    header = ("source of error", *lidar, "1 σ", "estimated", f"share at {BUDGET_RANGE:g} m")
+    return table(caption, header, rows, (1,) if whose else (), bars)
 
 
 def _matrix(result: ResultDoc, caption: str, matrix: Matrix) -> str:

@@ -124,7 +124,7 @@ def scan_of(k: int, placement: int, count: int) -> Scan:
     refusal = (
         None
         if len(poles) > 1
-        else Refusal("too_few_poles", f"{len(poles)} pole found, two are needed", {"poles": 1})
+        else Refusal("too_few_poles", f"poles found: {len(poles)}, two are needed", {"poles": 1})
     )
     return Scan(PointCloud(points, intensity), None, detection, refusal)
 
@@ -205,7 +205,7 @@ def made_up_site(
         loops=_loops(lidars),
         tests=_tests(lidars, placements, status),
         without=tuple(
-            WithoutPlacement(j, 2e-4 * (j + 1), 1.5e-3 * (j + 1), j + 1)
+            WithoutPlacement(j, 2e-4 * (j + 1), 1.5e-3 * (j + 1), (j + 1) % lidars)
             if j < 3
             else WithoutPlacement(j, None, None, None)
             for j in range(placements if placements > 1 else 0)

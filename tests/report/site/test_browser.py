@@ -42,7 +42,7 @@ def test_keys_switch_lidars_and_placements(browser: Browser, tmp_path: Path) -> 
     for key in "134":
         browser.press(key)
     assert browser.root("lidars") == "0100"
-    assert "mast-b; placement morning" in browser.find("#state").text
+    assert "mast-b; placement 1: morning" in browser.find("#state").text
     alone = browser.picture()
     assert np.abs(all_on - alone).max() > 50
     # Its colour is seen, and that of the others is not.

@@ -7,7 +7,7 @@ import re
 import msgspec
 
 from retropole.report.site import checks
-from retropole.report.site.checks import SHOWN_TESTS, loops, without
+from retropole.report.site.checks import SHOWN, loops, without
 from tests.report.made_up import Page
 from tests.report.site.made_up import document_of, made_up_site
 
@@ -29,7 +29,7 @@ def test_tests_go_by_w_and_the_rest_is_folded() -> None:
     named = rows(html)
     assert named[0] == "pole 2 of morning as mast-b sees it"
     assert len(named) == len(DOCUMENT.tests)
-    assert len(rows(html.split("<details>")[0])) == SHOWN_TESTS
+    assert len(rows(html.split("<details>")[0])) == SHOWN
     assert "6.30 stands out" in html
     assert html.count("stands out") == 1
 

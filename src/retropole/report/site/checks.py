@@ -10,11 +10,12 @@ from ...quantities import counted, error
 from ...result.site import SiteDoc
 from ...result.site_checks import TestDoc
 from ..markup import MISSING, number, table
+from .names import placement_name
 from .pairs import LIMIT_W
 from .verdict import probability
 
-SHOWN_TESTS = 12
-"""So many tests are shown at once, the largest w first; the page unfolds the others."""
+SHOWN = 12
+"""So many loops and tests are shown at once, the worst first; the page unfolds the others."""
 
 UNCHECKED = 0.01
 """Less redundancy than this is none: nothing would show an error there."""
@@ -37,13 +38,20 @@ def loops(document: SiteDoc) -> str:
         )
         for loop in sorted(document.loops, key=lambda each: _or_one(each.probability))
     ]
+    rest = rows[SHOWN:]
     header = ("loop", "rotation, deg", "translation, mm", "χ²", "freedom", "probability")
     return (
         '<section aria-labelledby="loops"><h2 id="loops">Loops</h2>'
         "<p>The poses of the pairs alone, one after the other around a loop, must lead back to "
         "where they started. χ² is how far they miss it, squared, in units of its covariance; the "
         "probability is that of missing by as much or more by chance.</p>"
-        + table("Misclosures, the least likely first", header, rows)
+        + table("Misclosures, the least likely first", header, rows[:SHOWN])
+        + (
+            f"<details><summary>{len(rest)} more</summary>"
+            f"{table('The other loops', header, rest)}</details>"
+            if rest
+            else ""
+        )
         + "</section>"
     )
 
@@ -57,7 +65,7 @@ def tests(document: SiteDoc) -> str:
     if not document.tests:
         return ""
     ordered = sorted(document.tests, key=lambda each: -abs(each.w or 0.0))
-    shown, rest = ordered[:SHOWN_TESTS], ordered[SHOWN_TESTS:]
+    shown, rest = ordered[:SHOWN], ordered[SHOWN:]
     folded = (
         f"<details><summary>{len(rest)} more</summary>{_tests('The other tests', rest)}</details>"
         if rest
@@ -111,7 +119,7 @@ def without(document: SiteDoc) -> str:
         return ""
     rows = [
         (
-            f"{each.placement + 1}: {document.placements[each.placement]}",
+            placement_name(document.placements, each.placement),
             number(each.rotation_rad, 3, 180 / np.pi),
             number(each.translation_m, 1, 1000),
             MISSING if each.lidar is None else document.lidars[each.lidar].name,

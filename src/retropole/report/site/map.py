@@ -11,6 +11,7 @@ from ...datatypes import Array
 from ...quantities import error
 from ...result.site import SiteDoc
 from ..markup import MISSING, number, table
+from .names import pole_labels
 from .plan import Plan
 from .svg import FONT, Labels, colour_class, large, round_below, short
 
@@ -31,16 +32,6 @@ SEEN_ELLIPSE = 34.0
 
 CORNERS = 33
 """Points of an ellipse."""
-
-
-def pole_labels(document: SiteDoc) -> list[str]:
-    """Name each pole for the pictures: ``2.1`` is the first pole of the second placement."""
-    count = [0] * len(document.placements)
-    labels = []
-    for pole in document.poles:
-        count[pole.placement] += 1
-        labels.append(f"{pole.placement + 1}.{count[pole.placement]}")
-    return labels
 
 
 def site_map(document: SiteDoc, plan: Plan) -> str:

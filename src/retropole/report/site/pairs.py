@@ -60,10 +60,11 @@ def pairs(document: SiteDoc) -> str:
     """Draw the pairs as a graph, and list them, those with the largest w first."""
     if not document.pairs:
         return ""
+    decided = "" if document.status == "refused" else " and others decide"
     return (
         '<section aria-labelledby="pairs"><h2 id="pairs">Pairs</h2>'
         "<p>Every line is a pair of LiDARs: solid where the pair decides its pose by itself, "
-        "dashed where it leaves several ways or has none and others decide. Its colour and width "
+        f"dashed where it leaves several ways or has none{decided}. Its colour and width "
         "say how well both agree: <i>w</i> is the largest normalised residual of what they share."
         f'</p><div class="columns">{_figure(document)}{_table(document)}</div></section>'
     )

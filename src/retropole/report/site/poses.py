@@ -31,7 +31,8 @@ def poses(document: SiteDoc) -> str:
     """Show the poses of all LiDARs: a summary, and each unfolded."""
     if document.status == "refused":
         return ""
-    rows = []
+    rows: list[tuple[object, ...]] = []
+    asked = any(lidar.fitness is not None for lidar in document.lidars)
     for lidar in document.lidars:
         T = np.array(lidar.T_site_lidar)
         angles = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
@@ -41,12 +42,12 @@ def poses(document: SiteDoc) -> str:
                 *(number(round(float(v), 4) + 0.0, 4) for v in T[:3, 3]),
                 *(number(round(float(v), 3) + 0.0, 3) for v in angles),
                 error(far_error(lidar)),
-                MISSING if lidar.fitness is None else lidar.fitness.answer,
+                *([MISSING if lidar.fitness is None else lidar.fitness.answer] if asked else []),
             )
         )
     header = (
         *("LiDAR", "x, m", "y, m", "z, m", "roll, deg", "pitch, deg", "yaw, deg"),
-        *("1 σ at 30 m", "good enough"),
+        *("1 σ at 30 m", *(["good enough"] if asked else [])),
     )
     unfolded = "".join(_lidar(document, k) for k in range(len(document.lidars)))
     return (
@@ -89,7 +90,7 @@ def _lidar(document: SiteDoc, k: int) -> str:
         + f'<div class="columns">{transform_matrix(T, f"T_site_lidar of {lidar.name}")}'
         f"{pose_parts(T)}{_certainty(lidar)}</div>"
         f'<div class="to-copy">{_copies(document, k)}</div>'
-        + (budget_table(lidar.budget) if lidar.budget else "")
+        + (budget_table(lidar.budget, whose=False) if lidar.budget else "")
         + "</details>"
     )
 

@@ -12,6 +12,7 @@ from ...result.site import SiteDoc
 from ...result.site_parts import FoundDoc
 from ..markup import MISSING, number, table
 from ..text import left_out_words
+from .names import placement_name
 
 
 def found(document: SiteDoc) -> str:
@@ -22,7 +23,7 @@ def found(document: SiteDoc) -> str:
         (lidar.name, *(_cell(each) for each in of_lidar))
         for lidar, of_lidar in zip(document.lidars, document.found, strict=True)
     ]
-    header = ("LiDAR", *(f"{j}: {name}" for j, name in enumerate(document.placements, 1)))
+    header = ("LiDAR", *_placements(document))
     refused = document.status == "refused"
     listed = "".join(
         _lidar(document, k, of_lidar, refused) for k, of_lidar in enumerate(document.found)
@@ -31,10 +32,14 @@ def found(document: SiteDoc) -> str:
         '<section aria-labelledby="found"><h2 id="found">What was found</h2>'
         "<p>Poles that each LiDAR sees in each placement, and retro-reflective clusters that are "
         "none. Two poles in common link two LiDARs.</p>"
-        + table("Poles found", header, rows, range(1, len(header)))
+        + table("Poles found in each placement", header, rows, range(1, len(header)))
         + listed
         + "</section>"
     )
+
+
+def _placements(document: SiteDoc) -> list[str]:
+    return [placement_name(document.placements, j) for j in range(len(document.placements))]
 
 
 def _cell(each: FoundDoc | None) -> str:
@@ -48,11 +53,11 @@ def _cell(each: FoundDoc | None) -> str:
 
 def _lidar(document: SiteDoc, k: int, of_lidar: Sequence[FoundDoc | None], unfold: bool) -> str:
     poles, rejected, refusals = [], [], []
-    for name, each in zip(document.placements, of_lidar, strict=True):
+    for name, each in zip(_placements(document), of_lidar, strict=True):
         if each is None:
             continue
         if each.refusal is not None:
-            refusals.append(f"{name}: {each.refusal.message}.")
+            refusals.append(f"Placement {name}: {each.refusal.message}.")
         for pole in each.poles:
             figures = [number(v, 2) for v in pole.point_m]
             size = (number(pole.length_m, 2), pole.points, pole.rings, number(pole.rms_m, 1, 1000))
@@ -90,7 +95,7 @@ def run(document: SiteDoc) -> str:
     inputs = [
         (
             document.lidars[item.lidar].name,
-            f"{item.placement + 1}: {document.placements[item.placement]}",
+            placement_name(document.placements, item.placement),
             item.path,
             f"{item.points:,}",
             f"{item.dropped:,}" + (f" ({left_out_words(item)})" if left_out_words(item) else ""),

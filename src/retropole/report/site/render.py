@@ -136,7 +136,7 @@ def _viewer(view: SiteView | None) -> str:
     )
     placements = "".join(
         f'<button type="button" data-place="{j}" aria-pressed="false"{_key(j, "Shift+")}>'
-        f"{j + 1}: {escape(name)}</button>"
+        f"{escape(name)}</button>"
         for j, name in enumerate(view.placements)
     )
     template = (files("retropole.report") / "assets" / "site-viewer.html").read_text("utf-8")

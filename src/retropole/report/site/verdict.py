@@ -96,7 +96,7 @@ def _checks(document: SiteDoc) -> list[str]:
             f"none above {LIMIT_W:g}" if not high else f"{counted(high, 'test')} above {LIMIT_W:g}"
         )
         said.append(
-            f"{counted(len(tests), 'test')} of what was observed: {beyond}, the largest "
+            f"{counted(len(tests), 'test')} of what the poses rest on: {beyond}, the largest "
             f"|w| is {number(abs(largest.w or 0.0), 1)} ({largest.name})."
         )
     loops = [each.probability for each in document.loops if each.probability is not None]

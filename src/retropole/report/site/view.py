@@ -14,7 +14,7 @@ from ...result.site_parts import SitePoleDoc
 from ...site.model import SiteCalibration
 from ..points import MAX_SHOWN_RANGE, PackedCloud, pack_cloud
 from ..view_data import LineView
-from .map import pole_labels
+from .names import placement_name, pole_labels
 from .plan import Plan
 from .svg import COLOURS
 
@@ -106,7 +106,7 @@ def site_view(document: SiteDoc, calibration: SiteCalibration, plan: Plan) -> Si
     return SiteView(
         document.status,
         lidars,
-        document.placements,
+        [placement_name(document.placements, j) for j in range(len(document.placements))],
         clouds,
         poles,
         centre.tolist(),
