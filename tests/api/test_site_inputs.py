@@ -109,6 +109,17 @@ def test_a_survey_in_a_projected_system_is_taken_to_metres_on_the_ground(tmp_pat
     assert np.linalg.norm(second - first) / grid == pytest.approx(1 / 0.9996, abs=2e-5)
 
 
+def test_a_projected_system_that_is_none_is_told_before_any_recording_is_read(
+    tmp_path: Path,
+) -> None:
+    path = write_site(tmp_path, SURVEY + "[reference]\nepsg = 32767\n")
+    pytest.importorskip("pyproj", reason="needs the extra world")
+    read: list[str] = []
+    with pytest.raises(ReadError, match=r"site\.toml: reference, epsg: EPSG:32767 is in no"):
+        read_site(path, on_read=lambda given: read.append(given.name))
+    assert not read
+
+
 def test_a_point_that_is_too_far_off_is_named(tmp_path: Path) -> None:
     path = write_site(tmp_path, SURVEY.replace("500_020.0", "50_020.0"))
     with pytest.raises(

@@ -91,7 +91,8 @@ def test_after_an_error_an_older_result_is_set_aside(
     done = retropole_here("site", "calibrate", path, "--out", out, "--json")
     assert done.returncode == 2
     assert "lidar 1 (mast-a): " in done.stderr
-    assert json.loads(done.stdout)["error"]["code"] == "unreadable"
+    error = json.loads(done.stdout)["error"]
+    assert (error["code"], error["read_on"]) == ("unreadable", "site.html")
     names = {each.name for each in out.iterdir()}
     assert names == {"older-site-result.json", "older-site-report.html"}
 

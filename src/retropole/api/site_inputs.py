@@ -27,6 +27,7 @@ from ..site.model import (
     SurveyedPole,
     Up,
 )
+from ..site.projection import projected
 from ..site.world import in_metres
 from ..uncertainty.purpose import Need
 from .inputs import Input, input_documents, read_input
@@ -95,7 +96,12 @@ def read_site(
         for n, recording in enumerate(lidar.recordings)
         if recording
     }
-    # All are looked for before one is read: that takes long.
+    # What can be told now is told before recordings are read: that takes long.
+    if file.reference.epsg is not None:
+        try:
+            projected(file.reference.epsg)
+        except UsageError as error:
+            raise ReadError(f"{path}: reference, epsg: {error}") from None
     for (k, n), recording in wanted.items():
         if not recording.exists():
             raise ReadError(f"{_where(path, file, k, n)}: {recording}: no such file")

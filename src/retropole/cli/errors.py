@@ -63,6 +63,9 @@ def failure_of(error: Exception, command: str) -> Failure:
         case MissingExtraError():
             install = f"pip install 'retropole[{error.extra}]'"
             return Failure("missing_extra", str(error), (install,), "install.html")
+        case ReadError() if command == "retropole site calibrate":
+            look = "check the site file, and the recordings that it names"
+            return Failure("unreadable", str(error), (look,), "site.html")
         case ReadError():
             look = "check the path and the file; 'retropole info FILE' says what a recording holds"
             return Failure("unreadable", str(error), (look,), "troubleshooting.html")
