@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from .. import se3
 from ..datatypes import Array, IntArray
+from ..se3 import lengths
 from ..systematic import DEVICE, RADIUS, Layout
 from .patches import PATCH_NEIGHBOURS, Patches, selected
 
@@ -38,6 +39,10 @@ BLENDED = 4
 
 CLUSTER_SIDE = 2.0
 """Residuals of patches within a cube of this side, metres, are counted as correlated."""
+
+MAX_LEAN = 0.08
+"""Patches of two LiDARs count the less the more differently they lean for the noise of the beams'
+pointing, rad, and not at all beyond this."""
 
 MIN_HOLD = 6.0
 """A direction of the pose counts as held by the scene with so many times the information that the
@@ -215,6 +220,8 @@ def pair_patches(
     between = moved[s] - blended(target.centres)
     residuals = np.einsum("mi,mi->m", normal, between)
     agreement = agreement * _smooth(residuals / limit[s])
+    lean = source.lean[s] @ T[:3, :3].T - blended(target.lean)
+    agreement = agreement * _smooth(lengths(lean) / MAX_LEAN)
     by_source = np.einsum("mi,mij->mj", normal @ T[:3, :3], source.by_error[s])
     rows = np.repeat(np.arange(len(s)), BLENDED)
     blend = csr_matrix(

@@ -45,13 +45,6 @@ POINTING_NOISE = float(np.radians(0.02))
 """1 σ of the direction of single beams, rad, where nothing is known of it: LiDARs' manuals name
 0.01 to 0.1° as angular accuracy."""
 
-MAX_LEAN = 0.01
-"""Most that a plane may lean for it, rad. Returns of beams that point a little off are recorded on
-the nominal beams, along which they scatter: seen at a slant, a patch of one or two rings leans into
-the beams' own plane. LiDARs next to each other see it lean alike; across a site they do not. Of a
-crane with five (seed 1 of the field family in benchmarks/site.py) rotations were off by 0.034°, 4 σ,
-in the middle, with 0.02 and with 0.005 by 0.011°, 1.4 σ."""
-
 MAX_PATCHES = 4000
 """Patches of each size and cloud: every n-th is taken so that about so many are left."""
 
@@ -72,6 +65,9 @@ class Patches:
         (M,) variance of the normals, rad².
     thickness
         (M,) variance of the points across the patch, m².
+    lean
+        (M, 3) how far it leans towards the beams for the noise of their pointing: a slope, rad,
+        along the surface away from the LiDAR.
     bands
         (M, PATCH_NEIGHBOURS) the band of elevation that each point of the patch came from.
     by_error
@@ -84,6 +80,7 @@ class Patches:
     rays: Array
     tilt: Array
     thickness: Array
+    lean: Array
     bands: IntArray
     by_error: Array
 
@@ -123,7 +120,9 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     if len(points) < PATCH_NEIGHBOURS or not len(at):
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, PATCH_NEIGHBOURS), dtype=np.int64)
-        return Patches(none, none, none, nothing, nothing, bands, np.zeros((0, 3, DEVICE + 2)))
+        return Patches(
+            none, none, none, nothing, nothing, none, bands, np.zeros((0, 3, DEVICE + 2))
+        )
     tree = small_gicp.KdTree(points)
     index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
     index = np.asarray(index, dtype=np.intp)
@@ -138,8 +137,8 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     # The plane of one ring and a point beside it goes through that point, whatever its error.
     aside = np.einsum("mki,mi->mk", centred, vectors[:, :, 1]) ** 2
     flat &= aside.max(axis=1) < MAX_LEVERAGE * aside.sum(axis=1)
-    flat &= _lean(centres - origin, vectors[:, :, 0], spread) < MAX_LEAN
     centres, normals = centres[flat], vectors[flat, :, 0]
+    lean = _lean(centres - origin, normals, spread[flat])
     ranges = lengths(centres - origin)
     rays = (centres - origin) / ranges[:, None]
     cosine = np.einsum("mi,mi->m", normals, rays)
@@ -164,17 +163,19 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
         rays,
         tilt,
         np.maximum(thickness, MIN_THICKNESS**2),
+        lean,
         band[index[flat]],
         np.concatenate([device, ring], axis=2),
     )
 
 
 def _lean(rays: Array, normals: Array, spread: Array) -> Array:
-    """How far planes (M,) lean towards the beams for the noise of their pointing, rad.
+    """How far planes lean towards the beams for the noise of their pointing: slopes (M, 3), rad.
 
-    A beam that points ε off meets the plane ``ρ ε tan(i)`` farther or nearer, i the incidence. That
-    scatter along the ray goes ``sin(i) cos(i)`` of itself squared into the covariance of height and
-    distance, which over the variance of the distance is a slope.
+    A beam that points ε off meets the plane ``ρ ε tan(i)`` farther or nearer, i the incidence, and
+    its return is recorded on the nominal beam. That scatter along the ray goes ``sin(i) cos(i)`` of
+    itself squared into the covariance of height and distance, which over the variance of the
+    distance is a slope.
 
     Parameters
     ----------
@@ -190,4 +191,4 @@ def _lean(rays: Array, normals: Array, spread: Array) -> Array:
     across /= np.maximum(sine, 1e-9)[:, None]
     variance = np.einsum("mi,mij,mj->m", across, spread, across)
     scatter = (ranges * POINTING_NOISE) ** 2 * sine**3 / np.maximum(away, 1e-3)
-    return np.asarray(scatter / np.maximum(variance, 1e-12))
+    return np.asarray(across * (scatter / np.maximum(variance, 1e-12))[:, None])
