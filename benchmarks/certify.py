@@ -38,7 +38,6 @@ SENSORS = (("XT32", "PandarQT"), ("VLP-16", "VLP-16"), ("XT32", "XT32"), ("HDL-3
 RADIUS = 0.02
 
 HEALTHY: Mapping[str, tuple[NoiseModel, int, bool]] = {
-    "typical, 1 sweep": (TYPICAL, 1, True),
     "typical, 3 sweeps": (TYPICAL, 3, True),
     "typical, 3 sweeps, sensors not named": (TYPICAL, 3, False),
     "field, 1 sweep": (FIELD, 1, True),

@@ -36,13 +36,7 @@ __all__ = [
 ]
 
 Code = (
-    RefusedCode
-    | WarningCode
-    | CheckCode
-    | SiteCode
-    | FieldTestCode
-    | OtherMethodCode
-    | ClusterCode
+    RefusedCode | WarningCode | CheckCode | SiteCode | FieldTestCode | OtherMethodCode | ClusterCode
 )
 
 

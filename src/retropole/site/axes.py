@@ -21,7 +21,7 @@ from ..alignment.climb import (
     POLE_STEP,
     start_of,
 )
-from ..alignment.factor import POSE, expand
+from ..alignment.factor import POSE, expand_lidar
 from ..alignment.observations import Beams, beams_of
 from ..alignment.posterior import SHARED, Posterior, Priors, State, evaluate
 from ..alignment.solver import levenberg_marquardt
@@ -29,12 +29,11 @@ from ..alignment.views import (
     MAX_LATERAL_NOISE,
     MIN_LATERAL_NOISE,
     MIN_NOISE,
-    exact_view,
     find_view,
 )
-from ..datatypes import Array, PointCloud, Pole
+from ..datatypes import Array, IntArray, PointCloud, Pole
 from ..sensors import Sensor
-from ..systematic import RADIUS, ErrorModel, groups_of, sizes_of
+from ..systematic import RADIUS, ErrorModel, Layout, band_of, groups_of, sizes_of
 
 FLOOR_POINT, FLOOR_LEAN = 0.002, 0.001
 """1 σ of an axis across itself and of its direction that no model names, metres and rad: glow
@@ -91,13 +90,15 @@ def find_axes(
         Of the poles, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it.
     """
     beams = beams_of(seen, sensor)
-    nobody = _without_any(beams)
+    # Both are the same LiDAR: what is said of the second is not used.
     start, log_noise = start_of(beams, beams, np.eye(4), radius)
     state, noise = climb_alone(start, beams, log_noise[0])
-    views = find_view(state, 0, beams, noise), exact_view(len(seen), noise)
-    expansion = expand(state, views, (beams, nobody), radius)
-    information = expansion.information[0][POSE:, POSE:]
-    groups, sizes = groups_of(expansion.layout), sizes_of(sensor)
+    view = find_view(state, 0, beams, noise)
+    nobody: IntArray = np.zeros(0, dtype=np.int64)
+    layout = Layout((np.unique(band_of(beams.directions, beams.axis)), nobody))
+    information, gradient, _ = expand_lidar(state, 0, beams, view, layout)
+    information = information[POSE:, POSE:]
+    groups, sizes = groups_of(layout), sizes_of(sensor)
     sigma = ErrorModel(sizes, sizes, max(radius_sigma, RADIUS_TOLERANCE * radius)).sigmas(groups)
     precision = prior_precision(groups, sigma)
     errors = len(precision)
@@ -105,7 +106,7 @@ def find_axes(
     whole[np.arange(errors), np.arange(errors)] += precision
     # Axes and errors together: what the returns show of an error is taken out of the axes.
     rows = np.linalg.inv(whole)[errors:]
-    step = np.r_[np.zeros(SHARED), rows @ expansion.gradient[0][POSE:]]
+    step = np.r_[np.zeros(SHARED), rows @ gradient[POSE:]]
     passed = rows[:, :errors] * precision * sigma[groups.label]
     of_radius = passed[:, RADIUS].copy()
     passed[:, RADIUS] = 0.0
@@ -138,7 +139,7 @@ def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Ar
     """
     priors = Priors((0.0, 0.0), state.radius, 0.0)
 
-    def advance(now: Posterior, step: Array, damping: float) -> Posterior:
+    def advance(now: Posterior[State], step: Array, damping: float) -> Posterior[State]:
         noise = now.log_noise + now.noise_step / (1.0 + damping)
         depth = max(noise[0, 0], np.log(MIN_NOISE))
         bounds = depth + np.log([MIN_LATERAL_NOISE, MAX_LATERAL_NOISE])
@@ -157,10 +158,3 @@ def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Ar
         max_iterations=MAX_POLE_ITERATIONS,
     )
     return found.point.state, np.exp(found.point.log_noise[0])
-
-
-def _without_any(beams: Beams) -> Beams:
-    """Give a LiDAR that sent no beams, in the place of the other one."""
-    none, no_pole = np.zeros(0), np.zeros(0, dtype=np.int64)
-    no_ray = np.zeros((0, 3))
-    return Beams(beams.origin, beams.axis, no_ray, none, no_pole, none, none, no_ray, no_pole, none)
