@@ -97,11 +97,11 @@ def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
         words.append("variances were not compared: that takes 3 sweeps or more of each LiDAR")
     else:
         words.append(_variances(pair.variances))
-    for k, seen in enumerate(pair.poles):
-        alone = seen.target + seen.source - 2 * seen.compared
-        if alone and seen.compared:
-            which = f" of placement {k + 1}" if len(pair.poles) > 1 else ""
-            words.append(f"{counted(alone, 'pole')}{which} seen by one LiDAR only: not compared")
+    alone = sum(
+        seen.target + seen.source - 2 * seen.compared for seen in pair.poles if seen.compared
+    )
+    if alone:
+        words.append(f"{counted(alone, 'pole')} seen by one LiDAR only: not compared")
     if pair.status == "fail":
         words.append(
             "what to do: record again; if it fails again, a pole moved between the recordings, or "
