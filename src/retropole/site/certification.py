@@ -224,14 +224,14 @@ def compare(
     """
     a, b = measured
     # Both measure the same poles: of what the radius changes, only the difference counts.
-    square = a.sigma**2 + b.sigma**2 - 2.0 * a.radius * b.radius
+    square = a.standard_uncertainty**2 + b.standard_uncertainty**2 - 2.0 * a.radius * b.radius
     u = 0.5 * np.sqrt(np.maximum(square, 0.0))
     return tuple(
         DistanceTest(
             placement,
             poles,
             (float(a.lengths[k]), float(b.lengths[k])),
-            (float(a.sigma[k]), float(b.sigma[k])),
+            (float(a.standard_uncertainty[k]), float(b.standard_uncertainty[k])),
             (float(np.sqrt(a.random[k, k])), float(np.sqrt(b.random[k, k]))),
             float(a.lengths[k] - b.lengths[k]),
             float(u[k]),

@@ -64,7 +64,7 @@ class Measured:
     radius: Array
 
     @property
-    def sigma(self) -> Array:
+    def standard_uncertainty(self) -> Array:
         """(D,) standard uncertainty of each distance, metres."""
         square = np.diag(self.random) + (self.systematic**2).sum(axis=1) + self.radius**2
         return np.asarray(np.sqrt(square))
