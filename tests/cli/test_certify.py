@@ -56,3 +56,17 @@ def test_recordings_are_given_one_way(scene: Path) -> None:
     assert retropole_here("certify").returncode == 2
     assert retropole_here("certify", file).returncode == 2
     assert retropole_here("certify", file, file, "--placement", file, file).returncode == 2
+
+
+def test_every_pair_of_a_site_file_is_tested(four: Path) -> None:
+    (four / "site.toml").write_text(
+        'name = "quay"\nplacements = ["one"]\n'
+        '[[lidar]]\nname = "a"\nsensor = "XT32"\nrecordings = ["lidar0.pcd"]\n'
+        '[[lidar]]\nname = "b"\nsensor = "XT32"\nrecordings = ["lidar1.pcd"]\n'
+    )
+    done = retropole_here("certify", four / "site.toml")
+    assert done.returncode == 0, done.stderr
+    assert "all 6 differences within their limits" in done.stdout
+    other = retropole_here("certify", four / "site.toml", "--radius", "0.03")
+    assert other.returncode == 2
+    assert "--radius: the site file says so itself" in other.stderr

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from ..datatypes import MAX_RADIUS
 from ..result import DEFAULT_CONFIG
@@ -15,6 +18,8 @@ from .common import (
     CONTEXT,
     EXIT_REFUSED,
     Number,
+    echo_doubts,
+    echo_left_out,
     echo_refusal,
     frames_option,
     in_colour,
@@ -31,6 +36,7 @@ from .common import (
 if TYPE_CHECKING:
     from ..api.inputs import Input
     from ..io.units import Unit
+    from ..result.certification import FieldTestDoc
 
 EXIT_FAILED = 4
 EXITS = {"pass": 0, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
@@ -86,7 +92,8 @@ def certify(
     TARGET and SOURCE are recordings of the same poles, as for 'calibrate'. Each LiDAR measures the
     distances between the poles for itself; where they differ by more than what is stated of both
     LiDARs allows, the pair fails. Four poles, or several placements, are needed. Name the sensors:
-    what is stated of them sets the limits.
+    what is stated of them sets the limits. A site file (.toml) alone as TARGET tests every pair of
+    its LiDARs.
 
     \b
     Examples:
@@ -94,6 +101,7 @@ def certify(
       retropole certify front/ rear/
       retropole certify --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole certify front.pcd rear.pcd --json > field-test.json
+      retropole certify site.toml
 
     \b
     Exit code:
@@ -103,52 +111,118 @@ def certify(
       4    fail
       130  interrupted
     """
-    from functools import partial
-
-    from ..api.inputs import input_documents
-    from ..datatypes import Placement
-    from ..pipeline import find_poles
     from ..report.field_test import describe_field_test
     from ..result import encode
-    from ..result.certification import field_test_document
-    from ..site.certification import certify as run
 
-    pairs = placed_pairs(target, source, placements)
-    given: list[Input] = []
     with progress_on_terminal(quiet or as_json) as progress:
-        read = partial(
-            read_input, frames=frames, max_points=max_points, quiet=quiet, progress=progress
-        )
-        found = []
-        for of_target, of_source in pairs:
-            progress("read")
-            both = (
-                read(of_target, sensor_target, threshold_target, topic=target_topic, unit=unit),
-                read(
-                    of_source,
-                    sensor_source,
-                    threshold_source,
-                    topic=source_topic,
-                    unit=unit_source or unit,
+        if target is not None and target.suffix == ".toml" and source is None and not placements:
+            _refuse_options()
+            document = _of_site(target, progress, quiet)
+        else:
+            document = _of_pair(
+                placed_pairs(target, source, placements),
+                partial(
+                    read_input, frames=frames, max_points=max_points, quiet=quiet, progress=progress
                 ),
+                (
+                    (sensor_target, threshold_target, target_topic, unit),
+                    (sensor_source, threshold_source, source_topic, unit_source or unit),
+                ),
+                (radius, radius_sigma),
+                progress,
             )
-            given += both
-            progress("extract")
-            scans = [
-                find_poles(each.cloud, sensor=each.sensor, threshold=each.threshold, radius=radius)
-                for each in both
-            ]
-            found.append(Placement(scans[0], scans[1]))
-        progress("certify")
-        test = run(found, radius=radius, radius_sigma=radius_sigma)
-        document = field_test_document(
-            {("target", "source"): test}, radius=radius, inputs=input_documents(given)
-        )
     if as_json:
         show(encode(document))
     elif not quiet:
         show(in_colour(describe_field_test(document), document.status))
     if document.status == "refused" and (as_json or quiet):
-        for reason in test.reasons:
+        for reason in document.pairs[0].reasons if document.pairs else ():
             echo_refusal(reason.code, reason.message)
     return EXITS[document.status]
+
+
+def _refuse_options() -> None:
+    """Refuse what a site file says itself: an option that is ignored is a silent error."""
+    context = click.get_current_context()
+    given = [
+        name
+        for name in context.params
+        if name not in ("target", "as_json", "quiet")
+        and context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    ]
+    if given:
+        options = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise click.UsageError(f"{options}: the site file says so itself")
+
+
+def _of_site(path: Path, progress: Callable[[str], None], quiet: bool) -> FieldTestDoc:
+    """Test every pair of LiDARs of a site file."""
+    from ..api.site_inputs import read_site
+    from ..result.certification import field_test_document
+    from ..site.certification import certify_site
+
+    def tell(given: Input) -> None:
+        if not quiet:
+            echo_left_out(given, None)
+            echo_doubts(given)
+
+    read = read_site(path, progress=progress, on_read=tell)
+    lidars = read.site.lidars
+    tests = {
+        (lidars[a].name, lidars[b].name): test for (a, b), test in certify_site(read.site, progress)
+    }
+    if not tests:
+        raise click.UsageError(f"{path}: no two LiDARs recorded the same placement")
+    return field_test_document(
+        tests, radius=read.site.radius, inputs=list(read.documents().values())
+    )
+
+
+def _of_pair(
+    pairs: Sequence[tuple[Path, Path]],
+    read: Callable[..., Input],
+    options: Sequence[tuple[str, float | None, str | None, Unit]],
+    radius: tuple[float, float],
+    progress: Callable[[str], None],
+) -> FieldTestDoc:
+    """Test two LiDARs by their recordings of one placement or several.
+
+    Parameters
+    ----------
+    pairs
+        Paths of the target's and the source's recording of each placement.
+    read
+        Reads one.
+    options
+        Of both LiDARs: name of the sensor, threshold, topic, unit.
+    radius
+        Of the poles, and its 1 σ, metres.
+    progress
+        Called with the name of each step.
+    """
+    from ..api.inputs import input_documents
+    from ..datatypes import Placement
+    from ..pipeline import find_poles
+    from ..result.certification import field_test_document
+    from ..site.certification import certify as run
+
+    given: list[Input] = []
+    found = []
+    for pair in pairs:
+        scans = []
+        for path, (sensor, threshold, topic, unit) in zip(pair, options, strict=True):
+            progress("read")
+            each = read(path, sensor, threshold, topic=topic, unit=unit)
+            given.append(each)
+            progress("extract")
+            scans.append(
+                find_poles(
+                    each.cloud, sensor=each.sensor, threshold=each.threshold, radius=radius[0]
+                )
+            )
+        found.append(Placement(scans[0], scans[1]))
+    progress("certify")
+    test = run(found, radius=radius[0], radius_sigma=radius[1])
+    return field_test_document(
+        {("target", "source"): test}, radius=radius[0], inputs=input_documents(given)
+    )

@@ -24,7 +24,8 @@ def describe_field_test(document: FieldTestDoc) -> str:
     lines = [f"verdict: {document.status}"]
     if len(document.pairs) == 1:
         lines += _lines(document.pairs[0], document.alpha)
-        if document.status != "refused":
+        named = document.pairs[0].target, document.pairs[0].source
+        if document.status != "refused" and named == LIDARS:
             lines += wrapped(_unnamed(document), "    ")
     else:
         lines += _pairs(document)
