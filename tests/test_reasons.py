@@ -11,6 +11,7 @@ from retropole.reasons import (
     check,
     cluster,
     explain,
+    field_test,
     other_methods,
     page,
     plain,
@@ -25,6 +26,7 @@ TABLES = (
     (refused.RefusedCode, refused.REFUSED),
     (warning.WarningCode, warning.WARNINGS),
     (check.CheckCode, check.CHECK),
+    (field_test.FieldTestCode, field_test.FIELD_TEST),
     (other_methods.OtherMethodCode, other_methods.OTHER_METHODS),
     (cluster.ClusterCode, cluster.CLUSTER),
 )

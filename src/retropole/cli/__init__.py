@@ -17,6 +17,7 @@ from .errors import asks_for_json, failure_of, tell
 
 COMMANDS = (
     "calibrate",
+    "certify",
     "check",
     "compare",
     "detect",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -201,7 +202,8 @@ def calibrate(
     with older_set_aside(out):
         if at_m is not None and need_cm is None:
             raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
-        targets, sources = _pairs(target, source, placements)
+        pairs = placed_pairs(target, source, placements)
+    targets, sources = ([pair[lidar] for pair in pairs] for lidar in (0, 1))
     config = RunConfig(
         radius_m=radius,
         radius_sigma_m=radius_sigma,
@@ -257,14 +259,14 @@ def calibrate(
     return EXIT_WARNED if strict and result.status == "warn" else 0
 
 
-def _pairs(
-    target: Path | None, source: Path | None, placements: tuple[tuple[Path, Path], ...]
-) -> tuple[list[Path], list[Path]]:
+def placed_pairs(
+    target: Path | None, source: Path | None, placements: Sequence[tuple[Path, Path]]
+) -> list[tuple[Path, Path]]:
     """Take the two arguments, or those of each --placement; never both."""
     if placements and target is not None:
         raise click.UsageError("give TARGET and SOURCE, or --placement for each, not both")
     if placements:
-        return [pair[0] for pair in placements], [pair[1] for pair in placements]
+        return list(placements)
     if target is None or source is None:
         raise click.UsageError("TARGET and SOURCE are needed, or --placement TARGET SOURCE")
-    return [target], [source]
+    return [(target, source)]

@@ -189,7 +189,7 @@ def show(words: str | bytes) -> None:
 
 
 VERDICT_COLOURS = {"ok": "green", "same": "green", "warn": "yellow", "cannot_tell": "yellow"}
-VERDICT_COLOURS |= {"refused": "red", "moved": "red"}
+VERDICT_COLOURS |= {"refused": "red", "moved": "red", "pass": "green", "fail": "red"}
 
 
 def in_colour(words: str, status: str) -> str:

@@ -13,6 +13,7 @@ from typing import NamedTuple, cast
 from .check import CHECK, PREFIXED, CheckCode, Prefix
 from .cluster import CLUSTER, ClusterCode
 from .explanation import Explanation, plain, unlinked
+from .field_test import FIELD_TEST, FieldTestCode
 from .other_methods import OTHER_METHODS, OtherMethodCode
 from .refused import REFUSED, RefusedCode
 from .site import SITE, SiteCode
@@ -34,7 +35,9 @@ __all__ = [
     "unlinked",
 ]
 
-Code = RefusedCode | WarningCode | CheckCode | SiteCode | OtherMethodCode | ClusterCode
+Code = (
+    RefusedCode | WarningCode | CheckCode | SiteCode | FieldTestCode | OtherMethodCode | ClusterCode
+)
 
 
 class Group(NamedTuple):
@@ -61,6 +64,12 @@ GROUPS: tuple[Group, ...] = (
         "Reasons of [`retropole site calibrate`](site.md), beside those of a pair: the first eight "
         "and `site_inconsistent` refuse, the others warn.",
         tuple(SITE.items()),
+    ),
+    Group(
+        "Field test",
+        "Why [`retropole certify`](certify.md) cannot tell; also `too_few_poles`, `no_match` and "
+        "others of the first table.",
+        tuple(FIELD_TEST.items()),
     ),
     Group(
         "Other methods",

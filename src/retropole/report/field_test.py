@@ -1,0 +1,168 @@
+"""The field test of two LiDARs in words: as text for a terminal and as a section of a page."""
+
+from __future__ import annotations
+
+from html import escape
+
+from ..quantities import counted, percent
+from ..result.certification import DistanceDoc, FieldTestDoc, PairTestDoc, VariancesDoc
+from .layout import legible, wrapped
+from .layout import table as text_table
+from .markup import table
+from .names import LIDARS
+from .text import reason_lines
+
+LISTED = 16
+"""So many distances are printed, those nearest to their limits, and so many pairs of a site."""
+
+HEADER = ("distance", "target m", "source m", "difference mm", "limit mm", "")
+
+
+def describe_field_test(document: FieldTestDoc) -> str:
+    """Write the test as a person reads it, on one screen."""
+    document = legible(document)
+    lines = [f"verdict: {document.status}"]
+    if len(document.pairs) == 1:
+        lines += _lines(document.pairs[0], document.alpha)
+        named = document.pairs[0].target, document.pairs[0].source
+        if document.status != "refused" and named == LIDARS:
+            lines += wrapped(_unnamed(document), "    ")
+    else:
+        lines += _pairs(document)
+    return "\n".join(lines)
+
+
+def _lines(pair: PairTestDoc, alpha: float) -> list[str]:
+    lines = [line for reason in pair.reasons for line in reason_lines(reason)]
+    if not pair.distances:
+        return lines
+    shown = sorted(_worst(pair)[:LISTED], key=_number)
+    lines.append(text_table(HEADER, [_row(each, pair) for each in shown]))
+    if len(pair.distances) > len(shown):
+        rest = counted(len(pair.distances) - len(shown), "more distance")
+        lines.append(f"  {rest}, farther from their limits; --json has all")
+    for sentence in sentences(pair, alpha):
+        lines += wrapped(f"  {sentence}", "    ")
+    return lines
+
+
+def _unnamed(document: FieldTestDoc) -> str:
+    """Say whose sensor is not named; empty where both are."""
+    auto = [
+        lidar
+        for lidar, given in zip(LIDARS, document.inputs, strict=False)
+        if given.sensor == "auto"
+    ]
+    if not auto:
+        return ""
+    return (
+        f"  the sensor of the {' and of the '.join(auto)} is not named: cautious sizes of its "
+        "errors are assumed, which little exceeds"
+    )
+
+
+def _pairs(document: FieldTestDoc) -> list[str]:
+    """One row for each pair of a site, what failed first."""
+    order = {"fail": 0, "refused": 1, "pass": 2}
+    pairs = sorted(document.pairs, key=lambda pair: (order[pair.status], -_largest(pair)))
+    rows = [
+        (
+            f"{pair.target}, {pair.source}",
+            str(len(pair.distances)),
+            f"{_largest(pair):.2f}" if pair.distances else "–",
+            pair.status if not pair.reasons else f"{pair.status}: {pair.reasons[0].code}",
+        )
+        for pair in pairs[:LISTED]
+    ]
+    lines = [text_table(("LiDARs", "distances", "largest / limit", ""), rows)]
+    if len(pairs) > LISTED:
+        lines.append(f"  {counted(len(pairs) - LISTED, 'more pair')}; --json has all")
+    return lines
+
+
+def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
+    """Say what was tested, and what it means."""
+    if not pair.distances:
+        return []
+    out = [each for each in pair.distances if not each.passed]
+    found = (
+        f"{counted(len(out), 'difference')} of {len(pair.distances)} beyond the limit"
+        if out
+        else f"all {len(pair.distances)} differences within their limits"
+    )
+    words = [
+        f"{found}; LiDARs that measure as stated of them keep all limits with a probability of "
+        f"at least {percent(1 - alpha)} (z = {pair.z or 0.0:.2f} for each)"
+    ]
+    if pair.variances is None:
+        words.append("variances were not compared: that takes 3 sweeps or more of each LiDAR")
+    else:
+        words.append(_variances(pair.variances))
+    alone = sum(
+        seen.target + seen.source - 2 * seen.compared for seen in pair.poles if seen.compared
+    )
+    if alone:
+        words.append(f"{counted(alone, 'pole')} seen by one LiDAR only: not compared")
+    if pair.status == "fail":
+        words.append(
+            "what to do: record again; if it fails again, a pole moved between the recordings, or "
+            "one of the LiDARs measures worse than is stated of it"
+        )
+    return words
+
+
+def _variances(test: VariancesDoc) -> str:
+    verdict = "may be equal" if test.passed else "differ"
+    return (
+        f"one sweep repeats a distance within {1e3 * test.target.sigma_m:.1f} mm (target) and "
+        f"{1e3 * test.source.sigma_m:.1f} mm (source), 1 σ; held against what their returns allow, "
+        f"the variances {verdict}: F = {test.ratio:.2f}, passes from {test.low:.2f} to "
+        f"{test.high:.2f}"
+    )
+
+
+def field_test_section(document: FieldTestDoc) -> str:
+    """Write the test as a section of an HTML page; whatever the document holds is escaped."""
+    parts = ['<section aria-labelledby="field-test"><h2 id="field-test">Field test</h2>']
+    parts.append(
+        "<p>Distances between poles, measured by each LiDAR for itself. No calibration is used: "
+        "the test judges the LiDARs.</p>"
+    )
+    for pair in document.pairs:
+        name = f"{pair.target}, {pair.source}: {pair.status}"
+        parts.append(f"<h3>{escape(name)}</h3>")
+        parts += [f"<p>{escape(reason.message)}</p>" for reason in pair.reasons]
+        if pair.distances:
+            header = (*HEADER[:-1], "passed")
+            rows = [_row(each, pair, "yes") for each in pair.distances]
+            parts.append(table(f"Distances, {pair.target} and {pair.source}", header, rows, (5,)))
+        parts += [f"<p>{escape(words)}.</p>" for words in sentences(pair, document.alpha)]
+    return "".join((*parts, "</section>"))
+
+
+def _row(each: DistanceDoc, pair: PairTestDoc, passed: str = "") -> tuple[str, ...]:
+    of = f"{each.placement + 1}: " if len(pair.poles) > 1 else ""
+    return (
+        f"{of}T{each.poles[0]}–T{each.poles[1]}",
+        f"{each.target_m:.4f}",
+        f"{each.source_m:.4f}",
+        f"{1e3 * each.difference_m:+.1f}",
+        f"{1e3 * each.limit_m:.1f}",
+        passed if each.passed else "BEYOND",
+    )
+
+
+def _number(each: DistanceDoc) -> tuple[int, tuple[int, int]]:
+    return each.placement, each.poles
+
+
+def _worst(pair: PairTestDoc) -> list[DistanceDoc]:
+    return sorted(pair.distances, key=lambda each: -_ratio(each))
+
+
+def _ratio(each: DistanceDoc) -> float:
+    return abs(each.difference_m) / max(each.limit_m, 1e-12)
+
+
+def _largest(pair: PairTestDoc) -> float:
+    return max(map(_ratio, pair.distances), default=0.0)

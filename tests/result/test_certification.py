@@ -1,0 +1,25 @@
+"""The document of a field test holds what the test has."""
+
+import json
+
+from retropole.result import encode
+from retropole.result.certification import field_test_document
+from retropole.site.certification import ALPHA, DistanceTest, FieldTest
+
+
+def test_the_document_holds_every_distance() -> None:
+    distance = DistanceTest(
+        1, (0, 2), (2.5, 2.46), (0.005, 0.006), (0.003, 0.004), 0.04, 0.0039, 0.0205
+    )
+    test = FieldTest("fail", (), (distance,), ALPHA, 2.63, None, ((4, 4, 4),))
+    document = field_test_document({("target", "source"): test}, radius=0.02, inputs=[])
+    data = json.loads(encode(document))
+    assert data["schema"] == "retropole/field-test/1"
+    assert data["status"] == "fail"
+    (pair,) = data["pairs"]
+    assert pair["variances"] is None
+    assert pair["poles"] == [{"target": 4, "source": 4, "compared": 4}]
+    (found,) = pair["distances"]
+    assert found["poles"] == [0, 2]
+    assert found["difference_m"] == 0.04
+    assert not found["passed"]
