@@ -11,7 +11,8 @@ from retropole import se3
 from retropole.datatypes import PointCloud, Scan
 from retropole.io import write_pcd
 from retropole.result.bounded import Status
-from retropole.site.model import Site, SiteCalibration
+from retropole.site.answer import SiteCalibration
+from retropole.site.description import Site
 from tests.report.site.made_up import made_up_site
 
 NAMES = ("mast-a", "mast-b", "gate")

@@ -13,7 +13,8 @@ from retropole.datatypes import Array
 from retropole.errors import Refusal, UsageError
 from retropole.result.bounded import Status
 from retropole.result.site_decoding import decode_site
-from retropole.site.model import Site, SiteCalibration
+from retropole.site.answer import SiteCalibration
+from retropole.site.description import Site
 from retropole.site.relative import joint_of, relative
 from tests.api.site_files import NAMES, answer_to, recorded, write_site
 

@@ -9,7 +9,8 @@ from retropole.api import site as api_site
 from retropole.cli import run
 from retropole.result.bounded import Status
 from retropole.result.site_decoding import decode_site
-from retropole.site.model import Site, SiteCalibration
+from retropole.site.answer import SiteCalibration
+from retropole.site.description import Site
 from tests.api.site_files import answer_to, write_recordings, write_site
 from tests.cli.commands import retropole, retropole_here
 

@@ -11,7 +11,7 @@ import pytest
 
 from retropole.result.site import SiteDoc
 from retropole.site import world
-from retropole.site.model import Frame
+from retropole.site.description import Frame
 from tests.report.site.made_up import document_of, made_up_site
 
 UTM = 25832

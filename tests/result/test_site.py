@@ -11,7 +11,7 @@ import pytest
 from retropole.result import encode
 from retropole.result.site import joint_order
 from retropole.result.site_decoding import decode_site
-from retropole.site.model import LoopClosure
+from retropole.site.answer import LoopClosure
 from tests.report.site.made_up import NAMES, document_of, made_up_site
 
 SMALL = made_up_site("warn", lidars=3, placements=2, count=20, surveyed=True)

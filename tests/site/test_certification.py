@@ -15,8 +15,8 @@ from retropole.site.certification import (
     compare,
     quantile,
 )
+from retropole.site.description import Site, SiteLidar
 from retropole.site.distances import Measured
-from retropole.site.model import Site, SiteLidar
 from tests.site.certifying import RADIUS, found_in, four_poles
 
 

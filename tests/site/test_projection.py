@@ -5,7 +5,7 @@ import pytest
 
 from retropole.errors import UsageError
 from retropole.site import projection, world
-from retropole.site.model import Frame
+from retropole.site.description import Frame
 
 pytest.importorskip("pyproj", reason="needs pip install 'retropole[world]'")
 UTM = 25832

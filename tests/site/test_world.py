@@ -13,7 +13,7 @@ from retropole import se3
 from retropole.datatypes import Array
 from retropole.errors import MissingExtraError, UsageError
 from retropole.site import geodesy, world
-from retropole.site.model import ControlPoint, Frame, Sighting, Site, SurveyedPole
+from retropole.site.description import ControlPoint, Frame, Sighting, Site, SurveyedPole
 from retropole.site.projection import grid_at, projected
 
 UTM = 25832

@@ -19,8 +19,9 @@ from ..report.site import render_site
 from ..report.site_text import pose_rows
 from ..result import ReasonDoc, encode
 from ..result.site import SiteDoc, site_document
+from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
-from ..site.model import LidarPose, Site, SiteCalibration
+from ..site.description import Site
 from ..site.relative import joint_of, relative
 from .inputs import Input
 from .site_inputs import SiteInputs, inputs_of, read_site, repeated
@@ -175,7 +176,7 @@ def calibrate_site(
     Parameters
     ----------
     site
-        A site file; or a `site.model.Site` that was put together in Python.
+        A site file; or a `site.description.Site` that was put together in Python.
     progress
         Called with the name of each step as it starts, and with which recording of how many is
         read.

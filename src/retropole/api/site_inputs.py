@@ -18,15 +18,7 @@ from ..quantities import step_of
 from ..result import InputDoc
 from ..result.site import SiteConfig
 from ..sensors import sensor_or_auto
-from ..site.model import (
-    ControlPoint,
-    Frame,
-    Sighting,
-    Site,
-    SiteLidar,
-    SurveyedPole,
-    Up,
-)
+from ..site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole, Up
 from ..site.projection import projected
 from ..site.world import in_metres
 from ..uncertainty.purpose import Need

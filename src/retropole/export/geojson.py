@@ -9,7 +9,7 @@ import numpy as np
 
 from ..datatypes import Array
 from ..result.site_parts import LidarDoc
-from ..site.model import Frame
+from ..site.description import Frame
 from ..site.world import heading, on_wgs84, pose_in_frame
 from .transform import ROS_COVARIANCE_ORDER, covariance_to_ros
 from .tree import Tree, notes_of

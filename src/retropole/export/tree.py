@@ -19,7 +19,7 @@ from ..errors import Refusal, UsageError, printable
 from ..reasons import Code
 from ..result.site import SITE_SCHEMA, SiteDoc
 from ..result.site_parts import FrameDoc, LidarDoc
-from ..site.model import Frame
+from ..site.description import Frame
 from ..site.projection import Grid, grid_at
 from ..site.relative import joint_of, relative
 from ..site.world import geodetic, site_in_frame, to_frame

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from .. import __version__
-from ..site.model import SiteCalibration
+from ..site.answer import SiteCalibration
 from . import COVARIANCE_ORDER, ReasonDoc
 from .bounded import LONGEST_LIST, Count, Number, Size, Status, Text
 from .detected import InputDoc

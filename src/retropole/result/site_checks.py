@@ -6,14 +6,14 @@ from typing import Literal
 
 import msgspec
 
-from ..site.model import LoopClosure, PairCheck, Test, WithoutPlacement
+from ..site.answer import LoopClosure, PairCheck, Test, WithoutPlacement
 from . import ReasonDoc
 from .bounded import Count, Number, Share, Size, Text
 from .site_parts import Indices, finite, reason_document
 
 
 class PairDoc(msgspec.Struct, frozen=True):
-    """Two LiDARs, and how well they agree; `site.model.PairCheck`."""
+    """Two LiDARs, and how well they agree; `site.answer.PairCheck`."""
 
     lidars: tuple[Count, Count]
     shared_poles: Count
@@ -35,7 +35,7 @@ class LoopDoc(msgspec.Struct, frozen=True):
 
 
 class TestDoc(msgspec.Struct, frozen=True, kw_only=True):
-    """One observation, or what several share, tested against all others; `site.model.Test`."""
+    """One observation, or what several share, tested against all others; `site.answer.Test`."""
 
     kind: Literal["pole", "placement", "lidar", "survey", "control point", "up"]
     name: Text

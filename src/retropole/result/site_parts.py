@@ -14,14 +14,8 @@ from ..datatypes import Array, Scan
 from ..errors import Reason, Refusal
 from ..io.thinning import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
-from ..site.model import (
-    ControlPoint,
-    Frame,
-    LidarPose,
-    SiteLidar,
-    SitePole,
-    SurveyedPole,
-)
+from ..site.answer import LidarPose, SitePole
+from ..site.description import ControlPoint, Frame, SiteLidar, SurveyedPole
 from . import ReasonDoc
 from .bounded import Count, Covariance, Number, Pose, Size, Text, Vector
 from .certainty import (

@@ -10,7 +10,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array
 from ..sensors import Sensor
-from ..site.model import ControlPoint, Sighting, SurveyedPole
+from ..site.description import ControlPoint, Sighting, SurveyedPole
 from .raycast import Cylinder, cast
 from .recording import SimulationError
 from .site_places import SitePlace

@@ -10,7 +10,7 @@ import numpy as np
 from ..datatypes import DEFAULT_RADIUS, MAX_POLES, Array, IntArray, PointCloud
 from ..errors import UsageError
 from ..sensors import Sensor, find_sensor
-from ..site.model import ControlPoint, Frame, Site, SiteLidar, SurveyedPole
+from ..site.description import ControlPoint, Frame, Site, SiteLidar, SurveyedPole
 from .devices import Device, draw_device
 from .noise import TYPICAL, NoiseModel
 from .raycast import Cylinder, Surface

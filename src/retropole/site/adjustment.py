@@ -15,9 +15,10 @@ from ..datatypes import Array
 from ..errors import Refusal
 from ..scene.patches import Patches
 from ..systematic import MIN_ERROR_SIGMA, sizes_of
+from .answer import Test
 from .certainty import Part, joint_covariance, parts_of
 from .datum import Datum, without_poles
-from .model import Site, Test
+from .description import Site
 from .network import Network, bands_of, observe
 from .posterior import Sight, SitePriors, climb_site
 from .refinement import ScenePair, SiteEnd, refine_site

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 from ..errors import Reason, Refusal
 from .adjustment import Adjusted, without_observations
+from .answer import Test
 from .datum import Datum, without_poles, without_survey
-from .model import Site, Test
+from .description import Site
 
 SIGNIFICANT = 5.0
 """Normalised residual (w) from which an observation does not fit. Of healthy sites none came to

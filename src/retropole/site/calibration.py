@@ -13,13 +13,14 @@ from ..datatypes import Array
 from ..errors import Reason, Refusal
 from ..uncertainty import predicted_error
 from .adjustment import Adjusted, adjust
+from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from .blunders import without_blunders
 from .certainty import budget_of
 from .choice import choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
+from .description import Site
 from .exchanged import check_exchanged, check_places
-from .model import LidarPose, PairCheck, Site, SiteCalibration, SitePole
 from .pairs import Pair, find_pairs, poles_of
 from .refinement import patches_of, scene_pairs
 from .scans import SiteScans, find_scans, poses_in_clouds, views_of

@@ -23,8 +23,8 @@ from ..pipeline import check_poles, find_poles
 from ..quantities import counted
 from .axes import OwnAxes, find_axes
 from .correspondence import Correspondence, correspond
+from .description import Site
 from .distances import Measured, Targets, measure, middles
-from .model import Site
 from .repetition import SpreadTest, compare_spread, spread_of_sweeps
 
 ALPHA = 0.05

@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 from .. import se3
 from ..alignment.certainty import floor
 from ..datatypes import Array, IntArray
-from .model import LoopClosure
+from .answer import LoopClosure
 from .network import Observation
 from .refinement import SceneTerm, SiteEnd
 from .snooping import Solved

@@ -14,7 +14,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, BoolArray
 from ..quantities import counted
-from .model import Site
+from .description import Site
 from .onto_survey import on_survey, pole_at, transformed
 from .shared import SharedPole
 from .survey import KnownPoint, MeasuredUp, SeenPoint, Surveyed, SurveyedEnd

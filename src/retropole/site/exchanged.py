@@ -15,7 +15,7 @@ from .. import se3
 from ..datatypes import Array
 from ..errors import Refusal
 from .choice import Choice, choose_poses, linked_groups
-from .model import Site
+from .description import Site
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SAME_PLACE, Recording, SiteScans, Views, elsewhere, same_place
 

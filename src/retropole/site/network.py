@@ -22,7 +22,7 @@ from ..alignment.posterior import Posterior
 from ..alignment.views import View, find_view
 from ..datatypes import Array, BoolArray, IntArray
 from ..systematic import TAPE, Layout, band_of
-from .model import Site
+from .description import Site
 from .posterior import Sight
 from .shared import SharedPole
 from .state import SiteState

@@ -12,7 +12,7 @@ from ..datatypes import Array, Pole
 from ..errors import Refusal
 from ..matching.correspondence import match_poles
 from ..quantities import counted
-from .model import Site, SurveyedPole
+from .description import Site, SurveyedPole
 from .shared import SharedPole
 
 NEAR = 0.5

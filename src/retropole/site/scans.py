@@ -15,7 +15,7 @@ from ..pipeline import find_poles
 from ..scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from ..scene.static import check_static, check_still
 from ..scene.visibility import View, compare_views, view_of
-from .model import Site, SiteLidar
+from .description import Site, SiteLidar
 
 SAME_PLACE = 0.5
 """Least share of points that two recordings of one LiDAR have in common where it stood still."""

@@ -10,7 +10,7 @@ import numpy as np
 from .. import se3
 from ..alignment.observations import beams_of
 from ..datatypes import Array, Pole
-from .model import Site
+from .description import Site
 from .posterior import Sight
 from .scans import SiteScans
 

@@ -18,7 +18,8 @@ from .. import se3
 from ..alignment.certainty import considered
 from ..datatypes import Array, IntArray
 from ..systematic import Groups
-from .model import Site, Test
+from .answer import Test
+from .description import Site
 from .network import Network, Observation
 from .refinement import SiteEnd
 from .shared import SharedPole
@@ -206,7 +207,7 @@ def _axis_columns(one: Observation, pole: int) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How an error of its own was tested; see `model.Test`."""
+    """How an error of its own was tested; see `answer.Test`."""
 
     chi2: float
     w: float

@@ -70,7 +70,7 @@ class SurveyTerm:
     Attributes
     ----------
     kind, name
-        As in `model.Test`; what was observed, in words.
+        As in `answer.Test`; what was observed, in words.
     lidar
         Whose observation it is; None where it is the surveyor's.
     """

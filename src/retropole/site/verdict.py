@@ -15,8 +15,9 @@ from ..scene.confirmation import check_confirmation, confirm
 from ..uncertainty import Confirmation
 from ..uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from .adjustment import Adjusted
+from .answer import LidarPose, LoopClosure, Test
 from .choice import Choices, where_they_differ
-from .model import LidarPose, LoopClosure, Site, Test
+from .description import Site
 from .pairs import Pair
 from .scans import SiteScans
 

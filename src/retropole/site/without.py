@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import se3
 from ..datatypes import Array, IntArray
-from .model import WithoutPlacement
+from .answer import WithoutPlacement
 from .network import Network, marginal
 from .refinement import SiteEnd
 from .state import POSE

@@ -37,8 +37,8 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array
 from ..errors import UsageError
+from .description import Frame, Site
 from .geodesy import enu_axes, geodetic_of_local, local_of
-from .model import Frame, Site
 from .projection import grid_at, project, projected, unproject
 
 LEVEL = np.sin(np.radians(1.0))

@@ -17,21 +17,23 @@ from retropole.result.bounded import Status
 from retropole.result.detected import InputDoc
 from retropole.result.site import SiteConfig, SiteDoc, site_document
 from retropole.sensors import SENSORS
-from retropole.site.model import (
-    ControlPoint,
-    Frame,
+from retropole.site.answer import (
     LidarPose,
     LoopClosure,
     PairCheck,
+    SiteCalibration,
+    SitePole,
+    Test,
+    WithoutPlacement,
+)
+from retropole.site.description import (
+    ControlPoint,
+    Frame,
     Sighting,
     Site,
-    SiteCalibration,
     SiteLidar,
-    SitePole,
     SurveyedPole,
-    Test,
     Up,
-    WithoutPlacement,
 )
 from retropole.uncertainty import BudgetEntry, predicted_error
 from retropole.uncertainty.purpose import Fitness, Need

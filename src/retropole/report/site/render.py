@@ -11,7 +11,7 @@ from string import Template
 from ...files import write_atomically
 from ...quantities import counted
 from ...result.site import SiteDoc
-from ...site.model import SiteCalibration
+from ...site.answer import SiteCalibration
 from ..markup import share_styles
 from ..page import fill_page
 from ..view_data import embed_json

@@ -11,7 +11,7 @@ from ...datatypes import Array, Scan
 from ...result import Matrix
 from ...result.site import SiteDoc
 from ...result.site_parts import SitePoleDoc
-from ...site.model import SiteCalibration
+from ...site.answer import SiteCalibration
 from ..points import MAX_SHOWN_RANGE, PackedCloud, pack_cloud
 from ..view_data import LineView
 from .names import placement_name, pole_labels
