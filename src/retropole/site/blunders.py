@@ -127,6 +127,8 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         name, gone = pole.name(site), {test.pole}
         seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
         values |= {"pole": name, "placement": site.placements[pole.placement]}
+        at = pole.extent.mean(axis=0)
+        values |= {f"at_{axis}_m": float(x) for axis, x in zip("xyz", at, strict=True)}
         return Suspect(
             Reason(
                 "pole_moved",

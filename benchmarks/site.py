@@ -1,0 +1,376 @@
+"""Whole sites: accuracy and coverage, blunders, rings that only the loop decides, survey, time.
+
+``python benchmarks/site.py WHAT --seeds 2000:2100 --jobs 2`` with WHAT one of
+
+- ``sites``: sites of 3 to 8 LiDARs, 2 to 4 placements of 2 to 4 poles, field nuisances. Every pose
+  within 1° and 0.15 m, or refused; how often the 95 % regions of poses and of pairs hold the truth;
+  and the error at 30 m beside that of chaining pairs along the fewest links.
+- ``blunders``: one in each: a pole bumped, two files exchanged, a control point off by 0.1 m.
+- ``rings``: rings whose pairs have two hypotheses or more each.
+- ``survey``: four control points of 5 mm; poses in the world.
+- ``time``: 8 LiDARs, 4 placements, 100,000 points in each recording.
+
+Seeds below 1000 are for tuning, from 2000 on they state the figure. What was set on tuning seeds:
+`blunders.SIGNIFICANT`, `patch_pairs.MAX_LEAN`, `verdict.OPEN`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from itertools import combinations
+from multiprocessing import get_context
+
+import numpy as np
+
+from retropole import se3
+from retropole.datatypes import Array
+from retropole.pipeline import calibrate
+from retropole.simulation import FIELD, SimulationError
+from retropole.simulation.site_survey import Survey
+from retropole.simulation.sites import SimulatedSite, simulate_site
+from retropole.site.answer import SiteCalibration
+from retropole.site.calibration import calibrate_site
+from retropole.site.relative import joint_of, relative
+
+KINDS = ("posts", "crane", "truck")
+CHI2_95 = 12.591587243743977
+MAX_ROTATION, MAX_TRANSLATION = np.radians(1.0), 0.15
+AT = 30.0
+SURVEY = Survey(points=4, sigma=0.005)
+BLUNDERS = ("pole", "files", "control")
+NAMES = {
+    "pole": ("pole_moved",),
+    "files": ("recordings_exchanged",),
+    "control": ("survey_outlier",),
+}
+
+
+@dataclass
+class Row:
+    """What came of one site."""
+
+    seed: int
+    words: str
+    status: str = ""
+    codes: tuple[str, ...] = ()
+    right: bool = True
+    poses: list[float] = field(default_factory=list)
+    pairs: list[float] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    chained: list[float] = field(default_factory=list)
+    worst: tuple[float, float] = (0.0, 0.0)
+    w: float = 0.0
+    loop: float = 1.0
+    named: bool = False
+    seconds: float = 0.0
+    gigabytes: float = 0.0
+
+
+def numbers(seed: int) -> tuple[np.random.Generator, str, int, int, int]:
+    """Draw the kind of a site and how many LiDARs, placements and poles it has."""
+    rng = np.random.default_rng(seed)
+    kind = KINDS[seed % len(KINDS)]
+    return rng, kind, *(int(rng.integers(*bounds)) for bounds in ((3, 9), (2, 5), (2, 5)))
+
+
+def at_range(step: Array) -> float:
+    """Root mean square over directions of how far a pose error moves a point, metres."""
+    moved = [np.cross(step[:3], AT * way) + step[3:] for way in (*np.eye(3), *-np.eye(3))]
+    return float(np.sqrt(np.mean(np.sum(np.square(moved), axis=1))))
+
+
+def truth_of(sim: SimulatedSite) -> list[Array]:
+    """True poses in the frame of the site: the world where it was surveyed, else the first's."""
+    if sim.surveyed or sim.points:
+        return list(sim.T_world_lidar)
+    return [se3.inverse(sim.T_world_lidar[0]) @ T for T in sim.T_world_lidar]
+
+
+def compare(row: Row, answer: SiteCalibration, truth: list[Array]) -> None:
+    """Hold an answer against the truth."""
+    row.status, row.codes = answer.status, tuple(reason.code for reason in answer.reasons)
+    if not answer.lidars:
+        return
+    assert answer.covariance is not None
+    T = [one.T_site_lidar for one in answer.lidars]
+    for one, true in zip(answer.lidars, truth, strict=True):
+        if one.covariance.any():
+            step = se3.local(one.T_site_lidar, true)
+            row.poses.append(float(step @ np.linalg.solve(one.covariance, step)))
+            row.errors.append(at_range(step))
+    for i, j in combinations(range(len(T)), 2):
+        T_ij, covariance = relative(T[i], T[j], joint_of(answer.covariance, i, j))
+        step = se3.local(T_ij, se3.inverse(truth[i]) @ truth[j])
+        row.pairs.append(float(step @ np.linalg.solve(covariance, step)))
+    apart = [se3.difference(a, b) for a, b in zip(T, truth, strict=True)]
+    row.worst = max(one.rotation for one in apart), max(one.translation for one in apart)
+    row.right = row.worst[0] < MAX_ROTATION and row.worst[1] < MAX_TRANSLATION
+    row.w = max((test.w for test in answer.tests), default=0.0)
+    row.loop = min((loop.probability for loop in answer.loops), default=1.0)
+
+
+def chained(sim: SimulatedSite) -> list[float]:
+    """Errors at range of poses that pairs give, composed along the fewest links from the first."""
+    count = len(sim.names)
+    shared = np.zeros((count, count), dtype=int)
+    for own in sim.seen:
+        for i, j in combinations(range(count), 2):
+            both = int(np.sum(np.logical_and(own[i], own[j])))
+            shared[i, j] += both if both > 1 else 0
+    shared += shared.T
+    known, errors = {0: np.eye(4)}, []
+    waiting = [0]
+    while waiting:
+        here = waiting.pop(0)
+        for there in np.argsort(-shared[here]):
+            if there in known or not shared[here, there]:
+                continue
+            T = paired(sim, here, int(there))
+            if T is not None:
+                known[int(there)] = known[here] @ T
+                waiting.append(int(there))
+    truth = truth_of(sim)
+    for i, T in known.items():
+        if i:
+            errors.append(at_range(se3.local(T, truth[i])))
+    return errors
+
+
+def paired(sim: SimulatedSite, i: int, j: int) -> Array | None:
+    """Pose of one LiDAR for another from all placements in which both see two poles."""
+    both = [
+        k
+        for k, own in enumerate(sim.seen)
+        if np.sum(np.logical_and(own[i], own[j])) > 1
+        and sim.clouds[i][k] is not None
+        and sim.clouds[j][k] is not None
+    ]
+    target, source = ([sim.clouds[lidar][k] for k in both] for lidar in (i, j))
+    answer = calibrate(target, source, sensors=(sim.sensors[i], sim.sensors[j]))  # type: ignore[arg-type]
+    return answer.T_target_source
+
+
+def run_site(seed: int) -> Row | None:
+    """Simulate and calibrate one site, and chain its pairs."""
+    rng, kind, lidars, placements, poles = numbers(seed)
+    sim = simulate_site(kind, rng, lidars=lidars, placements=placements, poles=poles, noise=FIELD)
+    row = Row(seed, f"{kind} {lidars} × {placements} × {poles}")
+    answer = timed(row, sim)
+    if answer.lidars:
+        row.chained = chained(sim)
+    return row
+
+
+def run_blunder(seed: int) -> Row | None:
+    """Simulate and calibrate a site with a blunder; was it named?"""
+    rng, kind, lidars, placements, poles = numbers(seed)
+    blunder = BLUNDERS[(seed // len(KINDS)) % len(BLUNDERS)]
+    sim = simulate_site(
+        kind,
+        rng,
+        lidars=lidars,
+        placements=placements,
+        poles=max(poles, 3),
+        noise=FIELD,
+        blunder=blunder,
+        survey=SURVEY if blunder == "control" else None,
+    )
+    row = Row(seed, f"{kind} {lidars} × {placements} × {poles}: {blunder}")
+    answer = timed(row, sim)
+    row.named = is_named(sim, answer)
+    row.words += f", {sim.blunder.name}" if sim.blunder else ""
+    return row
+
+
+def is_named(sim: SimulatedSite, answer: SiteCalibration) -> bool:
+    """Whether the reasons name the blunder: the very pole, recordings or point."""
+    wrong = sim.blunder
+    assert wrong is not None
+    for reason in answer.reasons:
+        if reason.code not in NAMES[wrong.kind]:
+            continue
+        if wrong.kind == "files":
+            said = {str(reason.values["first"]), str(reason.values["second"])}
+            placements = [sim.placements[k] for k in wrong.placements]
+            names = [sim.names[i] for i in wrong.lidars]
+            true = {f"{name} in placement {place}" for name in names for place in placements}
+            if said == true:
+                return True
+        elif wrong.kind == "pole":
+            assert wrong.pole is not None
+            assert wrong.placements
+            placement = wrong.placements[0]
+            if str(reason.values["placement"]) == sim.placements[placement] and is_at(
+                sim, reason.values, placement, wrong.pole
+            ):
+                return True
+        elif wrong.point is not None and sim.points[wrong.point].name in reason.message:
+            return True
+        elif wrong.surveyed is not None:
+            name = f"{wrong.end} of {sim.surveyed[wrong.surveyed].name}"
+            if name in reason.message:
+                return True
+    return False
+
+
+def is_at(sim: SimulatedSite, values: object, placement: int, pole: int) -> bool:
+    """Whether a named pole is the one that was bumped: the nearest of its placement."""
+    assert isinstance(values, dict)
+    T = np.eye(4) if sim.surveyed or sim.points else sim.T_world_lidar[0]
+    at = se3.apply(T, np.array([[values[f"at_{axis}_m"] for axis in "xyz"]]))[0]
+    away = [
+        float(np.linalg.norm(np.cross(at - each.centre, each.axis)))
+        for each in sim.poles[placement]
+    ]
+    return int(np.argmin(away)) == pole
+
+
+def run_ring(seed: int) -> Row | None:
+    """Simulate and calibrate a ring of ambiguous pairs."""
+    rng = np.random.default_rng(seed)
+    lidars = int(rng.integers(3, 7))
+    sim = simulate_site("ring", rng, lidars=lidars, noise=FIELD)
+    row = Row(seed, f"ring of {lidars}")
+    timed(row, sim)
+    return row
+
+
+def run_survey(seed: int) -> Row | None:
+    """Simulate and calibrate a site with four control points of 5 mm."""
+    rng, kind, lidars, placements, poles = numbers(seed)
+    sim = simulate_site(
+        kind,
+        rng,
+        lidars=lidars,
+        placements=placements,
+        poles=poles,
+        noise=FIELD,
+        survey=SURVEY,
+    )
+    row = Row(seed, f"{kind} {lidars} × {placements} × {poles}, surveyed")
+    timed(row, sim)
+    return row
+
+
+def timed(row: Row, sim: SimulatedSite) -> SiteCalibration:
+    """Calibrate, note the time, and compare with the truth."""
+    site = sim.as_site()
+    start = time.perf_counter()
+    answer = calibrate_site(site)
+    row.seconds = time.perf_counter() - start
+    row.gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    compare(row, answer, truth_of(sim))
+    return answer
+
+
+def run_time(seed: int) -> Row | None:
+    """Eight LiDARs of 100,000 points and more, four placements."""
+    rng = np.random.default_rng(seed)
+    kind = KINDS[seed % len(KINDS)]
+    sim = simulate_site(
+        kind, rng, lidars=8, placements=4, poles=3, sensors=("Pandar64", "OS1"), noise=FIELD
+    )
+    points = [len(cloud) for own in sim.clouds for cloud in own if cloud is not None]
+    row = Row(seed, f"{kind} 8 × 4 × 3, {np.median(points):,.0f} points each")
+    timed(row, sim)
+    return row
+
+
+RUNS: dict[str, Callable[[int], Row | None]] = {
+    "sites": run_site,
+    "blunders": run_blunder,
+    "rings": run_ring,
+    "survey": run_survey,
+    "time": run_time,
+}
+
+
+def run(what: str, seed: int) -> Row | None:
+    """Run one, or say that it cannot be simulated."""
+    try:
+        return RUNS[what](seed)
+    except SimulationError as error:
+        return Row(seed, f"not simulated: {error}", "none")
+
+
+def report(rows: list[Row]) -> None:
+    """Print what came of all."""
+    rows = [row for row in rows if row.status != "none"]
+    answered = [row for row in rows if row.status in ("ok", "warn")]
+    wrong = [row for row in answered if not row.right]
+    count = len(rows)
+    print(f"\n{count} sites, {len(answered)} answered, {len(wrong)} beyond 1° or 0.15 m")
+    codes = sorted({code for row in rows for code in row.codes})
+    for code in codes:
+        found = [row for row in rows if code in row.codes]
+        refused = sum(row.status == "refused" for row in found)
+        print(f"  {code}: {len(found)}, {refused} of them refused")
+    if any(row.named for row in rows):
+        for blunder in BLUNDERS:
+            some = [row for row in rows if f": {blunder}" in row.words]
+            named = sum(row.named for row in some)
+            absorbed = sum(row.status == "ok" for row in some)
+            print(f"  {blunder}: named {named} of {len(some)}, absorbed under ok {absorbed}")
+    if not answered:
+        return
+    poses = np.concatenate([row.poses for row in answered])
+    pairs = np.concatenate([row.pairs for row in answered])
+    errors = np.concatenate([row.errors for row in answered])
+    print(
+        f"95 % regions hold the truth: poses {np.mean(poses < CHI2_95):.1%} of {len(poses)}, pairs "
+        f"{np.mean(pairs < CHI2_95):.1%} of {len(pairs)}; median d² {np.median(poses):.1f} (5.3 is "
+        "ideal)"
+    )
+    print(f"error at {AT:g} m: median {1000 * np.median(errors):.1f} mm")
+    alike = [row for row in answered if row.chained]
+    if alike:
+        ours = np.concatenate([row.errors for row in alike])
+        chain = np.concatenate([row.chained for row in alike])
+        share = np.median(ours) / np.median(chain)
+        print(
+            f"chained pairs: median {1000 * np.median(chain):.1f} mm ({len(chain)} of {len(ours)} "
+            f"poses); ours is {share:.2f} of it"
+        )
+    print(
+        f"largest w {max(row.w for row in answered):.1f}; least probability of a loop "
+        f"{min(row.loop for row in answered):.1e}; seconds: median "
+        f"{np.median([row.seconds for row in answered]):.1f}, most "
+        f"{max(row.seconds for row in answered):.1f}; {max(row.gigabytes for row in rows):.2f} GiB"
+    )
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("what", choices=list(RUNS))
+    parser.add_argument("--seeds", default="2000:2010", help="first and one after the last")
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args()
+    first, last = (int(each) for each in options.seeds.split(":"))
+    rows: list[Row] = []
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        running = [pool.submit(run, options.what, seed) for seed in range(first, last)]
+        for each in running:
+            row = each.result()
+            if row is None:
+                continue
+            rows.append(row)
+            print(
+                f"{row.seed} {row.words}: {row.status} {' '.join(row.codes)} "
+                f"{np.degrees(row.worst[0]):.3f}° {1000 * row.worst[1]:.1f} mm, d² "
+                f"{max(row.poses, default=0):.1f} {max(row.pairs, default=0):.1f}, w {row.w:.1f}, "
+                f"{row.seconds:.1f} s" + (", named" if row.named else ""),
+                flush=True,
+            )
+    report(rows)
+
+
+if __name__ == "__main__":
+    main()
