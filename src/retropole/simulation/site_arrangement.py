@@ -21,6 +21,10 @@ SHARED_RETURNS = 9
 """Two LiDARs that are to be linked see a pole with so many returns of thin beams or more: half
 as many again as a line needs, as noise takes some."""
 
+FARTHEST = 12.0
+"""Poles further from a LiDAR link it to no other, metres: tape is wrapped and poles are stood where
+their returns are many (docs/placing.md has 2 to 8 m)."""
+
 MAX_DRAWS = 100
 """Draws of a place before a `SimulationError`."""
 
@@ -77,14 +81,19 @@ def _view(
     rng: np.random.Generator,
     who: Sequence[int],
 ) -> tuple[tuple[bool, ...], ...]:
-    """Which LiDAR sees which pole; those that do not record see none."""
+    """Which LiDAR sees which pole from near; those that do not record see none."""
     none = (False,) * len(standing)
-    return tuple(
-        poles_in_view(place.surroundings, standing, sensor, pose, rng.spawn(1)[0], SHARED_RETURNS)
-        if k in who
-        else none
-        for k, (sensor, pose) in enumerate(zip(sensors, place.poses, strict=True))
-    )
+    found = []
+    for k, (sensor, pose) in enumerate(zip(sensors, place.poses, strict=True)):
+        near = [bool(np.linalg.norm(one.centre - pose[:3, 3]) < FARTHEST) for one in standing]
+        if k not in who or not any(near):
+            found.append(none)
+            continue
+        met = poles_in_view(
+            place.surroundings, standing, sensor, pose, rng.spawn(1)[0], SHARED_RETURNS
+        )
+        found.append(tuple(a and b for a, b in zip(met, near, strict=True)))
+    return tuple(found)
 
 
 def _place_poles(

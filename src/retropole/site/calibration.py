@@ -19,6 +19,7 @@ from .certainty import budget_of
 from .choice import choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
+from .doubtful import link_by_doubtful
 from .description import Site
 from .exchanged import check_exchanged, check_places
 from .pairs import Pair, find_pairs, poles_of
@@ -61,6 +62,7 @@ def calibrate_site(
                 views = views_of(scans)
                 check_places(site, views)
                 pairs = find_pairs(scans, views)
+                scans, pairs = link_by_doubtful(scans, pairs, site.radius)
                 groups = linked_groups(count, pairs)
             with step("choose"):
                 at = [poles_of(scans, lidar) for lidar in range(count)]

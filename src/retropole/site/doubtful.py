@@ -1,0 +1,131 @@
+"""LiDARs that their sure poles link to no other: doubtful poles may, where the scene confirms them.
+
+As for a pair alone (`matching.confirmation`): two lines that both LiDARs see at one angle and
+distance, under a pose at which the scenes coincide and at no other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
+
+from ..datatypes import Placement, Pole, Scan
+from ..matching.confirmation import Chosen, choose_with_doubtful
+from ..pipeline import choose
+from .choice import linked_groups
+from .pairs import Pair, PairHypothesis
+from .scans import SiteScans
+
+MOST_TRIED = 12
+"""So many pairs are tried at most: each takes as long as half of a pair's calibration."""
+
+
+def link_by_doubtful(
+    scans: SiteScans, pairs: Sequence[Pair], radius: float
+) -> tuple[SiteScans, tuple[Pair, ...]]:
+    """Link groups of LiDARs by doubtful poles, until all are linked or nothing more is found.
+
+    Parameters
+    ----------
+    scans, pairs
+        Of the site.
+    radius
+        Of the poles, metres.
+
+    Returns
+    -------
+    SiteScans, tuple of Pair
+        With the doubtful poles that are confirmed among the poles, and the pairs that they link.
+    """
+    found = {pair.lidars: pair for pair in pairs}
+    tried = 0
+    for lidars in _between_groups(scans, pairs):
+        groups = linked_groups(len(scans.by_lidar), list(found.values()))
+        if len(groups) == 1 or tried >= MOST_TRIED:
+            break
+        if any(set(lidars) <= set(group) for group in groups):
+            continue
+        tried += 1
+        linked = _linked(scans, lidars, radius)
+        if linked is not None:
+            scans, found[lidars] = linked
+    return scans, tuple(found.values())
+
+
+def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[int, int]]:
+    """Pairs of LiDARs of different groups: those first whose recordings have most poles, sure and
+    doubtful.
+    """
+    groups = linked_groups(len(scans.by_lidar), pairs)
+    of = {i: k for k, group in enumerate(groups) for i in group}
+    counts = {}
+    for pair in pairs:
+        i, j = pair.lidars
+        if of[i] != of[j]:
+            counts[i, j] = max(
+                (min(_candidates(a), _candidates(b)) for a, b in _both(scans, i, j)), default=0
+            )
+    yield from (lidars for lidars in sorted(counts, key=lambda k: -counts[k]) if counts[lidars])
+
+
+def _both(scans: SiteScans, i: int, j: int) -> Iterator[tuple[Scan, Scan]]:
+    for a, b in zip(scans.by_lidar[i], scans.by_lidar[j], strict=True):
+        if a is not None and b is not None:
+            yield a, b
+
+
+def _candidates(scan: Scan) -> int:
+    """How many clusters may be poles."""
+    found = scan.detection
+    return 0 if found is None else len(found.poles) + len(found.rejected)
+
+
+def _linked(
+    scans: SiteScans, lidars: tuple[int, int], radius: float
+) -> tuple[SiteScans, Pair] | None:
+    """Link two LiDARs, placement by placement; None where no doubtful poles are confirmed."""
+    i, j = lidars
+    for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
+        if target is None or source is None:
+            continue
+        ask = partial(choose, count=None, prior=None, step=lambda name: nullcontext())
+        chosen = choose_with_doubtful(ask, [Placement(target, source)], radius)
+        if chosen.refusal is None:
+            return _with_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
+    return None
+
+
+def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:
+    best = chosen.hypotheses[0]
+    hypothesis = PairHypothesis(
+        best.match.T_target_source,
+        (placement,),
+        len(best.match.pairs),
+        best.overlap,
+        best.free_space_violation,
+        best.score,
+        True,
+    )
+    return Pair(lidars, (hypothesis,), True)
+
+
+def _with_poles(
+    scans: SiteScans, lidars: tuple[int, int], placement: int, chosen: Chosen
+) -> SiteScans:
+    """Count the poles that a choice pairs among those of both LiDARs."""
+    rows = [list(row) for row in scans.by_lidar]
+    paired = chosen.paired[0]
+    for lidar, poles in zip(lidars, (paired.target_poles, paired.source_poles), strict=True):
+        scan = rows[lidar][placement]
+        assert scan is not None
+        rows[lidar][placement] = _counting(scan, poles)
+    return replace(scans, by_lidar=tuple(tuple(row) for row in rows))
+
+
+def _counting(scan: Scan, poles: Sequence[Pole]) -> Scan:
+    assert scan.detection is not None
+    new = [pole for pole in poles if not any(pole is own for own in scan.poles)]
+    counted = replace(scan.detection, poles=(*scan.detection.poles, *new))
+    return replace(scan, detection=counted)
