@@ -19,8 +19,8 @@ from .certainty import budget_of
 from .choice import choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
-from .doubtful import link_by_doubtful
 from .description import Site
+from .doubtful import link_by_doubtful
 from .exchanged import check_exchanged, check_places
 from .pairs import Pair, find_pairs, poles_of
 from .refinement import patches_of, scene_pairs
