@@ -16,15 +16,15 @@ from .adjustment import Adjusted, adjust
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from .blunders import without_blunders
 from .certainty import budget_of
-from .choice import choose_poses, linked_groups
+from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
 from .description import Site
-from .doubtful import link_by_doubtful
+from .doubtful import counting_doubtful, link_by_doubtful
 from .exchanged import check_exchanged, check_places
 from .pairs import Pair, find_pairs, poles_of
 from .refinement import patches_of, scene_pairs
-from .scans import SiteScans, find_scans, poses_in_clouds, views_of
+from .scans import SiteScans, Views, find_scans, poses_in_clouds, views_of
 from .shared import shared_poles
 from .state import POSE
 from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
@@ -67,6 +67,11 @@ def calibrate_site(
             with step("choose"):
                 at = [poles_of(scans, lidar) for lidar in range(count)]
                 choices = choose_poses(groups[0], pairs, at, groups[0][0])
+                if choices.rivals:
+                    scans, pairs, choices = decided_by_doubtful(
+                        scans, views, pairs, groups[0], choices, site.radius
+                    )
+                    at = [poles_of(scans, lidar) for lidar in range(count)]
                 check_exchanged(site, scans, views, pairs, choices.best, at)
                 check_linked(site, groups, pairs)
                 check_decided(site, choices, pairs, at)
@@ -86,6 +91,24 @@ def calibrate_site(
         with step("state"):
             found = [*unusable(site, scans), *blunders, *unconfirmed]
             return answered(site, scans, pairs, groups, adjusted, found, seconds)
+
+
+def decided_by_doubtful(
+    scans: SiteScans,
+    views: Views,
+    pairs: tuple[Pair, ...],
+    group: Sequence[int],
+    choices: Choices,
+    radius: float,
+) -> tuple[SiteScans, tuple[Pair, ...], Choices]:
+    """Count doubtful poles, too, where with them one choice alone goes together."""
+    more = counting_doubtful(scans, radius)
+    found = find_pairs(more, views)
+    at = [poles_of(more, lidar) for lidar in range(len(more.by_lidar))]
+    again = choose_poses(group, found, at, group[0])
+    if again.rivals or again.best.count <= choices.best.count:
+        return scans, pairs, choices
+    return more, found, again
 
 
 def answered(

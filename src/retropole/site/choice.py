@@ -23,9 +23,9 @@ WITHOUT_SCENE = 0.25
 """A placement of a pair whose scenes do not overlap counts so much: that their poles have one shape
 may be chance, but more of it is less."""
 
-EQUAL = 0.5
-"""Choices whose counts differ by less are equally good: by less than one placement of a pair whose
-scenes overlap."""
+EQUAL = 0.1
+"""Choices whose counts differ by less are equally good: by less than any placement of a pair
+counts."""
 
 MOST_STEPS = 200_000
 """Steps of the search at most: a ring of 12 LiDARs, two hypotheses for each pair, takes 4,000."""

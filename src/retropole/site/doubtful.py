@@ -12,7 +12,8 @@ from dataclasses import replace
 from functools import partial
 
 from ..datatypes import Placement, Pole, Scan
-from ..matching.confirmation import Chosen, choose_with_doubtful
+from ..extraction.doubtful import with_doubtful
+from ..matching.confirmation import ENOUGH_SURE, Chosen, choose_with_doubtful
 from ..pipeline import choose
 from .choice import linked_groups
 from .pairs import Pair, PairHypothesis
@@ -52,6 +53,26 @@ def link_by_doubtful(
         if linked is not None:
             scans, found[lidars] = linked
     return scans, tuple(found.values())
+
+
+def counting_doubtful(scans: SiteScans, radius: float) -> SiteScans:
+    """Count the doubtful poles of recordings with fewer than two sure ones.
+
+    They are no evidence by themselves: only a loop that closes with them, and with no other choice,
+    confirms them.
+    """
+    rows = tuple(
+        tuple(None if scan is None else _with_own_doubtful(scan, radius) for scan in row)
+        for row in scans.by_lidar
+    )
+    return replace(scans, by_lidar=rows)
+
+
+def _with_own_doubtful(scan: Scan, radius: float) -> Scan:
+    if scan.detection is None or len(scan.poles) >= ENOUGH_SURE:
+        return scan
+    found = with_doubtful(scan.cloud, scan.detection, radius, scan.sensor)
+    return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
 
 
 def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[int, int]]:

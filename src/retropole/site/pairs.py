@@ -21,6 +21,10 @@ from ..scene.choice import RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_over
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views
 from .scans import SiteScans, Views
 
+UNTOLD = 0.25
+"""Scores of scenes that hardly overlap tell hypotheses apart by more than this only: it is the
+overlap below which they count as not overlapping (`scene.choice.MIN_OVERLAP`)."""
+
 
 @dataclass(frozen=True, eq=False)
 class PairHypothesis:
@@ -197,10 +201,10 @@ def _stands(
 ) -> bool:
     """Whether the scene leaves a hypothesis standing, as `scene.choice` has it for one pair.
 
-    Where the scenes hardly overlap only free space speaks.
+    Where the scenes hardly overlap little tells them apart.
     """
     best = rows[0][0]
-    least = min(row[0].free_space_violation for row in rows)
-    allowed = (best.free_space_violation if overlaps else least) + RIVAL_FREE_SPACE_VIOLATION
-    overlap = RIVAL_OVERLAP * best.overlap if overlaps else 0.0
-    return each.overlap >= overlap and each.free_space_violation <= allowed
+    seen = each.free_space_violation <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
+    if overlaps:
+        return seen and each.overlap >= RIVAL_OVERLAP * best.overlap
+    return seen and each.score >= best.score - UNTOLD
