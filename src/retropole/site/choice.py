@@ -23,7 +23,11 @@ WITHOUT_SCENE = 0.25
 """A placement of a pair whose scenes do not overlap counts so much: that their poles have one shape
 may be chance, but more of it is less."""
 
-EQUAL = 0.1
+UNLIKELY = 0.4
+"""A hypothesis that the scene does not leave standing beside the best, but does not rule out, counts
+this part: a loop that closes with it is more than one that does not close."""
+
+EQUAL = 0.05
 """Choices whose counts differ by less are equally good: by less than any placement of a pair
 counts."""
 
@@ -170,19 +174,21 @@ class _Search:
         first, second = pair.lidars
         both = {other: poses[other], lidar: T}
         met = pair.at(se3.inverse(both[first]) @ both[second], self.poles[second])
-        return 0.0 if met is None else weight_of(pair) * len(met.placements)
+        if met is None:
+            return 0.0
+        return weight_of(pair) * len(met.placements) * (1.0 if met.stands else UNLIKELY)
 
     def _pair(self, a: int, b: int) -> Pair | None:
         return self.pairs.get((min(a, b), max(a, b)))
 
     def _between(self, other: int, lidar: int) -> list[PairHypothesis]:
-        """Standing hypotheses of a pair, from the frame of `other` to points of `lidar`."""
+        """Possible hypotheses of a pair, from the frame of `other` to points of `lidar`."""
         pair = self._pair(other, lidar)
         if pair is None:
             return []
         if pair.lidars[0] == other:
-            return list(pair.standing)
-        return [replace(each, T=se3.inverse(each.T)) for each in pair.standing]
+            return list(pair.possible)
+        return [replace(each, T=se3.inverse(each.T)) for each in pair.possible]
 
     def _most_of(self, placed: dict[int, Array] | dict[int, None], lidar: int) -> float:
         """Most that a LiDAR can count beside others."""

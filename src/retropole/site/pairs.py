@@ -42,6 +42,9 @@ class PairHypothesis:
         What the scene says of it, as `datatypes.Hypothesis` has it.
     stands
         Whether the scene leaves it standing beside the best of the pair.
+    possible
+        Whether it stands, or scores no less than `UNTOLD` below the best: on bare ground a pose
+        that brings the LiDARs near each other overlaps twice as much as the right one.
     """
 
     T: Array
@@ -51,6 +54,7 @@ class PairHypothesis:
     free_space_violation: float
     score: float
     stands: bool
+    possible: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +83,17 @@ class Pair:
         """Hypotheses that the scene leaves standing."""
         return tuple(each for each in self.hypotheses if each.stands)
 
+    @property
+    def possible(self) -> tuple[PairHypothesis, ...]:
+        """Hypotheses that the scene does not rule out, even if it favours others by far."""
+        return tuple(each for each in self.hypotheses if each.possible)
+
     def at(self, T: Array, points: Array) -> PairHypothesis | None:
-        """Find the standing hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
-        near = [each for each in self.standing if is_same_pose(T, each.T, points)]
-        return max(near, key=lambda each: (len(each.placements), each.score), default=None)
+        """Find the possible hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
+        near = [each for each in self.possible if is_same_pose(T, each.T, points)]
+        return max(
+            near, key=lambda each: (each.stands, len(each.placements), each.score), default=None
+        )
 
 
 def is_same_pose(T: Array, other: Array, points: Array) -> bool:
@@ -180,7 +191,8 @@ def _scored(
                 each.overlap,
                 each.free_space_violation,
                 each.score,
-                each is best or _stands(each, rows, overlaps),
+                each is best or _stands(each, best, overlaps),
+                each is best or _is_possible(each, best),
             )
             for each, placements, poles in rows
         ),
@@ -196,15 +208,19 @@ def _overlaps(best: Hypothesis) -> bool:
     return True
 
 
-def _stands(
-    each: Hypothesis, rows: Sequence[tuple[Hypothesis, tuple[int, ...], int]], overlaps: bool
-) -> bool:
+def _stands(each: Hypothesis, best: Hypothesis, overlaps: bool) -> bool:
     """Whether the scene leaves a hypothesis standing, as `scene.choice` has it for one pair.
 
     Where the scenes hardly overlap little tells them apart.
     """
-    best = rows[0][0]
-    seen = each.free_space_violation <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
-    if overlaps:
-        return seen and each.overlap >= RIVAL_OVERLAP * best.overlap
-    return seen and each.score >= best.score - UNTOLD
+    if not overlaps:
+        return _is_possible(each, best)
+    return _is_undenied(each, best) and each.overlap >= RIVAL_OVERLAP * best.overlap
+
+
+def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:
+    return _is_undenied(each, best) and each.score >= best.score - UNTOLD
+
+
+def _is_undenied(each: Hypothesis, best: Hypothesis) -> bool:
+    return each.free_space_violation <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
