@@ -10,14 +10,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from ..errors import Reason, Refusal
+from ..scene.agreement import MAX_AXES_CHI2
 from .adjustment import Adjusted, without_observations
 from .answer import Test
 from .datum import Datum, without_poles, without_survey
 from .description import Site
 
-SIGNIFICANT = 5.0
-"""Normalised residual (w) from which an observation does not fit. Of healthy sites none came to
-more than 4 (benchmarks/site.py, tuning seeds)."""
+SIGNIFICANT, PER_FREEDOM = 5.0, MAX_AXES_CHI2
+"""Normalised residual (w), and χ² for each degree of freedom, from which an observation does not
+fit: both, since with many degrees of freedom small errors that no model names add up. The second is
+what a pair's poles are allowed (`scene.agreement`). Of poles and placements of healthy sites none
+came to more than w 5 (benchmarks/site.py, tuning seeds), of whole LiDARs one to 6 with a χ² of 4
+for each."""
 
 MOST_BLUNDERS = 3
 """So many are left out at most."""
@@ -41,7 +45,9 @@ def worst_test(tests: Sequence[Test]) -> Test | None:
 
 def significant(tests: Sequence[Test]) -> list[Test]:
     """Tests of what does not fit."""
-    return [test for test in tests if test.w > SIGNIFICANT]
+    return [
+        test for test in tests if test.w > SIGNIFICANT and test.chi2 > PER_FREEDOM * test.freedom
+    ]
 
 
 def without_blunders(

@@ -24,10 +24,10 @@ WITHOUT_SCENE = 0.25
 may be chance, but more of it is less."""
 
 UNLIKELY = 0.4
-"""A hypothesis that the scene does not leave standing beside the best, but does not rule out, counts
-this part: a loop that closes with it is more than one that does not close."""
+"""A hypothesis that the scene does not leave standing beside the best, but does not rule out, has
+this part of the count: a loop that closes with it is more than one that does not close."""
 
-EQUAL = 0.05
+EQUAL = 0.02
 """Choices whose counts differ by less are equally good: by less than any placement of a pair
 counts."""
 

@@ -26,6 +26,10 @@ UNTOLD = 0.25
 overlap below which they count as not overlapping (`scene.choice.MIN_OVERLAP`)."""
 
 
+LEAST_TOLD = 0.1
+"""Overlap of the best hypothesis below which the scenes show different places."""
+
+
 @dataclass(frozen=True, eq=False)
 class PairHypothesis:
     """A pose of two LiDARs that poles of at least one placement allow.
@@ -191,7 +195,7 @@ def _scored(
                 each.overlap,
                 each.free_space_violation,
                 each.score,
-                each is best or _stands(each, best, overlaps),
+                each is best or _stands(each, best),
                 each is best or _is_possible(each, best),
             )
             for each, placements, poles in rows
@@ -208,12 +212,12 @@ def _overlaps(best: Hypothesis) -> bool:
     return True
 
 
-def _stands(each: Hypothesis, best: Hypothesis, overlaps: bool) -> bool:
+def _stands(each: Hypothesis, best: Hypothesis) -> bool:
     """Whether the scene leaves a hypothesis standing, as `scene.choice` has it for one pair.
 
-    Where the scenes hardly overlap little tells them apart.
+    Scenes that do not overlap tell nothing apart.
     """
-    if not overlaps:
+    if best.overlap < LEAST_TOLD:
         return _is_possible(each, best)
     return _is_undenied(each, best) and each.overlap >= RIVAL_OVERLAP * best.overlap
 
