@@ -20,6 +20,7 @@ SiteCode = Literal[
     "survey_outlier",
     "recording_left_out",
     "recording_unusable",
+    "misfit",
     "loop_open",
     "not_checked",
 ]
@@ -114,6 +115,15 @@ SITE: dict[SiteCode, Explanation] = {
         "A recording cannot be used",
         "The message says why. The others were used.",
         ("See the reason named in the message.",),
+    ),
+    "misfit": Explanation(
+        "An observation fits poorly",
+        "The observation named fits the others worse than healthy sites do, but not so badly that "
+        "it was left out.",
+        (
+            "Look at the tests in the report.",
+            "Add a placement: with more that checks it, it shows what is wrong.",
+        ),
     ),
     "loop_open": Explanation(
         "A loop does not close",

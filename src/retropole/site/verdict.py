@@ -16,6 +16,7 @@ from ..uncertainty import Confirmation
 from ..uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from .adjustment import Adjusted
 from .answer import LidarPose, LoopClosure, Test
+from .blunders import POOR, significant
 from .choice import Choices, where_they_differ
 from .description import Site
 from .pairs import Pair
@@ -204,6 +205,7 @@ def weaknesses(
     site: Site, adjusted: Adjusted, loops: Sequence[LoopClosure], lidars: Sequence[LidarPose]
 ) -> Iterator[Reason]:
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
+    yield from _poor_fit(adjusted.tests)
     yield from _open_loops(site, loops)
     yield from _unchecked(site, adjusted.tests)
     if not adjusted.converged:
@@ -213,6 +215,18 @@ def weaknesses(
             {"stage": "site", "iterations": adjusted.end.iterations},
         )
     yield from _not_fit(site, lidars)
+
+
+def _poor_fit(tests: Sequence[Test]) -> Iterator[Reason]:
+    """Say which observation fits worst, where one fits poorly and none was left out for it."""
+    worst = max(significant(tests, POOR), key=lambda test: test.w, default=None)
+    if worst is not None:
+        yield Reason(
+            "misfit",
+            f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the most to "
+            "expect): did poles move a little, or is the LiDAR worse than its data sheet?",
+            {"observation": worst.name, "w": worst.w, "chi2": worst.chi2, "allowed": POOR},
+        )
 
 
 def _open_loops(site: Site, loops: Sequence[LoopClosure]) -> Iterator[Reason]:
