@@ -43,11 +43,9 @@ def worst_test(tests: Sequence[Test]) -> Test | None:
     return max(significant(tests), key=lambda test: test.chi2 - 2 * test.freedom, default=None)
 
 
-def significant(tests: Sequence[Test]) -> list[Test]:
-    """Tests of what does not fit."""
-    return [
-        test for test in tests if test.w > SIGNIFICANT and test.chi2 > PER_FREEDOM * test.freedom
-    ]
+def significant(tests: Sequence[Test], above: float = SIGNIFICANT) -> list[Test]:
+    """Tests of what does not fit: whose w is above a limit."""
+    return [test for test in tests if test.w > above and test.chi2 > PER_FREEDOM * test.freedom]
 
 
 def without_blunders(
