@@ -219,13 +219,16 @@ def _descend(
 
 
 def _stride(step: Array, variance: Array, before: Array | None) -> tuple[float, Array | None]:
-    """How much of a step to go, as `scene.descent` has it for one pair (Aitken 1926)."""
+    """How much of a step to go, as `scene.descent` has it for one pair (Aitken 1926).
+
+    A step back along the one before it is shortened: half of it ends a walk to and fro.
+    """
     free = variance > 0
     scaled = step[free] / np.sqrt(variance[free])
     if before is None:
         return 1.0, scaled
     ratio = float(scaled @ before / max(float(before @ before), 1e-300))
-    return 1.0 / (1.0 - min(max(ratio, 0.0), MAX_RATIO)), None
+    return 1.0 / (1.0 - min(max(ratio, -1.0), MAX_RATIO)), None
 
 
 def _moved(T: Array, step: Array) -> Array:
