@@ -175,7 +175,8 @@ def pair_patches(
     moved = rotated + T[:3, 3]
     # How far each patch may still be off, from the covariance of the pose: tr(J Σ Jᵀ).
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
-    spread = np.sqrt(np.einsum("mik,mik->m", lever @ covariance, lever))
+    # Where a pose is all but free, rounding may leave less than none.
+    spread = np.sqrt(np.maximum(np.einsum("mik,mik->m", lever @ covariance, lever), 0.0))
     limit = np.minimum(
         MIN_CORRESPONDENCE_DISTANCE + POSE_SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE
     )
