@@ -44,6 +44,20 @@ def test_local_inverts_retract(seed: int, angle: float) -> None:
     np.testing.assert_allclose(se3.local(T, se3.retract(T, step)), step, atol=1e-7)
 
 
+@given(seeds, st.sampled_from([0.0, 1e-8, 1e-4, 1e-3, 0.3, 1.5, 3.0]))
+def test_local_jacobian_is_its_derivative(seed: int, angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    T, step = se3.random(rng), rng.normal(size=6)
+    step[:3] *= angle / np.linalg.norm(step[:3])
+    there = se3.retract(T, step)
+    by = 1e-6
+    columns = [
+        (se3.local(T, se3.retract(there, way)) - se3.local(T, se3.retract(there, -way))) / (2 * by)
+        for way in by * np.eye(6)
+    ]
+    np.testing.assert_allclose(np.stack(columns, 1), se3.local_jacobian(step), atol=1e-7)
+
+
 @given(seeds)
 def test_hat_is_the_cross_product(seed: int) -> None:
     rng = np.random.default_rng(seed)

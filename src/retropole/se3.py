@@ -126,6 +126,21 @@ def local(T: Array, T_other: Array) -> Array:
     )
 
 
+def local_jacobian(step: Array) -> Array:
+    """Derivative (6, 6) of `local` by a further step of the other transform, from ``[φ, δ]`` on.
+
+    ``Exp(ε) Exp(φ)`` has the rotation vector ``φ + J ε`` to first order in ε, J the inverse of the
+    left Jacobian of SO(3).
+    """
+    angle = float(np.linalg.norm(step[:3]))
+    across = hat(step[:3])
+    half = angle / 2
+    share = 1 / 12 if angle < 1e-4 else (1 - half / np.tan(half)) / angle**2
+    J = np.eye(6)
+    J[:3, :3] += share * across @ across - across / 2
+    return J
+
+
 class PoseDifference(NamedTuple):
     """How far two poses are apart: angle of the rotation, rad, and translation, metres."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import cholesky, qr, solve_triangular, svd
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -175,7 +175,8 @@ def pair_patches(
     moved = rotated + T[:3, 3]
     # How far each patch may still be off, from the covariance of the pose: tr(J Σ Jᵀ).
     lever = np.concatenate([-se3.hat(rotated), np.broadcast_to(np.eye(3), (len(moved), 3, 3))], 2)
-    spread = np.sqrt(np.einsum("mik,mik->m", lever @ covariance, lever))
+    # Where a pose is all but free, rounding may leave less than none.
+    spread = np.sqrt(np.maximum(np.einsum("mik,mik->m", lever @ covariance, lever), 0.0))
     limit = np.minimum(
         MIN_CORRESPONDENCE_DISTANCE + POSE_SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE
     )
@@ -287,13 +288,17 @@ def held_directions(pairs: PatchPairs, weights: Array) -> Array:
     tangents *= np.sqrt(weights * pairs.tilt)[:, None, None]
     rows = tangents.reshape(-1, 6)
     noise = rows.T @ rows
-    scene = (pairs.jacobian.T * weights) @ pairs.jacobian
     scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
-    noise = noise * np.outer(scale, scale) + 1e-9 * np.eye(6)
-    values, vectors = eigh(scene * np.outer(scale, scale), noise)
-    kept = values**2 / (values**2 + MIN_HOLD**2)
-    # The vectors are orthonormal under H_n: v vᵀ H_n projects onto them.
-    projection = (vectors * kept) @ vectors.T @ noise
+    root = cholesky(noise * np.outer(scale, scale) + 1e-9 * np.eye(6), lower=True)
+    # Singular values of the rows: as eigenvalues of their squares, which span twenty powers of
+    # ten where few surfaces are seen, the small ones are lost in rounding.
+    scene = qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale, mode="r")[0][:6]
+    whitened = solve_triangular(root, scene.T, lower=True).T
+    _, singular, ways = svd(whitened)
+    kept = singular**4 / (singular**4 + MIN_HOLD**2)
+    # The ways are orthonormal where H_n is whitened to the identity.
+    back = solve_triangular(root, (ways.T * kept) @ ways, lower=True, trans="T")
+    projection = back @ root.T
     return np.asarray(scale[:, None] * projection / scale[None, :])
 
 

@@ -93,6 +93,8 @@ class SiteEnd:
     ----------
     T
         (L, 4, 4) the poses.
+    about
+        (L, 4, 4) where patches were paired and the terms of the scene count from.
     errors
         (B,) of the LiDARs and the radius.
     sigma
@@ -110,6 +112,7 @@ class SiteEnd:
     """
 
     T: Array
+    about: Array
     errors: Array
     sigma: Array
     precision: Array
@@ -202,12 +205,13 @@ def _descend(
         )
         end = _solve(problem, T, terms, sigma)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
+        small = bool(np.abs(step).max() < tolerance)
         stride, before = _stride(step, np.diag(end.inverse)[: len(step)], before)
-        T = _moved(T, stride * step)
+        # The last step is whole: the answer solves the problem that its covariance is of.
+        T = end.T if small else _moved(T, stride * step)
         narrowed = NARROWING**iteration * covariance
         search = INFORMATION_SHARE * end.inverse[: len(step), : len(step)] + narrowed
         sigma = end.sigma
-        small = bool(np.abs(step).max() < tolerance)
         end = replace(end, T=T, search=search, converged=small, iterations=iteration)
         if small:
             break
@@ -215,13 +219,16 @@ def _descend(
 
 
 def _stride(step: Array, variance: Array, before: Array | None) -> tuple[float, Array | None]:
-    """How much of a step to go, as `scene.descent` has it for one pair (Aitken 1926)."""
+    """How much of a step to go, as `scene.descent` has it for one pair (Aitken 1926).
+
+    A step back along the one before it is shortened: half of it ends a walk to and fro.
+    """
     free = variance > 0
     scaled = step[free] / np.sqrt(variance[free])
     if before is None:
         return 1.0, scaled
     ratio = float(scaled @ before / max(float(before @ before), 1e-300))
-    return 1.0 / (1.0 - min(max(ratio, 0.0), MAX_RATIO)), None
+    return 1.0 / (1.0 - min(max(ratio, -1.0), MAX_RATIO)), None
 
 
 def _moved(T: Array, step: Array) -> Array:
@@ -251,12 +258,17 @@ def _solve(problem: _Problem, T: Array, terms: Sequence[SceneTerm], sigma: Array
     unknowns, poses = network.unknowns, network.unknowns.poses
     working = working_sigma(problem.groups, sigma, poles_alone=not terms)
     precision = prior_precision(problem.groups, working)
-    information = problem.information.copy()
-    index = np.arange(poses, unknowns.kept)
-    information[index, index] += precision
     steps = [se3.local(a, b) for a, b in zip(network.state.T, T, strict=True)]
     here = np.r_[np.concatenate(steps), np.zeros(unknowns.errors)]
-    gradient = problem.vector - problem.information @ here
+    # The network counts from where it was expanded, the scene's terms from here.
+    by_step = np.eye(unknowns.kept)
+    for lidar, step in enumerate(steps):
+        own = unknowns.pose(lidar)
+        by_step[np.ix_(own, own)] = se3.local_jacobian(step)
+    information = by_step.T @ problem.information @ by_step
+    gradient = by_step.T @ (problem.vector - problem.information @ here)
+    index = np.arange(poses, unknowns.kept)
+    information[index, index] += precision
     for term in terms:
         information[np.ix_(term.place, term.place)] += term.information()
         np.add.at(gradient, term.place, term.gradient())
@@ -268,6 +280,7 @@ def _solve(problem: _Problem, T: Array, terms: Sequence[SceneTerm], sigma: Array
     variance = np.diag(inverse)[poses:]
     return SiteEnd(
         _moved(T, best[:poses]),
+        T,
         errors,
         group_scales(problem.groups, problem.known, precision, errors, variance),
         precision,
