@@ -1,7 +1,7 @@
 """Simulated pairs and sites whose true poses are known."""
 
 from .devices import Device, draw_device
-from .insertion import InsertedPair, insert_poles
+from .insertion import InsertedPair, InsertedSite, insert_into_site, insert_poles
 from .noise import EXACT, FIELD, NOISE_MODELS, TYPICAL, NoiseModel
 from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
@@ -25,6 +25,7 @@ __all__ = [
     "Cylinder",
     "Device",
     "InsertedPair",
+    "InsertedSite",
     "LabelledScan",
     "Material",
     "NoiseModel",
@@ -35,6 +36,7 @@ __all__ = [
     "Surface",
     "Survey",
     "draw_device",
+    "insert_into_site",
     "insert_poles",
     "place_again",
     "record_again",

@@ -1,4 +1,4 @@
-"""Taped poles in two real recordings, met by the recordings' own beams.
+"""Taped poles in real recordings, met by the recordings' own beams.
 
 Surroundings, other bright things and the pattern of the beams stay as they were recorded.
 """
@@ -84,6 +84,31 @@ class InsertedPair:
         return tuple((int(t), int(s)) for t, s in zip(target, source, strict=True))
 
 
+@dataclass(frozen=True, eq=False)
+class InsertedSite:
+    """Recordings of several LiDARs with poles put into them.
+
+    Attributes
+    ----------
+    clouds
+        For each LiDAR one for each placement, in the LiDAR's frame.
+    poses
+        (4, 4) each, the reference by which the poles were placed, into the first LiDAR's frame.
+    poles
+        Of each placement, in the first LiDAR's frame.
+    labels
+        As `clouds`: the index of the pole that each point lies on; −1 for what was recorded.
+    sensors
+        The models; None where not known.
+    """
+
+    clouds: tuple[tuple[PointCloud, ...], ...]
+    poses: tuple[Array, ...]
+    poles: tuple[tuple[Cylinder, ...], ...]
+    labels: tuple[tuple[IntArray, ...], ...]
+    sensors: tuple[Sensor | None, ...]
+
+
 def insert_poles(
     target: PointCloud,
     source: PointCloud,
@@ -126,29 +151,98 @@ def insert_poles(
     SimulationError
         No such poles were found in many draws.
     """
-    beams = recorded_beams(target), recorded_beams(source)
-    widths = tuple(DIVERGENCE if s is None else s.divergence for s in sensors)
-    frames = np.eye(4), T_target_source
-    if isinstance(poles, int):
-        # Cast from the target's frame: drawing tries many poles, and beams turn only once.
-        turned = tuple(in_frame(b, T) for b, T in zip(beams, frames, strict=True))
-        points = np.concatenate([target.xyz, se3.apply(T_target_source, source.xyz)])
-        standing = draw_standing_poles(points, turned, widths, rng, poles, radius, up)
-    else:
-        standing = list(poles)
-    made = [
-        _with_poles(cloud, beam, _moved(standing, T), width, sensor, rng, tape_offset, ring_bias)
-        for cloud, beam, T, width, sensor in zip(
-            (target, source), beams, frames, widths, sensors, strict=True
-        )
-    ]
-    return InsertedPair(
-        target=made[0][0],
-        source=made[1][0],
-        T_target_source=T_target_source,
-        poles=tuple(standing),
-        labels=(made[0][1], made[1][1]),
+    made = insert_into_site(
+        (target, source),
+        (np.eye(4), T_target_source),
+        rng,
         sensors=sensors,
+        poles=poles if isinstance(poles, int) else (poles,),
+        radius=radius,
+        up=up,
+        tape_offset=tape_offset,
+        ring_bias=ring_bias,
+    )
+    return InsertedPair(
+        target=made.clouds[0][0],
+        source=made.clouds[1][0],
+        T_target_source=T_target_source,
+        poles=made.poles[0],
+        labels=(made.labels[0][0], made.labels[1][0]),
+        sensors=sensors,
+    )
+
+
+def insert_into_site(
+    clouds: Sequence[PointCloud],
+    poses: Sequence[Array],
+    rng: np.random.Generator,
+    *,
+    sensors: Sequence[Sensor | None],
+    poles: int | Sequence[Sequence[Cylinder]] = 2,
+    placements: int = 1,
+    radius: float = DEFAULT_RADIUS,
+    up: Array = UP,
+    tape_offset: float = TAPE_OFFSET,
+    ring_bias: float = RING_BIAS,
+) -> InsertedSite:
+    """Put taped poles into recordings of several LiDARs of one place.
+
+    Every placement of the poles is put into the same recordings: what surrounds the poles, with
+    its noise, is the same in all. A LiDAR's errors on tape are the same in all placements too.
+
+    Parameters
+    ----------
+    clouds
+        One for each LiDAR, in its own frame, the beams starting at `PointCloud.origin`.
+    poses
+        (4, 4) each, the reference: they map points of a LiDAR into the frame of the first.
+    rng
+        Source of everything random; equal generators give equal sites.
+    sensors
+        What recorded each, as in `insert_poles`.
+    poles
+        How many to draw for each placement, standing where all LiDARs see them; or the poles of
+        each placement, in the first LiDAR's frame, wherever they are.
+    placements
+        How often poles are drawn.
+    radius, up, tape_offset, ring_bias
+        As in `insert_poles`; `up` in the first LiDAR's frame.
+
+    Raises
+    ------
+    SimulationError
+        No such poles were found in many draws.
+    """
+    beams = [recorded_beams(cloud) for cloud in clouds]
+    widths = [DIVERGENCE if s is None else s.divergence for s in sensors]
+    if isinstance(poles, int):
+        # Cast from the first frame: drawing tries many poles, and beams turn only once.
+        turned = [in_frame(b, T) for b, T in zip(beams, poses, strict=True)]
+        points = np.concatenate(
+            [se3.apply(T, cloud.xyz) for T, cloud in zip(poses, clouds, strict=True)]
+        )
+        standing = [
+            draw_standing_poles(points, turned, widths, rng, poles, radius, up)
+            for _ in range(placements)
+        ]
+    else:
+        standing = [list(each) for each in poles]
+    made = []
+    for cloud, beam, T, width, sensor in zip(clouds, beams, poses, widths, sensors, strict=True):
+        biases = np.r_[ring_bias * rng.normal(size=max(int(beam.rings.max()), 0) + 1), 0.0]
+        biases += tape_offset * rng.normal()
+        made.append(
+            [
+                _with_poles(cloud, beam, _moved(each, T), width, sensor, rng, biases)
+                for each in standing
+            ]
+        )
+    return InsertedSite(
+        clouds=tuple(tuple(cloud for cloud, _ in each) for each in made),
+        poses=tuple(poses),
+        poles=tuple(tuple(each) for each in standing),
+        labels=tuple(tuple(labels for _, labels in each) for each in made),
+        sensors=tuple(sensors),
     )
 
 
@@ -168,14 +262,15 @@ def _with_poles(
     width: float,
     sensor: Sensor | None,
     rng: np.random.Generator,
-    tape_offset: float,
-    ring_bias: float,
+    biases: Array,
 ) -> tuple[PointCloud, IntArray]:
-    """Replace what the poles hide by returns on them; the labels (N',) are their index or −1."""
+    """Replace what the poles hide by returns on them; the labels (N',) are their index or −1.
+
+    The biases are those of ranges to tape, metres: of each ring, and last where none is known.
+    """
     hits, met = met_by(beams, poles, width)
-    biases = np.r_[ring_bias * rng.normal(size=max(int(beams.rings.max()), 0) + 1), 0.0]
     noise = RANGE_NOISE if sensor is None else sensor.range_noise
-    ranges = hits.ranges[met] + tape_offset * rng.normal() + biases[beams.rings[met]]
+    ranges = hits.ranges[met] + biases[beams.rings[met]]
     ranges += noise * rng.normal(size=len(met))
     points = beams.origin + ranges[:, None] * beams.directions[met]
     # Returns stay in their places in the file; beams that had none come last.

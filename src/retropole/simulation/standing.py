@@ -45,21 +45,21 @@ MAX_DRAWS, MAX_SECOND_DRAWS = 20_000, 2_000
 
 def draw_standing_poles(
     points: Array,
-    beams: tuple[RecordedBeams, ...],
-    widths: tuple[float, ...],
+    beams: Sequence[RecordedBeams],
+    widths: Sequence[float],
     rng: np.random.Generator,
     count: int,
     radius: float,
     up: Array,
 ) -> list[Cylinder]:
-    """Draw poles that stand free on recorded ground where both LiDARs see them.
+    """Draw poles that stand free on recorded ground where all LiDARs see them.
 
     Parameters
     ----------
     points
         (N, 3) all that was recorded, metres, in the target's frame.
     beams
-        Of the target and the source, in the same frame.
+        Of all LiDARs, the target's first, in the same frame.
     widths
         Full angle of their beams, rad.
     rng
@@ -93,7 +93,8 @@ def draw_standing_poles(
         lean, toward = rng.uniform(0, MAX_LEAN), rng.uniform(0, 2 * np.pi)
         length = float(rng.uniform(*POLE_LENGTHS))
         axis = np.r_[np.sin(lean) * np.array([np.cos(toward), np.sin(toward)]), np.cos(lean)]
-        if not POLE_DISTANCES[0] <= np.linalg.norm(foot - origins[1][:2]) <= POLE_DISTANCES[1]:
+        others = [float(np.linalg.norm(foot - origin[:2])) for origin in origins[1:]]
+        if any(not POLE_DISTANCES[0] <= other <= POLE_DISTANCES[1] for other in others):
             continue
         gaps = [float(np.linalg.norm(foot - other)) for other in feet]
         if any(not POLE_SPACING[0] <= gap <= POLE_SPACING[1] for gap in gaps):
@@ -126,7 +127,7 @@ def draw_standing_poles(
 def _seen(
     beams: Sequence[RecordedBeams], widths: Sequence[float], poles: Sequence[Cylinder]
 ) -> bool:
-    """Whether both LiDARs have `MIN_RETURNS` on each pole, on `MIN_RINGS` where rings are known."""
+    """Whether all LiDARs have `MIN_RETURNS` on each pole, on `MIN_RINGS` where rings are known."""
     for each, width in zip(beams, widths, strict=True):
         hits, met = met_by(each, poles, width)
         for k in range(len(poles)):
