@@ -24,8 +24,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
-from semireal import PAIRS, WEAK, Loaded, load
-from wrong_files import REACH, VOXEL, registered
 
 from retropole import se3
 from retropole.datatypes import DEFAULT_RADIUS, Array
@@ -34,6 +32,8 @@ from retropole.simulation import InsertedSite, SimulationError, insert_into_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site, SiteLidar
+from semireal import PAIRS, WEAK, Loaded, load
+from wrong_files import REACH, VOXEL, registered
 
 NAMES = "top", "left", "right"
 FOLDER = "pandar_0001"
@@ -115,8 +115,7 @@ def outcome_of(seed: int, answer: SiteCalibration, true: Sequence[Array]) -> Out
     if answer.covariance is None:
         return Outcome(seed, answer.status, codes, messages, found)
     offs = [
-        se3.local(pose.T_site_lidar, T)
-        for pose, T in zip(answer.lidars[1:], true[1:], strict=True)
+        se3.local(pose.T_site_lidar, T) for pose, T in zip(answer.lidars[1:], true[1:], strict=True)
     ]
     off = np.concatenate(offs)
     own = answer.covariance[6:, 6:]

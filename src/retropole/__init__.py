@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .api.evaluation import evaluate
     from .api.result import CalibrationResult, load_result
     from .api.simulation import simulate
-    from .api.site import SiteResult, calibrate_site
+    from .api.site import SiteResult, calibrate_site, load_site_result
     from .datatypes import PointCloud
     from .errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
     from .io import read_cloud
@@ -40,6 +40,7 @@ _MODULES = {
     "detect": "api.detection",
     "evaluate": "api.evaluation",
     "load_result": "api.result",
+    "load_site_result": "api.site",
     "read_cloud": "io",
     "simulate": "api.simulation",
 }
@@ -60,6 +61,7 @@ __all__ = [
     "detect",
     "evaluate",
     "load_result",
+    "load_site_result",
     "read_cloud",
     "simulate",
 ]

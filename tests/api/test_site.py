@@ -10,7 +10,7 @@ import retropole as rp
 from retropole import se3
 from retropole.api import site as api_site
 from retropole.datatypes import Array
-from retropole.errors import Refusal, UsageError
+from retropole.errors import ReadError, Refusal, UsageError
 from retropole.result.bounded import Status
 from retropole.result.site_decoding import decode_site
 from retropole.site.answer import SiteCalibration
@@ -51,6 +51,7 @@ def test_any_two_lidars_have_a_transform(result: rp.SiteResult) -> None:
 
 
 def test_its_covariance_counts_what_both_have_in_common(result: rp.SiteResult) -> None:
+    assert result.calibration is not None
     whole = result.calibration.covariance
     assert whole is not None
     found = relative(pose(result, "gate"), pose(result, "mast-b"), joint_of(whole, 2, 1))
@@ -70,6 +71,28 @@ def test_it_is_saved_whole(result: rp.SiteResult, tmp_path: Path) -> None:
     assert written[1].read_text().lower().startswith("<!doctype html>")
 
 
+def test_what_is_loaded_says_the_same(result: rp.SiteResult, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    for place in (tmp_path / "out", tmp_path / "out" / "site-result.json"):
+        loaded = rp.load_site_result(place)
+        assert loaded.document == result.document
+        assert (loaded.lidars, repr(loaded)) == (NAMES, repr(result))
+        for a, b in (("mast-a", "gate"), ("gate", "mast-b")):
+            np.testing.assert_array_equal(loaded.T(a, b), result.T(a, b))
+            np.testing.assert_array_equal(loaded.covariance(a, b), result.covariance(a, b))
+        assert loaded.pose("gate").budget == result.pose("gate").budget
+    loaded.save(tmp_path / "again")
+    assert rp.load_site_result(tmp_path / "again").document == result.document
+
+
+def test_what_is_no_result_of_a_site_is_not_loaded(tmp_path: Path) -> None:
+    with pytest.raises(ReadError, match=r"site-result\.json: cannot be read"):
+        rp.load_site_result(tmp_path)
+    (tmp_path / "result.json").write_text("{}")
+    with pytest.raises(ReadError, match=r"result\.json: no result document of a site"):
+        rp.load_site_result(tmp_path / "result.json")
+
+
 def test_it_prints_where_each_lidar_is(result: rp.SiteResult) -> None:
     words = repr(result)
     assert words.startswith("SiteResult: ok")
@@ -84,6 +107,8 @@ def test_a_refusal_has_no_transform(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with pytest.raises(Refusal, match="leaves two ways"):
         result.T("mast-a", "gate")
     result.save(tmp_path / "out")
+    with pytest.raises(Refusal, match="leaves two ways"):
+        rp.load_site_result(tmp_path / "out").covariance("mast-a", "gate")
 
 
 def test_one_recording_for_two_is_refused(tmp_path: Path) -> None:
@@ -97,8 +122,10 @@ def test_one_recording_for_two_is_refused(tmp_path: Path) -> None:
 def test_a_site_from_python_is_taken_as_it_is(
     result: rp.SiteResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert result.calibration is not None
     site = result.calibration.site
     again = rp.calibrate_site(site)
+    assert again.calibration is not None
     assert again.calibration.site is site
     assert len(again.document.inputs) == 5
     with pytest.raises(UsageError, match="of different names"):

@@ -64,8 +64,10 @@ def test_every_pair_of_a_site_file_is_tested(four: Path) -> None:
         '[[lidar]]\nname = "a"\nsensor = "XT32"\nrecordings = ["lidar0.pcd"]\n'
         '[[lidar]]\nname = "b"\nsensor = "XT32"\nrecordings = ["lidar1.pcd"]\n'
     )
-    done = retropole_here("certify", four / "site.toml")
+    done = retropole_here("certify", four / "site.toml", "--out", four / "out")
     assert done.returncode == 0, done.stderr
+    assert json.loads((four / "out" / "field-test.json").read_text())["status"] == "pass"
+    assert "Pass: the LiDARs measure" in (four / "out" / "field-test.html").read_text()
     assert "all 6 differences within their limits" in done.stdout
     other = retropole_here("certify", four / "site.toml", "--radius", "0.03")
     assert other.returncode == 2

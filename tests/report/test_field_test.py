@@ -5,7 +5,7 @@ from itertools import combinations
 import pytest
 
 from retropole.errors import Reason
-from retropole.report.field_test import describe_field_test, field_test_section
+from retropole.report.field_test import describe_field_test, field_test_section, render_field_test
 from retropole.report.layout import LINES, WIDTH
 from retropole.result.certification import FieldTestDoc, field_test_document
 from retropole.site.certification import ALPHA, DistanceTest, FieldTest
@@ -68,10 +68,11 @@ def test_what_is_beyond_its_limit_is_shown_whatever_else_is_not() -> None:
 def test_the_worst_pair_of_a_site_comes_first() -> None:
     text = describe_field_test(document(made_up(), REFUSED, made_up(off=0.05)))
     assert text.startswith("verdict: fail\n")
-    first, second, third = text.splitlines()[2:5]
+    assert text.splitlines()[1].strip() == "2 of 3 pairs tested, 1 failed"
+    first, second, third = text.splitlines()[3:6]
     assert first.strip().startswith("lidar 2")
-    assert second.endswith("refused: too_few_distances")
-    assert third.endswith("pass")
+    assert second.endswith("pass")
+    assert third.endswith("refused: too_few_distances")
 
 
 def test_the_section_escapes_names() -> None:
@@ -79,6 +80,18 @@ def test_the_section_escapes_names() -> None:
     assert "<b>" not in section
     assert "BEYOND" in section
     assert section.count("<h3>") == 2
+
+
+def test_the_page_says_the_verdict_and_asks_for_nothing() -> None:
+    page = render_field_test(document(made_up(off=0.05), REFUSED))
+    assert "Fail: 1 of 2 pairs tested, 1 failed" in page
+    assert "rear <b>" not in page
+    assert "default-src 'none'" in page
+    assert "$" not in page.partition("<main")[2].partition("</main>")[0]
+    assert "Refused: too little to tell" in render_field_test(document(REFUSED))
+    alone = render_field_test(document(made_up()))
+    assert "Pass: the LiDARs measure as stated" in alone
+    assert "What to do" in render_field_test(document(REFUSED))
 
 
 def test_the_verdict_of_all_is_the_worst() -> None:

@@ -20,6 +20,7 @@ from retropole.simulation import (
     Rectangle,
     SimulationError,
     Surface,
+    insert_into_site,
     insert_poles,
     scan,
     standing,
@@ -187,6 +188,34 @@ def test_all_tape_shares_one_offset_and_each_ring_one_bias() -> None:
     means = np.array([off[rings == ring].mean() for ring in np.unique(rings)])
     assert max(np.ptp(off[rings == ring]) for ring in np.unique(rings)) < 1e-9
     assert 0.035 < means.std() < 0.065
+
+
+def test_a_lidar_errs_on_tape_alike_in_all_placements_and_each_has_its_own_poles() -> None:
+    target, source = room()
+    made = insert_into_site(
+        (target, source, target),
+        (np.eye(4), T, np.eye(4)),
+        np.random.default_rng(4),
+        sensors=(*SENSORS, SENSORS[0]),
+        poles=(POLES, POLES, POLES[:1]),
+        tape_offset=0.5,
+        ring_bias=0.0,
+    )
+    assert [len(clouds) for clouds in made.clouds] == [3, 3, 3]
+    exact = inserted()
+    offsets = []
+    for k in range(3):
+        true = (exact.target, exact.source, exact.target)[k]
+        longer = []
+        for cloud, labels in zip(made.clouds[k][:2], made.labels[k][:2], strict=True):
+            on = labels >= 0
+            ranges = (np.linalg.norm(each.xyz[on], axis=1) for each in (cloud, true))
+            longer.append(float(np.median(np.subtract(*ranges))))
+        assert abs(longer[0] - longer[1]) < 0.01
+        offsets.append(longer[0])
+        assert set(np.unique(made.labels[k][2])) == {-1, 0}
+    # The same model is another device with another offset.
+    assert abs(offsets[0] - offsets[2]) > 0.05
 
 
 def test_noise_is_the_sensors_and_1_cm_of_unknown_ones() -> None:

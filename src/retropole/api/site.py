@@ -12,13 +12,16 @@ import numpy as np
 
 from .. import se3
 from ..datatypes import Array, Scan
-from ..errors import Reason, Refusal, UsageError
-from ..files import write_together
-from ..quantities import error
+from ..errors import ReadError, Reason, Refusal, UsageError
+from ..export.documents import SITE_RESULT_FILE
+from ..files import read_document, write_together
+from ..quantities import error as in_words
 from ..report.site import render_site
 from ..report.site_text import pose_rows
 from ..result import ReasonDoc, encode
 from ..result.site import SiteDoc, site_document
+from ..result.site_decoding import decode_site
+from ..result.site_parts import lidar_pose_of
 from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
 from ..site.description import Site
@@ -29,8 +32,8 @@ from .site_inputs import SiteInputs, inputs_of, read_site, repeated
 if TYPE_CHECKING:
     from ..reasons import Code
 
-SITE_RESULT_FILE, SITE_REPORT_FILE = "site-result.json", "site-report.html"
-"""What the result and the report of a site are called in their folder."""
+SITE_REPORT_FILE = "site-report.html"
+"""What the report of a site is called in its folder."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,13 +45,13 @@ class SiteResult:
     document
         Everything that was found, as ``site-result.json`` holds it.
     calibration
-        The same as arrays, with the clouds.
+        The same as arrays, with the clouds; None of a result that was loaded.
     status
         ``ok``, ``warn`` or ``refused``.
     """
 
     document: SiteDoc
-    calibration: SiteCalibration
+    calibration: SiteCalibration | None = None
 
     @property
     def status(self) -> str:
@@ -63,7 +66,7 @@ class SiteResult:
     @property
     def lidars(self) -> tuple[str, ...]:
         """Names of the LiDARs."""
-        return tuple(lidar.name for lidar in self.calibration.site.lidars)
+        return tuple(lidar.name for lidar in self.document.lidars)
 
     def pose(self, name: str) -> LidarPose:
         """Give the pose of a LiDAR in the frame of the site, with its covariance and budget.
@@ -80,7 +83,13 @@ class SiteResult:
         Refusal
             Where the calibration was refused.
         """
-        return self._poses()[self._index(name)]
+        k = self._index(name)
+        pose = lidar_pose_of(self.document.lidars[k], k)
+        if pose is None:
+            unknown = ReasonDoc("refused", "the result gives no reason", {})
+            why = next(iter(self.reasons), unknown)
+            raise Refusal(cast("Code", why.code), why.message, why.values)
+        return pose
 
     def T(self, a: str, b: str) -> Array:
         """Give (4, 4) that maps points of LiDAR b into the frame of LiDAR a.
@@ -114,12 +123,14 @@ class SiteResult:
             As `pose`.
         """
         poses = self.pose(a), self.pose(b)
-        assert self.calibration.covariance is not None
-        joint = joint_of(self.calibration.covariance, self._index(a), self._index(b))
+        whole = np.array(self.document.joint_covariance, dtype=float)
+        joint = joint_of(whole, self._index(a), self._index(b))
         return relative(poses[0].T_site_lidar, poses[1].T_site_lidar, joint).covariance
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:
         """Write ``site-result.json`` and ``site-report.html`` to a folder, never of two runs.
+
+        The page of a result that was loaded shows no clouds.
 
         Returns
         -------
@@ -143,7 +154,7 @@ class SiteResult:
             (
                 each.name,
                 f"x {each.x}  y {each.y}  z {each.z} m"
-                + (f", ± {error(each.sigma)} at 30 m" if each.sigma else ""),
+                + (f", ± {in_words(each.sigma)} at 30 m" if each.sigma else ""),
             )
             for each in pose_rows(self.document)
         ]
@@ -156,13 +167,6 @@ class SiteResult:
         if name not in self.lidars:
             raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
         return self.lidars.index(name)
-
-    def _poses(self) -> tuple[LidarPose, ...]:
-        if self.status == "refused":
-            unknown = ReasonDoc("refused", "the result gives no reason", {})
-            why = next(iter(self.reasons), unknown)
-            raise Refusal(cast("Code", why.code), why.message, why.values)
-        return self.calibration.lidars
 
 
 def calibrate_site(
@@ -216,6 +220,32 @@ def calibrate_site(
         seconds={**seconds, **calibration.seconds},
     )
     return SiteResult(document, calibration)
+
+
+def load_site_result(path: str | Path) -> SiteResult:
+    """Load the result of a site that was saved.
+
+    Parameters
+    ----------
+    path
+        ``site-result.json``, or the folder that holds it.
+
+    Raises
+    ------
+    ReadError
+        Where there is no such file, or it is no result document of a site; names the file.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / SITE_RESULT_FILE
+    try:
+        data = read_document(file)
+    except OSError as error:
+        raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
+    try:
+        return SiteResult(decode_site(data))
+    except ReadError as error:
+        raise ReadError(f"{file}: {error}") from None
 
 
 def check_site(site: Site) -> None:

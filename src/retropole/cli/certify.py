@@ -17,6 +17,7 @@ from .common import (
     CLOUD,
     CONTEXT,
     EXIT_REFUSED,
+    OUT,
     Number,
     echo_doubts,
     echo_left_out,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from ..result.certification import FieldTestDoc
 
 EXIT_FAILED = 4
+RESULT_FILE, PAGE_FILE = "field-test.json", "field-test.html"
 EXITS = {"pass": 0, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
 
 
@@ -66,6 +68,7 @@ EXITS = {"pass": 0, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
 @frames_option
 @max_points_option
 @unit_options
+@click.option("--out", type=OUT, help="Folder for field-test.json and field-test.html.")
 @click.option("--json", "as_json", is_flag=True, help="Print the document, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def certify(
@@ -84,6 +87,7 @@ def certify(
     max_points: int,
     unit: Unit,
     unit_source: Unit | None,
+    out: Path | None,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -102,6 +106,7 @@ def certify(
       retropole certify --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole certify front.pcd rear.pcd --json > field-test.json
       retropole certify site.toml
+      retropole certify site.toml --out field-test
 
     \b
     Exit code:
@@ -111,7 +116,9 @@ def certify(
       4    fail
       130  interrupted
     """
-    from ..report.field_test import describe_field_test
+    from ..errors import printable
+    from ..files import write_together
+    from ..report.field_test import describe_field_test, render_field_test
     from ..result import encode
 
     with progress_on_terminal(quiet or as_json) as progress:
@@ -131,10 +138,19 @@ def certify(
                 (radius, radius_sigma),
                 progress,
             )
+    written = {}
+    if out is not None:
+        written = {
+            out / RESULT_FILE: encode(document),
+            out / PAGE_FILE: render_field_test(document).encode(),
+        }
+        write_together(written)
     if as_json:
         show(encode(document))
     elif not quiet:
         show(in_colour(describe_field_test(document), document.status))
+        if written:
+            show("\nwritten: " + ", ".join(printable(str(path)) for path in written))
     if document.status == "refused" and (as_json or quiet):
         for reason in document.pairs[0].reasons if document.pairs else ():
             echo_refusal(reason.code, reason.message)
@@ -147,7 +163,7 @@ def _refuse_options() -> None:
     given = [
         name
         for name in context.params
-        if name not in ("target", "as_json", "quiet")
+        if name not in ("target", "out", "as_json", "quiet")
         and context.get_parameter_source(name) is ParameterSource.COMMANDLINE
     ]
     if given:

@@ -5,15 +5,24 @@ from __future__ import annotations
 from html import escape
 
 from ..quantities import counted, percent
-from ..result.certification import DistanceDoc, FieldTestDoc, PairTestDoc, VariancesDoc
+from ..result.certification import DistanceDoc, FieldTestDoc, PairTestDoc, VariancesDoc, Verdict
 from .layout import legible, wrapped
 from .layout import table as text_table
 from .markup import table
 from .names import LIDARS
+from .page import fill_page
+from .sections import reason_item
 from .text import reason_lines
 
 LISTED = 16
 """So many distances are printed, those nearest to their limits, and so many pairs of a site."""
+
+VERDICTS: dict[Verdict, tuple[str, str, str]] = {
+    "pass": ("ok", "✓", "Pass: the LiDARs measure as stated"),
+    "fail": ("refused", "✕", "Fail: distances differ by more than is stated of the LiDARs"),
+    "refused": ("refused", "✕", "Refused: too little to tell"),
+}
+"""Style, symbol and title of each verdict."""
 
 HEADER = ("distance", "target m", "source m", "difference mm", "limit mm", "")
 
@@ -63,21 +72,39 @@ def _unnamed(document: FieldTestDoc) -> str:
 
 def _pairs(document: FieldTestDoc) -> list[str]:
     """One row for each pair of a site, what failed first."""
-    order = {"fail": 0, "refused": 1, "pass": 2}
-    pairs = sorted(document.pairs, key=lambda pair: (order[pair.status], -_largest(pair)))
-    rows = [
+    rows = _pair_rows(document)
+    lines = [f"  {_tested(document)}"]
+    lines.append(text_table(("LiDARs", "distances", "largest / limit", ""), rows[:LISTED]))
+    if len(rows) > LISTED:
+        lines.append(f"  {counted(len(rows) - LISTED, 'more pair')}; --json has all")
+    return lines
+
+
+def _tested(document: FieldTestDoc) -> str:
+    """Count the pairs that could be tested, and those that failed: the others say nothing."""
+    tested = sum(pair.status != "refused" for pair in document.pairs)
+    failed = sum(pair.status == "fail" for pair in document.pairs)
+    said = f"{tested} of {counted(len(document.pairs), 'pair')} tested"
+    return f"{said}, {failed} failed" if tested else said
+
+
+def _pair_rows(document: FieldTestDoc) -> list[tuple[str, ...]]:
+    """Name each pair with its largest difference and its verdict."""
+    return [
         (
             f"{pair.target}, {pair.source}",
             str(len(pair.distances)),
             f"{_largest(pair):.2f}" if pair.distances else "–",
             pair.status if not pair.reasons else f"{pair.status}: {pair.reasons[0].code}",
         )
-        for pair in pairs[:LISTED]
+        for pair in _in_order(document)
     ]
-    lines = [text_table(("LiDARs", "distances", "largest / limit", ""), rows)]
-    if len(pairs) > LISTED:
-        lines.append(f"  {counted(len(pairs) - LISTED, 'more pair')}; --json has all")
-    return lines
+
+
+def _in_order(document: FieldTestDoc) -> list[PairTestDoc]:
+    """Sort the pairs: what failed first, what could not be tested last."""
+    order: dict[Verdict, int] = {"fail": 0, "pass": 1, "refused": 2}
+    return sorted(document.pairs, key=lambda pair: (order[pair.status], -_largest(pair)))
 
 
 def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
@@ -121,17 +148,62 @@ def _variances(test: VariancesDoc) -> str:
     )
 
 
-def field_test_section(document: FieldTestDoc) -> str:
-    """Write the test as a section of an HTML page; whatever the document holds is escaped."""
-    parts = ['<section aria-labelledby="field-test"><h2 id="field-test">Field test</h2>']
-    parts.append(
-        "<p>Distances between poles, measured by each LiDAR for itself. No calibration is used: "
-        "the test judges the LiDARs.</p>"
+def render_field_test(document: FieldTestDoc) -> str:
+    """Render the test as one HTML page that holds its style and code and works from a file."""
+    count = counted(len(document.pairs), "pair") + " of LiDARs"
+    return fill_page(
+        "field-test.html",
+        ("style.css",),
+        ("page.js", "field-test.js"),
+        {
+            "status": escape(document.status),
+            "created": escape(f"{document.created} · {count}"),
+            "verdict": _verdict(document),
+            "parts": field_test_section(document) + _inputs(document),
+        },
     )
-    for pair in document.pairs:
+
+
+def _verdict(document: FieldTestDoc) -> str:
+    """Say pass, fail or refused first, and list the pairs where there are several."""
+    status = document.status
+    kind, symbol, title = VERDICTS[status]
+    pairs = ""
+    if len(document.pairs) > 1:
+        title = f"{title.partition(':')[0]}: {_tested(document)}"
+        header = ("LiDARs", "distances", "largest difference / limit", "verdict")
+        pairs = table("Pairs, what failed first", header, _pair_rows(document), (3,))
+    return (
+        f'<section class="verdict {kind}" aria-labelledby="verdict">'
+        f'<div class="mark" aria-hidden="true">{symbol}</div><div>'
+        f'<h2 id="verdict">{escape(title)}</h2>'
+        "<p>Distances between poles, measured by each LiDAR for itself. No calibration is used: "
+        f"the test judges the LiDARs.</p>{pairs}</div></section>"
+    )
+
+
+def _inputs(document: FieldTestDoc) -> str:
+    """List the recordings, with what tells them again."""
+    if not document.inputs:
+        return ""
+    rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
+    header = ("recording", "sensor", "points", "SHA-256")
+    return (
+        '<section aria-labelledby="recordings"><h2 id="recordings">Recordings</h2>'
+        f"{table('What was tested', header, rows, (1, 3))}</section>"
+    )
+
+
+def field_test_section(document: FieldTestDoc) -> str:
+    """Write every pair as a section of an HTML page; whatever the document holds is escaped."""
+    parts = ['<section aria-labelledby="distances"><h2 id="distances">Distances</h2>']
+    for pair in _in_order(document):
         name = f"{pair.target}, {pair.source}: {pair.status}"
         parts.append(f"<h3>{escape(name)}</h3>")
-        parts += [f"<p>{escape(reason.message)}</p>" for reason in pair.reasons]
+        if len(document.pairs) == 1:
+            parts += [f'<ul class="reasons">{reason_item(each)}</ul>' for each in pair.reasons]
+        else:
+            parts += [f"<p>{escape(each.message)}.</p>" for each in pair.reasons]
         if pair.distances:
             header = (*HEADER[:-1], "passed")
             rows = [_row(each, pair, "yes") for each in pair.distances]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..datatypes import Array
 from ..uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty, WeakDirection
-from ..uncertainty.purpose import Fitness
+from ..uncertainty.purpose import Fitness, Need
 from .bounded import Count, Covariance, Number, Share, Size, Text, Vector
 
 Matrix = list[list[float]]
@@ -167,8 +167,20 @@ def uncertainty_of(
     return Uncertainty(
         np.array(document.random, dtype=float),
         np.array(document.systematic, dtype=float),
-        tuple(BudgetEntry(**msgspec.structs.asdict(entry)) for entry in budget or ()),
+        budget_of(budget),
     )
+
+
+def budget_of(document: Sequence[BudgetEntryDoc] | None) -> tuple[BudgetEntry, ...]:
+    """Read back what `budget_entries` wrote; empty where there is none."""
+    return tuple(BudgetEntry(**msgspec.structs.asdict(entry)) for entry in document or ())
+
+
+def fitness_of(document: FitnessDoc | None) -> Fitness | None:
+    """Read back what `fitness_document` wrote, but for the doubts, which its words name."""
+    if document is None:
+        return None
+    return Fitness(Need(document.within_m, document.at_m), document.probability, document.bound_m)
 
 
 def radius_of(document: RadiusDoc | None) -> RadiusEstimate | None:

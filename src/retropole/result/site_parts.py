@@ -24,7 +24,9 @@ from .certainty import (
     FitnessDoc,
     Matrix,
     budget_entries,
+    budget_of,
     fitness_document,
+    fitness_of,
     matrix_rows,
 )
 from .detected import InputDoc, PoleDoc, RejectedDoc, pole_documents, rejected_documents
@@ -203,6 +205,20 @@ def lidar_document(lidar: SiteLidar, pose: LidarPose | None) -> LidarDoc:
         budget=budget_entries(pose.budget),
         predicted_error=[ErrorAtRange(float(r), float(s)) for r, s in pose.predicted_error],
         fitness=fitness_document(pose.fitness),
+    )
+
+
+def lidar_pose_of(document: LidarDoc, lidar: int) -> LidarPose | None:
+    """Read back the pose that `lidar_document` wrote; None where there is none."""
+    if document.T_site_lidar is None or document.covariance is None:
+        return None
+    return LidarPose(
+        lidar,
+        np.array(document.T_site_lidar, dtype=float),
+        np.array(document.covariance, dtype=float),
+        budget_of(document.budget),
+        tuple((each.range_m, each.sigma_m) for each in document.predicted_error or ()),
+        fitness_of(document.fitness),
     )
 
 
