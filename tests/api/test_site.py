@@ -111,6 +111,23 @@ def test_a_refusal_has_no_transform(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         rp.load_site_result(tmp_path / "out").covariance("mast-a", "gate")
 
 
+def test_the_folder_of_a_site_file_will_do(
+    result: rp.SiteResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (site_file,) = tmp_path.glob("*.toml")
+    site_file.rename(tmp_path / "site.toml")
+    assert rp.calibrate_site(tmp_path).lidars == NAMES
+
+
+def test_the_result_of_a_site_is_told_from_that_of_two(
+    result: rp.SiteResult, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "out")
+    for place in (tmp_path / "out", tmp_path / "out" / "site-result.json"):
+        with pytest.raises(ReadError, match="the result of a site, not of two LiDARs"):
+            rp.load_result(place)
+
+
 def test_one_recording_for_two_is_refused(tmp_path: Path) -> None:
     path = write_site(tmp_path)
     (tmp_path / "mast-b" / "2.pcd").write_bytes((tmp_path / "mast-a" / "1.pcd").read_bytes())

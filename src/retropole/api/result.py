@@ -15,7 +15,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Placement
 from ..errors import ReadError, Refusal
-from ..export.documents import RESULT_FILE, result_file
+from ..export.documents import RESULT_FILE, SITE_REPORT_FILE, is_site_document, result_file
 from ..files import read_document, write_together
 from ..quantities import error
 from ..report import render_report, write_report
@@ -316,5 +316,11 @@ def load_result(path: str | Path) -> CalibrationResult:
     try:
         document = decode(data)
     except ReadError as error:
+        if is_site_document(data):
+            beside = file.with_name(SITE_REPORT_FILE)
+            raise ReadError(
+                f"{file}: the result of a site, not of two LiDARs; its report is {beside}, and "
+                "rp.load_site_result loads it"
+            ) from None
         raise ReadError(f"{file}: {error}") from None
     return CalibrationResult(document, None, file)

@@ -13,7 +13,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Scan
 from ..errors import ReadError, Reason, Refusal, UsageError
-from ..export.documents import SITE_RESULT_FILE
+from ..export.documents import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..files import read_document, write_together
 from ..quantities import error as in_words
 from ..report.site import render_site
@@ -31,9 +31,6 @@ from .site_inputs import SiteInputs, inputs_of, read_site, repeated
 
 if TYPE_CHECKING:
     from ..reasons import Code
-
-SITE_REPORT_FILE = "site-report.html"
-"""What the report of a site is called in its folder."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,7 +177,8 @@ def calibrate_site(
     Parameters
     ----------
     site
-        A site file; or a `site.description.Site` that was put together in Python.
+        A site file, or the folder that holds ``site.toml``; or a `site.description.Site` that was
+        put together in Python.
     progress
         Called with the name of each step as it starts, and with which recording of how many is
         read.

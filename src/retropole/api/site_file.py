@@ -26,6 +26,9 @@ from ..sensors import sensor_or_auto
 from ..uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..uncertainty.purpose import FARTHEST as FARTHEST_NEED
 
+SITE_FILE = "site.toml"
+"""What a site file is called in its folder."""
+
 LARGEST_SITE_FILE = 2**18
 """Bytes: a hundred LiDARs with twenty placements take half of it."""
 

@@ -23,7 +23,7 @@ from ..site.projection import projected
 from ..site.world import in_metres
 from ..uncertainty.purpose import Need
 from .inputs import Input, input_documents, read_input
-from .site_file import LidarTable, SiteFile, read_site_file
+from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
 
 OFFSET_STEP = 100.0
 """The offset of large coordinates is a multiple of this, metres: a site that is surveyed about its
@@ -68,7 +68,8 @@ def read_site(
     Parameters
     ----------
     path
-        Of the site file; the paths in it count from its folder.
+        Of the site file, or of the folder that holds ``site.toml``; the paths in it count from its
+        folder.
     progress
         Called with which recording of how many is read.
     on_read
@@ -81,6 +82,8 @@ def read_site(
     MissingExtraError
         Where a recording needs an extra, or projected coordinates do.
     """
+    if path.is_dir():
+        path = path / SITE_FILE
     file = read_site_file(path)
     wanted = {
         (k, n): path.parent / recording

@@ -72,10 +72,11 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
       retropole site init recordings --out quay.toml
     """
     from ..api.site_draft import draft_site
+    from ..api.site_file import SITE_FILE
     from ..errors import UsageError, printable
     from ..files import write_atomically
 
-    path = folder / "site.toml" if out is None else out
+    path = folder / SITE_FILE if out is None else out
     if path.exists() and not force:
         raise UsageError(f"{path}: is there already; --force replaces it, --out names another")
     draft = draft_site(folder, path)
@@ -112,7 +113,7 @@ def calibrate(
     """Find the poses of all LiDARs of a site in one frame.
 
     SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
-    what was surveyed; 'retropole site init' writes one.
+    what was surveyed; 'retropole site init' writes one. Of a folder, its site.toml is taken.
 
     \b
     Examples:

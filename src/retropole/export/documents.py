@@ -41,6 +41,8 @@ from .tree import found_in_site, is_site_result
 TRANSFORM_SCHEMA, TREE_SCHEMA = "retropole/transform/1", "retropole/tree/1"
 RESULT_FILE, SITE_RESULT_FILE = "result.json", "site-result.json"
 """What the result document of two LiDARs, and that of a site, is called in its folder."""
+SITE_REPORT_FILE = "site-report.html"
+"""What the report of a site is called there."""
 
 LARGEST_YAML, DEEPEST_YAML = 2**19, 20
 """Bytes, and levels; PyYAML takes some 10 s for a million bytes, and longer for each level."""
@@ -119,8 +121,11 @@ def _found(document: dict[str, Any]) -> Found:
 
 
 def result_file(path: Path) -> Path:
-    """Take the result document in a folder, and a file as it is."""
-    return path / RESULT_FILE if path.is_dir() else path
+    """Take the result document in a folder, that of a site where it is alone; a file as it is."""
+    if not path.is_dir():
+        return path
+    own, of_site = path / RESULT_FILE, path / SITE_RESULT_FILE
+    return of_site if of_site.exists() and not own.exists() else own
 
 
 def any_result_file(path: Path) -> Path:
@@ -143,9 +148,14 @@ def is_result(data: bytes) -> bool:
     return _names_result(_parsed(data))
 
 
+def is_site_document(data: bytes) -> bool:
+    """Tell the result document of a site by its schema."""
+    return is_site_result(_parsed(data))
+
+
 def site_result(data: bytes) -> SiteDoc | None:
     """Read the result document of a site; None where the schema is another."""
-    return decode_site(data) if is_site_result(_parsed(data)) else None
+    return decode_site(data) if is_site_document(data) else None
 
 
 def _parsed(data: bytes) -> Any:

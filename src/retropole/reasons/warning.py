@@ -201,7 +201,7 @@ WARNINGS: dict[WarningCode, Explanation] = {
     "not_fit_for_purpose": Explanation(
         "The answer is not shown to be accurate enough",
         "It is not 95 % sure that no point up to the distance of `--at-m` lands further from its "
-        "true place than `--need-cm` says, in a site file `at_m` and `within_cm` of `[need]`; "
+        "true place than `--need-cm` says, or `at_m` and `within_cm` under `need` in a site file; "
         "without these, than 30 cm at 30 m. The message says how "
         "sure it is, what is 95 % sure instead, and what would help against the largest "
         "sources of error. "
@@ -210,7 +210,7 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Do what the message says would help. "
             "[Every source of error, and what helps](certainty.md#the-error-budget).",
             "Where less is enough, say so: `--need-cm`, and `--at-m` for how far away it matters; "
-            "`[need]` in a [site file](site.md#the-site-file).",
+            "under `need` in a [site file](site.md#the-site-file).",
         ),
     ),
 }
