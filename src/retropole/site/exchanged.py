@@ -140,6 +140,9 @@ def check_exchanged(
             continue
         tried = replace(scans, by_lidar=_swapped(scans.by_lidar, one, other))
         seen = Views(_swapped(views.every, one, other))
+        if any(elsewhere(seen, lidar) for lidar in {one[0], other[0]}):
+            # In each other's place they would not show where those LiDARs stand.
+            continue
         found = find_pairs(tried, seen)
         group = next((g for g in linked_groups(len(site.lidars), found) if one[0] in g), [])
         if len(group) < 2:
