@@ -128,7 +128,7 @@ SITE: dict[SiteCode, Explanation] = {
     "loop_open": Explanation(
         "A loop does not close",
         "The poses of the pairs around a loop do not compose to the identity within their "
-        "uncertainty (less than once in 10,000 by chance).",
+        "uncertainty (less than once in 100,000 by chance).",
         ("Look at the tests of what its pairs share; record again what fits worst.",),
     ),
     "not_checked": Explanation(

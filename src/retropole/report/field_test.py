@@ -171,8 +171,10 @@ def _verdict(document: FieldTestDoc) -> str:
     pairs = ""
     if len(document.pairs) > 1:
         title = f"{title.partition(':')[0]}: {_tested(document)}"
-        header = ("LiDARs", "distances", "largest difference / limit", "verdict")
-        pairs = table("Pairs, what failed first", header, _pair_rows(document), (3,))
+        # The verdict beside the name: on a phone the last columns are out of sight.
+        header = ("LiDARs", "verdict", "distances", "largest difference / limit")
+        rows = [(name, said, *numbers) for name, *numbers, said in _pair_rows(document)]
+        pairs = table("Pairs, what failed first", header, rows, (1,))
     return (
         f'<section class="verdict {kind}" aria-labelledby="verdict">'
         f'<div class="mark" aria-hidden="true">{symbol}</div><div>'
