@@ -44,7 +44,7 @@ AT = 30.0
 SURVEY = Survey(points=4, sigma=0.005)
 BLUNDERS = ("pole", "files", "control")
 NAMES = {
-    "pole": ("pole_moved",),
+    "pole": ("pole_moved", "misfit"),
     "files": ("recordings_exchanged",),
     "control": ("survey_outlier",),
 }
@@ -205,8 +205,10 @@ def is_named(sim: SimulatedSite, answer: SiteCalibration) -> bool:
             assert wrong.pole is not None
             assert wrong.placements
             placement = wrong.placements[0]
-            if str(reason.values["placement"]) == sim.placements[placement] and is_at(
-                sim, reason.values, placement, wrong.pole
+            if (
+                "pole" in reason.values
+                and str(reason.values["placement"]) == sim.placements[placement]
+                and is_at(sim, reason.values, placement, wrong.pole)
             ):
                 return True
         elif wrong.point is not None and sim.points[wrong.point].name in reason.message:

@@ -15,6 +15,7 @@ from .adjustment import Adjusted, without_observations
 from .answer import Test
 from .datum import Datum, without_poles, without_survey
 from .description import Site
+from .shared import SharedPole
 
 SIGNIFICANT, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
 """Normalised residual (w) from which an observation is a blunder, and from which it is told that it
@@ -38,9 +39,10 @@ class Suspect:
     without: Callable[[Datum], Datum]
 
 
-def worst_test(tests: Sequence[Test]) -> Test | None:
+def worst_test(tests: Sequence[Test], above: float = SIGNIFICANT) -> Test | None:
     """Find the test that fits worst, of those that do not fit."""
-    return max(significant(tests), key=lambda test: test.chi2 - 2 * test.freedom, default=None)
+    poor = significant(tests, above)
+    return max(poor, key=lambda test: test.chi2 - 2 * test.freedom, default=None)
 
 
 def significant(tests: Sequence[Test], above: float = SIGNIFICANT) -> list[Test]:
@@ -130,9 +132,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         pole = now.datum.poles[test.pole]
         name, gone = pole.name(site), {test.pole}
         seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
-        values |= {"pole": name, "placement": site.placements[pole.placement]}
-        at = pole.extent.mean(axis=0)
-        values |= {f"at_{axis}_m": float(x) for axis, x in zip("xyz", at, strict=True)}
+        values |= place_of(site, pole)
         return Suspect(
             Reason(
                 "pole_moved",
@@ -165,6 +165,16 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         ),
         lambda datum: _without_survey(datum, test.name),
     )
+
+
+def place_of(site: Site, pole: SharedPole) -> dict[str, float | int | str]:
+    """Say which pole it is, and where its middle stands in the frame of the site, metres."""
+    at = pole.extent.mean(axis=0)
+    return {
+        "pole": pole.name(site),
+        "placement": site.placements[pole.placement],
+        **{f"at_{axis}_m": float(x) for axis, x in zip("xyz", at, strict=True)},
+    }
 
 
 def _without_survey(datum: Datum, name: str) -> Datum:

@@ -36,11 +36,15 @@ class SiteScans:
         (L, 3) where the beams of each LiDAR start in the frame of its clouds.
     faults
         Why a recording cannot be used.
+    recorded
+        The clouds of all recordings, of those too that cannot be used: they show what place they
+        are of.
     """
 
     by_lidar: tuple[tuple[Scan | None, ...], ...]
     origins: Array
     faults: tuple[tuple[Recording, Refusal], ...] = ()
+    recorded: tuple[tuple[PointCloud | None, ...], ...] = ()
 
     def poles(self, lidar: int, placement: int) -> tuple[Pole, ...]:
         """Poles that a LiDAR sees in a placement."""
@@ -70,7 +74,7 @@ def find_scans(site: Site, progress: Callable[[str], None] = lambda step: None) 
 
     A recording that cannot be used is left out and told in `SiteScans.faults`: others may do.
     """
-    rows, faults = [], []
+    rows, faults, recorded = [], [], []
     origins = np.zeros((len(site.lidars), 3))
     for i, lidar in enumerate(site.lidars):
         progress(f"poles of {lidar.name}")
@@ -78,15 +82,18 @@ def find_scans(site: Site, progress: Callable[[str], None] = lambda step: None) 
         if first is not None:
             origins[i] = first.origin
         row: list[Scan | None] = []
+        clouds: list[PointCloud | None] = []
         for p, cloud in enumerate(lidar.clouds):
             scan = None if cloud is None else _scan(lidar, cloud, origins[i], site.radius)
+            clouds.append(None if scan is None else scan.cloud)
             try:
                 row.append(_checked(lidar.name, scan))
             except Refusal as refusal:
                 faults.append(((i, p), refusal))
                 row.append(None)
         rows.append(tuple(row))
-    return SiteScans(tuple(rows), origins, tuple(faults))
+        recorded.append(tuple(clouds))
+    return SiteScans(tuple(rows), origins, tuple(faults), tuple(recorded))
 
 
 def _scan(lidar: SiteLidar, cloud: PointCloud, origin: Array, radius: float) -> Scan:
@@ -119,14 +126,14 @@ class Views:
 
 
 def views_of(scans: SiteScans) -> Views:
-    """Downsample every scan."""
+    """Downsample every recording."""
     return Views(
         tuple(
             tuple(
-                None if scan is None else view_of(scan.cloud, SCORING_VOXEL, SCORING_SAMPLE)
-                for scan in row
+                None if cloud is None else view_of(cloud, SCORING_VOXEL, SCORING_SAMPLE)
+                for cloud in row
             )
-            for row in scans.by_lidar
+            for row in scans.recorded
         )
     )
 

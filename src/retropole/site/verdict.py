@@ -16,7 +16,7 @@ from ..uncertainty import Confirmation
 from ..uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from .adjustment import Adjusted
 from .answer import LidarPose, LoopClosure, Test
-from .blunders import POOR, significant
+from .blunders import POOR, place_of, worst_test
 from .choice import Choices, where_they_differ
 from .description import Site
 from .pairs import Pair
@@ -25,8 +25,9 @@ from .scans import SiteScans
 OPEN = 1e-5
 """A loop is open where its misclosure is as large by chance less often than this."""
 
-CHECKED = 0.1
-"""Least redundancy of one of a LiDAR's recordings: below, nothing checks its pose."""
+CHECKED = 0.01
+"""Least redundancy of one of a LiDAR's recordings: below, nothing checks its pose. A precise LiDAR
+among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
 
 MAX_WRONG = 0.03
 """Probability that a link of the site is wrong up to which it counts as confirmed, as for a pair
@@ -205,7 +206,7 @@ def weaknesses(
     site: Site, adjusted: Adjusted, loops: Sequence[LoopClosure], lidars: Sequence[LidarPose]
 ) -> Iterator[Reason]:
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
-    yield from _poor_fit(adjusted.tests)
+    yield from _poor_fit(site, adjusted)
     yield from _open_loops(site, loops)
     yield from _unchecked(site, adjusted.tests)
     if not adjusted.converged:
@@ -217,16 +218,20 @@ def weaknesses(
     yield from _not_fit(site, lidars)
 
 
-def _poor_fit(tests: Sequence[Test]) -> Iterator[Reason]:
+def _poor_fit(site: Site, adjusted: Adjusted) -> Iterator[Reason]:
     """Say which observation fits worst, where one fits poorly and none was left out for it."""
-    worst = max(significant(tests, POOR), key=lambda test: test.w, default=None)
-    if worst is not None:
-        yield Reason(
-            "misfit",
-            f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the most to "
-            "expect): did poles move a little, or is the LiDAR worse than its data sheet?",
-            {"observation": worst.name, "w": worst.w, "chi2": worst.chi2, "allowed": POOR},
-        )
+    worst = worst_test(adjusted.tests, POOR)
+    if worst is None:
+        return
+    values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}
+    if worst.pole is not None:
+        values |= place_of(site, adjusted.datum.poles[worst.pole])
+    yield Reason(
+        "misfit",
+        f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the most to expect): "
+        "did a pole move a little, or is the LiDAR worse than its data sheet?",
+        {"observation": worst.name, **values},
+    )
 
 
 def _open_loops(site: Site, loops: Sequence[LoopClosure]) -> Iterator[Reason]:
