@@ -107,7 +107,8 @@ def support_of(
         i, j = pair.lidars
         placed = i in choice.poses and j in choice.poses
         found = None
-        if placed and pair.hypotheses:
+        # Where the scenes hardly overlap poles of one shape may be met by chance.
+        if placed and pair.overlaps:
             found = pair.at(se3.inverse(choice.poses[i]) @ choice.poses[j], poles[j])
         for p in range(len(scans.by_lidar[0])):
             if min(len(scans.poles(i, p)), len(scans.poles(j, p))) < 2:

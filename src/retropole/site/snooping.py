@@ -232,11 +232,11 @@ def outcome(at: Solved, error: OwnError, unit: float) -> Outcome:
     left = error.own - error.cross.T @ taken_up
     # What is considered moves the slope by so much.
     by = error.wide - taken_up.T @ _information_of(at)
-    chi2 = float(
-        error.slope
-        @ np.linalg.pinv(left + by @ by.T, rcond=LEAST_CHECKED, hermitian=True)
-        @ error.slope
-    )
+    # Of what nothing checks only rounding is left: none of it is a test.
+    least_checked = LEAST_CHECKED * max(float(np.diag(error.own).max()), 1e-300)
+    size, way = np.linalg.eigh(left + by @ by.T)
+    along = way.T @ error.slope
+    chi2 = float(np.sum(along[size > least_checked] ** 2 / size[size > least_checked]))
     p = float(chdtrc(error.freedom, chi2))
     w = float(np.sqrt(2.0) * erfcinv(p)) if p > 0 else float(np.sqrt(chi2))
     size, way = np.linalg.eigh(error.own)
@@ -248,7 +248,7 @@ def outcome(at: Solved, error: OwnError, unit: float) -> Outcome:
     of_lengths = left[np.ix_(error.metres, error.metres)]
     size, way = np.linalg.eigh(of_lengths)
     # Moved together, all LiDARs' poles are the pole itself: only differences count.
-    found = np.flatnonzero(size > LEAST_CHECKED * max(float(np.diag(error.own).max()), 1e-300))
+    found = np.flatnonzero(size > least_checked)
     if not len(found):
         return Outcome(chi2, w, redundancy, None, None)
     least, direction = float(size[found[0]]), way[:, found[0]]

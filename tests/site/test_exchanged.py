@@ -1,0 +1,81 @@
+"""Recordings that are another's: named, and nothing said of those that are not."""
+
+import numpy as np
+import pytest
+
+from retropole.errors import Refusal
+from retropole.simulation.sites import SimulatedSite
+from retropole.site.calibration import calibrate_site
+from retropole.site.description import Site
+from retropole.site.exchanged import check_exchanged, check_places, support_of
+from retropole.site.scans import Views
+from tests.site.adjusting import Steps, made, with_lidar
+
+
+def exchanged(site: Site, one: tuple[int, int], other: tuple[int, int]) -> Site:
+    clouds = [list(lidar.clouds) for lidar in site.lidars]
+    (i, p), (j, q) = one, other
+    clouds[i][p], clouds[j][q] = clouds[j][q], clouds[i][p]
+    for lidar, row in enumerate(clouds):
+        site = with_lidar(site, lidar, clouds=tuple(row))
+    return site
+
+
+def test_two_lidars_files_of_one_placement_are_named(simulated: SimulatedSite) -> None:
+    found = calibrate_site(exchanged(simulated.as_site(), (0, 1), (2, 1)))
+    assert found.status == "refused"
+    (reason,) = found.reasons
+    assert reason.code == "recordings_exchanged"
+    assert {"posts-1", "posts-3"} <= {str(reason.values[k])[:7] for k in ("first", "second")}
+    assert not found.lidars
+    assert found.covariance is None
+
+
+def test_one_lidars_files_of_two_placements_are_named(simulated: SimulatedSite) -> None:
+    found = calibrate_site(exchanged(simulated.as_site(), (1, 0), (1, 1)))
+    assert found.status == "refused"
+    (reason,) = found.reasons
+    assert reason.code == "recordings_exchanged"
+    assert reason.values["first"] == "posts-2 in placement 1"
+    assert reason.values["second"] == "posts-2 in placement 2"
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_simulated_exchanges_are_named(seed: int) -> None:
+    simulated = made(seed=seed, blunder="files")
+    assert simulated.blunder is not None
+    found = calibrate_site(simulated.as_site())
+    (reason,) = found.reasons
+    assert reason.code == "recordings_exchanged"
+    for lidar in simulated.blunder.lidars:
+        assert simulated.names[lidar] in reason.message
+    for placement in simulated.blunder.placements:
+        assert f"placement {placement + 1}" in reason.message
+
+
+def test_a_lidar_that_moved_is_named(simulated: SimulatedSite) -> None:
+    site = simulated.as_site()
+    other = made(seed=5).as_site().lidars[1].clouds[1]
+    found = calibrate_site(with_lidar(site, 1, clouds=(site.lidars[1].clouds[0], other)))
+    assert found.status == "refused"
+    assert found.reasons[0].code == "lidar_moved"
+    assert found.reasons[0].values["lidar"] == "posts-2"
+
+
+def test_sound_recordings_are_not_denied(steps: Steps) -> None:
+    check_places(steps.site, steps.views)
+    best = steps.choices.best
+    check_exchanged(steps.site, steps.scans, steps.views, steps.pairs, best, steps.at)
+    support = support_of(best, steps.scans, steps.pairs, steps.at)
+    assert support.met == support.possible
+    assert set(support.possible) == {(i, p) for i in range(3) for p in range(2)}
+    assert not support.unsupported()
+
+
+def test_a_placement_that_shows_another_place_is_told(steps: Steps) -> None:
+    rows = [list(row) for row in steps.views.every]
+    rows[0][1] = steps.views.every[2][1]
+    with pytest.raises(Refusal) as refused:
+        check_places(steps.site, Views(tuple(map(tuple, rows))))
+    assert refused.value.code == "lidar_moved"
+    assert np.all([word in refused.value.message for word in ("posts-1", "1", "2")])

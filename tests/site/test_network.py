@@ -1,0 +1,130 @@
+"""Observations as quadratic forms: where they stand, what is eliminated, what is drawn."""
+
+import numpy as np
+import pytest
+
+from retropole import se3
+from retropole.site.network import bands_of, marginal
+from retropole.site.unknowns import Unknowns
+from retropole.systematic import band_of
+from tests.site import geodetic
+from tests.site.adjusting import Steps
+
+
+def test_each_lidars_returns_in_each_placement_are_one_observation(surveyed: Steps) -> None:
+    network, poles = surveyed.adjusted.network, surveyed.datum.poles
+    found = {}
+    for one in network.observations:
+        if one.poles is None:
+            continue
+        assert one.lidar is not None
+        found[one.lidar, one.placement] = set(one.poles.tolist())
+        # The axes are the last of its unknowns, in their order.
+        np.testing.assert_array_equal(
+            one.place[-4 * len(one.poles) :], network.unknowns.axis(one.poles)
+        )
+        np.testing.assert_array_equal(one.place[:6], network.unknowns.pose(one.lidar))
+        assert np.linalg.eigvalsh(one.information)[0] > -1e-6 * np.trace(one.information)
+        assert one.returns > 10
+    expected = {
+        (i, p): {k for k, pole in enumerate(poles) if pole.placement == p and i in pole.seen}
+        for i in range(3)
+        for p in range(2)
+    }
+    assert found == {key: own for key, own in expected.items() if own}
+
+
+def test_what_was_surveyed_is_said_of_its_own_axis_or_point(surveyed: Steps) -> None:
+    network = surveyed.adjusted.network
+    unknowns, known = network.unknowns, surveyed.datum.surveyed
+    by_name = {one.name: one for one in network.observations if one.poles is None}
+    assert len(by_name) == len(known.ends) + len(known.known) + len(known.seen)
+    for end in known.ends:
+        place = by_name[end.name].place
+        np.testing.assert_array_equal(place, unknowns.axis(np.array([end.axis])))
+    for q, point in enumerate(known.known):
+        np.testing.assert_array_equal(by_name[point.name].place, unknowns.control_point(q))
+    for seen in known.seen:
+        one = by_name[seen.name]
+        assert one.lidar == seen.lidar
+        both = np.r_[unknowns.pose(seen.lidar), unknowns.control_point(seen.point)]
+        np.testing.assert_array_equal(one.place, both)
+
+
+def test_eliminating_axes_changes_no_answer(surveyed: Steps) -> None:
+    """Poses and errors as the whole system has them, and as certain."""
+    network = surveyed.adjusted.network
+    kept = network.unknowns.kept
+    prior = np.zeros(network.unknowns.size)
+    prior[network.unknowns.poses : kept] = surveyed.adjusted.end.precision
+    whole, gradient = network.total()
+    inverse = np.linalg.inv(whole + np.diag(prior))
+    reduced, vector = marginal(network)
+    np.testing.assert_allclose(
+        np.linalg.inv(reduced + np.diag(prior[:kept])), inverse[:kept, :kept], rtol=1e-4, atol=1e-14
+    )
+    # The prior holds the errors at zero, not where the expansion starts.
+    step = inverse @ (gradient + whole @ network.start)
+    alone = np.linalg.solve(reduced + np.diag(prior[:kept]), vector)
+    np.testing.assert_allclose(alone, step[:kept], rtol=1e-4, atol=1e-9)
+
+
+def test_leaving_out_is_adding_nothing(steps: Steps) -> None:
+    network = steps.adjusted.network
+    whole, gradient = network.total()
+    left = network.without({1})
+    one = network.observations[1]
+    less, by = left.total()
+    less[np.ix_(one.place, one.place)] += one.information
+    by[one.place] += one.gradient
+    np.testing.assert_allclose(less, whole, atol=1e-6 * np.abs(whole).max())
+    np.testing.assert_allclose(by, gradient, atol=1e-6 * np.abs(gradient).max())
+
+
+def test_axes_of_which_nothing_is_said_need_a_ridge(steps: Steps) -> None:
+    network = steps.adjusted.network
+    left = network.without({k for k, one in enumerate(network.observations) if one.placement == 0})
+    reduced, vector = marginal(left, ridge=1.0)
+    assert np.isfinite(reduced).all()
+    assert np.isfinite(vector).all()
+
+
+def test_the_expansion_starts_where_its_slopes_are_small(steps: Steps) -> None:
+    """The maximum of the poles' posterior: what is left is what few returns leave open."""
+    network = steps.adjusted.network
+    whole, gradient = network.total()
+    axes = slice(network.unknowns.kept, None)
+    off = np.linalg.solve(whole[axes, axes], gradient[axes])
+    assert np.abs(off.reshape(-1, 4)[:, :2]).max() < 0.005
+    assert network.start[: network.unknowns.poses].any() == 0
+
+
+def test_bands_are_those_of_poles_and_surfaces(steps: Steps) -> None:
+    own = [np.array([60], dtype=np.int64) for _ in range(3)]
+    for sight, bands in zip(steps.sights, bands_of(steps.sights, own), strict=True):
+        on_poles = band_of(sight.beams.directions, sight.beams.axis)
+        np.testing.assert_array_equal(bands, np.unique([*on_poles, 60]))
+    assert isinstance(steps.adjusted.network.unknowns, Unknowns)
+
+
+@pytest.mark.parametrize("first_held", [False, True])
+def test_the_covariance_is_that_of_drawn_observations(first_held: bool) -> None:
+    network = geodetic.network(first_held=first_held)
+    rng = np.random.default_rng(0)
+    steps = []
+    for _ in range(300):
+        errors = geodetic.drawn_errors(network, rng)
+        end, _ = geodetic.adjusted(geodetic.with_errors(network, errors))
+        pairs = zip(network.state.T, end.T, strict=True)
+        steps.append(np.concatenate([se3.local(a, b) for a, b in pairs]))
+    poses = network.unknowns.poses
+    stated = end.inverse[:poses, :poses]
+    free = np.flatnonzero(network.free)
+    assert not stated[~network.free].any()
+    assert not np.array(steps)[:, ~network.free].any()
+    L = np.linalg.cholesky(np.linalg.inv(stated[np.ix_(free, free)]))
+    white = np.array(steps)[:, free] @ L
+    found = white.T @ white / len(white)
+    # 300 draws know a variance to 8 %.
+    np.testing.assert_allclose(found, np.eye(len(free)), atol=0.3)
+    np.testing.assert_allclose(np.diag(found).mean(), 1.0, atol=0.06)
