@@ -134,10 +134,7 @@ def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
     freed = joined - rows[:, 6:] @ best
     at = [np.asarray(each) for each in np.split(freed, np.cumsum([len(r) for r in residuals])[:-1])]
     fixed = [replace_residuals(term, values) for term, values in zip(end.scene, at, strict=True)]
-    bare = SiteEnd(
-        end.T, np.zeros_like(end.errors), end.sigma, end.precision, inverse, end.search,
-        tuple(fixed), True, 0,
-    )  # fmt: skip
+    bare = replace(end, errors=np.zeros_like(end.errors), inverse=inverse, scene=tuple(fixed))
     found, _ = certainty._of_surfaces(bare, poses)
     expected = jackknife(rows[:, 6:], weights, freed, places_of(end))
     scale = np.linalg.norm(found[6:]) / np.linalg.norm(expected)
