@@ -31,6 +31,10 @@ MOST_TRIED = 5
 """So many suspects are tried by turns, the worst first."""
 
 
+TAKES_ALONG = {"pole": 1, "placement": 2}
+"""How much goes with what is left out: a single point of the survey takes nothing else along."""
+
+
 @dataclass(frozen=True, eq=False)
 class Suspect:
     """What may be the blunder: the reason to give, and how to leave it out."""
@@ -108,9 +112,13 @@ def without_blunders(
 
 
 def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
-    """What to leave out by turns: the worst first, each once."""
+    """What to leave out by turns, each once: of the worst, what takes least along comes first.
+
+    Without a pole its survey is gone, too, and without a recording all its poles: they explain
+    whatever a single point does.
+    """
     order = sorted(significant(now.tests), key=lambda test: 2 * test.freedom - test.chi2)
-    known: set[tuple[object, ...]] = set()
+    found: dict[tuple[object, ...], Test] = {}
     for test in order:
         if test.kind == "lidar":
             continue
@@ -119,9 +127,9 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
             key = ("placement", test.lidar, test.placement)
         elif test.kind != "pole":
             key = (test.kind, test.name)
-        if key in known or len(known) >= MOST_TRIED:
-            continue
-        known.add(key)
+        found.setdefault(key, test)
+    worst = list(found.values())[:MOST_TRIED]
+    for test in sorted(worst, key=lambda test: TAKES_ALONG.get(test.kind, 0)):
         yield _suspect(site, now, test)
 
 

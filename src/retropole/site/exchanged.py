@@ -36,9 +36,9 @@ def check_places(site: Site, views: Views) -> None:
     names = [lidar.name for lidar in site.lidars]
     apart = {i: away for i in range(len(names)) if (away := elsewhere(views, i))}
     for i, j in combinations(apart, 2):
-        for p in sorted(apart[i] & apart[j]):
-            if _show_each_other(views, i, j, p):
-                raise _exchanged(site, ((i, p), (j, p)), "show each other's place")
+        both = [p for p in sorted(apart[i] & apart[j]) if _show_each_other(views, i, j, p)]
+        if both:
+            raise _exchanged(site, (i, j), (both, both), "show each other's place")
     for i, away in apart.items():
         which = ", ".join(site.placements[p] for p in sorted(away))
         raise Refusal(
@@ -61,10 +61,17 @@ def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
     return all(found)
 
 
-def _exchanged(site: Site, recordings: tuple[Recording, Recording], why: str) -> Refusal:
-    (i, p), (j, q) = recordings
-    one = f"{site.lidars[i].name} in placement {site.placements[p]}"
-    other = f"{site.lidars[j].name} in placement {site.placements[q]}"
+def _exchanged(
+    site: Site,
+    lidars: tuple[int, int],
+    placements: tuple[Sequence[int], Sequence[int]],
+    why: str,
+) -> Refusal:
+    """Name two recordings; of two LiDARs with two placements it may have been in either."""
+    one, other = (
+        f"{site.lidars[i].name} in placement {' or '.join(site.placements[p] for p in where)}"
+        for i, where in zip(lidars, placements, strict=True)
+    )
     return Refusal(
         "recordings_exchanged",
         f"the recordings of {one} and of {other} are exchanged: they {why}; exchange them in the "
@@ -152,7 +159,12 @@ def check_exchanged(
         again = choose_poses(group, found, at, group[0]).best
         left = support_of(again, tried, found, at).unsupported()
         if one not in left and other not in left:
-            raise _exchanged(site, (one, other), "fit all others in each other's place")
+            raise _exchanged(
+                site,
+                (one[0], other[0]),
+                ([one[1]], [other[1]]),
+                "fit all others in each other's place",
+            )
 
 
 def _swapped(rows: Rows[T], one: Recording, other: Recording) -> Rows[T]:
