@@ -31,6 +31,10 @@ EQUAL = 0.02
 """Choices whose counts differ by less are equally good: by less than any placement of a pair
 counts."""
 
+ELSEWHERE = 2.0
+"""A LiDAR lies elsewhere in another choice beyond so many times what poles leave open: from two
+LiDARs that see it poorly its pose may come out twice, one on each side of the right one."""
+
 MOST_STEPS = 200_000
 """Steps of the search at most: a ring of 12 LiDARs, two hypotheses for each pair, takes 4,000."""
 
@@ -223,9 +227,13 @@ def _scene_score(choice: Choice, search: _Search) -> float:
 
 def _differs(one: Choice, other: Choice, poles: Sequence[Array]) -> bool:
     """Whether some LiDAR lies elsewhere, as its poles show."""
-    return any(not is_same_pose(T, other.poses[i], poles[i]) for i, T in one.poses.items())
+    return any(
+        not is_same_pose(T, other.poses[i], poles[i], ELSEWHERE) for i, T in one.poses.items()
+    )
 
 
 def where_they_differ(best: Choice, rival: Choice, poles: Sequence[Array]) -> list[int]:
     """LiDARs that two choices place elsewhere."""
-    return [i for i, T in best.poses.items() if not is_same_pose(T, rival.poses[i], poles[i])]
+    return [
+        i for i, T in best.poses.items() if not is_same_pose(T, rival.poses[i], poles[i], ELSEWHERE)
+    ]

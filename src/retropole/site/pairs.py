@@ -99,14 +99,24 @@ class Pair:
         )
 
 
-def is_same_pose(T: Array, other: Array, points: Array) -> bool:
-    """Whether two poses are one up to what the poles of one placement leave open."""
+def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> bool:
+    """Whether two poses are one up to what the poles of one placement leave open.
+
+    Parameters
+    ----------
+    T, other
+        (4, 4) each.
+    points
+        (N, 3) where the poles stand.
+    slack
+        So many times what poles leave open is allowed.
+    """
     # Asked a hundred thousand times: the angle by the trace, and places only where it is small.
     cosine = (float(np.vdot(T[:3, :3], other[:3, :3])) - 1.0) / 2.0
-    if cosine < np.cos(AGREE_ANGLE):
+    if cosine < np.cos(slack * AGREE_ANGLE):
         return False
     away = points @ (T[:3, :3] - other[:3, :3]).T + (T[:3, 3] - other[:3, 3])
-    return float(np.einsum("ni,ni->n", away, away).max()) <= AGREE_DISTANCE**2
+    return float(np.einsum("ni,ni->n", away, away).max()) <= (slack * AGREE_DISTANCE) ** 2
 
 
 def find_pairs(scans: SiteScans, views: Views) -> tuple[Pair, ...]:
