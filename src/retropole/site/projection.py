@@ -128,11 +128,12 @@ def projected(epsg: int) -> Projected:
     if not {"east", "north"} <= set(axes):
         directions = " and ".join(axis.direction for axis in crs.axis_info)
         raise UsageError(f"the axes of EPSG:{epsg}, {crs.name}, are {directions}, not east, north")
-    if crs.prime_meridian.longitude != 0:
+    start, body = crs.prime_meridian, crs.ellipsoid
+    if start is None or body is None:
+        raise UsageError(f"EPSG:{epsg}, {crs.name}, has no meridian or no ellipsoid")
+    if start.longitude != 0:
         # PROJ's factors take longitudes from Greenwich for these from there.
-        meridian = crs.prime_meridian.name
-        raise UsageError(f"EPSG:{epsg}, {crs.name}, counts from {meridian}, not from Greenwich")
-    body = crs.ellipsoid
+        raise UsageError(f"EPSG:{epsg}, {crs.name}, counts from {start.name}, not from Greenwich")
     flat = 1 / body.inverse_flattening if body.inverse_flattening else 0.0
     ellipsoid = Ellipsoid(float(body.semi_major_metre), flat)
     return Projected(Proj(crs), crs, ellipsoid, f"EPSG:{epsg}, {crs.name}", epsg)
