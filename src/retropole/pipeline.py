@@ -120,7 +120,7 @@ def calibrate(
     )
     align_poles = partial(align, radius=radius, radius_sigma=radius_sigma)
     seconds: dict[str, float] = {}
-    step = partial(_timed, seconds, progress)
+    step = partial(timed, seconds, progress)
     chosen = Chosen((), ())
     hypotheses: tuple[Hypothesis, ...] = ()
     confirmation: Confirmation | None = None
@@ -330,7 +330,7 @@ def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
 
 
 @contextmanager
-def _timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
+def timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
     """Name a step that starts, and note how long it took."""
     progress(name)
     start = time.perf_counter()

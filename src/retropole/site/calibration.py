@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from functools import partial
 
 from threadpoolctl import threadpool_limits
 
 from ..datatypes import Array
 from ..errors import Reason, Refusal
+from ..pipeline import timed
 from ..uncertainty import predicted_error
 from .adjustment import Adjusted, adjust
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
@@ -49,7 +48,7 @@ def calibrate_site(
         With `status` ``refused``, the reasons and no poses where the data carry no answer.
     """
     seconds: dict[str, float] = {}
-    step = partial(_timed, seconds, progress)
+    step = partial(timed, seconds, progress)
     count = len(site.lidars)
     pairs: tuple[Pair, ...] = ()
     groups: list[list[int]] = []
@@ -228,12 +227,3 @@ def _pair_check(pair: Pair, adjusted: Adjusted | None) -> PairCheck:
         max((test.w for test in tests if test.pole in shared), default=None),
         pair.refusal,
     )
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
-    """Name a step that starts, and note how long it took."""
-    progress(name)
-    start = time.perf_counter()
-    yield
-    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
