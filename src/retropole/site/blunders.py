@@ -31,16 +31,25 @@ MOST_TRIED = 5
 """So many suspects are tried by turns, the worst first."""
 
 
+TOLD_APART = 0.7
+"""Of two surveyed points either of which explains what does not fit, the one with so much of the
+other's χ² is not told apart from it (chosen)."""
+
 TAKES_ALONG = {"pole": 1, "placement": 2}
 """How much goes with what is left out: a single point of the survey takes nothing else along."""
 
 
 @dataclass(frozen=True, eq=False)
 class Suspect:
-    """What may be the blunder: the reason to give, and how to leave it out."""
+    """What may be the blunder: the reason to give, how to leave it out, and its χ².
+
+    `point` names the surveyed point that it is about; None of poles and recordings.
+    """
 
     reason: Reason
     without: Callable[[Datum], Datum]
+    chi2: float
+    point: str | None = None
 
 
 def worst_test(tests: Sequence[Test], above: float = SIGNIFICANT) -> Test | None:
@@ -91,8 +100,9 @@ def without_blunders(
                 continue
             worst = worst_test(rest.tests)
             tried.append((0.0 if worst is None else worst.chi2, rest, suspect))
-            if worst is None:
+            if worst is None and suspect.point is None:
                 break
+        _check_told_apart([suspect for chi2, _, suspect in tried if chi2 == 0.0])
         if not tried:
             break
         _, now, suspect = min(tried, key=lambda each: each[0])
@@ -109,6 +119,34 @@ def without_blunders(
         "is a file of another placement?",
         {"w": worst.w, "chi2": worst.chi2, "allowed": SIGNIFICANT},
     )
+
+
+def _check_told_apart(clean: Sequence[Suspect]) -> None:
+    """Refuse where one surveyed point or another explains what does not fit nearly as well.
+
+    With few points the tests of two go together, and the worse one need not be the wrong one.
+
+    Raises
+    ------
+    Refusal
+        ``site_inconsistent``.
+    """
+    points = [suspect for suspect in clean if suspect.point is not None]
+    if len(points) < 2:
+        return
+    best = max(points, key=lambda suspect: suspect.chi2)
+    others = {
+        str(each.point)
+        for each in points
+        if each.point != best.point and each.chi2 > TOLD_APART * best.chi2
+    }
+    if others:
+        raise Refusal(
+            "site_inconsistent",
+            f"{' or '.join([str(best.point), *sorted(others)])} does not fit, and without any one "
+            "of them all else does: check their coordinates, or survey one more point",
+            {"points": ", ".join([str(best.point), *sorted(others)]), "chi2": best.chi2},
+        )
 
 
 def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
@@ -149,6 +187,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
                 values,
             ),
             lambda datum: without_poles(datum, gone),
+            test.chi2,
         )
     if test.kind == "placement":
         lidar, placement = test.lidar, test.placement
@@ -163,6 +202,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
                 values,
             ),
             lambda datum: without_observations(datum, lidar, placement),
+            test.chi2,
         )
     values["observation"] = test.name
     return Suspect(
@@ -172,6 +212,8 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
             values,
         ),
         lambda datum: _without_survey(datum, test.name),
+        test.chi2,
+        test.name.split(" as ")[0],
     )
 
 
