@@ -115,7 +115,7 @@ def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
     information = np.zeros_like(end.inverse)
     for term in end.scene:
         own = np.flatnonzero(term.place < poses)
-        by = term.information()[np.ix_(own, own)]
+        by = term.information[np.ix_(own, own)]
         information[np.ix_(term.place[own], term.place[own])] += by
     # The first LiDAR is held, errors have no part.
     inverse = np.zeros_like(information)

@@ -61,7 +61,7 @@ def test_it_ends_where_nothing_slopes(surveyed: Steps) -> None:
     slope[poses:] -= end.precision * end.errors
     for term in end.scene:
         errors = np.where(term.place >= poses, here[term.place], 0.0)
-        np.add.at(slope, term.place, term.gradient() - term.information() @ errors)
+        np.add.at(slope, term.place, term.gradient - term.information @ errors)
     # One step more would go by a thousandth of what each unknown is unsure of, or less.
     assert np.abs(end.inverse @ slope / np.sqrt(np.diag(end.inverse))).max() < 1e-3
     assert end.converged
@@ -123,5 +123,5 @@ def test_terms_are_derivatives_by_both_poses(steps: Steps) -> None:
         alike = np.r_[shift + np.r_[turn, 0, 0, 0], shift + np.r_[turn, np.cross(turn, arm)]]
         np.testing.assert_allclose(term.rows[:, :12] @ alike, 0.0, atol=1e-6)
         np.testing.assert_allclose(
-            term.information(), term.rows.T @ np.diag(term.weights) @ term.rows, rtol=1e-6, atol=1.0
+            term.information, term.rows.T @ np.diag(term.weights) @ term.rows, rtol=1e-6, atol=1.0
         )

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import se3
-from ..alignment.certainty import FLOOR, few_freedom, floor
+from ..alignment.certainty import BUDGET_RANGE, FLOOR, few_freedom, floor
 from ..datatypes import Array, IntArray
 from ..scene.patch_pairs import CLUSTER_SIDE, labels_of
 from ..scene.refinement import PLACE_BIAS
@@ -22,9 +22,6 @@ from ..uncertainty import BudgetEntry, predicted_error
 from .network import Network, marginal
 from .refinement import SceneTerm, SiteEnd
 from .state import POSE
-
-BUDGET_RANGE = 30.0
-"""Range at which shares of the budget are told, metres."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,7 +135,8 @@ def _edge(
     for part in parts:
         _add(information, slope, place, part.place, part.information, at.slope(part))
     if scene is not None:
-        _add(information, slope, place, scene.place, scene.information(), _scene_slope(scene, at))
+        by = scene.slope(at.values, unknowns.poses)
+        _add(information, slope, place, scene.place, scene.information, by)
     errors = (place >= unknowns.poses) & (place < unknowns.kept)
     precision = end.precision[place[errors] - unknowns.poses]
     rows = np.flatnonzero(errors)
@@ -156,12 +157,6 @@ def _add(
     rows = np.searchsorted(place, own[kept])
     information[np.ix_(rows, rows)] += more[np.ix_(kept, kept)]
     np.add.at(slope, rows, by[kept])
-
-
-def _scene_slope(scene: SceneTerm, at: Solved) -> Array:
-    """(P,) slope of a pair's scene at the answer: its poses are the ones it was taken at."""
-    errors = np.where(scene.place >= at.network.unknowns.poses, at.values[scene.place], 0.0)
-    return scene.gradient() - scene.information() @ errors
 
 
 def _closure(
@@ -193,9 +188,8 @@ def _closure(
         by_prior += gain
         if edge.scene is not None:
             of_scene = gain[:, edge.scene.place]
-            covariance += of_scene @ edge.scene.information() @ of_scene.T
-        arm = to_origin @ np.linalg.cholesky(floor())
-        covariance += arm @ arm.T
+            covariance += of_scene @ edge.scene.information @ of_scene.T
+        covariance += to_origin @ floor() @ to_origin.T
     for k, gain in by_source.items():
         one: Observation = at.network.observations[k]
         of_source = gain[:, one.place]

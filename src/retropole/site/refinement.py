@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -75,14 +76,29 @@ class SceneTerm:
     rows: Array
     place: IntArray
 
+    @cached_property
     def information(self) -> Array:
         """(12 + B, 12 + B) of the unknowns at `place`."""
         weighted = self.rows * np.sqrt(self.weights)[:, None]
         return np.asarray(weighted.T @ weighted)
 
+    @cached_property
     def gradient(self) -> Array:
         """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
         return -np.asarray((self.rows.T * self.weights) @ self.pairs.residuals)
+
+    def slope(self, values: Array, poses: int) -> Array:
+        """(12 + B,) of the same at the poses it was taken at, under errors.
+
+        Parameters
+        ----------
+        values
+            (K,) of all unknowns, of which those from `poses` on are taken: the errors.
+        poses
+            How many parameters all poses have.
+        """
+        errors = np.where(self.place >= poses, values[self.place], 0.0)
+        return np.asarray(self.gradient - self.information @ errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,8 +286,8 @@ def _solve(problem: _Problem, T: Array, terms: Sequence[SceneTerm], sigma: Array
     index = np.arange(poses, unknowns.kept)
     information[index, index] += precision
     for term in terms:
-        information[np.ix_(term.place, term.place)] += term.information()
-        np.add.at(gradient, term.place, term.gradient())
+        information[np.ix_(term.place, term.place)] += term.information
+        np.add.at(gradient, term.place, term.gradient)
     free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.errors, dtype=bool)])
     inverse = np.zeros_like(information)
     inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])

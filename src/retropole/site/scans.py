@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,7 +68,7 @@ class SiteScans:
         return replace(self, by_lidar=kept)
 
 
-def find_scans(site: Site, progress: Callable[[str], None] = lambda step: None) -> SiteScans:
+def find_scans(site: Site) -> SiteScans:
     """Search every recording of a site for poles.
 
     A recording that cannot be used is left out and told in `SiteScans.faults`: others may do.
@@ -77,7 +76,6 @@ def find_scans(site: Site, progress: Callable[[str], None] = lambda step: None) 
     rows, faults, recorded = [], [], []
     origins = np.zeros((len(site.lidars), 3))
     for i, lidar in enumerate(site.lidars):
-        progress(f"poles of {lidar.name}")
         first = next((cloud for cloud in lidar.clouds if cloud is not None), None)
         if first is not None:
             origins[i] = first.origin

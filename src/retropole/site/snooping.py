@@ -86,7 +86,7 @@ def solved(network: Network, end: SiteEnd, groups: Groups) -> Solved:
     index = np.arange(poses, unknowns.kept)
     information[index, index] += end.precision
     for term in end.scene:
-        information[np.ix_(term.place, term.place)] += term.information()
+        information[np.ix_(term.place, term.place)] += term.information
     free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.size - poses, dtype=bool)])
     inverse = np.zeros_like(information)
     inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])

@@ -11,7 +11,7 @@ from ..datatypes import Array, Hypothesis, Match, Placement
 from ..errors import Reason, Refusal
 from ..matching.placements import PairedPlacement
 from ..quantities import at_most
-from ..scene.confirmation import check_confirmation, confirm
+from ..scene.confirmation import MAX_WRONG, check_confirmation, confirm
 from ..uncertainty import Confirmation
 from ..uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from .adjustment import Adjusted
@@ -28,10 +28,6 @@ OPEN = 1e-5
 CHECKED = 0.01
 """Least redundancy of one of a LiDAR's recordings: below, nothing checks its pose. A precise LiDAR
 among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
-
-MAX_WRONG = 0.03
-"""Probability that a link of the site is wrong up to which it counts as confirmed, as for a pair
-(`scene.confirmation`)."""
 
 
 def check_linked(site: Site, groups: Sequence[Sequence[int]], pairs: Sequence[Pair]) -> None:

@@ -46,10 +46,8 @@ def without_placements(
         information[index, index] += end.precision
         slope[index] -= end.precision * end.errors
         for term in end.scene:
-            own = term.information()
-            information[np.ix_(term.place, term.place)] += own
-            errors = np.where(term.place >= poses, here[term.place], 0.0)
-            np.add.at(slope, term.place, term.gradient() - own @ errors)
+            information[np.ix_(term.place, term.place)] += term.information
+            np.add.at(slope, term.place, term.slope(here, poses))
         yield _changed(p, information[np.ix_(free, free)], slope[free], free, poses)
 
 
