@@ -28,6 +28,7 @@ from retropole.datatypes import PER_POINT, PointCloud
 from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import read_cloud
 from tests.io.files import INTENSITY, WRITERS, XYZ
+from tests.memory import peak_memory
 
 LONGEST = 10.0
 """Seconds that no file may take to be read, and no command with it."""
@@ -382,7 +383,7 @@ def main(first: int, last: int, folder: Path) -> int:
             place = traceback.extract_tb(error.__traceback__)[-1]
             print(f"seed {seed}: {type(error).__name__}: {error!s:.300}", flush=True)
             print(f"  {place.filename}:{place.lineno} {place.line}", flush=True)
-    memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    memory = peak_memory()
     print(f"{last - first} files, {wrong} wrong, {memory / 2**20:.0f} MiB: {sorted(came.items())}")
     return 0 if not wrong and memory < MOST_MEMORY else 1
 

@@ -11,6 +11,7 @@ pytest.importorskip("rosbags")
 pytest.importorskip("mcap")
 
 from tests.io import bombs
+from tests.paths import ROOT
 
 MAX_SECONDS, MAX_MIB = 10, 1024
 
@@ -26,9 +27,10 @@ REASONS = {
 }
 
 READ = """
-import faulthandler, json, resource, sys
+import faulthandler, json, sys
 from retropole.errors import ReadError
 from retropole.io import read_cloud
+from tests.memory import peak_memory
 for path in sys.argv[1:]:
     faulthandler.dump_traceback_later(LIMIT, exit=True)
     try:
@@ -37,14 +39,14 @@ for path in sys.argv[1:]:
     except ReadError as error:
         said = str(error)
     faulthandler.cancel_dump_traceback_later()
-    print(json.dumps([said, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024]))
+    print(json.dumps([said, peak_memory() // 2**20]))
 """.replace("LIMIT", str(MAX_SECONDS))
 
 
 def read_all(paths: list[Path]) -> list[tuple[str, int]]:
     """Read files in one process: what it says of each, and its peak until then, MiB."""
     done = subprocess.run(
-        [sys.executable, "-c", READ, *map(str, paths)], capture_output=True, text=True
+        [sys.executable, "-c", READ, *map(str, paths)], capture_output=True, text=True, cwd=ROOT
     )
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()]

@@ -61,7 +61,7 @@ def test_it_ends_where_nothing_slopes(surveyed: Steps) -> None:
     slope[poses:] -= end.precision * end.errors
     for term in end.scene:
         errors = np.where(term.place >= poses, here[term.place], 0.0)
-        np.add.at(slope, term.place, term.gradient - term.information @ errors)
+        np.add.at(slope, term.place, term.slope_without_errors - term.information @ errors)
     # One step more would go by a thousandth of what each unknown is unsure of, or less.
     assert np.abs(end.inverse @ slope / np.sqrt(np.diag(end.inverse))).max() < 1e-3
     assert end.converged

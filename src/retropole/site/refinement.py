@@ -83,7 +83,7 @@ class SceneTerm:
         return np.asarray(weighted.T @ weighted)
 
     @cached_property
-    def gradient(self) -> Array:
+    def slope_without_errors(self) -> Array:
         """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
         return -np.asarray((self.rows.T * self.weights) @ self.pairs.residuals)
 
@@ -98,7 +98,7 @@ class SceneTerm:
             How many parameters all poses have.
         """
         errors = np.where(self.place >= poses, values[self.place], 0.0)
-        return np.asarray(self.gradient - self.information @ errors)
+        return np.asarray(self.slope_without_errors - self.information @ errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +287,7 @@ def _solve(problem: _Problem, T: Array, terms: Sequence[SceneTerm], sigma: Array
     information[index, index] += precision
     for term in terms:
         information[np.ix_(term.place, term.place)] += term.information
-        np.add.at(gradient, term.place, term.gradient)
+        np.add.at(gradient, term.place, term.slope_without_errors)
     free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.errors, dtype=bool)])
     inverse = np.zeros_like(information)
     inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
