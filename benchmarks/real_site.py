@@ -34,7 +34,7 @@ from retropole.site.answer import LoopClosure, SiteCalibration
 from retropole.site.closures import close_loops
 from retropole.site.description import Site, SiteLidar
 from retropole.site.refinement import SiteEnd
-from retropole.site.snooping import Solved
+from retropole.site.solved import Solved
 from semireal import PAIRS, WEAK, Loaded, load
 from wrong_files import REACH, VOXEL, registered
 

@@ -2,9 +2,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from retropole import se3
 from retropole.datatypes import Array, Pole
+
+# No test asserts a wall-clock time: a busy machine is no counterexample.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 PoleMaker = Callable[..., Pole]
 

@@ -9,7 +9,7 @@ from retropole.datatypes import Array
 from retropole.site.description import Site, SiteLidar
 from retropole.site.network import Network, Observation, observe
 from retropole.site.refinement import SiteEnd, refine_site
-from retropole.site.snooping import Solved, solved
+from retropole.site.solved import Solved, solved
 from retropole.site.state import SiteState
 from retropole.site.unknowns import known_sigmas
 from retropole.systematic import Groups, Sizes

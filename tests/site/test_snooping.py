@@ -10,20 +10,17 @@ from scipy.stats import chi2, kstest
 from retropole.datatypes import Array, IntArray
 from retropole.site.datum import without_poles
 from retropole.site.network import Observation
-from retropole.site.snooping import (
-    EXTERNAL_RANGE,
-    NONCENTRALITY,
+from retropole.site.own_errors import (
     OwnError,
-    Solved,
-    all_tests,
     lidar_apart,
-    outcome,
     placement_moved,
     pole_moved,
     pole_seen_elsewhere,
-    solved,
+    splits,
     value_wrong,
 )
+from retropole.site.snooping import EXTERNAL_RANGE, NONCENTRALITY, all_tests, outcome
+from retropole.site.solved import Solved, solved
 from tests.site import geodetic
 from tests.site.adjusting import Steps
 
@@ -112,7 +109,7 @@ def cases(at: Solved) -> list[tuple[OwnError, Frees]]:
         assert moved is not None
         found.append((moved, own))
         k = next(iter(own))
-        found.append((pole_seen_elsewhere(at, returns[k], pole), {k: own[k]}))
+        found.append((pole_seen_elsewhere(at, [returns[k]], pole), {k: own[k]}))
     for k in list(returns)[1:3]:
         found.append((placement_moved(at, returns[k]), {k: range(6)}))
     apart = lidar_apart(at, 1)
@@ -233,7 +230,7 @@ def test_what_nothing_checks_is_no_test(steps: Steps) -> None:
 
 def test_every_observation_of_a_sound_site_is_tested_and_fits(surveyed: Steps) -> None:
     site, poles = surveyed.site, surveyed.datum.poles
-    tests = list(all_tests(surveyed.adjusted.solved, site, poles))
+    tests = list(all_tests(surveyed.adjusted.solved, site, poles, {}))
     kinds = [test.kind for test in tests]
     known = surveyed.datum.surveyed
     assert kinds.count("survey") == len(known.ends)
@@ -246,6 +243,27 @@ def test_every_observation_of_a_sound_site_is_tested_and_fits(surveyed: Steps) -
         assert test.minimal_detectable is None or test.minimal_detectable > 0
     of_poles = {test.pole for test in tests if test.kind == "pole" and test.lidar is None}
     assert of_poles == {k for k, pole in enumerate(poles) if len(pole.seen) > 1}
+
+
+def test_what_lies_beside_its_pole_is_told_of_the_lidar_and_the_pole(surveyed: Steps) -> None:
+    site, poles = surveyed.site, surveyed.datum.poles
+    k = next(k for k, pole in enumerate(poles) if len(pole.seen) > 1)
+    lidar = min(poles[k].seen)
+    worst = max(
+        all_tests(surveyed.adjusted.solved, site, poles, {(lidar, k): 500.0}),
+        key=lambda test: test.w,
+    )
+    assert (worst.kind, worst.lidar, worst.pole, worst.chi2) == ("pole", lidar, k, 500.0)
+    assert worst.w > 20
+
+
+@pytest.mark.parametrize("count", range(2, 8))
+def test_every_way_to_part_them_comes_once(count: int) -> None:
+    """Each subset and what is left are one way; a single one against the rest is none of these."""
+    found = [frozenset(part) for part in splits(count)]
+    both = {frozenset({part, frozenset(range(count)) - part}) for part in found}
+    assert len(both) == len(found) == 2 ** (count - 1) - 1 - (count if count > 2 else 1)
+    assert all(min(map(len, each)) >= 2 for each in both)
 
 
 def test_errors_that_are_considered_make_no_blunder_of_themselves(steps: Steps) -> None:

@@ -50,7 +50,10 @@ POLE_SLACK = 1e-9
 
 
 def maximise(
-    state: S, log_noise: Array, posterior: Callable[[S, Array], Posterior[S]]
+    state: S,
+    log_noise: Array,
+    posterior: Callable[[S, Array], Posterior[S]],
+    most_noise: Array | float = np.inf,
 ) -> Solution[Posterior[S]]:
     """Climb to the nearest maximum of a posterior, noise and all (Levenberg–Marquardt).
 
@@ -62,19 +65,22 @@ def maximise(
         Where to start; the noise (L, 2) of each LiDAR in depth and sideways, metres.
     posterior
         Gives it at a state under a noise.
+    most_noise
+        Bound of the noise, of each (L, 2) or of all, metres.
     """
-    floor = np.log(MIN_NOISE)
+    floor, most = np.log(MIN_NOISE), np.log(most_noise)
 
     def with_noise(now: Posterior[S], step: Array, damping: float) -> Posterior[S]:
         noise = np.maximum(now.log_noise + now.noise_step / (1.0 + damping), floor)
         noise[:, 0] = np.maximum(noise[:, 0], noise[:, 1] - np.log(MAX_LATERAL_NOISE))
         noise[:, 1] = np.maximum(noise[:, 1], noise[:, 0] + np.log(MIN_LATERAL_NOISE))
+        noise = np.minimum(noise, most)
         return _with_true_curvature(posterior(now.state.moved(step), noise))
 
     def geometry_alone(now: Posterior[S], step: Array, damping: float) -> Posterior[S]:
         return _with_true_curvature(posterior(now.state.moved(step), now.log_noise))
 
-    start = posterior(state, np.maximum(log_noise, floor))
+    start = posterior(state, np.clip(log_noise, floor, most))
     found = levenberg_marquardt(
         start,
         with_noise,

@@ -304,8 +304,8 @@ def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> O
     # Newton in the logarithm of the noise; expectation-maximisation where that is not concave.
     gradient = arc.inlier @ (arc.noise - 1.0)
     curvature = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
-    noise_step = gradient / np.maximum(curvature, NOISE_CURVATURE * arc.inlier.sum())
-    return OnPoles(terms, noise_step, float(arc.inlier.sum()))
+    inliers = max(float(arc.inlier.sum()), 1e-300)
+    return OnPoles(terms, gradient / np.maximum(curvature, NOISE_CURVATURE * inliers), inliers)
 
 
 def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> Terms:

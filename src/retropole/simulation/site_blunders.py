@@ -140,9 +140,11 @@ def _exchange(
     ]
     of_two = rng.uniform() < 0.5 or not one
     choices: list[tuple[tuple[int, ...], tuple[int, ...]]] = [*two] if of_two else [*one]
-    # Where a LiDAR sees no pole, nothing shows that the file is another.
+    # Of a file with no two poles that another LiDAR sees as well nothing shows that it is wrong.
     choices = [
-        own for own in choices if all(sum(seen[p][lidar]) >= 2 for lidar in own[0] for p in own[1])
+        own
+        for own in choices
+        if all(_shares_two(seen[p], lidar) for lidar in own[0] for p in own[1])
     ] or choices
     checked = [
         own
@@ -158,6 +160,15 @@ def _exchange(
         f"{lidars[0] + 1} exchanged"
     )
     return Blunder("files", name, lidars, placements, checked=bool(checked))
+
+
+def _shares_two(seen: Sequence[Sequence[bool]], lidar: int) -> bool:
+    """Whether another LiDAR sees two of the poles that one sees in a placement."""
+    return any(
+        sum(a and b for a, b in zip(seen[lidar], own, strict=True)) >= 2
+        for other, own in enumerate(seen)
+        if other != lidar
+    )
 
 
 def _without(

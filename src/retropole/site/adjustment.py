@@ -9,13 +9,15 @@ import numpy as np
 
 from ..alignment.adjustment import MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA, RADIUS_TOLERANCE
 from ..alignment.certainty import WORKING_SHARE
-from ..alignment.climb import START_NOISE
+from ..alignment.climb import START_NOISE, start_of
 from ..alignment.posterior import beam_geometry
 from ..datatypes import Array
 from ..errors import Refusal
 from ..scene.patches import Patches
 from ..systematic import MIN_ERROR_SIGMA, sizes_of
 from .answer import Test
+from .astray import astray
+from .axes import climb_alone
 from .certainty import Part, joint_covariance, parts_of
 from .datum import Datum, without_poles
 from .description import Site
@@ -24,9 +26,15 @@ from .posterior import Sight, SitePriors, climb_site
 from .refinement import ScenePair, SiteEnd, refine_site
 from .scans import SiteScans
 from .shared import sights_of
-from .snooping import Solved, all_tests, solved
+from .snooping import all_tests
+from .solved import Solved, solved
 from .state import POSE, SiteState
 from .unknowns import known_sigmas
+
+MORE_NOISE, LEAST_BOUND = 1.5, 0.005
+"""A LiDAR's returns lie so much further from the common axes than from its own at most, beyond a
+least bound in metres: of few returns axes of their own take up much of the noise, ten lie
+√(10/6) = 1.3 times nearer. More is no noise, but a pole that moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +94,14 @@ def adjust(
     radius_sigma = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
     offsets = np.array([WORKING_SHARE * np.hypot(size.zero, size.tape) for size in sizes])
     priors = SitePriors(state.T, offsets, site.radius, radius_sigma, datum.free)
-    climbed = climb_site(state, _start_noise(state, sights), sights, datum.surveyed, priors)
+    climbed = climb_site(
+        state,
+        _start_noise(state, sights),
+        sights,
+        datum.surveyed,
+        priors,
+        _most_noise(sights, site),
+    )
     none = np.zeros(0, dtype=np.int64)
     bands = bands_of(sights, [none if one is None else np.unique(one.bands) for one in patches])
     network = observe(climbed.point, sights, datum.poles, datum.surveyed, site, bands, datum.free)
@@ -96,7 +111,8 @@ def adjust(
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
     at = solved(network, end, groups)
-    tests = tuple(all_tests(at, site, datum.poles))
+    beside = {(i, k): chi2 for i, k, chi2 in astray(climbed.point, network, sights)}
+    tests = tuple(all_tests(at, site, datum.poles, beside))
     converged = climbed.converged and end.converged
     return Adjusted(datum, network, end, parts, covariance, at, tests, converged)
 
@@ -129,6 +145,16 @@ def _start_noise(state: SiteState, sights: Sequence[Sight]) -> Array:
         spread = np.sqrt(np.mean((seen.depth - state.radius) ** 2 + seen.lateral_offset**2))
         noise[sight.lidar] = np.log(np.clip(spread, *START_NOISE))
     return noise
+
+
+def _most_noise(sights: Sequence[Sight], site: Site) -> Array:
+    """(L, 2) most noise of each LiDAR's returns, by how they lie about axes of its own, metres."""
+    most = np.full((len(site.lidars), 2), np.inf)
+    for sight in sights:
+        start, log_noise = start_of(sight.beams, sight.beams, np.eye(4), site.radius)
+        _, own = climb_alone(start, sight.beams, log_noise[0])
+        most[sight.lidar] = np.maximum(MORE_NOISE * own, LEAST_BOUND)
+    return most
 
 
 def check_held(site: Site, covariance: Array, *, is_surveyed: bool) -> None:

@@ -20,7 +20,7 @@ from ..datatypes import Array, IntArray
 from .answer import LoopClosure
 from .network import Observation
 from .refinement import SceneTerm, SiteEnd
-from .snooping import Solved
+from .solved import Solved
 from .state import POSE
 
 MOST_LOOPS = 60

@@ -48,6 +48,8 @@ class Observation:
         (K,) the axes that are among the unknowns, in their order; the last ones of the place.
     returns
         How many returns lie on them.
+    share
+        (K,) what part of those that were found on each that is.
     by_value
         Of a single measurement its derivative (M, P) over its 1 σ, its residual (M,) likewise, and
         that 1 σ, metres or rad; None of returns.
@@ -62,6 +64,7 @@ class Observation:
     placement: int | None = None
     poles: IntArray | None = None
     returns: float = 0.0
+    share: Array | None = None
     by_value: tuple[Array, Array, float] | None = None
 
 
@@ -205,6 +208,7 @@ def _returns(
         placement,
         own,
         float(inliers.sum()),
+        inliers / np.bincount(beams.pole, minlength=len(own)),
     )
 
 

@@ -128,8 +128,19 @@ def climb_site(
     sights: Sequence[Sight],
     surveyed: Surveyed,
     priors: SitePriors,
+    most_noise: Array | float = np.inf,
 ) -> Solution[Posterior[SiteState]]:
     """Climb to the nearest maximum of the posterior.
+
+    Parameters
+    ----------
+    state, log_noise
+        Where to start.
+    sights, surveyed, priors
+        What was seen, and what is known.
+    most_noise
+        (L, 2) bound of each LiDAR's noise at the answer, metres. A pole that moved between the
+        recordings would else pass for noise.
 
     Raises
     ------
@@ -141,6 +152,8 @@ def climb_site(
         return evaluate_site(state, log_noise, sights, surveyed, priors)
 
     found = maximise(state, log_noise, evaluate)
+    if np.any(np.exp(found.point.log_noise) > most_noise):
+        found = maximise(found.point.state, found.point.log_noise, evaluate, most_noise)
     end = found.point
     total = sum(len(sight.beams.pole) for sight in sights)
     noise = float(np.exp(end.log_noise[:, 0].max()))
