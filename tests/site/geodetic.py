@@ -57,4 +57,4 @@ def adjusted(net: Network) -> tuple[SiteEnd, Solved]:
     groups: Groups = net.unknowns.groups()
     known = known_sigmas(groups, [Sizes()] * LIDARS, 1e-3)
     end = refine_site(net, [], groups, known)
-    return end, solved(net, end, groups)
+    return end, solved(net, end, groups, np.zeros((net.unknowns.poses, 0)))

@@ -125,11 +125,13 @@ def expand(state: State, views: Sequence[View], beams: Sequence[Beams], radius: 
     found = [
         expand_lidar(state, lidar, one, views[lidar], layout) for lidar, one in enumerate(beams)
     ]
+    # What curves upwards says nothing.
+    information = [semidefinite(each[0], lambda size: np.maximum(size, 0.0)) for each in found]
     return Expansion(
         state,
         layout,
         errors,
-        (found[0][0], found[1][0]),
+        (information[0], information[1]),
         (found[0][1], found[1][1]),
         np.array([found[lidar][2] for lidar in (0, 1)]),
     )
@@ -220,7 +222,8 @@ def expand_lidar(
 ) -> tuple[Array, Array, Array]:
     """Expand the likelihood of one LiDAR's beams: information, gradient, inliers on each pole.
 
-    Over pose, errors and axes, as in `Expansion`; the target (0) has no part in the pose.
+    Over pose, errors and axes, as in `Expansion`; the target (0) has no part in the pose. In some
+    directions there may be less information than none; see `semidefinite`.
     """
     seen, beside = own_geometry(state, lidar, one)
     on = with_width(lambda by: average_returns(seen, one.wider(by), state.radius, view))
@@ -238,7 +241,7 @@ def expand_lidar(
         information = information + flat.T @ (passed.information @ J).reshape(-1, size)
         gradient = gradient + passed.score.reshape(-1) @ flat
     inliers = np.bincount(one.pole, on.inlier, len(state.points)).astype(np.float64)
-    return _not_negative(information), np.asarray(gradient), inliers
+    return np.asarray(information), np.asarray(gradient), inliers
 
 
 def with_width(average_at: Callable[[float], Average]) -> Average:
@@ -262,15 +265,18 @@ def with_width(average_at: Callable[[float], Average]) -> Average:
     )
 
 
-def _not_negative(information: Array) -> Array:
-    """Leave out of an information (P, P) the directions in which there is less than none."""
+def semidefinite(information: Array, eigenvalues: Callable[[Array], Array]) -> Array:
+    """Give an information (P, P) other eigenvalues where it has less than none in some direction.
+
+    They are those of the information with a diagonal of ones, so that units make no difference.
+    """
     scale = np.sqrt(np.abs(np.diag(information)))
     used = np.flatnonzero(scale > 0)
     block = np.ix_(used, used)
     by_scale = np.outer(scale[used], scale[used])
     size, way = np.linalg.eigh(information[block] / by_scale)
     left: Array = np.zeros_like(information)
-    left[block] = (way * np.maximum(size, 0.0)) @ way.T * by_scale
+    left[block] = (way * eigenvalues(size)) @ way.T * by_scale
     return left
 
 

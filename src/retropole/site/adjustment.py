@@ -18,7 +18,7 @@ from ..systematic import MIN_ERROR_SIGMA, sizes_of
 from .answer import Test
 from .astray import astray
 from .axes import climb_alone
-from .certainty import Part, joint_covariance, parts_of
+from .certainty import Part, joint_covariance, parts_of, scene_root
 from .datum import Datum, without_poles
 from .description import Site
 from .network import Network, bands_of, observe
@@ -110,7 +110,7 @@ def adjust(
     parts = tuple(parts_of(network, end, groups))
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
-    at = solved(network, end, groups)
+    at = solved(network, end, groups, scene_root(parts))
     beside = {(i, k): chi2 for i, k, chi2 in astray(climbed.point, network, sights)}
     tests = tuple(all_tests(at, site, datum.poles, beside))
     converged = climbed.converged and end.converged

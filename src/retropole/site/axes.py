@@ -21,7 +21,7 @@ from ..alignment.climb import (
     POLE_STEP,
     start_of,
 )
-from ..alignment.factor import POSE, expand_lidar
+from ..alignment.factor import POSE, expand_lidar, semidefinite
 from ..alignment.observations import Beams, beams_of
 from ..alignment.posterior import SHARED, Posterior, Priors, State, evaluate
 from ..alignment.solver import levenberg_marquardt
@@ -97,7 +97,7 @@ def find_axes(
     nobody: IntArray = np.zeros(0, dtype=np.int64)
     layout = Layout((np.unique(band_of(beams.directions, beams.axis)), nobody))
     information, gradient, _ = expand_lidar(state, 0, beams, view, layout)
-    information = information[POSE:, POSE:]
+    information = semidefinite(information, lambda size: np.maximum(size, 0.0))[POSE:, POSE:]
     groups, sizes = groups_of(layout), sizes_of(sensor)
     sigma = ErrorModel(sizes, sizes, max(radius_sigma, RADIUS_TOLERANCE * radius)).sigmas(groups)
     precision = prior_precision(groups, sigma)

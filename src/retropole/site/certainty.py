@@ -23,6 +23,9 @@ from .network import Network, marginal
 from .refinement import SceneTerm, SiteEnd
 from .state import POSE
 
+SCATTER, FLAT = "scatter of the surfaces", "surfaces that are not flat"
+"""What the budget calls the two parts of the scene."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -67,10 +70,17 @@ def parts_of(network: Network, end: SiteEnd, groups: Groups) -> list[Part]:
     found.append(_scatter("scatter of the poles' returns and of the survey", wide * returns))
     if end.scene:
         surfaces, flat = _of_surfaces(end, poses)
-        found.append(_scatter("scatter of the surfaces", surfaces))
-        found.append(_scatter("surfaces that are not flat", flat))
+        found.append(_scatter(SCATTER, surfaces))
+        found.append(_scatter(FLAT, flat))
     found += [_scatter(FLOOR, each) for each in _own_floors(network, end)]
     return found
+
+
+def scene_root(parts: Sequence[Part]) -> Array:
+    """(6 L, R) what surfaces do to all poses: a root of that part of the covariance."""
+    return np.hstack(
+        [np.zeros((len(parts[0].root), 0)), *(p.root for p in parts if p.name in (SCATTER, FLAT))]
+    )
 
 
 def joint_covariance(parts: Sequence[Part]) -> Array:

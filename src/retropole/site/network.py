@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..alignment.factor import POSE, expand_lidar
+from ..alignment.factor import POSE, expand_lidar, semidefinite
 from ..alignment.posterior import Posterior
 from ..alignment.views import View, find_view
 from ..datatypes import Array, BoolArray, IntArray
@@ -194,6 +194,9 @@ def _returns(
     information, gradient, inliers = expand_lidar(
         state.of(sight.lidar, own), 1, beams, part, layout
     )
+    # Where one recording alone curves upwards, others hold the answer against its slope: without
+    # any information there, the test of it would be as large as rounding is small.
+    information = semidefinite(information, np.abs)
     errors = unknowns.of_layout(layout, (None, sight.lidar))
     place = np.r_[unknowns.pose(sight.lidar), errors, unknowns.axis(own)]
     kept = np.flatnonzero(place >= 0)

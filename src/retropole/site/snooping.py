@@ -73,11 +73,19 @@ def outcome(at: Solved, error: OwnError, unit: float) -> Outcome:
     left = error.own - error.cross.T @ taken_up
     # What is considered moves the slope by so much.
     by = error.wide - taken_up.T @ at.by_wide
+    # And the scene's patches, correlated as they are, by more than their information says.
+    by_scene = error.cross.T @ at.scene
+    more, way = np.linalg.eigh(by_scene @ by_scene.T - taken_up.T @ at.scene_information @ taken_up)
+    spread = left + by @ by.T + (way * np.maximum(more, 0.0)) @ way.T
     # Of what nothing checks only rounding is left: none of it is a test.
     least_checked = LEAST_CHECKED * max(float(np.diag(error.own).max()), 1e-300)
-    size, way = np.linalg.eigh(left + by @ by.T)
-    along = way.T @ error.slope
-    chi2 = float(np.sum(along[size > least_checked] ** 2 / size[size > least_checked]))
+    size, way = np.linalg.eigh(spread)
+    told = size > least_checked
+    # All else follows: what the iterations left of its slope counts where little is tested.
+    along = way.T @ (error.slope - taken_up.T @ at.remainder)
+    chi2 = float(np.sum(along[told] ** 2 / size[told]))
+    # An error ∇ moves the slope by S ∇.
+    seen = (way[:, told].T @ left) / np.sqrt(size[told])[:, None]
     w = normalised(chi2, error.freedom)
     size, way = np.linalg.eigh(error.own)
     whole = size > LEAST_CHECKED * size[-1]
@@ -85,8 +93,8 @@ def outcome(at: Solved, error: OwnError, unit: float) -> Outcome:
     redundancy = float(
         np.clip(np.trace(inverse @ left) / max(np.count_nonzero(whole), 1), 0.0, 1.0)
     )
-    of_lengths = left[np.ix_(error.metres, error.metres)]
-    size, way = np.linalg.eigh(of_lengths)
+    of_lengths = seen[:, error.metres]
+    size, way = np.linalg.eigh(of_lengths.T @ of_lengths)
     # Moved together, all LiDARs' poles are the pole itself: only differences count.
     found = np.flatnonzero(size > least_checked)
     if not len(found):

@@ -31,6 +31,15 @@ class Solved:
         (Z, R) errors that are considered and not estimated, each of 1 σ.
     sigma
         (B,) 1 σ of each error.
+    remainder
+        (Z,) slope of everything together by the unknowns at the answer: zero but for what the
+        iterations left.
+    scene_information
+        (Z, Z) what of all information is the scene's.
+    scene
+        (Z, R) steps of all unknowns that the scatter of the surfaces makes, and that they are not
+        flat, each of 1 σ: a wall's patches are no independent observations, and that information
+        promises too much where they alone decide.
     """
 
     network: Network
@@ -38,6 +47,9 @@ class Solved:
     inverse: Array
     wide: Array
     sigma: Array
+    remainder: Array
+    scene_information: Array
+    scene: Array
 
     @cached_property
     def by_wide(self) -> Array:
@@ -50,7 +62,7 @@ class Solved:
         return np.asarray(one.gradient - one.information @ away)
 
 
-def solved(network: Network, end: SiteEnd, groups: Groups) -> Solved:
+def solved(network: Network, end: SiteEnd, groups: Groups, scene_root: Array) -> Solved:
     """Solve for all unknowns, axes and control points too, at the answer.
 
     Parameters
@@ -59,6 +71,8 @@ def solved(network: Network, end: SiteEnd, groups: Groups) -> Solved:
         What was adjusted, and where it ended.
     groups
         The errors.
+    scene_root
+        (6 L, R) what the scene does to the poses (`certainty.scene_root`).
     """
     unknowns, poses = network.unknowns, network.unknowns.poses
     information, gradient = network.total()
@@ -68,10 +82,15 @@ def solved(network: Network, end: SiteEnd, groups: Groups) -> Solved:
     start = network.start
     pull = gradient[gone] - information[gone, : unknowns.kept] @ (kept - start[: unknowns.kept])
     values = np.r_[kept, start[gone] + np.linalg.solve(information[gone, gone], pull)]
+    remainder = gradient - information @ (values - start)
     index = np.arange(poses, unknowns.kept)
     information[index, index] += end.precision
+    remainder[index] -= end.precision * end.errors
+    by_scene = np.zeros_like(information)
     for term in end.scene:
-        information[np.ix_(term.place, term.place)] += term.information
+        by_scene[np.ix_(term.place, term.place)] += term.information
+        np.add.at(remainder, term.place, term.slope(values, poses))
+    information += by_scene
     free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.size - poses, dtype=bool)])
     inverse = np.zeros_like(information)
     inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
@@ -79,4 +98,9 @@ def solved(network: Network, end: SiteEnd, groups: Groups) -> Solved:
     which = np.flatnonzero(sigma)
     wide = np.zeros((unknowns.size, len(which)))
     wide[poses + which, np.arange(len(which))] = sigma[which]
-    return Solved(network, values, inverse, wide, end.sigma[groups.label])
+    # What moves the poses by so much takes all else along.
+    moved = np.flatnonzero(network.free)
+    along = inverse[:, moved] @ np.linalg.solve(inverse[np.ix_(moved, moved)], scene_root[moved])
+    return Solved(
+        network, values, inverse, wide, end.sigma[groups.label], remainder, by_scene, along
+    )
