@@ -61,7 +61,10 @@ def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
         assert mahalanobis_sq(answer.refined, pair.T_target_source) < BEYOND_3_SIGMA
 
 
-@pytest.mark.parametrize("distance", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize(
+    "distance",
+    [0.0, pytest.param(0.05, marks=pytest.mark.slow), pytest.param(0.3, marks=pytest.mark.slow)],
+)
 def test_one_of_three_poles_that_moved_is_left_out(distance: float) -> None:
     """Or the answer is refused: moved by little, it may be any of them. Never is it wrong."""
     left_out = 0

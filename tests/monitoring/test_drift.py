@@ -181,6 +181,7 @@ def test_gross_movements_are_found_with_poles_and_never_called_same_without(
     assert check(stored, gone.source, gone.target).status != "same"
 
 
+@pytest.mark.slow
 def test_another_place_is_never_called_same(stored: PoseEstimate) -> None:
     other = simulate_pair("harbor", np.random.default_rng(14))
     assert check(stored, other.target, other.source).status != "same"

@@ -13,6 +13,7 @@ from tests.evaluation.paper.exhibits import all_exhibits, number
 from tests.paths import SHARED
 
 
+@pytest.mark.slow
 def test_planes_and_poles_are_sharpest_where_icp_ends_rotated() -> None:
     rows = {row[0]: row for row in all_exhibits()["table4_comparing"].rows}
     planes, poles, icp, wrong = (
@@ -22,6 +23,7 @@ def test_planes_and_poles_are_sharpest_where_icp_ends_rotated() -> None:
     assert planes == pytest.approx(poles, rel=0.05)
 
 
+@pytest.mark.slow
 def test_every_relation_is_counted() -> None:
     """One corridor: each count is a comparison of two rows of the list of corridors."""
     exhibits = all_exhibits()
@@ -42,6 +44,7 @@ def test_a_cloud_on_itself_is_sharper_than_one_beside_it() -> None:
         assert np.all(sums["on"][:3] > sums["beside"][:3])
 
 
+@pytest.mark.slow
 def test_the_truth_has_no_error() -> None:
     rows = {row[0]: row for row in all_exhibits()["table4_comparing"].rows}
     assert number(rows["truth"][6]) == 0.0

@@ -15,6 +15,7 @@ from retropole.simulation import EXACT, simulate_pair
 from tests.evaluation.paper.exhibits import all_exhibits, number
 
 
+@pytest.mark.slow
 def test_the_beam_model_is_exact_without_noise_and_the_papers_is_not() -> None:
     rows = {row[:2]: row for row in all_exhibits()["simulated_e_rt"].rows}
     ours, paper = (

@@ -10,6 +10,7 @@ from retropole.evaluation.paper.starts import NAMES, SAME_RMS, different, eight_
 from tests.evaluation.paper.exhibits import all_exhibits, number
 
 
+@pytest.mark.slow
 def test_the_exact_ends_are_180_degrees_apart_and_the_others_worse() -> None:
     rows = all_exhibits()["fig4_hypotheses"].rows
     assert [row[0] for row in rows] == list(NAMES)
