@@ -21,6 +21,9 @@ SHARED_RETURNS = 9
 """Two LiDARs that are to be linked see a pole with so many returns of thin beams or more: half
 as many again as a line needs, as noise takes some."""
 
+NEAREST = 2.0
+"""No pole stands nearer to a LiDAR, metres: it would see a piece that is too short for a line."""
+
 FARTHEST = 12.0
 """Poles further from a LiDAR link it to no other, metres: tape is wrapped and poles are stood where
 their returns are many (docs/placing.md has 2 to 8 m)."""
@@ -146,12 +149,17 @@ def _stand(
     if drawn is None:
         return None
     moved = tuple(replace(pole, centre=pole.centre + np.r_[middle, 0.0]) for pole in drawn)
-    far = (
-        np.linalg.norm(pole.centre - pose[:3, 3]) < 1.0 for pole in moved for pose in place.poses
-    )
-    if any(far) or not all(stands_free(pole, place.surroundings) for pole in moved):
+    if _too_near(moved, place) or not all(stands_free(p, place.surroundings) for p in moved):
         return None
     return moved
+
+
+def _too_near(poles: Sequence[Cylinder], place: SitePlace) -> bool:
+    return any(
+        np.linalg.norm(pole.centre - pose[:3, 3]) < NEAREST
+        for pole in poles
+        for pose in place.poses
+    )
 
 
 def _place_ring(
@@ -169,7 +177,7 @@ def _place_ring(
                 replace(pole, centre=pole.centre + middle) for pole in symmetric_poles(rng, radius)
             )
             view = _view(place, new, sensors, rng, pair)
-            if all(all(view[k]) for k in pair):
+            if all(all(view[k]) for k in pair) and not _too_near(new, place):
                 break
         else:
             return None

@@ -279,7 +279,9 @@ def _record(
                     is_seen(scanned.labels == first + j, scanned.cloud.ring)
                     for j in range(len(at.poles[p]))
                 )
-            if are_linked([*seen, tuple(view), *at.seen[p + 1 :]], count):
+            # Where few record, each is there to see all poles: else a ring would not close.
+            needed = len(who) == count or all(all(view[k]) for k in who)
+            if needed and are_linked([*seen, tuple(view), *at.seen[p + 1 :]], count):
                 seen.append(tuple(view))
                 break
         else:

@@ -24,7 +24,7 @@ from .exchanged import check_exchanged, check_places
 from .pairs import Pair, find_pairs, poles_of
 from .refinement import patches_of, scene_pairs
 from .scans import SiteScans, Views, find_scans, poses_in_clouds, views_of
-from .shared import shared_poles
+from .shared import same_poles, shared_poles
 from .state import POSE
 from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
 from .without import without_placements
@@ -71,6 +71,8 @@ def calibrate_site(
                         scans, views, pairs, groups[0], choices, site.radius
                     )
                     at = [poles_of(scans, lidar) for lidar in range(count)]
+                if choices.rivals:
+                    pairs, choices = decided_by_settling(scans, views, pairs, groups[0], choices)
                 check_exchanged(site, scans, views, pairs, choices.best, at)
                 check_linked(site, groups, pairs)
                 check_decided(site, choices, pairs, at)
@@ -81,6 +83,11 @@ def calibrate_site(
                 scenes = scene_pairs(patches, groups[0])
                 adjust_from = partial(adjust, site, scans, patches=patches, scenes=scenes)
                 adjusted = adjust_from(datum)
+                # Rough poses may be off by more than poles of few returns lie apart.
+                poses = dict(enumerate(adjusted.end.T))
+                again = shared_poles(scans, poses, site.radius)
+                if not same_poles(again, poles):
+                    adjusted = adjust_from(find_datum(site, scans.origins, poses, again))
             with step("test"):
                 adjusted, blunders = without_blunders(site, adjusted, adjust_from)
             with step("confirm"):
@@ -108,6 +115,22 @@ def decided_by_doubtful(
     if again.rivals or again.best.count <= choices.best.count:
         return scans, pairs, choices
     return more, found, again
+
+
+def decided_by_settling(
+    scans: SiteScans,
+    views: Views,
+    pairs: tuple[Pair, ...],
+    group: Sequence[int],
+    choices: Choices,
+) -> tuple[tuple[Pair, ...], Choices]:
+    """Let the hypotheses settle in the scene first, where then one choice alone goes together."""
+    settled = find_pairs(scans, views, settled=True)
+    at = [poles_of(scans, lidar) for lidar in range(len(scans.by_lidar))]
+    again = choose_poses(group, settled, at, group[0])
+    if again.rivals or again.best.count <= choices.best.count:
+        return pairs, choices
+    return settled, again
 
 
 def answered(

@@ -17,6 +17,7 @@ from ..errors import Reason, Refusal
 from ..matching.correspondence import match_poles
 from ..matching.placements import AGREE_ANGLE, AGREE_DISTANCE
 from ..scene.choice import RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap
+from ..scene.settling import settle
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views
 from .scans import SiteScans, Views
 
@@ -27,6 +28,9 @@ overlap below which they count as not overlapping (`scene.choice.MIN_OVERLAP`)."
 
 LEAST_TOLD = 0.1
 """Overlap of the best hypothesis below which the scenes show different places."""
+
+SETTLING_POLES = 2
+"""With so many poles in one placement a pose may be degrees off; a third one holds it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +123,19 @@ def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> b
     return float(np.einsum("ni,ni->n", away, away).max()) <= (slack * AGREE_DISTANCE) ** 2
 
 
-def find_pairs(scans: SiteScans, views: Views) -> tuple[Pair, ...]:
-    """Find the hypotheses of every pair of LiDARs."""
+def find_pairs(scans: SiteScans, views: Views, *, settled: bool = False) -> tuple[Pair, ...]:
+    """Find the hypotheses of every pair of LiDARs.
+
+    Parameters
+    ----------
+    scans, views
+        Of all LiDARs.
+    settled
+        Whether the scene first moves what the poles of one placement alone allow, each as far as
+        they do (`scene.settling`): slow, and needed where few returns leave a pose degrees off.
+    """
     return tuple(
-        _pair(scans, views, first, second)
+        _pair(scans, views, first, second, settled)
         for first, second in combinations(range(len(scans.by_lidar)), 2)
     )
 
@@ -133,7 +146,7 @@ def poles_of(scans: SiteScans, lidar: int) -> Array:
     return np.array(points) if points else np.zeros((1, 3))
 
 
-def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
+def _pair(scans: SiteScans, views: Views, first: int, second: int, settled: bool) -> Pair:
     """Match the poles of every placement, put equal poses together, and ask the scene."""
     found: list[tuple[Match, list[int], int]] = []
     reason: Reason | None = None
@@ -153,7 +166,25 @@ def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
     if not found:
         few = Reason("too_few_poles", "no placement shows both LiDARs two poles in common", {})
         return Pair((first, second), (), False, reason or few)
+    if settled:
+        found = [(_settled(scans, (first, second), *each), *each[1:]) for each in found]
     return _scored((first, second), found, views.first(first), views.first(second))
+
+
+def _settled(
+    scans: SiteScans, lidars: tuple[int, int], match: Match, placements: Sequence[int], poles: int
+) -> Match:
+    """Register the scenes from a match, unless poles of several placements agree on it."""
+    if len(placements) > 1 or poles > SETTLING_POLES:
+        return match
+    target, source = (scans.by_lidar[lidar][placements[0]] for lidar in lidars)
+    assert target is not None
+    assert source is not None
+    hypothesis = Hypothesis(match, None, None, 0.0, 0.0, 0.0)
+    try:
+        return settle(target.cloud, source.cloud, [hypothesis], source.poles)[0]
+    except Refusal:
+        return match
 
 
 def _add(

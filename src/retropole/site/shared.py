@@ -87,6 +87,15 @@ def shared_poles(scans: SiteScans, poses: dict[int, Array], radius: float) -> li
     return found
 
 
+def same_poles(one: Sequence[SharedPole], other: Sequence[SharedPole]) -> bool:
+    """Whether the same returns are put together, wherever the poles stand."""
+
+    def together(poles: Sequence[SharedPole]) -> set[frozenset[tuple[int, int]]]:
+        return {frozenset((i, id(seen)) for i, seen in pole.seen.items()) for pole in poles}
+
+    return together(one) == together(other)
+
+
 def _add(
     here: list[SharedPole], placement: int, lidar: int, pole: Pole, T: Array, radius: float
 ) -> None:
