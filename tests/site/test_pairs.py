@@ -3,7 +3,8 @@
 import numpy as np
 
 from retropole import se3
-from retropole.simulation.sites import SimulatedSite
+from retropole.simulation import FIELD
+from retropole.simulation.sites import SimulatedSite, simulate_site
 from retropole.site.pairs import Pair, PairHypothesis, find_pairs, is_same_pose, poles_of
 from retropole.site.scans import find_scans, views_of
 from tests.site.adjusting import Steps, made
@@ -42,6 +43,22 @@ def test_a_placement_that_only_one_recorded_says_nothing(steps: Steps) -> None:
     assert first.refusal.code == "too_few_poles"
     assert all(set(each.placements) == {1} for each in pairs[1].hypotheses)
     assert all(set(each.placements) == {0} for each in pairs[2].hypotheses)
+
+
+def test_what_few_returns_leave_open_settles_in_the_scene() -> None:
+    """20 returns leave a pose 2.5° off: the scene denies it, and the right one after settling."""
+    rng = np.random.default_rng(29)
+    simulated = simulate_site("ring", rng, lidars=int(rng.integers(3, 7)), noise=FIELD)
+    scans = find_scans(simulated.as_site())
+    views = views_of(scans)
+    denied = []
+    for settled in (False, True):
+        for pair in find_pairs(scans, views, settled=settled):
+            i, j = pair.lidars
+            T = se3.inverse(simulated.T_world_lidar[i]) @ simulated.T_world_lidar[j]
+            if pair.hypotheses and pair.at(T, poles_of(scans, j)) is None:
+                denied.append((settled, pair.lidars))
+    assert denied == [(False, (1, 2))]
 
 
 def test_symmetric_poles_leave_several_hypotheses_standing() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from retropole import se3
 from retropole.simulation.sites import SimulatedSite
-from retropole.site.shared import shared_poles, sights_of
+from retropole.site.shared import same_poles, shared_poles, sights_of
 from tests.site.adjusting import Steps
 
 
@@ -40,14 +40,18 @@ def test_the_order_of_the_lidars_makes_no_other_poles(steps: Steps) -> None:
     poses = steps.choices.best.poses
     turned = dict(reversed(poses.items()))
     again = shared_poles(steps.scans, turned, steps.site.radius)
+    assert same_poles(again, steps.poles)
+    assert same_poles(steps.poles, again)
 
-    def content(poles: list) -> set:  # type: ignore[type-arg]
-        return {
-            (pole.placement, frozenset((i, id(one)) for i, one in pole.seen.items()))
-            for pole in poles
-        }
 
-    assert content(again) == content(steps.poles)
+def test_poles_are_joined_by_where_the_poses_lay_them(steps: Steps) -> None:
+    """A pose that is a metre off leaves a LiDAR's poles alone; the adjusted ones join them."""
+    rough = dict(steps.choices.best.poses)
+    rough[2] = se3.from_rt(np.eye(3), np.array([1.0, 0.0, 0.0])) @ rough[2]
+    apart = shared_poles(steps.scans, rough, steps.site.radius)
+    assert not same_poles(apart, steps.poles)
+    adjusted = dict(enumerate(steps.adjusted.end.T))
+    assert same_poles(shared_poles(steps.scans, adjusted, steps.site.radius), steps.poles)
 
 
 def test_poles_far_from_each_other_are_not_one(steps: Steps) -> None:

@@ -31,9 +31,9 @@ MOST_TRIED = 5
 """So many suspects are tried by turns, the worst first."""
 
 
-TOLD_APART = 0.7
-"""Of two surveyed points either of which explains what does not fit, the one with so much of the
-other's χ² is not told apart from it (chosen)."""
+TOLD_APART = 9.2
+"""Of two surveyed points either of which explains what does not fit, the one whose χ² is less by no
+more than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
 
 TAKES_ALONG = {"pole": 1, "placement": 2}
 """How much goes with what is left out: a single point of the survey takes nothing else along."""
@@ -138,7 +138,7 @@ def _check_told_apart(clean: Sequence[Suspect]) -> None:
     others = {
         str(each.point)
         for each in points
-        if each.point != best.point and each.chi2 > TOLD_APART * best.chi2
+        if each.point != best.point and each.chi2 > best.chi2 - TOLD_APART
     }
     if others:
         raise Refusal(

@@ -216,7 +216,9 @@ def weaknesses(
 
 def _poor_fit(site: Site, adjusted: Adjusted) -> Iterator[Reason]:
     """Say which observation fits worst, where one fits poorly and none was left out for it."""
-    worst = worst_test(adjusted.tests, POOR)
+    # A LiDAR's test takes those of all its poles along: it is told where none of them says more.
+    single = [test for test in adjusted.tests if test.kind != "lidar"]
+    worst = worst_test(single, POOR) or worst_test(adjusted.tests, POOR)
     if worst is None:
         return
     values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}
