@@ -38,7 +38,10 @@ def check_places(site: Site, views: Views) -> None:
     for i, j in combinations(apart, 2):
         both = [p for p in sorted(apart[i] & apart[j]) if _show_each_other(views, i, j, p)]
         if both:
-            raise _exchanged(site, (i, j), (both, both), "show each other's place")
+            # Of two LiDARs with two placements it may have been in either.
+            where = " or ".join(site.placements[p] for p in both)
+            first, second = (f"{names[k]} in placement {where}" for k in (i, j))
+            raise _exchanged(first, second, "show each other's place")
     for i, away in apart.items():
         which = ", ".join(site.placements[p] for p in sorted(away))
         raise Refusal(
@@ -61,22 +64,12 @@ def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
     return all(found)
 
 
-def _exchanged(
-    site: Site,
-    lidars: tuple[int, int],
-    placements: tuple[Sequence[int], Sequence[int]],
-    why: str,
-) -> Refusal:
-    """Name two recordings; of two LiDARs with two placements it may have been in either."""
-    one, other = (
-        f"{site.lidars[i].name} in placement {' or '.join(site.placements[p] for p in where)}"
-        for i, where in zip(lidars, placements, strict=True)
-    )
+def _exchanged(first: str, second: str, why: str) -> Refusal:
     return Refusal(
         "recordings_exchanged",
-        f"the recordings of {one} and of {other} are exchanged: they {why}; exchange them in the "
-        "site file",
-        {"first": one, "second": other},
+        f"the recordings of {first} and of {second} are exchanged: they {why}; exchange them in "
+        "the site file",
+        {"first": first, "second": second},
     )
 
 
@@ -143,6 +136,7 @@ def check_exchanged(
         ``recordings_exchanged``.
     """
     lost = support_of(choice, scans, pairs, poles).unsupported()
+    mended: list[tuple[Recording, Recording]] = []
     for one, other in combinations(lost, 2):
         if one[0] != other[0] and one[1] != other[1]:
             continue
@@ -159,12 +153,18 @@ def check_exchanged(
         again = choose_poses(group, found, at, group[0]).best
         left = support_of(again, tried, found, at).unsupported()
         if one not in left and other not in left:
-            raise _exchanged(
-                site,
-                (one[0], other[0]),
-                ([one[1]], [other[1]]),
-                "fit all others in each other's place",
-            )
+            mended.append((one, other))
+    if not mended:
+        return
+    # Where two LiDARs alone share the poles of two placements, it may be either's files.
+    first, second = (
+        " or ".join(
+            f"{site.lidars[i].name} in placement {site.placements[p]}"
+            for i, p in dict.fromkeys(each[k] for each in mended)
+        )
+        for k in (0, 1)
+    )
+    raise _exchanged(first, second, "fit all others in each other's place")
 
 
 def _swapped(rows: Rows[T], one: Recording, other: Recording) -> Rows[T]:
