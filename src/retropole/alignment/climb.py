@@ -111,7 +111,7 @@ def maximise(
 
 def _with_true_curvature(now: Posterior[S]) -> Posterior[S]:
     """Give the posterior its second derivative as curvature, where that is positive definite."""
-    scale = np.sqrt(np.diag(now.curvature))
+    scale = np.sqrt(np.maximum(np.diag(now.curvature), 1e-300))
     lowest = np.linalg.eigvalsh(now.information / np.outer(scale, scale))[0]
     return replace(now, curvature=now.information) if lowest > LEAST_CURVATURE else now
 
