@@ -343,8 +343,8 @@ def report(rows: list[Row]) -> None:
         every = np.r_[chain, np.full(len(ours) - len(chain), np.inf)]
         print(
             f"chained pairs: median {1000 * np.median(chain):.1f} mm ({len(chain)} of {len(ours)} "
-            f"poses); ours is {share:.2f} of it, and {np.median(ours) / np.median(every):.2f} where "
-            "a pose that no chain reaches counts as farther off than any"
+            f"poses); ours is {share:.2f} of it, {np.median(ours) / np.median(every):.2f} of it "
+            "where a pose that no chain reaches counts as farther off than any"
         )
     print(
         f"largest w {max(row.w for row in answered):.1f}; least probability of a loop "

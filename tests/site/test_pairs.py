@@ -5,7 +5,14 @@ import numpy as np
 from retropole import se3
 from retropole.simulation import FIELD
 from retropole.simulation.sites import SimulatedSite, simulate_site
-from retropole.site.pairs import Pair, PairHypothesis, find_pairs, is_same_pose, poles_of
+from retropole.site.pairs import (
+    Pair,
+    PairHypothesis,
+    find_pairs,
+    is_same_pose,
+    poles_of,
+    settled_pairs,
+)
 from retropole.site.scans import find_scans, views_of
 from tests.site.adjusting import Steps, made
 
@@ -52,8 +59,9 @@ def test_what_few_returns_leave_open_settles_in_the_scene() -> None:
     scans = find_scans(simulated.as_site())
     views = views_of(scans)
     denied = []
+    pairs = find_pairs(scans, views)
     for settled in (False, True):
-        for pair in find_pairs(scans, views, settled=settled):
+        for pair in settled_pairs(scans, views, pairs) if settled else pairs:
             i, j = pair.lidars
             T = se3.inverse(simulated.T_world_lidar[i]) @ simulated.T_world_lidar[j]
             if pair.hypotheses and pair.at(T, poles_of(scans, j)) is None:

@@ -21,7 +21,7 @@ from .datum import find_datum
 from .description import Site
 from .doubtful import counting_doubtful, link_by_doubtful
 from .exchanged import check_exchanged, check_places
-from .pairs import Pair, find_pairs, poles_of
+from .pairs import Pair, find_pairs, poles_of, settled_pairs
 from .refinement import patches_of, scene_pairs
 from .scans import SiteScans, Views, find_scans, poses_in_clouds, views_of
 from .shared import same_poles, shared_poles
@@ -125,7 +125,9 @@ def decided_by_settling(
     choices: Choices,
 ) -> tuple[tuple[Pair, ...], Choices]:
     """Let the hypotheses settle in the scene first, where then one choice alone goes together."""
-    settled = find_pairs(scans, views, settled=True)
+    settled = settled_pairs(scans, views, pairs)
+    if settled == pairs:
+        return pairs, choices
     at = [poles_of(scans, lidar) for lidar in range(len(scans.by_lidar))]
     again = choose_poses(group, settled, at, group[0])
     if again.rivals or again.best.count <= choices.best.count:

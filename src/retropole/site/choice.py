@@ -23,9 +23,9 @@ WITHOUT_SCENE = 0.25
 """A placement of a pair whose scenes do not overlap counts so much: that their poles have one shape
 may be chance, but more of it is less."""
 
-UNLIKELY = 0.4
+UNLIKELY = 0.6
 """A hypothesis that the scene does not leave standing beside the best, but does not rule out, has
-this part of the count: a loop that closes with it is more than one that does not close."""
+this part of the count: a loop that closes with two of them is more than one that does not close."""
 
 EQUAL = 0.02
 """Choices whose counts differ by less are equally good: by less than any placement of a pair
@@ -35,7 +35,7 @@ ELSEWHERE = 2.0
 """A LiDAR lies elsewhere in another choice beyond so many times what poles leave open: from two
 LiDARs that see it poorly its pose may come out twice, one on each side of the right one."""
 
-MOST_STEPS = 200_000
+MOST_STEPS = 60_000
 """Steps of the search at most: a ring of 12 LiDARs, two hypotheses for each pair, takes 4,000."""
 
 MOST_RIVALS = 8
