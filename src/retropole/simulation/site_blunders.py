@@ -141,14 +141,15 @@ def _exchange(
     of_two = rng.uniform() < 0.5 or not one
     choices: list[tuple[tuple[int, ...], tuple[int, ...]]] = [*two] if of_two else [*one]
     # Of a file with no two poles that another LiDAR sees as well nothing shows that it is wrong.
-    choices = [
+    shown = [
         own
         for own in choices
         if all(_shares_two(seen[p], lidar) for lidar in own[0] for p in own[1])
-    ] or choices
+    ]
+    choices = shown or choices
     checked = [
         own
-        for own in choices
+        for own in shown
         if are_linked(_without(seen, [(p, lidar, None) for lidar in own[0] for p in own[1]]), count)
     ]
     lidars, placements = (checked or choices)[int(rng.integers(len(checked or choices)))]
