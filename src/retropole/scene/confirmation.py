@@ -155,7 +155,7 @@ def _vouched(paired: Sequence[PairedPlacement]) -> bool:
         return True
     shapes = [
         line_pair(first.point, first.direction, second.point, second.direction)
-        for first, second in (each.target_poles for each in paired)
+        for first, second in (each.target_poles for each in paired if len(each.target_poles) == 2)
     ]
     return any(
         abs(one.angle - other.angle) > ANGLE_TOLERANCE

@@ -21,7 +21,7 @@ from .datum import find_datum
 from .description import Site
 from .doubtful import counting_doubtful, link_by_doubtful
 from .exchanged import check_exchanged, check_places
-from .pairs import Pair, find_pairs, poles_of, settled_pairs
+from .pairs import Pair, find_pairs, poles_of
 from .refinement import patches_of, scene_pairs
 from .scans import SiteScans, Views, find_scans, poses_in_clouds, views_of
 from .shared import same_poles, shared_poles
@@ -71,8 +71,6 @@ def calibrate_site(
                         scans, views, pairs, groups[0], choices, site.radius
                     )
                     at = [poles_of(scans, lidar) for lidar in range(count)]
-                if choices.rivals:
-                    pairs, choices = decided_by_settling(scans, views, pairs, groups[0], choices)
                 check_exchanged(site, scans, views, pairs, choices.best, at)
                 check_linked(site, groups, pairs)
                 check_decided(site, choices, pairs, at)
@@ -115,24 +113,6 @@ def decided_by_doubtful(
     if again.rivals or again.best.count <= choices.best.count:
         return scans, pairs, choices
     return more, found, again
-
-
-def decided_by_settling(
-    scans: SiteScans,
-    views: Views,
-    pairs: tuple[Pair, ...],
-    group: Sequence[int],
-    choices: Choices,
-) -> tuple[tuple[Pair, ...], Choices]:
-    """Let the hypotheses settle in the scene first, where then one choice alone goes together."""
-    settled = settled_pairs(scans, views, pairs)
-    if settled == pairs:
-        return pairs, choices
-    at = [poles_of(scans, lidar) for lidar in range(len(scans.by_lidar))]
-    again = choose_poses(group, settled, at, group[0])
-    if again.rivals or again.best.count <= choices.best.count:
-        return pairs, choices
-    return settled, again
 
 
 def answered(

@@ -17,7 +17,6 @@ from ..errors import Reason, Refusal
 from ..matching.correspondence import match_poles
 from ..matching.placements import AGREE_ANGLE, AGREE_DISTANCE
 from ..scene.choice import RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap
-from ..scene.settling import SETTLED_AT_MOST, settle
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views
 from .scans import SiteScans, Views
 
@@ -32,9 +31,6 @@ scenes beside each other, in eight of 130 rings (benchmarks/site.py rings, seeds
 
 LEAST_TOLD = 0.1
 """Overlap of the best hypothesis below which the scenes show different places."""
-
-SETTLING_POLES = 2
-"""With so many poles in one placement a pose may be degrees off; a third one holds it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,36 +131,13 @@ def find_pairs(scans: SiteScans, views: Views) -> tuple[Pair, ...]:
     )
 
 
-def settled_pairs(scans: SiteScans, views: Views, pairs: Sequence[Pair]) -> tuple[Pair, ...]:
-    """Let the scene first move what two poles alone allow, each as far as they do.
-
-    Slow, and needed where few returns leave a pose degrees off (`scene.settling`).
-
-    Parameters
-    ----------
-    scans, views, pairs
-        Of all LiDARs. Pairs with more poles, or with many hypotheses, stay as they are.
-    """
-    return tuple(
-        _pair(scans, views, *pair.lidars, settled=True) if _may_settle(pair) else pair
-        for pair in pairs
-    )
-
-
-def _may_settle(pair: Pair) -> bool:
-    few = 0 < len(pair.hypotheses) <= SETTLED_AT_MOST
-    return few and all(each.poles <= SETTLING_POLES for each in pair.hypotheses)
-
-
 def poles_of(scans: SiteScans, lidar: int) -> Array:
     """(N, 3) middles of all poles that a LiDAR sees, in its own frame; its origin without any."""
     points = [pole.point for scan in scans.used(lidar) for pole in scan.poles]
     return np.array(points) if points else np.zeros((1, 3))
 
 
-def _pair(
-    scans: SiteScans, views: Views, first: int, second: int, *, settled: bool = False
-) -> Pair:
+def _pair(scans: SiteScans, views: Views, first: int, second: int) -> Pair:
     """Match the poles of every placement, put equal poses together, and ask the scene."""
     found: list[tuple[Match, list[int], int]] = []
     reason: Reason | None = None
@@ -184,23 +157,7 @@ def _pair(
     if not found:
         few = Reason("too_few_poles", "no placement shows both LiDARs two poles in common", {})
         return Pair((first, second), (), False, reason or few)
-    if settled:
-        found = [(_settled(scans, (first, second), *each[:2]), *each[1:]) for each in found]
     return _scored((first, second), found, views.first(first), views.first(second))
-
-
-def _settled(
-    scans: SiteScans, lidars: tuple[int, int], match: Match, placements: Sequence[int]
-) -> Match:
-    """Register the scenes from a match of one placement."""
-    target, source = (scans.by_lidar[lidar][placements[0]] for lidar in lidars)
-    assert target is not None
-    assert source is not None
-    hypothesis = Hypothesis(match, None, None, 0.0, 0.0, 0.0)
-    try:
-        return settle(target.cloud, source.cloud, [hypothesis], source.poles)[0]
-    except Refusal:
-        return match
 
 
 def _add(
