@@ -137,3 +137,8 @@ def test_placements_vouch_for_each_other_only_where_their_poles_stand_otherwise(
     assert not confirm([first], T, (), rng).vouched
     assert not confirm([first, first], T, (), rng).vouched
     assert confirm([first, second], T, (), rng).vouched
+    # A single pole has no shape that could tell two placements apart.
+    match = replace(first.hypothesis.match, pairs=first.hypothesis.match.pairs[:1])
+    alone = replace(first, hypothesis=replace(first.hypothesis, match=match))
+    assert not confirm([alone, alone], T, (), rng).vouched
+    assert not confirm([alone, second], T, (), rng).vouched
