@@ -277,11 +277,18 @@ def timed(row: Row, sim: SimulatedSite) -> SiteCalibration:
 
 
 def run_time(seed: int) -> Row | None:
-    """Eight LiDARs of 100,000 points and more, four placements."""
+    """Eight LiDARs, four placements, two sweeps: 100,000 points in each recording, or more."""
     rng = np.random.default_rng(seed)
     kind = KINDS[seed % len(KINDS)]
     sim = simulate_site(
-        kind, rng, lidars=8, placements=4, poles=3, sensors=("Pandar64", "OS1"), noise=FIELD
+        kind,
+        rng,
+        lidars=8,
+        placements=4,
+        poles=3,
+        sensors=("Pandar64", "OS1"),
+        noise=FIELD,
+        frames=2,
     )
     points = [len(cloud) for own in sim.clouds for cloud in own if cloud is not None]
     row = Row(seed, f"{kind} 8 × 4 × 3, {np.median(points):,.0f} points each")
