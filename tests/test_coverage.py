@@ -17,6 +17,9 @@ RECORDINGS = 16
 Answered = tuple[SimulatedPair, Calibration]
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def answers() -> list[Answered]:
     found = []

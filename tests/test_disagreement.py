@@ -50,7 +50,9 @@ def with_a_moved_pole(scene: str, seed: int) -> tuple[SimulatedPair, SimulatedPa
 
 
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("seed", range(50, 55))
+@pytest.mark.parametrize(
+    "seed", [50, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(51, 55))]
+)
 def test_a_pole_moved_between_the_recordings_gives_no_false_certainty(
     scene: str, seed: int
 ) -> None:

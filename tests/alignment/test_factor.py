@@ -303,6 +303,7 @@ def axes_of(pair: SimulatedPair, beams: tuple[Beams, Beams], start: Array) -> Ax
         return align_beams(*beams, start, radius=pair.poles[0].radius, sizes=known).axes_test
 
 
+@pytest.mark.slow
 def test_axes_that_stood_alike() -> None:
     """χ² with two degrees of freedom: the distance and the angle of two poles."""
     values = []

@@ -106,6 +106,7 @@ def test_the_stored_run_says_what_it_was_told_and_warned_of(site: Path) -> None:
     assert run(site, "r", "same", "--target-topic", "/front") == (2, "")
 
 
+@pytest.mark.slow
 def test_of_a_result_without_both_kinds_of_error_nothing_cancels(site: Path) -> None:
     result = json.loads((site / "r" / "result.json").read_text())
     assert result.pop("uncertainty") is not None

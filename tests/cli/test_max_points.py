@@ -63,6 +63,7 @@ def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_p
         rp.calibrate(*clouds, max_points=999)
 
 
+@pytest.mark.slow
 def test_frames_that_are_left_out_are_said(clouds: Clouds, tmp_path: Path) -> None:
     few = clouds[0].select(np.arange(0, len(clouds[0]), 50))
     for k in range(30):

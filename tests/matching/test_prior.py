@@ -54,6 +54,7 @@ def test_only_hypotheses_that_fit_the_poles_count_as_agreeing() -> None:
     assert float(refusal.value.values["sigmas"]) > float(refusal.value.values["allowed"])
 
 
+@pytest.mark.slow
 def test_it_decides_where_the_scene_does_not() -> None:
     pair = simulate_pair("bare", np.random.default_rng(5), symmetric=True)
     assert calibrate(pair.target, pair.source).status == "refused"

@@ -51,6 +51,7 @@ def test_draws_and_moves_the_source(browser: Browser, tmp_path: Path) -> None:
     assert differing(browser.picture(), after) < 0.001
 
 
+@pytest.mark.slow
 def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     result = browser.picture()
@@ -70,6 +71,7 @@ def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     assert differing(browser.picture(), result) < 0.001
 
 
+@pytest.mark.slow
 def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     seen = browser.picture()
@@ -92,6 +94,7 @@ def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     assert browser.picture().mean() < seen.mean() - 100
 
 
+@pytest.mark.slow
 def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path) -> None:
     def red(picture: Picture) -> float:
         return float(np.mean(np.all(np.abs(picture - [200, 0, 60]) < 20, axis=2)))
@@ -188,6 +191,7 @@ def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
     assert {"theme", "marks", "pose", "size", "panel", "copy-button", "scroll"} <= reached
 
 
+@pytest.mark.slow
 def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
     result, (placement,) = made_up(count=6000)
     cloud: PointCloud = placement.target.cloud
@@ -222,6 +226,7 @@ def test_a_reader_who_wants_no_motion_gets_none(browser: Browser, tmp_path: Path
         browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
+@pytest.mark.slow
 def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:
     browser = Browser(tmp_path / "profile", "--disable-3d-apis")
     try:

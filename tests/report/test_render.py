@@ -162,6 +162,7 @@ def test_page_stays_small() -> None:
     assert len(page.encode()) < 3e6
 
 
+@pytest.mark.slow
 def test_page_of_many_placements_stays_small() -> None:
     placements = 10 * [placement_of(random_cloud(60_000))]
     page = render_report(made_up(count=500).result, placements)

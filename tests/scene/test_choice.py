@@ -122,6 +122,7 @@ def test_the_letter_of_the_true_one_gives_the_true_pose_with_a_warning(
         assert np.array_equal(one.match.T_target_source, other.match.T_target_source)
 
 
+@pytest.mark.slow
 def test_a_wrong_letter_is_refused_or_warned_of(
     symmetric: tuple[SimulatedPair, Calibration],
 ) -> None:

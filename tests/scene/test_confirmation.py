@@ -84,6 +84,7 @@ def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
     assert found.better_at > 1
 
 
+@pytest.mark.slow
 def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
     for seed in range(3):
         pair = simulate_pair("bare", np.random.default_rng(seed))

@@ -222,6 +222,7 @@ def test_the_pipeline_reports_both_stages() -> None:
     np.testing.assert_array_equal(alone.T_target_source, answer.poles.T_target_source)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_neither_too_small_nor_too_wide() -> None:
     """Six corridors, each recorded by two pairs of LiDARs with all errors of the field.
 

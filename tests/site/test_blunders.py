@@ -137,6 +137,7 @@ def test_refusals_of_what_is_left_are_no_answer(steps: Steps) -> None:
     assert refused.value.code == "site_inconsistent"
 
 
+@pytest.mark.slow
 def test_an_end_of_a_surveyed_pole_that_is_off_is_never_absorbed() -> None:
     simulated = made(survey=Survey((0,), 4))
     site = simulated.as_site()

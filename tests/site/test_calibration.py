@@ -101,6 +101,7 @@ def test_the_order_makes_no_difference(
         check_same(between(found, i, j), between(again, number[i], number[j]))
 
 
+@pytest.mark.slow
 def test_where_a_survey_counts_from_makes_no_difference(simulated_survey: SimulatedSite) -> None:
     site = simulated_survey.as_site()
     plain = calibrate_site(site)

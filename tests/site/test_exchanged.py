@@ -31,6 +31,7 @@ def test_two_lidars_files_of_one_placement_are_named(simulated: SimulatedSite) -
     assert found.covariance is None
 
 
+@pytest.mark.slow
 def test_one_lidars_files_of_two_placements_are_named(simulated: SimulatedSite) -> None:
     found = calibrate_site(exchanged(simulated.as_site(), (1, 0), (1, 1)))
     assert found.status == "refused"

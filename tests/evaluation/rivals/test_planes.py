@@ -50,6 +50,7 @@ def test_a_room_that_a_rotation_maps_onto_itself_is_refused() -> None:
     assert refusal.value.code == "ambiguous"
 
 
+@pytest.mark.slow
 def test_a_refinement_that_still_moves_is_refused(
     corridor: SimulatedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,6 +85,7 @@ def test_swapping_the_clouds_inverts_the_answer(corridor: SimulatedPair) -> None
     assert_close(back.T_target_source @ there.T_target_source, np.eye(4), 0.2, 0.02)
 
 
+@pytest.mark.slow
 def test_equal_generators_give_equal_answers(corridor: SimulatedPair) -> None:
     one, two = (
         planar_surfaces(corridor.target, corridor.source, np.random.default_rng(3))
