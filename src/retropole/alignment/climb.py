@@ -131,21 +131,40 @@ def climb(
     priors = Priors((offsets[0], offsets[1]), radius, model.radius_sigma)
     found = maximise(state, log_noise, lambda state, noise: evaluate(state, noise, beams, priors))
     end = found.point
-    noise = float(np.exp(end.log_noise[:, 0].max()))
-    total = sum(len(one.pole) for one in beams)
-    if not np.isfinite(end.cost) or noise > MAX_NOISE or end.inliers < MIN_INLIER_SHARE * total:
-        raise Refusal(
-            "poor_fit",
-            f"the returns do not lie on shared poles: noise {100 * noise:.1f} cm, "
-            f"{end.inliers:.0f} of {total} returns fit; check the radius and what was taken for a "
-            "pole",
-            {"noise_m": noise, "inliers": end.inliers, "points": total},
-        )
+    check_fit(end, sum(len(one.pole) for one in beams), "the returns")
     views = [
         find_view(end.state, lidar, one, np.exp(end.log_noise[lidar]))
         for lidar, one in enumerate(beams)
     ]
     return found, expand(end.state, views, beams, radius)
+
+
+def check_fit(end: Posterior[S], total: int, returns: str) -> None:
+    """Refuse a maximum at which most returns lie on no common pole.
+
+    Parameters
+    ----------
+    end
+        The maximum.
+    total
+        How many returns there are.
+    returns
+        What they are called.
+
+    Raises
+    ------
+    Refusal
+        ``poor_fit``.
+    """
+    noise = float(np.exp(end.log_noise[:, 0].max()))
+    if np.isfinite(end.cost) and noise <= MAX_NOISE and end.inliers >= MIN_INLIER_SHARE * total:
+        return
+    raise Refusal(
+        "poor_fit",
+        f"{returns} do not lie on shared poles: noise {100 * noise:.1f} cm, {end.inliers:.0f} of "
+        f"{total} returns fit; check the radius and what was taken for a pole",
+        {"noise_m": noise, "inliers": end.inliers, "points": total},
+    )
 
 
 def start_of(target: Beams, source: Beams, T_start: Array, radius: float) -> tuple[State, Array]:
@@ -161,9 +180,12 @@ def start_of(target: Beams, source: Beams, T_start: Array, radius: float) -> tup
         centres.append(centre + np.pi / 4 * radius * away / max(np.linalg.norm(away), 1e-9))
         directions.append(n)
     state = State(np.asarray(T_start), np.zeros(2), radius, np.array(centres), np.array(directions))
-    noise = np.zeros((2, 2))
-    for lidar, one in enumerate((target, source)):
-        seen = beam_geometry(state, lidar, one.origin, one.directions, one.ranges, one.pole)
-        spread = np.sqrt(np.mean((seen.depth - radius) ** 2 + seen.lateral_offset**2))
-        noise[lidar] = np.log(np.clip(spread, *START_NOISE))
-    return state, noise
+    noise = [start_noise(state, lidar, one) for lidar, one in enumerate((target, source))]
+    return state, np.array([[each, each] for each in noise])
+
+
+def start_noise(state: State, lidar: int, beams: Beams) -> float:
+    """Give the logarithm of how far the returns lie from the poles of a start."""
+    seen = beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole)
+    spread = np.sqrt(np.mean((seen.depth - state.radius) ** 2 + seen.lateral_offset**2))
+    return float(np.log(np.clip(spread, *START_NOISE)))

@@ -9,15 +9,14 @@ import numpy as np
 
 from ..alignment.adjustment import MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA, RADIUS_TOLERANCE
 from ..alignment.certainty import WORKING_SHARE
-from ..alignment.climb import START_NOISE, start_of
-from ..alignment.posterior import beam_geometry
+from ..alignment.climb import start_noise
 from ..datatypes import Array
 from ..errors import Refusal
 from ..scene.patches import Patches
 from ..systematic import MIN_ERROR_SIGMA, sizes_of
 from .answer import Test
 from .astray import astray
-from .axes import climb_alone
+from .axes import climb_from_lines
 from .certainty import Part, joint_covariance, parts_of, scene_root
 from .datum import Datum, without_poles
 from .description import Site
@@ -133,17 +132,7 @@ def _start_noise(state: SiteState, sights: Sequence[Sight]) -> Array:
     """(L, 2) logarithm of how far the returns lie from where the search starts."""
     noise = np.zeros((len(state.T), 2))
     for sight in sights:
-        beams = sight.beams
-        seen = beam_geometry(
-            state.of(sight.lidar, sight.own),
-            1,
-            beams.origin,
-            beams.directions,
-            beams.ranges,
-            beams.pole,
-        )
-        spread = np.sqrt(np.mean((seen.depth - state.radius) ** 2 + seen.lateral_offset**2))
-        noise[sight.lidar] = np.log(np.clip(spread, *START_NOISE))
+        noise[sight.lidar] = start_noise(state.of(sight.lidar, sight.own), 1, sight.beams)
     return noise
 
 
@@ -151,8 +140,7 @@ def _most_noise(sights: Sequence[Sight], site: Site) -> Array:
     """(L, 2) most noise of each LiDAR's returns, by how they lie about axes of its own, metres."""
     most = np.full((len(site.lidars), 2), np.inf)
     for sight in sights:
-        start, log_noise = start_of(sight.beams, sight.beams, np.eye(4), site.radius)
-        _, own = climb_alone(start, sight.beams, log_noise[0])
+        _, own = climb_from_lines(sight.beams, site.radius)
         most[sight.lidar] = np.maximum(MORE_NOISE * own, LEAST_BOUND)
     return most
 

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .. import se3
-from ..alignment.climb import MIN_INLIER_SHARE, start_of
+from ..alignment.climb import MIN_INLIER_SHARE
 from ..alignment.posterior import Posterior, State, evaluate_lidar
 from ..datatypes import Array
-from .axes import climb_alone
+from .axes import climb_from_lines
 from .network import Network
 from .posterior import Sight
 from .state import SiteState
@@ -61,8 +61,7 @@ def _gain(end: Posterior[SiteState], sight: Sight, pole: int) -> float:
         se3.apply(to_lidar, state.points[[pole]]),
         state.directions[[pole]] @ to_lidar[:3, :3].T,
     )
-    start, _ = start_of(beams, beams, np.eye(4), state.radius)
-    own, _ = climb_alone(start, beams, log_noise)
+    own, _ = climb_from_lines(beams, state.radius, log_noise)
 
     def log_at(points: Array, directions: Array) -> float:
         at = State(common.T, common.offsets, common.radius, points, directions)

@@ -90,9 +90,7 @@ def find_axes(
         Of the poles, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it.
     """
     beams = beams_of(seen, sensor)
-    # Both are the same LiDAR: what is said of the second is not used.
-    start, log_noise = start_of(beams, beams, np.eye(4), radius)
-    state, noise = climb_alone(start, beams, log_noise[0])
+    state, noise = climb_from_lines(beams, radius)
     view = find_view(state, 0, beams, noise)
     nobody: IntArray = np.zeros(0, dtype=np.int64)
     layout = Layout((np.unique(band_of(beams.directions, beams.axis)), nobody))
@@ -118,6 +116,25 @@ def find_axes(
         np.hstack([passed, floor]),
         of_radius,
     )
+
+
+def climb_from_lines(
+    beams: Beams, radius: float, log_noise: Array | None = None
+) -> tuple[State, Array]:
+    """Climb as `climb_alone` does from lines fitted to the returns.
+
+    Parameters
+    ----------
+    beams
+        Of the LiDAR.
+    radius
+        Of the poles, metres.
+    log_noise
+        As there; None is what the lines leave.
+    """
+    # Both are the same LiDAR: what is said of the second is not used.
+    start, by_lines = start_of(beams, beams, np.eye(4), radius)
+    return climb_alone(start, beams, by_lines[0] if log_noise is None else log_noise)
 
 
 def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Array]:

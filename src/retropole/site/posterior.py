@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import se3
-from ..alignment.climb import MAX_NOISE, MIN_INLIER_SHARE, maximise
+from ..alignment.climb import check_fit, maximise
 from ..alignment.observations import Beams
 from ..alignment.posterior import NOISE_STEP, SHARED, Posterior, evaluate_lidar
 from ..alignment.solver import Solution
 from ..datatypes import Array, BoolArray, IntArray
-from ..errors import Refusal
 from .state import POSE, SiteState
 from .survey import Surveyed, survey_terms
 
@@ -154,15 +153,7 @@ def climb_site(
     found = maximise(state, log_noise, evaluate)
     if np.any(np.exp(found.point.log_noise) > most_noise):
         found = maximise(found.point.state, found.point.log_noise, evaluate, most_noise)
-    end = found.point
-    total = sum(len(sight.beams.pole) for sight in sights)
-    noise = float(np.exp(end.log_noise[:, 0].max()))
-    if not np.isfinite(end.cost) or noise > MAX_NOISE or end.inliers < MIN_INLIER_SHARE * total:
-        raise Refusal(
-            "poor_fit",
-            f"the returns of all LiDARs do not lie on shared poles: noise {100 * noise:.1f} cm, "
-            f"{end.inliers:.0f} of {total} returns fit; check the radius and what was taken for a "
-            "pole",
-            {"noise_m": noise, "inliers": end.inliers, "points": total},
-        )
+    check_fit(
+        found.point, sum(len(sight.beams.pole) for sight in sights), "the returns of all LiDARs"
+    )
     return found
