@@ -1,10 +1,12 @@
 """Loops: which there are, and that the steps around one are what its pairs compose to."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from retropole import se3
+from retropole.site.certainty import places_of
 from retropole.site.closures import _edges, _loops, close_loops
 from tests.site.adjusting import Steps
 
@@ -57,3 +59,22 @@ def test_pairs_alone_differ_from_the_joint_answer_within_what_they_state(steps: 
     for loop in close_loops(at, end):
         assert 1e-3 < loop.probability <= 1.0
         assert loop.freedom == 6
+
+
+def test_residuals_that_places_have_in_common_open_no_loop(steps: Steps) -> None:
+    """All of a place are off together, more than their patches' noise."""
+    at, end = steps.adjusted.solved, steps.adjusted.end
+    rng = np.random.default_rng(5)
+    places = places_of(end)
+    count = 1 + max(int(own.max()) for own in places)
+    found = []
+    for _ in range(40):
+        off = 0.01 * rng.normal(size=count)
+        scene = tuple(
+            replace(term, pairs=replace(term.pairs, residuals=off[own]))
+            for term, own in zip(end.scene, places, strict=True)
+        )
+        now = replace(end, scene=scene)
+        found += [loop.chi2 for loop in close_loops(at, now)]
+    # Six degrees of freedom, of which the poles' returns hold some: their step is what it was.
+    assert 2.0 < np.mean(found) < 7.0

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.site.network import bands_of, marginal
+from retropole.datatypes import Array
+from retropole.site.network import about, bands_of, marginal
 from retropole.site.unknowns import Unknowns
 from retropole.systematic import band_of
 from tests.site import geodetic
@@ -128,3 +129,39 @@ def test_the_covariance_is_that_of_drawn_observations(first_held: bool) -> None:
     # 300 draws know a variance to 8 %.
     np.testing.assert_allclose(found, np.eye(len(free)), atol=0.3)
     np.testing.assert_allclose(np.diag(found).mean(), 1.0, atol=0.06)
+
+
+def test_observations_about_other_poses_say_the_same() -> None:
+    """At small steps from there."""
+    rng = np.random.default_rng(3)
+    network = geodetic.network()
+    network = geodetic.with_errors(network, geodetic.drawn_errors(network, rng))
+    steps = 0.1 * rng.normal(size=network.unknowns.poses)
+    T = moved(network.state.T, steps)
+    there = about(network, T)
+    np.testing.assert_array_equal(there.state.T, T)
+    step = 1e-6 * rng.normal(size=network.unknowns.size)
+    poses = network.unknowns.poses
+    onward = zip(network.state.T, moved(T, step[:poses]), strict=True)
+    here = np.concatenate([se3.local(a, b) for a, b in onward])
+    unknowns = np.r_[here, step[poses:]]
+    for one, other in zip(network.observations, there.observations, strict=True):
+        # Of what is no pose the slope is the same.
+        rest = one.place >= poses
+        expected = one.gradient - one.information @ unknowns[one.place]
+        found = other.gradient - other.information @ step[other.place]
+        np.testing.assert_allclose(found[rest], expected[rest], atol=1e-7 * np.abs(expected).max())
+        assert one.by_value is not None
+        assert other.by_value is not None
+        np.testing.assert_allclose(
+            other.by_value[1] + other.by_value[0] @ step[other.place],
+            one.by_value[1] + one.by_value[0] @ unknowns[one.place],
+            atol=1e-8,
+        )
+        np.testing.assert_allclose(other.gradient, -other.by_value[0].T @ other.by_value[1])
+        np.testing.assert_allclose(other.information, other.by_value[0].T @ other.by_value[0])
+
+
+def moved(T: Array, step: Array) -> Array:
+    steps = step.reshape(-1, 6)
+    return np.stack([se3.retract(one, by) for one, by in zip(T, steps, strict=True)])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
+from retropole import se3
 from retropole.datatypes import Array, IntArray
 from retropole.site.datum import without_poles
 from retropole.site.network import Observation
@@ -199,7 +200,8 @@ def test_the_least_error_that_is_found_is_found_and_moves_what_it_says() -> None
         test = outcome(now, value_wrong(now, now.network.observations[k]), sigma)
         assert test.chi2 == pytest.approx(NONCENTRALITY, rel=1e-3)
         if np.diff(least)[0] > 1e-3:
-            steps = now.values[: network.unknowns.poses].reshape(-1, 6)
+            before, after = network.state.T, now.network.state.T
+            steps = np.array([se3.local(a, b) for a, b in zip(before, after, strict=True)])
             by_turn = EXTERNAL_RANGE * np.linalg.norm(steps[:, :3], axis=1)
             moved = float((by_turn + np.linalg.norm(steps[:, 3:], axis=1)).max())
             assert found.external == pytest.approx(moved, rel=1e-2)

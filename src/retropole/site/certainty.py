@@ -19,7 +19,7 @@ from ..scene.patch_pairs import CLUSTER_SIDE, labels_of
 from ..scene.refinement import PLACE_BIAS
 from ..systematic import Groups
 from ..uncertainty import BudgetEntry, predicted_error
-from .network import Network, marginal
+from .network import Network, about, marginal
 from .refinement import SceneTerm, SiteEnd
 from .state import POSE
 
@@ -64,7 +64,7 @@ def parts_of(network: Network, end: SiteEnd, groups: Groups) -> list[Part]:
         found.append(
             Part(kind.name, lidar, float(end.sigma[g]), kind.unit, alone, passed[:, member])
         )
-    information, _ = marginal(network)
+    information, _ = marginal(about(network, end.T))
     wide = np.sqrt(few_freedom(network.redundancy))
     returns = inverse[:poses] @ _root(information)
     found.append(_scatter("scatter of the poles' returns and of the survey", wide * returns))
@@ -137,59 +137,93 @@ def _root(information: Array) -> Array:
 
 
 def _of_surfaces(end: SiteEnd, poses: int) -> tuple[Array, Array]:
-    """What the scatter of the surfaces does, and that they are not flat; (6 L, R) each.
+    """What the scatter of the surfaces does to all poses, and that they are not flat."""
+    inverse = end.inverse
+    free = np.flatnonzero(np.diag(inverse)[:poses] > 0)
+    gains = [inverse[np.ix_(free, term.place)] for term in end.scene]
+    moved = moved_by_places(end, end.scene, gains, inverse[np.ix_(free, free)], places_of(end))
+    scatter, flat = (np.zeros((poses, each.shape[1])) for each in moved)
+    scatter[free], flat[free] = moved
+    return scatter, flat
+
+
+def moved_by_places(
+    end: SiteEnd,
+    terms: Sequence[SceneTerm],
+    gains: Sequence[Array],
+    covariance: Array,
+    places: Sequence[IntArray],
+) -> tuple[Array, Array]:
+    """What the scatter of the surfaces does to some parameters, and that they are not flat.
 
     The jackknife over places (`scene.refinement`): residuals of all pairs at one place may be
     correlated in any way, since they are of the same wall, and of the same LiDAR's returns.
+
+    Parameters
+    ----------
+    end
+        The answer.
+    terms
+        The scenes that the parameters were estimated with.
+    gains
+        (F, 12 + B) of each term: from slopes of the unknowns at its place to the parameters.
+    covariance
+        (F, F) of the parameters, as all information there is has it.
+    places
+        (P,) of each term, as `places_of` has them.
+
+    Returns
+    -------
+    scatter, flat
+        (F, R) with a column for each place; covariances are their squares.
     """
-    inverse = end.inverse
-    free = np.flatnonzero(np.diag(inverse)[:poses] > 0)
-    of_poses = inverse[np.ix_(free, free)]
-    marginal_information = np.linalg.inv(of_poses)
-    place = places_of(end)
-    count = int(place.max()) + 1
-    gradients = np.zeros((count, len(free)))
-    without = np.zeros((count, len(free) ** 2))
-    flat = np.zeros((count, len(free)))
-    first = 0
-    for term in end.scene:
-        own = place[first : first + len(term.weights)]
-        first += len(own)
-        by_poses = term.rows @ inverse[np.ix_(term.place, free)] @ marginal_information
-        residuals = residuals_of(term, end, poses)
-        weighted = by_poses * term.weights[:, None]
+    size = len(covariance)
+    information = np.linalg.inv(covariance)
+    count = 1 + max(int(own.max()) for own in places)
+    gradients = np.zeros((count, size))
+    without = np.zeros((count, size**2))
+    flat = np.zeros((count, size))
+    for term, gain, own in zip(terms, gains, places, strict=True):
+        by_step = term.rows @ gain.T @ information
+        residuals = residuals_of(term, end)
+        weighted = by_step * term.weights[:, None]
         order = np.argsort(own, kind="stable")
         starts = np.flatnonzero(np.r_[True, np.diff(own[order]) > 0])
-        places = own[order][starts]
-        gradients[places] += np.add.reduceat((weighted * residuals[:, None])[order], starts)
-        flat[places] += np.add.reduceat(weighted[order], starts)
+        at = own[order][starts]
+        gradients[at] += np.add.reduceat((weighted * residuals[:, None])[order], starts)
+        flat[at] += np.add.reduceat(weighted[order], starts)
         ends = np.r_[starts[1:], len(own)]
-        for p, a, b in zip(places, starts, ends, strict=True):
+        for p, a, b in zip(at, starts, ends, strict=True):
             rows = order[a:b]
-            without[p] += (weighted[rows].T @ by_poses[rows]).reshape(-1)
-    left = marginal_information - without.reshape(-1, len(free), len(free))
+            without[p] += (weighted[rows].T @ by_step[rows]).reshape(-1)
+    left = information - without.reshape(-1, size, size)
     moves = np.linalg.solve(left, gradients[:, :, None])[:, :, 0]
-    size = np.sum(moves * (moves @ marginal_information), axis=1)
-    freedom = float(size.sum() ** 2 / max(float(np.sum(size**2)), 1e-300))
-    scatter, not_flat = np.zeros((poses, count)), np.zeros((poses, count))
+    share = np.sum(moves * (moves @ information), axis=1)
+    freedom = float(share.sum() ** 2 / max(float(np.sum(share**2)), 1e-300))
     # A LiDAR has six parameters of its own, whatever the number of all.
-    scatter[free] = moves.T * np.sqrt(few_freedom(freedom))
-    not_flat[free] = of_poses @ flat.T * PLACE_BIAS
-    return scatter, not_flat
+    return moves.T * np.sqrt(few_freedom(freedom)), covariance @ flat.T * PLACE_BIAS
 
 
-def residuals_of(term: SceneTerm, end: SiteEnd, poses: int) -> Array:
+def excess(covariance: Array, other: Array) -> Array:
+    """Give by how much a covariance is more than another, in the directions where it is."""
+    more, way = np.linalg.eigh(covariance - other)
+    return np.asarray((way * np.maximum(more, 0.0)) @ way.T)
+
+
+def residuals_of(term: SceneTerm, end: SiteEnd) -> Array:
     """(P,) of a pair's patches, freed of the errors as they were estimated."""
+    poses = len(end.search)
     errors = term.place >= poses
     return np.asarray(
         term.pairs.residuals + term.rows[:, errors] @ end.errors[term.place[errors] - poses]
     )
 
 
-def places_of(end: SiteEnd) -> IntArray:
-    """Number the places (in the frame of the site) of all pairs' patches, pair after pair."""
+def places_of(end: SiteEnd) -> list[IntArray]:
+    """Number the places (in the frame of the site) of all pairs' patches: (P,) of each pair."""
     at = [se3.apply(end.T[term.lidars[0]], term.pairs.at) for term in end.scene]
-    return labels_of(np.floor(np.concatenate(at) / CLUSTER_SIDE))
+    labels = labels_of(np.floor(np.concatenate(at) / CLUSTER_SIDE))
+    return np.split(labels, np.cumsum([len(each) for each in at])[:-1])
 
 
 def _own_floors(network: Network, end: SiteEnd) -> list[Array]:

@@ -2,7 +2,9 @@
 
 Each pair is solved alone, from its own poles and its own scene, about the joint answer. Around a
 loop the small steps by which the pairs differ from it add up to the misclosure. Pairs that share a
-LiDAR share its returns and its errors: what they have in common is counted once.
+LiDAR share its returns and its errors: what they have in common is counted once. Scenes count by
+the scatter of their places where that is more than what their patches' noise leaves, as in the
+tests of observations: residuals at one place are correlated, within a pair and from pair to pair.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from .. import se3
 from ..alignment.certainty import floor
 from ..datatypes import Array, IntArray
 from .answer import LoopClosure
+from .certainty import excess, moved_by_places, places_of
 from .network import Observation
 from .refinement import SceneTerm, SiteEnd
 from .solved import Solved
@@ -50,6 +53,8 @@ class _Edge:
         What it rests on: observations by number, its scene, and the prior of the errors.
     step
         (6,) by which it differs from the joint answer.
+    scatter
+        (6, R) what each place of the scenes does to the step, and that it is not flat.
     """
 
     lidars: tuple[int, int]
@@ -58,6 +63,7 @@ class _Edge:
     sources: tuple[int, ...]
     scene: SceneTerm | None
     step: Array
+    scatter: Array
 
 
 def close_loops(at: Solved, end: SiteEnd) -> Iterator[LoopClosure]:
@@ -105,14 +111,16 @@ def _shortest(a: int, b: int, neighbours: dict[int, set[int]]) -> tuple[int, ...
 def _edges(at: Solved, end: SiteEnd) -> Iterator[_Edge]:
     """Solve every pair by itself."""
     network = at.network
-    scenes = {term.lidars: term for term in end.scene}
+    places = places_of(end) if end.scene else []
+    scenes = {term.lidars: (term, own) for term, own in zip(end.scene, places, strict=True)}
+    count = 1 + max((int(own.max()) for own in places), default=-1)
     returns: dict[int, list[int]] = {}
     for k, one in enumerate(network.observations):
         if one.poles is not None and one.lidar is not None:
             returns.setdefault(one.lidar, []).append(k)
     for i, j in combinations(sorted(returns), 2):
         sources = (*returns[i], *returns[j])
-        edge = _edge((i, j), sources, scenes.get((i, j)), at, end)
+        edge = _edge((i, j), sources, scenes.get((i, j)), at, end, count)
         if edge is not None:
             yield edge
 
@@ -120,11 +128,13 @@ def _edges(at: Solved, end: SiteEnd) -> Iterator[_Edge]:
 def _edge(
     lidars: tuple[int, int],
     sources: tuple[int, ...],
-    scene: SceneTerm | None,
+    seen: tuple[SceneTerm, IntArray] | None,
     at: Solved,
     end: SiteEnd,
+    count: int,
 ) -> _Edge | None:
     """Solve one pair with the first LiDAR held; None where it leaves its pose open."""
+    scene = None if seen is None else seen[0]
     unknowns = at.network.unknowns
     parts = [at.network.observations[k] for k in sources]
     places = [part.place for part in parts] + ([] if scene is None else [scene.place])
@@ -147,7 +157,16 @@ def _edge(
     if np.sqrt(np.diag(inverse)[of_pose].max()) > MAX_SIGMA:
         return None
     gain = np.asarray(inverse[of_pose], dtype=np.float64)
-    return _Edge(lidars, gain, place, sources, scene, gain @ slope)
+    scatter = np.zeros((POSE, 2, count))
+    if seen is not None:
+        of_scene = np.zeros((POSE, unknowns.size))
+        of_scene[:, place] = gain
+        by_term = of_scene[:, seen[0].place]
+        moved = moved_by_places(end, [seen[0]], [by_term], gain[:, of_pose], [seen[1]])
+        for kind, each in enumerate(moved):
+            scatter[:, kind, : each.shape[1]] = each
+    step = gain @ slope
+    return _Edge(lidars, gain, place, sources, scene, step, scatter.reshape(POSE, -1))
 
 
 def _add(
@@ -174,7 +193,8 @@ def _closure(
     misclosure = np.zeros(POSE)
     by_source: dict[int, Array] = {}
     by_prior = np.zeros((POSE, size))
-    covariance = np.zeros((POSE, POSE))
+    covariance, by_noise = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
+    scatter = np.zeros_like(edges[min(loop[:2]), max(loop[:2])].scatter)
     for a, b in zip(loop, (*loop[1:], loop[0]), strict=True):
         sign = 1.0 if a < b else -1.0
         edge = edges[min(a, b), max(a, b)]
@@ -188,7 +208,8 @@ def _closure(
         by_prior += gain
         if edge.scene is not None:
             of_scene = gain[:, edge.scene.place]
-            covariance += of_scene @ edge.scene.information @ of_scene.T
+            by_noise += of_scene @ edge.scene.information @ of_scene.T
+        scatter += sign * to_origin @ edge.scatter
         covariance += to_origin @ floor() @ to_origin.T
     for k, gain in by_source.items():
         one: Observation = at.network.observations[k]
@@ -196,7 +217,7 @@ def _closure(
         covariance += of_source @ one.information @ of_source.T
     unknowns = at.network.unknowns
     prior = by_prior[:, unknowns.poses : unknowns.kept] * end.precision * at.sigma
-    covariance += prior @ prior.T
+    covariance += prior @ prior.T + by_noise + excess(scatter @ scatter.T, by_noise)
     chi2 = float(misclosure @ np.linalg.solve(covariance, misclosure))
     centre = np.mean([end.T[i][:3, 3] for i in loop], axis=0)
     shift = misclosure[3:] + np.cross(misclosure[:3], centre)

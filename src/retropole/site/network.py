@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from .. import se3
 from ..alignment.factor import POSE, expand_lidar, semidefinite
 from ..alignment.posterior import Posterior
 from ..alignment.views import View, find_view
@@ -219,6 +220,60 @@ def _of_unknowns(place: IntArray, state: SiteState, unknowns: Unknowns) -> IntAr
     """Where parameters of a step of the state stand among the unknowns: poses, axes and points."""
     behind = unknowns.kept - state.first_axis
     return np.asarray(np.where(place < POSE * len(state.T), place, place + behind))
+
+
+def steps_to(network: Network, T: Array) -> tuple[Array, Array]:
+    """Give the unknowns of a network at some poses, and how they follow steps from there.
+
+    Parameters
+    ----------
+    network
+        Its unknowns are steps from its own poses.
+    T
+        (L, 4, 4) the poses.
+
+    Returns
+    -------
+    here
+        (Z,) the unknowns there; all but the poses are zero.
+    by_step
+        (Z, Z) their derivative by steps from there, and by all that are no poses.
+    """
+    unknowns = network.unknowns
+    here, by_step = np.zeros(unknowns.size), np.eye(unknowns.size)
+    for lidar, (a, b) in enumerate(zip(network.state.T, T, strict=True)):
+        own, step = unknowns.pose(lidar), se3.local(a, b)
+        here[own] = step
+        by_step[np.ix_(own, own)] = se3.local_jacobian(step)
+    return here, by_step
+
+
+def about(network: Network, T: Array) -> Network:
+    """Express the same observations in steps from other poses, as the scene's terms are.
+
+    Parameters
+    ----------
+    network
+        The observations.
+    T
+        (L, 4, 4) the poses.
+    """
+    here, by_step = steps_to(network, T)
+
+    def moved(one: Observation) -> Observation:
+        J, away = by_step[np.ix_(one.place, one.place)], here[one.place]
+        value = one.by_value
+        if value is not None:
+            value = (value[0] @ J, value[1] + value[0] @ away, value[2])
+        return replace(
+            one,
+            information=J.T @ one.information @ J,
+            gradient=J.T @ (one.gradient - one.information @ away),
+            by_value=value,
+        )
+
+    observations = tuple(moved(one) for one in network.observations)
+    return replace(network, state=replace(network.state, T=T), observations=observations)
 
 
 def marginal(network: Network, ridge: float = 0.0) -> tuple[Array, Array]:

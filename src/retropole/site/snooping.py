@@ -16,6 +16,7 @@ from scipy.special import chdtrc, erfcinv
 
 from ..datatypes import Array
 from .answer import Test
+from .certainty import excess
 from .description import Site
 from .own_errors import (
     OwnError,
@@ -75,8 +76,8 @@ def outcome(at: Solved, error: OwnError, unit: float) -> Outcome:
     by = error.wide - taken_up.T @ at.by_wide
     # And the scene's patches, correlated as they are, by more than their information says.
     by_scene = error.cross.T @ at.scene
-    more, way = np.linalg.eigh(by_scene @ by_scene.T - taken_up.T @ at.scene_information @ taken_up)
-    spread = left + by @ by.T + (way * np.maximum(more, 0.0)) @ way.T
+    scatter = excess(by_scene @ by_scene.T, taken_up.T @ at.scene_information @ taken_up)
+    spread = left + by @ by.T + scatter
     # Of what nothing checks only rounding is left: none of it is a test.
     least_checked = LEAST_CHECKED * max(float(np.diag(error.own).max()), 1e-300)
     size, way = np.linalg.eigh(spread)

@@ -7,11 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import se3
 from ..alignment.certainty import considered
 from ..datatypes import Array
 from ..systematic import Groups
-from .network import Network, Observation
+from .network import Network, Observation, about
 from .refinement import SiteEnd
 
 
@@ -22,7 +21,7 @@ class Solved:
     Attributes
     ----------
     network
-        The observations.
+        The observations, in steps from the answer.
     values
         (Z,) the unknowns.
     inverse
@@ -74,10 +73,10 @@ def solved(network: Network, end: SiteEnd, groups: Groups, scene_root: Array) ->
     scene_root
         (6 L, R) what the scene does to the poses (`certainty.scene_root`).
     """
+    network = about(network, end.T)
     unknowns, poses = network.unknowns, network.unknowns.poses
     information, gradient = network.total()
-    steps = [se3.local(a, b) for a, b in zip(network.state.T, end.T, strict=True)]
-    kept = np.r_[np.concatenate(steps), end.errors]
+    kept = np.r_[np.zeros(poses), end.errors]
     gone = slice(unknowns.kept, None)
     start = network.start
     pull = gradient[gone] - information[gone, : unknowns.kept] @ (kept - start[: unknowns.kept])

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from .. import se3
 from ..datatypes import Array, IntArray
 from .answer import WithoutPlacement
-from .network import Network, marginal
+from .network import Network, about, marginal
 from .refinement import SiteEnd
 from .state import POSE
 
@@ -37,8 +36,8 @@ def without_placements(
     unknowns, poses = network.unknowns, network.unknowns.poses
     index = np.arange(poses, unknowns.kept)
     free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.errors, dtype=bool)])
-    steps = [se3.local(a, b) for a, b in zip(network.state.T, end.T, strict=True)]
-    here = np.r_[np.concatenate(steps), end.errors]
+    network = about(network, end.T)
+    here = np.r_[np.zeros(poses), end.errors]
     for p in range(placements):
         left = {k for k, one in enumerate(network.observations) if one.placement == p}
         information, vector = marginal(network.without(left), ridge=GONE)
