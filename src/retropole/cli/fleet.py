@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..fleet import TIME_LIMIT
 from .common import (
     CONTEXT,
     EXIT_WARNED,
@@ -46,7 +47,7 @@ def fleet() -> None:
 @click.option(
     "--time-limit",
     type=Number(min=1, max=1e6),
-    default=900.0,
+    default=TIME_LIMIT,
     show_default=True,
     metavar="SECONDS",
     help="Of one site.",

@@ -4,3 +4,6 @@
 workers of a Dask cluster (`engine`), each in a process that can be ended (`process`, `child`, and
 `work` within), rows into a partitioned Parquet dataset (`dataset`), on any file system (`storage`).
 """
+
+TIME_LIMIT = 900.0
+"""Seconds for one site: a pair of 100,000 points takes seconds, twelve LiDARs take minutes."""

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ..quantities import counted, duration
+from . import TIME_LIMIT
 from .dataset import (
     Known,
     Row,
@@ -20,9 +21,6 @@ from .dataset import (
 from .sites import FleetSite
 from .storage import absolute
 from .work import Outcome, Task, environment, lost
-
-TIME_LIMIT = 900.0
-"""Seconds for one site; a pair of 100,000 points takes seconds, twelve LiDARs take minutes."""
 
 Doing = Callable[[Iterator[Task]], Iterator[Outcome]]
 

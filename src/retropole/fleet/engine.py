@@ -7,6 +7,7 @@ and the scheduler may be started again: what was under way is given out once mor
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -43,13 +44,13 @@ def run_task(data: bytes) -> bytes:
     UsageError
         Where the worker has other versions than whoever asks: its numbers would not be the same.
     """
-    from distributed import get_worker
-
     task = msgspec.msgpack.decode(data, type=Task)
     if environment() != task.environment:
         raise UsageError(
             f"a worker has {environment()}, expected {task.environment}: install the same on all"
         )
+    from distributed import get_worker
+
     worker = get_worker()
     reader: Reader | None = getattr(_own, "reader", None)
     if reader is None:
@@ -98,6 +99,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         if scheduler is None:
             count = CPU_COUNT if workers is None else workers
             with (
+                _leftovers_unsaid(),
                 local(
                     n_workers=count,
                     threads_per_worker=1,
@@ -119,6 +121,21 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
             except TimeoutError:
                 raise UsageError(f"{scheduler}: the cluster has no worker") from None
             yield client
+
+
+@contextmanager
+def _leftovers_unsaid() -> Iterator[None]:
+    """Have the process that cleans up after an interrupt do so in silence."""
+    before = os.environ.get("PYTHONWARNINGS")
+    silent = "ignore::UserWarning:multiprocessing.resource_tracker"
+    os.environ["PYTHONWARNINGS"] = f"{before},{silent}" if before else silent
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
