@@ -45,7 +45,7 @@ class Future:
     def add_done_callback(self, call: Callable[[Future], None]) -> None:
         call(self)
 
-    def result(self) -> object:
+    def result(self, timeout: float) -> object:
         if isinstance(self.end, Exception):
             raise self.end
         return self.end

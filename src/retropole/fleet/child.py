@@ -56,6 +56,9 @@ def main() -> None:
         os._exit(0)
 
     threading.Thread(target=listen, daemon=True).start()
+    # No site pays for what all of them need.
+    from ..api import calibration, site  # noqa: F401
+
     send(answers, None)
     while True:
         task = msgspec.msgpack.decode(tasks.get(), type=Task)

@@ -27,6 +27,9 @@ ANSWER_WITHIN = 60.0
 LOOK = 0.5
 """Seconds after which futures are looked at, where none has said that it is done."""
 
+GATHER_WITHIN = 10.0
+"""Seconds for a row to come from the worker that has it, which may have died since."""
+
 PER_THREAD = 2
 """Tasks that are given out for each thread of a worker: one under way, and the next."""
 
@@ -229,8 +232,8 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
     if future.status in ("cancelled", "lost"):
         return None
     try:
-        return msgspec.msgpack.decode(future.result(), type=Outcome)
-    except (CancelledError, CommClosedError):
+        return msgspec.msgpack.decode(future.result(timeout=GATHER_WITHIN), type=Outcome)
+    except (CancelledError, CommClosedError, TimeoutError):
         return None
     except KilledWorker:
         if attempts < ATTEMPTS:
