@@ -254,6 +254,8 @@ def main() -> None:
     commands.choices["kills"].add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    # Whoever ends it ends the processes that it has started.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         pairs = (given.folder or folder) / f"pairs-{given.pairs}"

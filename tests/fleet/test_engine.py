@@ -86,6 +86,7 @@ def test_what_is_lost_is_given_out_again() -> None:
         "b": ["cancelled", "lost", "cancelled", "lost", "cancelled"],
         "c": [died, "lost", died],
         "d": [died] * 9,
+        "e": [OSError("no memory"), RetropoleError("does not start")],
     }
     cluster = Cluster(ends)
     found = {each.id: each.row for each in outcomes(cluster, tasks("abcdefghijklm"))}
@@ -93,7 +94,7 @@ def test_what_is_lost_is_given_out_again() -> None:
         **dict.fromkeys("abcefghijklm", "made_up"),
         "d": "worker_lost",
     }
-    assert [cluster.given[name] for name in "abcd"] == [1, 6, 4, engine.ATTEMPTS]
+    assert [cluster.given[name] for name in "abcde"] == [1, 6, 4, engine.ATTEMPTS, 3]
 
 
 def test_few_are_given_out_at_a_time() -> None:

@@ -34,7 +34,7 @@ PER_THREAD = 2
 """Tasks that are given out for each thread of a worker: one under way, and the next."""
 
 ATTEMPTS = 3
-"""How often a site is given out again that Dask gives up, as several of its workers died."""
+"""How often a site is given out whose workers die or cannot work: Dask gives up after four deaths."""
 
 _own = threading.local()
 
@@ -97,7 +97,9 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     # What becomes of a site is in its row; the log of a worker that died helps nobody.
     quiet = {"logging": {"distributed": "critical", "asyncio": "critical"}}
     spawned = {"distributed.worker.multiprocessing-method": "spawn"}
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set({**quiet, **spawned}):
         if scheduler is None:
             count = CPU_COUNT if workers is None else workers
@@ -235,12 +237,13 @@ def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
         return msgspec.msgpack.decode(future.result(timeout=GATHER_WITHIN), type=Outcome)
     except (CancelledError, CommClosedError, TimeoutError):
         return None
-    except KilledWorker:
-        if attempts < ATTEMPTS:
-            return None
-        return lost(task.site, "worker_lost", "its workers died, again and again")
-    except RetropoleError:
+    except UsageError:
         raise
+    except KilledWorker:
+        why = "its workers died, again and again"
+    except (RetropoleError, OSError, MemoryError) as error:
+        why = f"its workers cannot work: {quoting(str(error))}"
     except Exception as error:
         words = quoting(f"{type(error).__name__}: {error}")
         raise UsageError(f"a worker cannot do the work: {words}") from None
+    return lost(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None

@@ -22,8 +22,9 @@ ATTEMPTS = 3
 """How often a site is tried whose process is ended by the system: a machine that is short of memory
 ends any, a file that crashes its reader does so each time."""
 
-STARTING = 120.0
-"""Seconds in which the process has started; it takes about one."""
+STARTING = 300.0
+"""Seconds in which the process has started; it takes about one, and on a machine that is overloaded
+a hundred times that."""
 
 LOOK = 0.1
 """Seconds between looks at the clock and the memory."""
