@@ -34,7 +34,8 @@ PER_THREAD = 2
 """Tasks that are given out for each thread of a worker: one under way, and the next."""
 
 ATTEMPTS = 3
-"""How often a site is given out whose workers die or cannot work: Dask gives up after four deaths."""
+"""How often a site is given out whose workers die or cannot work; each time, Dask gives up after
+several deaths."""
 
 _own = threading.local()
 
