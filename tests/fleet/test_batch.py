@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from retropole.files import write_atomically
 from retropole.fleet import batch, storage
 from retropole.fleet.batch import calibrate_fleet
 from retropole.fleet.dataset import Row, known_in, partitions_in, read_rows, read_runs
@@ -165,7 +166,7 @@ def test_a_full_disk_ends_it_and_loses_nothing(
     fleet: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sites, writes = find_sites([str(fleet)]), []
-    write = storage.write_atomically
+    write = write_atomically
 
     def full(path: Path, data: bytes) -> None:
         writes.append(path)

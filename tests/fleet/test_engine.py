@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -81,7 +82,8 @@ def tasks(names: str) -> Iterator[Task]:
 
 
 def test_what_is_lost_is_given_out_again() -> None:
-    died = KilledWorker("task", "worker", 4)
+    worker: Any = "worker"
+    died = KilledWorker("task", worker, 4)
     ends: dict[str, list[object]] = {
         "b": ["cancelled", "lost", "cancelled", "lost", "cancelled"],
         "c": [died, "lost", died],

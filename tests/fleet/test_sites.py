@@ -88,7 +88,7 @@ def test_a_list_has_options_of_pairs(tmp_path: Path) -> None:
 def test_parquet_says_the_same_as_csv(tmp_path: Path) -> None:
     path = written(tmp_path, "id,target,source,radius_m,up", "1,a,b,0.03,true", "2,c,d,,")
     table = {"id": [1, 2], "target": ["a", "c"], "source": ["b", "d"]}
-    table |= {"radius_m": [0.03, None], "up": [True, None]}  # type: ignore[dict-item]
+    table |= {"radius_m": [0.03, None], "up": [True, None]}
     pq.write_table(pa.table(table), tmp_path / "list.parquet")
     assert find_sites([str(tmp_path / "list.parquet")]) == find_sites([path])
 

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from retropole.fleet import work
+from retropole.fleet.dataset import Row
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.work import Hashed, Outcome, Task, answer, environment
 
@@ -16,7 +17,7 @@ def task_of(site: FleetSite, **options: object) -> Task:
     return msgspec.structs.replace(task, **options)
 
 
-def row_of(task: Task) -> work.Row:
+def row_of(task: Task) -> Row:
     row = answer(task).row
     assert row is not None
     return row
