@@ -23,6 +23,7 @@ COMMANDS = (
     "detect",
     "evaluate",
     "export",
+    "fleet",
     "info",
     "paper",
     "report",

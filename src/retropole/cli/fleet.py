@@ -1,0 +1,168 @@
+"""The commands ``retropole fleet …``."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import click
+
+from ..fleet import TIME_LIMIT
+from .common import (
+    CONTEXT,
+    EXIT_WARNED,
+    Number,
+    progress_on_terminal,
+    radius_option,
+    sensor_options,
+    show,
+)
+
+if TYPE_CHECKING:
+    from ..fleet.batch import FleetSummary
+
+FLEET_SCHEMA = "retropole/fleet-run/1"
+
+
+@click.group(context_settings=CONTEXT)
+def fleet() -> None:
+    """Calibrate thousands of sites into one dataset.
+
+    \b
+    Examples:
+      retropole fleet calibrate recordings/ --out fleet
+      retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
+    """
+
+
+@fleet.command(context_settings=CONTEXT)
+@click.argument("sites", nargs=-1, required=True, metavar="SITES...")
+@click.option("--out", required=True, metavar="DATASET", help="Folder or URL of the dataset.")
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster: tcp://host:8786.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1, max=1024),
+    help="Number of local processes, where there is no --scheduler.  [default: one per processor]",
+)
+@click.option(
+    "--time-limit",
+    type=Number(min=1, max=1e6),
+    default=TIME_LIMIT,
+    show_default=True,
+    metavar="SECONDS",
+    help="Of one site.",
+)
+@click.option("--reports", metavar="DIR", help="Folder or URL for result and report of each site.")
+@click.option("--retry", is_flag=True, help="Try sites that ended in an error again.")
+@click.option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
+@radius_option
+@sensor_options
+@click.option("--strict", is_flag=True, help="Exit with 1 where a site is not ok.")
+@click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def calibrate(
+    sites: tuple[str, ...],
+    out: str,
+    scheduler: str | None,
+    workers: int | None,
+    time_limit: float,
+    reports: str | None,
+    retry: bool,
+    drop_others: bool,
+    radius: float,
+    sensor_target: str,
+    sensor_source: str,
+    threshold_target: float | None,
+    threshold_source: float | None,
+    strict: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Calibrate every site of SITES, and write a row of each to DATASET.
+
+    SITES are site files (.toml), lists (.csv, .parquet), folders and globs of these, as paths or
+    as URLs (s3://, gs://). In a folder, at any depth, every .toml is a site file, and each folder
+    with a target and a source, of any suffix, is a pair. A list has a column id, and target and
+    source or site; more columns are options of the pair: radius_m, sensor_target, unit. The options
+    below hold for pairs whose list does not say otherwise.
+
+    What is wrong with one site is in its row, and ends nothing. What was calibrated from the same
+    files by the same version is not done again: a run that was interrupted goes on.
+
+    \b
+    Examples:
+      retropole fleet calibrate recordings/ --out fleet
+      retropole fleet calibrate 'posts/*/site.toml' --out fleet --reports reports --workers 8
+      retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
+      retropole fleet calibrate sites.csv --out fleet --retry --time-limit 3600
+
+    \b
+    Exit code:
+      0    every site has its row
+      1    with --strict: the verdict of a site is not ok
+      2    a list, an option or the dataset is wrong, or there is no room
+      130  interrupted; the partitions that are there are whole
+    """
+    from ..fleet.batch import calibrate_fleet
+    from ..fleet.engine import connected, outcomes
+    from ..fleet.sites import find_sites
+    from ..result import RunConfig
+
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
+    config = RunConfig(
+        radius_m=radius,
+        sensor_target=sensor_target,
+        sensor_source=sensor_source,
+        threshold_target=threshold_target,
+        threshold_source=threshold_source,
+    )
+    with progress_on_terminal(quiet or as_json) as progress:
+        progress("find the sites")
+        found = find_sites(sites, config)
+        progress("start the workers")
+        with connected(scheduler, workers) as client:
+            summary = calibrate_fleet(
+                found,
+                out,
+                lambda tasks: outcomes(client, tasks),
+                retry=retry,
+                drop_others=drop_others,
+                reports=reports,
+                time_limit=time_limit,
+                progress=progress,
+            )
+    if as_json:
+        show(json.dumps({"schema": FLEET_SCHEMA, "out": out, **_counts(summary)}))
+    elif not quiet:
+        show(_in_words(summary, out))
+    return EXIT_WARNED if strict and set(summary.statuses) - {"ok"} else 0
+
+
+def _counts(summary: FleetSummary) -> dict[str, object]:
+    return {
+        "sites": summary.sites,
+        "calibrated": summary.done,
+        "others": summary.others,
+        "statuses": dict(sorted(summary.statuses.items())),
+        "codes": dict(sorted(summary.codes.items())),
+    }
+
+
+def _in_words(summary: FleetSummary, out: str) -> str:
+    """Say what became of a fleet: counts, the commonest codes, where it is."""
+    from ..errors import printable
+    from ..quantities import counted
+
+    order = ("ok", "warn", "refused", "error")
+    verdicts = ", ".join(f"{summary.statuses[s]} {s}" for s in order if s in summary.statuses)
+    lines = [f"{counted(summary.sites, 'site')}: {verdicts or 'nothing to do'}"]
+    lines.append(f"calibrated now: {summary.done}, as before: {summary.sites - summary.done}")
+    for code, count in sorted(summary.codes.items(), key=lambda each: (-each[1], each[0])):
+        lines.append(f"  {count:6d}  {code}")
+    if summary.statuses.get("error"):
+        lines.append("errors are tried again with --retry, or once their files are others")
+    if summary.others:
+        lines.append(f"in the dataset besides: {counted(summary.others, 'site')} not in SITES")
+    lines.append(f"written: {printable(out)}")
+    return "\n".join(lines)

@@ -1,0 +1,9 @@
+"""Thousands of sites: every one calibrated, whatever becomes of single ones, into one dataset.
+
+`batch.calibrate_fleet` is the whole on one page: sites (`sites`), one after the other on the
+workers of a Dask cluster (`engine`), each in a process that can be ended (`process`, `child`, and
+`work` within), rows into a partitioned Parquet dataset (`dataset`), on any file system (`storage`).
+"""
+
+TIME_LIMIT = 900.0
+"""Seconds for one site: a pair of 100,000 points takes seconds, twelve LiDARs take minutes."""

@@ -1,0 +1,116 @@
+"""From a result document to a row of a dataset, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain
+from typing import Any
+
+import msgspec
+
+from ..result import ErrorAtRange, ResultDoc, encode
+from ..result.certainty import Matrix
+from ..result.decoding import decode
+from ..result.site import SiteDoc
+from ..result.site_decoding import decode_site
+from .dataset import AT_RANGE, InputEntry, LidarEntry
+from .sites import FleetSite, Kind
+
+
+def answered(
+    site: FleetSite, document: ResultDoc | SiteDoc, inputs: Sequence[InputEntry]
+) -> dict[str, Any]:
+    """Give the columns of a row that follow from a result.
+
+    Parameters
+    ----------
+    site
+        What was calibrated.
+    document
+        Its result.
+    inputs
+        Its recordings, in the order of the document.
+    """
+    lidars = _of_site(document) if isinstance(document, SiteDoc) else _of_pair(document)
+    latitude, longitude = site.latitude, site.longitude
+    if latitude is None and isinstance(document, SiteDoc) and document.frame.geodetic is not None:
+        geodetic = document.frame.geodetic
+        latitude, longitude = geodetic.latitude_rad, geodetic.longitude_rad
+    at_range = [
+        each.sigma_m
+        for lidar in lidars
+        for each in lidar.predicted_error
+        if each.range_m == AT_RANGE
+    ]
+    frame = "target" if isinstance(document, ResultDoc) else document.frame.name
+    return {
+        "status": document.status,
+        "codes": [reason.code for reason in document.reasons],
+        "messages": [reason.message for reason in document.reasons],
+        "inputs": [
+            msgspec.structs.replace(entry, sensor=read.sensor, points=read.points)
+            for entry, read in zip(inputs, document.inputs, strict=True)
+        ],
+        "latitude_rad": latitude,
+        "longitude_rad": longitude,
+        "frame": frame if lidars else None,
+        "lidars": lidars,
+        "sigma_30m_m": max(at_range, default=None),
+        "document": encode(timeless(document)).decode(),
+    }
+
+
+def timeless(document: ResultDoc | SiteDoc) -> ResultDoc | SiteDoc:
+    """Leave out when a result was made, and how long it took."""
+    return msgspec.structs.replace(document, created="", seconds={})
+
+
+def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:
+    """Read the result document of a row.
+
+    Raises
+    ------
+    ReadError
+        Where it is none.
+    """
+    return decode(text.encode()) if kind == "pair" else decode_site(text.encode())
+
+
+def _flat(rows: Matrix) -> list[float]:
+    return list(chain.from_iterable(rows))
+
+
+def _of_pair(document: ResultDoc) -> list[LidarEntry]:
+    """Give the pose of the source in the frame of the target; none where refused."""
+    if document.T_target_source is None or document.covariance is None:
+        return []
+    return [
+        LidarEntry(
+            name="source",
+            sensor=document.inputs[1].sensor,
+            T=_flat(document.T_target_source),
+            covariance=_flat(document.covariance),
+            predicted_error=_errors(document.predicted_error),
+            budget=list(document.budget or ()),
+        )
+    ]
+
+
+def _of_site(document: SiteDoc) -> list[LidarEntry]:
+    """Give the pose of every LiDAR in the frame of the site; none where refused."""
+    return [
+        LidarEntry(
+            name=lidar.name,
+            sensor=lidar.sensor,
+            T=_flat(lidar.T_site_lidar),
+            covariance=_flat(lidar.covariance),
+            predicted_error=_errors(lidar.predicted_error),
+            budget=list(lidar.budget or ()),
+        )
+        for lidar in document.lidars
+        if lidar.T_site_lidar is not None and lidar.covariance is not None
+    ]
+
+
+def _errors(errors: Sequence[ErrorAtRange] | None) -> list[ErrorAtRange]:
+    return list(errors or ())

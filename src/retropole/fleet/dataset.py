@@ -1,0 +1,271 @@
+"""The answers of a fleet as partitioned Parquet, schema ``retropole/fleet/1``.
+
+``answers/part-3f.parquet`` holds the rows of all sites whose id has a SHA-256 that begins with
+``3f``, in the order of the ids: nothing but the rows decides what a file is, byte for byte. What
+differs from run to run, times and machines, lies beside it in ``runs/part-3f.parquet``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Iterable, Sequence
+from functools import cache
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from ..errors import MissingExtraError, ReadError
+from ..result import BudgetEntryDoc, ErrorAtRange
+from .sites import Kind
+from .storage import below, names_in, read_bytes, remove, write_bytes
+
+FLEET_SCHEMA = "retropole/fleet/1"
+ANSWERS, RUNS = "answers", "runs"
+LARGEST_PARTITION = 2**31
+"""Bytes; four thousand rows of a quarter of a megabyte."""
+
+AT_RANGE = 30.0
+"""Where the errors of sites are compared, m."""
+
+Status = Literal["ok", "warn", "refused", "error"]
+
+
+class InputEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """One recording; the hash is None where it could not be read."""
+
+    lidar: str
+    placement: str
+    path: str
+    sha256: str | None = None
+    sensor: str | None = None
+    points: int | None = None
+
+
+class LidarEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """The pose of one LiDAR in the row's frame: `T` 4×4 and `covariance` 6×6, row by row."""
+
+    name: str
+    sensor: str
+    T: list[float]
+    covariance: list[float]
+    predicted_error: list[ErrorAtRange]
+    budget: list[BudgetEntryDoc]
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of one site; equal inputs give an equal row."""
+
+    id: str
+    kind: Kind
+    status: Status
+    codes: list[str] = []
+    messages: list[str] = []
+    site_file: str | None = None
+    site_sha256: str | None = None
+    inputs: list[InputEntry] = []
+    latitude_rad: float | None = None
+    longitude_rad: float | None = None
+    frame: str | None = None
+    lidars: list[LidarEntry] = []
+    sigma_30m_m: float | None = None
+    document: str | None = None
+    key: str | None = None
+    version: str
+    libraries: str
+
+
+class Step(msgspec.Struct, frozen=True):
+    """How long one step took."""
+
+    name: str
+    seconds: float
+
+
+class Run(msgspec.Struct, frozen=True, kw_only=True):
+    """How a row came about: no two runs have the same."""
+
+    id: str
+    key: str | None = None
+    started: str
+    seconds: float
+    steps: list[Step] = []
+    host: str
+    memory_bytes: int
+    attempts: int = 1
+
+
+class Known(msgspec.Struct, frozen=True):
+    """What a dataset has of a site: the key of its inputs, and how it ended."""
+
+    key: str | None
+    status: Status
+
+
+Of = TypeVar("Of", Row, Run, Known)
+
+
+def partition_of(name: str) -> str:
+    """Name the partition of a site: it follows from its id alone."""
+    return f"part-{hashlib.sha256(name.encode()).hexdigest()[:2]}.parquet"
+
+
+def partitions_in(out: str) -> list[str]:
+    """Name the partitions that a dataset has."""
+    return [name for name in names_in(below(out, ANSWERS)) if name.endswith(".parquet")]
+
+
+def known_in(out: str) -> dict[str, Known]:
+    """Read what a dataset has of each site, by id.
+
+    Raises
+    ------
+    ReadError
+        Where a partition is damaged or of another schema.
+    """
+    known: dict[str, Known] = {}
+    for name in partitions_in(out):
+        place = below(below(out, ANSWERS), name)
+        table = _table(place, ["id", "key", "status"])
+        for each in table:
+            known[each.pop("id")] = msgspec.convert(each, Known)
+    return known
+
+
+def read_rows(out: str, partition: str) -> dict[str, Row]:
+    """Read the rows of a partition, by id; none where there is none.
+
+    Raises
+    ------
+    ReadError
+        As `known_in`.
+    """
+    return _read(out, ANSWERS, partition, Row)
+
+
+def read_runs(out: str, partition: str) -> dict[str, Run]:
+    """Read how the rows of a partition came about, by id.
+
+    Raises
+    ------
+    ReadError
+        As `known_in`.
+    """
+    return _read(out, RUNS, partition, Run)
+
+
+def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterable[Run]) -> None:
+    """Write a partition: each file is whole or not there, the answers last.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written.
+    """
+    for folder, schema, each in (
+        (RUNS, _schemas()[1], sorted(runs, key=lambda run: run.id)),
+        (ANSWERS, _schemas()[0], sorted(rows, key=lambda row: row.id)),
+    ):
+        place = below(below(out, folder), partition)
+        if each:
+            write_bytes(place, _parquet(each, schema))
+        elif partition in names_in(below(out, folder)):
+            remove(place)
+
+
+def _read(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of]:
+    if partition not in names_in(below(out, folder)):
+        return {}
+    rows = _table(below(below(out, folder), partition))
+    return {row["id"]: msgspec.convert(row, of) for row in rows}
+
+
+def _table(place: str, columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
+    """Read the rows of a file, some columns of it or all."""
+    try:
+        from pyarrow import ArrowException
+        from pyarrow import parquet as pq
+    except ImportError:
+        raise MissingExtraError("fleet", "a fleet") from None
+    data = read_bytes(place, LARGEST_PARTITION)
+    again = "; remove it, and its sites are calibrated again"
+    try:
+        file = pq.ParquetFile(io.BytesIO(data))
+        schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
+        if schema != FLEET_SCHEMA:
+            raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{again}")
+        rows: list[dict[str, Any]] = file.read(columns=columns).to_pylist()
+    except (ArrowException, OSError) as error:
+        raise ReadError(f"{place}: damaged ({error}){again}") from None
+    return rows
+
+
+def _parquet(rows: Sequence[Row] | Sequence[Run], schema: Any) -> bytes:
+    """Write rows as one Parquet file; the same rows give the same bytes."""
+    import pyarrow as pa
+    from pyarrow import parquet as pq
+
+    buffer = io.BytesIO()
+    table = pa.Table.from_pylist([msgspec.to_builtins(row) for row in rows], schema=schema)
+    pq.write_table(table, buffer, compression="zstd")
+    return buffer.getvalue()
+
+
+@cache
+def _schemas() -> tuple[Any, Any]:
+    """Give the columns of the answers, and of the runs."""
+    import pyarrow as pa
+
+    def field(name: str, kind: Any, null: bool = False) -> Any:
+        return pa.field(name, kind, nullable=null)
+
+    text, real, whole = pa.string(), pa.float64(), pa.int64()
+    numbers, texts = pa.list_(field("item", real)), pa.list_(field("item", text))
+
+    def several(*fields: Any) -> Any:
+        return pa.list_(pa.field("item", pa.struct(fields), nullable=False))
+
+    inputs = several(
+        field("lidar", text),
+        field("placement", text),
+        field("path", text),
+        field("sha256", text, True),
+        field("sensor", text, True),
+        field("points", whole, True),
+    )
+    budget = several(
+        field("name", text),
+        field("sensor", text, True),
+        field("sigma", real),
+        field("unit", text),
+        field("estimated", real, True),
+        field("share_at_30m", real),
+    )
+    lidars = several(
+        field("name", text),
+        field("sensor", text),
+        field("T", numbers),
+        field("covariance", numbers),
+        field("predicted_error", several(field("range_m", real), field("sigma_m", real))),
+        field("budget", budget),
+    )
+    answers = (
+        *(field("id", text), field("kind", text), field("status", text)),
+        *(field("codes", texts), field("messages", texts)),
+        *(field("site_file", text, True), field("site_sha256", text, True)),
+        field("inputs", inputs),
+        *(field("latitude_rad", real, True), field("longitude_rad", real, True)),
+        *(field("frame", text, True), field("lidars", lidars)),
+        *(field("sigma_30m_m", real, True), field("document", text, True)),
+        *(field("key", text, True), field("version", text), field("libraries", text)),
+    )
+    runs = (
+        *(field("id", text), field("key", text, True), field("started", text)),
+        *(
+            field("seconds", real),
+            field("steps", several(field("name", text), field("seconds", real))),
+        ),
+        *(field("host", text), field("memory_bytes", whole), field("attempts", whole)),
+    )
+    metadata = {"schema": FLEET_SCHEMA}
+    return pa.schema(answers, metadata=metadata), pa.schema(runs, metadata=metadata)

@@ -1,0 +1,250 @@
+"""Sites on the workers of a Dask cluster: local processes, or any cluster by its address.
+
+A task is the name of files, an answer a row; no cloud passes through the scheduler. Workers may die
+and the scheduler may be started again: what was under way is given out once more.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import islice
+from typing import Any
+
+import msgspec
+
+from ..errors import MissingExtraError, RetropoleError, UsageError, quoting
+from .process import Reader
+from .work import Outcome, Task, environment, lost
+
+ANSWER_WITHIN = 60.0
+"""Seconds that a cluster may take to have a worker, or a scheduler to be there again."""
+
+LOOK = 0.5
+"""Seconds after which futures are looked at, where none has said that it is done."""
+
+GATHER_WITHIN = 10.0
+"""Seconds for a row to come from the worker that has it, which may have died since."""
+
+PER_THREAD = 2
+"""Tasks that are given out for each thread of a worker: one under way, and the next."""
+
+ATTEMPTS = 3
+"""How often a site is given out whose workers die or cannot work; each time, Dask gives up after
+several deaths."""
+
+_own = threading.local()
+
+
+def run_task(data: bytes) -> bytes:
+    """Calibrate one site on a worker, as bytes in and out: a worker needs no types of ours.
+
+    Raises
+    ------
+    UsageError
+        Where the worker has other versions than whoever asks: its numbers would not be the same.
+    """
+    task = msgspec.msgpack.decode(data, type=Task)
+    if environment() != task.environment:
+        raise UsageError(
+            f"a worker has {environment()}, expected {task.environment}: install the same on all"
+        )
+    from distributed import get_worker
+
+    worker = get_worker()
+    reader: Reader | None = getattr(_own, "reader", None)
+    if reader is None:
+        limit = worker.memory_manager.memory_limit
+        each = None if limit is None else int(limit) // worker.state.nthreads
+        reader = _own.reader = Reader(each, worker.local_directory)
+    return msgspec.msgpack.encode(reader.answer(task))
+
+
+@contextmanager
+def connected(scheduler: str | None = None, workers: int | None = None) -> Iterator[Any]:
+    """Connect to a cluster; without an address, start one of processes on this machine.
+
+    Parameters
+    ----------
+    scheduler
+        Address of a Dask scheduler: ``tcp://host:8786``.
+    workers
+        Number of local processes; None for one per processor.
+
+    Yields
+    ------
+    distributed.Client
+
+    Raises
+    ------
+    MissingExtraError
+        Where Dask is not installed.
+    UsageError
+        Where there is no scheduler at the address, or no worker.
+    """
+    try:
+        import dask
+        import distributed
+        from dask.system import CPU_COUNT
+    except ImportError:
+        raise MissingExtraError("fleet", "a fleet") from None
+    # Neither is typed.
+    local: Any = distributed.LocalCluster
+    of: Any = distributed.Client
+    # What becomes of a site is in its row; the log of a worker that died helps nobody.
+    quiet = {"logging": {"distributed": "critical", "asyncio": "critical"}}
+    spawned = {"distributed.worker.multiprocessing-method": "spawn"}
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    with dask.config.set({**quiet, **spawned}):
+        if scheduler is None:
+            count = CPU_COUNT if workers is None else workers
+            with (
+                _leftovers_unsaid(),
+                local(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                ) as cluster,
+                of(cluster, set_as_default=False) as client,
+            ):
+                yield client
+            return
+        try:
+            client = of(scheduler, timeout=ANSWER_WITHIN, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise UsageError(f"{scheduler}: no Dask scheduler answers ({error})") from None
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=ANSWER_WITHIN)
+            except TimeoutError:
+                raise UsageError(f"{scheduler}: the cluster has no worker") from None
+            yield client
+
+
+@contextmanager
+def _leftovers_unsaid() -> Iterator[None]:
+    """Have the process that cleans up after an interrupt do so in silence."""
+    before = os.environ.get("PYTHONWARNINGS")
+    silent = "ignore::UserWarning:multiprocessing.resource_tracker"
+    os.environ["PYTHONWARNINGS"] = f"{before},{silent}" if before else silent
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
+
+
+def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
+    """Have the workers of a cluster do tasks, and give what becomes of each as it comes.
+
+    Parameters
+    ----------
+    client
+        As `connected` gives it.
+    tasks
+        Taken as there is room: few are given out at a time.
+
+    Raises
+    ------
+    UsageError
+        Where workers have other versions, or lack retropole.
+    RetropoleError
+        Where the scheduler is gone for good.
+    """
+    given: dict[Any, tuple[Task, int]] = {}
+    again: list[tuple[Task, int]] = []
+    done = threading.Event()
+    try:
+        while True:
+            room = PER_THREAD * _threads(client) - len(given)
+            fresh = islice(tasks, max(0, room - len(again)))
+            again += [(task, 1) for task in fresh]
+            while again:
+                future = _given(client, again[-1][0])
+                if future is None:
+                    break
+                given[future] = again.pop()
+                future.add_done_callback(lambda future: done.set())
+            if not given and not again:
+                return
+            done.wait(LOOK)
+            done.clear()
+            for future in [each for each in given if each.status != "pending"]:
+                task, attempts = given.pop(future)
+                outcome = _outcome(future, task, attempts)
+                if outcome is None:
+                    # Of a scheduler that was started again, it is no matter of the site.
+                    again.append((task, attempts + (future.status == "error")))
+                else:
+                    yield outcome
+    finally:
+        for future in given:
+            with suppress(Exception):
+                future.cancel()
+
+
+def _threads(client: Any) -> int:
+    """Count the threads of all workers, 1 at least; wait for a scheduler that was started again.
+
+    Raises
+    ------
+    RetropoleError
+        Where it stays away.
+    """
+    deadline = time.monotonic() + ANSWER_WITHIN
+    while True:
+        if client.status == "running":
+            try:
+                return max(1, int(sum(client.nthreads().values())))
+            except (OSError, TypeError, ValueError):
+                # The connection broke meanwhile.
+                pass
+        if client.status == "closed" or time.monotonic() > deadline:
+            raise RetropoleError(
+                f"the Dask scheduler is gone for {ANSWER_WITHIN:g} s; the partitions that are "
+                "written are whole, and the same command goes on"
+            )
+        time.sleep(LOOK)
+
+
+def _given(client: Any, task: Task) -> Any:
+    """Give a task out; None where the connection broke meanwhile."""
+    try:
+        return client.submit(run_task, msgspec.msgpack.encode(task), pure=False)
+    except Exception:
+        if client.status == "running":
+            raise
+        return None
+
+
+def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
+    """Take what became of a task; None where it is to be given out again."""
+    from distributed import CancelledError, KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    if future.status in ("cancelled", "lost"):
+        return None
+    try:
+        return msgspec.msgpack.decode(future.result(timeout=GATHER_WITHIN), type=Outcome)
+    except (CancelledError, CommClosedError, TimeoutError):
+        return None
+    except UsageError:
+        raise
+    except KilledWorker:
+        why = "its workers died, again and again"
+    except (RetropoleError, OSError, MemoryError) as error:
+        why = f"its workers cannot work: {quoting(str(error))}"
+    except Exception as error:
+        words = quoting(f"{type(error).__name__}: {error}")
+        raise UsageError(f"a worker cannot do the work: {words}") from None
+    return lost(task.site, "worker_lost", why) if attempts >= ATTEMPTS else None

@@ -1,0 +1,145 @@
+"""The files of a site on the machine that reads them; of URLs, copies in a folder of our own."""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable
+from ..io import sha256_of
+from ..result import InputDoc
+from .dataset import InputEntry
+from .sites import ROLES, FleetSite
+from .storage import below, fetch, folder_of, is_url
+
+Doc = TypeVar("Doc", bound=InputDoc)
+
+
+class LocalFiles:
+    """The files of a site as local paths.
+
+    Attributes
+    ----------
+    folder
+        Where copies go.
+    pair
+        Target and source of a pair; nothing of a site file.
+    site
+        The site file; None of a pair.
+
+    Parameters
+    ----------
+    site
+        What to take.
+    folder
+        An empty folder.
+
+    Raises
+    ------
+    ReadError
+        Where a file is not there.
+    """
+
+    def __init__(self, site: FleetSite, folder: Path) -> None:
+        self.folder = folder
+        self._given: dict[str, str] = {}
+        self._site = site
+        self.pair = [self._take(getattr(site, each), each) for each in ROLES if not site.site]
+        self.site = None if not site.site else self._take(site.site, "site")
+        if self.site is not None and self.site.is_dir():
+            self.site /= "site.toml"
+
+    def _take(self, place: str, into: str) -> Path:
+        if not is_url(place):
+            return Path(place)
+        if into == "site" and not place.endswith(".toml"):
+            place = below(place, "site.toml")
+        path = fetch(place, self.folder / into)
+        self._given[str(path)] = place
+        return path
+
+    def inputs(self) -> list[InputEntry]:
+        """Hash the recordings; those beside a site file at a URL are copied first.
+
+        Raises
+        ------
+        ReadError
+            Where one cannot be read, or the site file is none.
+        """
+        if self.site is None:
+            return [
+                InputEntry(
+                    lidar=role,
+                    placement="1",
+                    path=printable(getattr(self._site, role)),
+                    sha256=hash_of(path),
+                )
+                for role, path in zip(ROLES, self.pair, strict=True)
+            ]
+        from ..api.site_file import read_site_file
+
+        file = read_site_file(self.site)
+        return [
+            self._recording(lidar.name, placement, name)
+            for lidar in file.lidar
+            for placement, name in zip(file.placements, lidar.recordings, strict=True)
+            if name
+        ]
+
+    def _recording(self, lidar: str, placement: str, name: str) -> InputEntry:
+        assert self.site is not None
+        path, beside = self.site.parent / name, self._given.get(str(self.site))
+        place = str(path)
+        if beside is not None:
+            inside = posixpath.normpath(name)
+            if posixpath.isabs(inside) or inside.split("/")[0] == ".." or "\\" in name:
+                raise ReadError(
+                    f"{beside}: lidar {lidar}: {name}: the recordings of a site file at a URL "
+                    "must lie in its folder or below"
+                )
+            place = below(folder_of(beside), inside)
+            if not path.exists():
+                fetch(place, path.parent)
+            self._given[str(path)] = place
+        return InputEntry(
+            lidar=lidar, placement=placement, path=printable(place), sha256=hash_of(path)
+        )
+
+    def metadata(self) -> list[str]:
+        """Hash the metadata that lie beside packets."""
+        beside = [path.with_suffix(".json") for path in self.pair if path.suffix == ".pcap"]
+        return [hash_of(path) for path in beside if path.is_file()]
+
+    def renamed(self, text: str) -> str:
+        """Call what lies in our own folder as it was given."""
+        for path in sorted(self._given, key=len, reverse=True):
+            text = text.replace(path, self._given[path])
+        return text
+
+    def renamed_error(self, error: RetropoleError) -> RetropoleError:
+        """Say the same of files as they were given."""
+        if not self._given or isinstance(error, Refusal | MissingExtraError):
+            return error
+        return type(error)(self.renamed(str(error)))
+
+    def named(self, inputs: Sequence[Doc]) -> list[Doc]:
+        """Call the inputs of a result document as they were given."""
+        return [msgspec.structs.replace(each, path=self.renamed(each.path)) for each in inputs]
+
+
+def hash_of(path: Path) -> str:
+    """SHA-256 of a recording.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be read, or is neither a file nor a folder: to open a pipe waits for whoever
+        writes to it.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ReadError(f"{path}: is neither a file nor a folder")
+    return sha256_of(path)

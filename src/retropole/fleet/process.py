@@ -1,0 +1,157 @@
+"""Calibrating in a process of its own, which is ended where it takes too long or too much."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import msgspec
+
+from ..errors import RetropoleError
+from .child import Message, receive, send
+from .work import Hashed, Outcome, Task, lost
+
+ATTEMPTS = 3
+"""How often a site is tried whose process is ended by the system: a machine that is short of memory
+ends any, a file that crashes its reader does so each time."""
+
+STARTING = 300.0
+"""Seconds in which the process has started; it takes about one, and on a machine that is overloaded
+a hundred times that."""
+
+LOOK = 0.1
+"""Seconds between looks at the clock and the memory."""
+
+
+class Reader:
+    """A process that calibrates one site after the other, and is started again where it ended.
+
+    Parameters
+    ----------
+    memory
+        Bytes that it may hold; None for any number.
+    folder
+        Where its copies of files go; None for the system's.
+    """
+
+    def __init__(self, memory: int | None = None, folder: str | None = None) -> None:
+        self.memory = memory
+        self.folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self._copies: str | None = None
+
+    def answer(self, task: Task) -> Outcome:
+        """Calibrate a site as `work.answer` does, within a time and a memory.
+
+        Raises
+        ------
+        RetropoleError
+            Where no such process can be started.
+        """
+        started = time.monotonic()
+        for attempt in range(1, ATTEMPTS + 1):
+            hashed, outcome, why = self._try(task)
+            if outcome is not None:
+                if outcome.run is not None:
+                    run = msgspec.structs.replace(outcome.run, attempts=attempt)
+                    outcome = msgspec.structs.replace(outcome, run=run)
+                return outcome
+            if why is not None:
+                break
+        code, words = why or (
+            "killed",
+            f"its process was ended by the system or crashed, {ATTEMPTS} times",
+        )
+        seconds = time.monotonic() - started
+        return lost(task.site, code, words, hashed, seconds=seconds, attempts=attempt)
+
+    def _try(self, task: Task) -> tuple[Hashed | None, Outcome | None, tuple[str, str] | None]:
+        """Have the process calibrate it: the outcome, or why it was ended, or neither."""
+        process = self._running()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        hashed = None
+        with self._watched(process, task.time_limit) as why, suppress(OSError):
+            send(process.stdin, task)
+            while (data := receive(process.stdout)) is not None:
+                message = msgspec.msgpack.decode(data, type=Message)
+                if isinstance(message, Outcome):
+                    return hashed, message, None
+                hashed = message
+        self.close()
+        return hashed, None, why[0] if why else None
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        """Give the process, started where it is not."""
+        if self._process is not None and self._process.poll() is None:
+            return self._process
+        self.close()
+        command = [sys.executable, "-m", "retropole.fleet.child"]
+        self._copies = tempfile.mkdtemp(prefix="retropole-", dir=self.folder)
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._copies)},
+        )
+        assert process.stdout is not None
+        with self._watched(process, STARTING):
+            ready = receive(process.stdout)
+        self._process = process
+        if ready is None:
+            self.close()
+            raise RetropoleError(f"{' '.join(command)} does not start")
+        return process
+
+    @contextmanager
+    def _watched(
+        self, process: subprocess.Popen[bytes], limit: float
+    ) -> Iterator[list[tuple[str, str]]]:
+        """End a process that takes too long or too much; what is given then says why."""
+        import psutil
+
+        why: list[tuple[str, str]] = []
+        over, deadline = threading.Event(), time.monotonic() + limit
+
+        def watch() -> None:
+            with suppress(psutil.NoSuchProcess):
+                watched = psutil.Process(process.pid)
+                while not over.wait(LOOK):
+                    if time.monotonic() > deadline:
+                        why.append(("time_limit", f"not done within {limit:g} s"))
+                    elif self.memory is not None and watched.memory_info().rss > self.memory:
+                        words = f"took more memory than {self.memory / 2**30:.1f} GiB"
+                        why.append(("out_of_memory", words))
+                    if why:
+                        process.kill()
+                        return
+
+        thread = threading.Thread(target=watch, daemon=True)
+        thread.start()
+        try:
+            yield why
+        finally:
+            over.set()
+            thread.join()
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout):
+            with suppress(OSError):
+                if stream is not None:
+                    stream.close()
+        if self._copies is not None:
+            shutil.rmtree(self._copies, ignore_errors=True)

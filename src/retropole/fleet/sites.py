@@ -1,0 +1,294 @@
+"""What to calibrate: site files and pairs, from folders, globs and lists."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+import math
+import posixpath
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from ..errors import MissingExtraError, ReadError, UsageError, quoting
+from ..result import DEFAULT_CONFIG, RunConfig
+from .storage import (
+    absolute,
+    below,
+    exists,
+    folder_of,
+    found_below,
+    is_folder,
+    matching,
+    read_bytes,
+)
+
+Kind = Literal["pair", "site"]
+
+SITE_FILE = ".toml"
+LISTS = (".csv", ".parquet")
+ROLES = ("target", "source")
+"""How the recordings of a pair are called in its folder, whatever their suffix."""
+
+LONGEST_ID = 200
+MOST_SITES = 1_000_000
+
+OPTIONS = (
+    *("radius_m", "radius_sigma_m", "sensor_target", "sensor_source"),
+    *("threshold_target", "threshold_source", "target_topic", "source_topic"),
+    *("unit", "unit_source", "max_points", "poles", "up", "hypothesis", "trust_poles"),
+    *("need_m", "at_m"),
+)
+"""Options of a pair that a list may have as columns: those of `RunConfig`."""
+
+COLUMNS = ("id", *ROLES, "site", "latitude_deg", "longitude_deg", *OPTIONS)
+"""Every column that a list may have."""
+
+
+class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
+    """One site of a fleet: a pair of recordings, or a site file.
+
+    Attributes
+    ----------
+    id
+        What it is called; no other of the fleet is called so.
+    kind
+        ``pair`` or ``site``.
+    target, source
+        Places of the recordings of a pair.
+    site
+        Place of the site file.
+    config
+        Options of a pair; a site file has its own.
+    latitude, longitude
+        Where it is, rad; None where that is not said.
+    fault
+        What is wrong with its line of a list; empty where nothing is.
+    """
+
+    id: str
+    kind: Kind
+    target: str = ""
+    source: str = ""
+    site: str = ""
+    config: RunConfig = DEFAULT_CONFIG
+    latitude: float | None = None
+    longitude: float | None = None
+    fault: str = ""
+
+
+class _Position(msgspec.Struct):
+    """Where a site is, as a list has it."""
+
+    latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] | None = None
+    longitude_deg: Annotated[float, Meta(ge=-180.0, le=360.0)] | None = None
+
+
+def find_sites(given: Iterable[str], config: RunConfig = DEFAULT_CONFIG) -> tuple[FleetSite, ...]:
+    """Find the sites of a fleet.
+
+    Parameters
+    ----------
+    given
+        Paths, globs or URLs of site files (``.toml``), of lists (``.csv``, ``.parquet``), and of
+        folders. In a folder, at any depth, every ``.toml`` is a site file, and each folder with a
+        ``target`` and a ``source``, of any suffix or folders themselves, is a pair.
+    config
+        Options of pairs, where a list does not say otherwise.
+
+    Returns
+    -------
+    tuple of FleetSite
+        In the order of their ids.
+
+    Raises
+    ------
+    UsageError
+        For a path of another kind.
+    ReadError
+        Where something is not found or cannot be read, or two sites have the same id.
+    MissingExtraError
+        Where the extra ``fleet`` is not installed.
+    """
+    sites: dict[str, FleetSite] = {}
+    for place in (each for one in given for each in _expanded(one)):
+        for site in _sites_of(place, config):
+            if site.id in sites:
+                raise ReadError(
+                    f"{place}: the id {site.id!r} is there twice, expected another for each site"
+                )
+            sites[site.id] = site
+            if len(sites) > MOST_SITES:
+                raise ReadError(f"{place}: more than {MOST_SITES} sites; split the fleet")
+    return tuple(sites[each] for each in sorted(sites))
+
+
+def _expanded(given: str) -> list[str]:
+    """Give what a glob matches; a place that is none as it is."""
+    if any(sign in given for sign in "*?[") and not exists(given):
+        found = matching(given)
+        if not found:
+            raise ReadError(f"{given}: nothing matches")
+        return found
+    return [absolute(given)]
+
+
+def _sites_of(place: str, config: RunConfig) -> Iterator[FleetSite]:
+    """Find the sites that a file or a folder stands for."""
+    if is_folder(place):
+        yield from _in_folder(place, config)
+    elif not exists(place):
+        raise ReadError(f"{place}: no such file or folder")
+    elif place.endswith(SITE_FILE):
+        yield FleetSite(id=_id_of(place, posixpath.basename(place)), kind="site", site=place)
+    elif place.endswith(LISTS):
+        yield from _in_list(place, config)
+    else:
+        expected = ", ".join((SITE_FILE, *LISTS))
+        raise UsageError(f"{place}: expected a folder, or a file {expected}")
+
+
+def _id_of(place: str, inside: str) -> str:
+    """Call a site file by its path: ``quay/site.toml`` is quay, ``quay.toml`` as well."""
+    folder, _, name = inside.rpartition("/")
+    if name != "site.toml":
+        return inside.removesuffix(SITE_FILE)
+    return folder or posixpath.basename(folder_of(place))
+
+
+def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
+    """Find site files and pairs at any depth."""
+    pairs: dict[str, dict[str, list[str]]] = {}
+    for inside in found_below(folder):
+        name = posixpath.basename(inside)
+        if name.endswith(SITE_FILE):
+            place = below(folder, inside)
+            yield FleetSite(id=_id_of(place, inside), kind="site", site=place)
+        stem, _, suffix = name.partition(".")
+        # Beside packets of an Ouster lie their metadata.
+        if stem in ROLES and suffix != "json":
+            of_pair = pairs.setdefault(posixpath.dirname(inside), {role: [] for role in ROLES})
+            of_pair[stem].append(below(folder, inside))
+    for inside, found in pairs.items():
+        counts = [len(found[role]) for role in ROLES]
+        fault = ""
+        if counts != [1, 1]:
+            fault = f"there are {counts[0]} named target and {counts[1]} source, expected one each"
+        target, source = (found[role][0] if found[role] else "" for role in ROLES)
+        yield FleetSite(
+            id=inside or posixpath.basename(folder.rstrip("/")),
+            kind="pair",
+            target=target,
+            source=source,
+            config=config,
+            fault=fault,
+        )
+
+
+def _in_list(place: str, config: RunConfig) -> Iterator[FleetSite]:
+    """Take the sites of a CSV or Parquet list; paths in it count from its folder."""
+    lines = _csv(place) if place.endswith(".csv") else _parquet(place)
+    for number, line in enumerate(lines, 1):
+        given = {name: value for name, value in line.items() if value not in (None, "")}
+        name = str(given.pop("id", ""))
+        fault = id_fault(name)
+        if fault:
+            raise ReadError(f"{place}: row {number}, id: {fault}")
+        yield _listed(name, folder_of(place), given, config)
+
+
+def id_fault(name: str) -> str:
+    """Say what is wrong with an id; empty where nothing is. It names a folder of reports."""
+    parts = name.split("/")
+    sound = len(name) <= LONGEST_ID and name.isprintable() and "\\" not in name
+    if sound and not any(part.strip() in ("", ".", "..") for part in parts):
+        return ""
+    return (
+        f"{quoting(name)!r}, expected a name of at most {LONGEST_ID} printable characters; "
+        "parts between / are not empty and no dots"
+    )
+
+
+def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig) -> FleetSite:
+    """Make a site of a row; what is wrong with it is its own matter, and ends nothing."""
+    kind: Kind = "site" if "site" in given else "pair"
+    names = {key: below(folder, str(given[key])) for key in (*ROLES, "site") if key in given}
+    expected = {"site"} if kind == "site" else set(ROLES)
+    options = {key: value for key, value in given.items() if key in OPTIONS}
+    fault, position = "", _Position()
+    if set(names) != expected:
+        fault = "expected target and source, or site alone"
+    elif kind == "site" and options:
+        fault = f"{', '.join(options)}: of a site, its file says that"
+    try:
+        position = msgspec.convert(given, _Position, strict=False)
+        base = msgspec.structs.asdict(config)
+        config = msgspec.convert({**base, **options}, RunConfig, strict=False)
+    except msgspec.ValidationError as error:
+        fault = fault or str(error).replace("`$.", "`")
+    radians = [
+        None if each is None else math.radians(each)
+        for each in (position.latitude_deg, position.longitude_deg)
+    ]
+    if (radians[0] is None) != (radians[1] is None):
+        fault = fault or "latitude_deg and longitude_deg need each other"
+    return FleetSite(
+        id=name,
+        kind=kind,
+        config=config,
+        latitude=radians[0],
+        longitude=radians[1],
+        fault=quoting(fault),
+        **names,
+    )
+
+
+def _check_columns(place: str, names: Sequence[str]) -> None:
+    """Refuse a column that is not known: it is a slip, and would do nothing."""
+    for name in names:
+        if name not in COLUMNS:
+            near = difflib.get_close_matches(str(name), COLUMNS, 1)
+            guess = f", expected {near[0]}" if near else f", expected some of {', '.join(COLUMNS)}"
+            raise ReadError(f"{place}: unknown column {str(name)!r}{guess}")
+    if "id" not in names:
+        raise ReadError(f"{place}: no column 'id'")
+    for name in set(names):
+        if list(names).count(name) > 1:
+            raise ReadError(f"{place}: the column {name!r} is there twice")
+
+
+def _csv(place: str) -> Iterator[Mapping[str, Any]]:
+    """Read the rows of a CSV list."""
+    try:
+        text = read_bytes(place).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ReadError(f"{place}: is not UTF-8: {error}") from None
+    rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    try:
+        _check_columns(place, [name.strip() for name in rows.fieldnames or ()])
+        for row in rows:
+            if None in row or None in row.values():
+                raise ReadError(f"{place}: line {rows.line_num} has not as many cells as the first")
+            yield {name.strip(): value.strip() for name, value in row.items()}
+    except csv.Error as error:
+        raise ReadError(f"{place}: line {rows.line_num}: {error}") from None
+
+
+def _parquet(place: str) -> Iterator[Mapping[str, Any]]:
+    """Read the rows of a Parquet list."""
+    try:
+        from pyarrow import ArrowException
+        from pyarrow import parquet as pq
+    except ImportError:
+        raise MissingExtraError("fleet", "reading Parquet") from None
+    data = read_bytes(place)
+    try:
+        file = pq.ParquetFile(io.BytesIO(data))
+        _check_columns(place, file.schema_arrow.names)
+        for batch in file.iter_batches():
+            yield from batch.to_pylist()
+    except (ArrowException, OSError) as error:
+        raise ReadError(f"{place}: is not Parquet: {error}") from None

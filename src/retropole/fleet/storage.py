@@ -1,0 +1,226 @@
+"""Files on any file system that fsspec knows: local paths, or ``s3://``, ``gs://``, ``memory://``.
+
+A *place* is a path or a URL as text.
+"""
+
+from __future__ import annotations
+
+import errno
+import posixpath
+from pathlib import Path
+from typing import Any
+
+from ..errors import MissingExtraError, ReadError, UsageError
+from ..files import write_atomically
+
+LARGEST_LIST = 2**28
+"""Bytes of a list of sites: a million lines of 250."""
+
+
+def filesystem(place: str) -> tuple[Any, str]:
+    """Open the file system of a place, and give the path there.
+
+    Raises
+    ------
+    MissingExtraError
+        Where fsspec is not installed.
+    UsageError
+        Where fsspec does not know the scheme, or lacks what it needs for it.
+    """
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError:
+        raise MissingExtraError("fleet", "a fleet") from None
+    try:
+        system, path = url_to_fs(place)
+    except (ImportError, ValueError) as error:
+        raise UsageError(f"{place}: {error}") from None
+    return system, str(path)
+
+
+def is_url(place: str) -> bool:
+    """Whether a place is a URL of another file system than the local one."""
+    return "://" in place and not place.startswith(("file://", "local://"))
+
+
+def absolute(place: str) -> str:
+    """Write a local path whole, as workers in other folders need it; a URL as it is."""
+    return place if is_url(place) else filesystem(place)[1]
+
+
+def below(folder: str, name: str) -> str:
+    """Join a folder and a name in it; a name that is whole stays as it is."""
+    if "://" in name or posixpath.isabs(name) or Path(name).is_absolute():
+        return name
+    if not is_url(folder):
+        return str(Path(folder) / name)
+    scheme, _, path = folder.partition("://")
+    # As the local system would: `..` leads one folder up.
+    return f"{scheme}://{posixpath.normpath(posixpath.join('/', path, name))[1:]}"
+
+
+def folder_of(place: str) -> str:
+    """Name the folder that a file is in."""
+    if not is_url(place):
+        return str(Path(place).parent)
+    return place.rpartition("/")[0]
+
+
+def exists(place: str) -> bool:
+    """Whether there is a file or a folder."""
+    system, path = filesystem(place)
+    return bool(system.exists(path))
+
+
+def is_folder(place: str) -> bool:
+    """Whether there is a folder."""
+    system, path = filesystem(place)
+    return bool(system.isdir(path))
+
+
+def found_below(folder: str) -> list[str]:
+    """Name every file and folder below a folder, from there on, in order.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be listed.
+    """
+    system, path = filesystem(folder)
+    try:
+        found = system.find(path, withdirs=True)
+    except Exception as error:
+        raise ReadError(f"{folder}: cannot be listed ({error})") from None
+    return sorted(posixpath.relpath(each, path) for each in found if each.rstrip("/") != path)
+
+
+def matching(pattern: str) -> list[str]:
+    """Give the places that a glob matches, in order.
+
+    Raises
+    ------
+    ReadError
+        Where the file system cannot be asked.
+    """
+    system, path = filesystem(pattern)
+    try:
+        found = sorted(system.glob(path))
+    except Exception as error:
+        raise ReadError(f"{pattern}: cannot be listed ({error})") from None
+    scheme = pattern.partition("://")[0] + "://" if is_url(pattern) else ""
+    return [each if each.startswith(scheme) else scheme + each.lstrip("/") for each in found]
+
+
+def names_in(folder: str) -> list[str]:
+    """Name the files of a folder, in order; none where there is no folder.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be listed.
+    """
+    system, path = filesystem(folder)
+    system.invalidate_cache()
+    try:
+        found = system.ls(path, detail=False)
+    except FileNotFoundError:
+        return []
+    except Exception as error:
+        raise ReadError(f"{folder}: cannot be listed ({error})") from None
+    return sorted(posixpath.basename(str(each).replace("\\", "/")) for each in found)
+
+
+def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
+    """Read a file, and not more of it than one would have.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be read or is longer.
+    """
+    system, path = filesystem(place)
+    try:
+        with system.open(path, "rb") as file:
+            data = file.read(most + 1)
+    except Exception as error:
+        why = getattr(error, "strerror", None) or error or type(error).__name__
+        raise ReadError(f"{place}: cannot be read ({why})") from None
+    if len(data) > most:
+        raise ReadError(f"{place}: more than {most} bytes")
+    return bytes(data)
+
+
+def write_bytes(place: str, data: bytes) -> None:
+    """Write a file whole or not at all, and make its folder where there is none.
+
+    An object store puts an object whole; on the local system the file is renamed into its place.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written; names the place.
+    """
+    system, path = filesystem(place)
+    if not is_url(place):
+        write_atomically(Path(path), data)
+        return
+    try:
+        system.makedirs(posixpath.dirname(path), exist_ok=True)
+        system.pipe_file(path, data)
+    except OSError as error:
+        raise OSError(error.errno or errno.EIO, error.strerror or str(error), place) from None
+    except Exception as error:
+        raise OSError(errno.EIO, str(error), place) from None
+
+
+def remove(place: str) -> None:
+    """Remove a file.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be removed; names the place.
+    """
+    system, path = filesystem(place)
+    try:
+        system.rm_file(path)
+    except Exception as error:
+        raise OSError(getattr(error, "errno", None) or errno.EIO, str(error), place) from None
+
+
+def fetch(place: str, into: Path) -> Path:
+    """Copy a file, or a folder with all in it, into a local folder.
+
+    The metadata of an Ouster's packets, a file of the same name beside them, comes along.
+
+    Returns
+    -------
+    Path
+        Of the copy.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be read.
+    OSError
+        Where there is no room.
+    """
+    system, path = filesystem(place)
+    local = into / posixpath.basename(path.rstrip("/"))
+    into.mkdir(parents=True, exist_ok=True)
+    wanted = [path]
+    if path.endswith(".pcap"):
+        wanted.append(f"{path.removesuffix('.pcap')}.json")
+    for number, each in enumerate(wanted):
+        try:
+            if number and not system.exists(each):
+                continue
+            folder = system.isdir(each)
+            system.get(each, str(into / posixpath.basename(each)), recursive=folder)
+        except OSError as error:
+            if error.errno == errno.ENOSPC:
+                raise
+            raise ReadError(f"{place}: cannot be read ({error.strerror or error})") from None
+        except Exception as error:
+            raise ReadError(f"{place}: cannot be read ({error})") from None
+    return local

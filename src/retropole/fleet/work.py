@@ -1,0 +1,275 @@
+"""One site: files in, a row out. Nothing that can be wrong with it ends more than itself."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from .. import __version__
+from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
+from ..files import LARGEST_DOCUMENT
+from .answers import answered, document_of
+from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
+from .local import LocalFiles, hash_of
+from .sites import FleetSite
+from .storage import below, exists, is_url, read_bytes, write_bytes
+
+if TYPE_CHECKING:
+    from ..api.result import CalibrationResult
+    from ..api.site import SiteResult
+
+CODES: tuple[tuple[type[Exception], str], ...] = (
+    (ReadError, "unreadable"),
+    (MissingExtraError, "missing_extra"),
+    (RetropoleError, "usage"),
+    (MemoryError, "out_of_memory"),
+    (OSError, "system"),
+    (Exception, "internal"),
+)
+"""The code of a row that ended in an error, by the first kind that it is of."""
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True):
+    """What a worker is told: the site, and the key of the row that there is of it."""
+
+    site: FleetSite
+    known: str | None = None
+    reports: str | None = None
+    time_limit: float
+    environment: str
+
+
+class Hashed(msgspec.Struct, frozen=True, tag=True):
+    """Inputs have been read as bytes: whatever comes, the row tells which they were."""
+
+    key: str
+    inputs: list[InputEntry]
+    site_sha256: str | None
+
+
+class Outcome(msgspec.Struct, frozen=True, tag=True):
+    """What became of a task; `row` is None where the row that there is still holds."""
+
+    id: str
+    row: Row | None = None
+    run: Run | None = None
+
+
+@cache
+def environment() -> str:
+    """Name what the numbers of an answer depend on, beside its inputs."""
+    named = []
+    for name in ("retropole", "numpy", "scipy", "small_gicp"):
+        try:
+            named.append(f"{name} {__version__ if name == 'retropole' else version(name)}")
+        except PackageNotFoundError:
+            named.append(name)
+    return ", ".join([*named, f"Python {platform.python_version()}", platform.machine()])
+
+
+def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
+    """Calibrate one site, unless the row that there is was made of the same.
+
+    Parameters
+    ----------
+    task
+        The site, and what there is of it.
+    tell
+        Called with the hashes of its files before anything is read of what is in them.
+
+    Returns
+    -------
+    Outcome
+        With a row, whatever happens.
+    """
+    started, start = datetime.now(UTC), time.perf_counter()
+    hashed: list[Hashed] = []
+
+    def note(found: Hashed) -> None:
+        hashed.append(found)
+        tell(found)
+
+    seconds: Mapping[str, float] = {}
+    try:
+        with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
+            local = LocalFiles(task.site, Path(folder))
+            try:
+                done = _calibrated(task, local, note)
+            except RetropoleError as error:
+                raise local.renamed_error(error) from None
+        if done is None:
+            return Outcome(task.site.id)
+        row, seconds = done
+    except Refusal as error:
+        row = failed(task.site, "refused", error.code, error.message, *hashed)
+    except Exception as error:
+        code = next(code for kind, code in CODES if isinstance(error, kind))
+        words = str(error)
+        if code in ("system", "out_of_memory", "internal"):
+            words = f"{type(error).__name__}: {words}"
+        row = failed(task.site, "error", code, quoting(words), *hashed)
+    run = Run(
+        id=task.site.id,
+        key=row.key,
+        started=started.isoformat(timespec="milliseconds"),
+        seconds=time.perf_counter() - start,
+        steps=[Step(name, value) for name, value in seconds.items()],
+        host=socket.gethostname(),
+        memory_bytes=_memory(),
+    )
+    return Outcome(task.site.id, row, run)
+
+
+def failed(
+    site: FleetSite, status: Status, code: str, message: str, hashed: Hashed | None = None
+) -> Row:
+    """Make the row of a site without an answer."""
+    places = [site.target, site.source] if site.kind == "pair" else []
+    inputs = [
+        InputEntry(lidar=role, placement="1", path=printable(place))
+        for role, place in zip(("target", "source"), places, strict=False)
+    ]
+    return Row(
+        id=site.id,
+        kind=site.kind,
+        status=status,
+        codes=[code],
+        messages=[message],
+        site_file=printable(site.site) if site.site else None,
+        site_sha256=None if hashed is None else hashed.site_sha256,
+        inputs=inputs if hashed is None else hashed.inputs,
+        latitude_rad=site.latitude,
+        longitude_rad=site.longitude,
+        key=None if hashed is None else hashed.key,
+        version=__version__,
+        libraries=environment(),
+    )
+
+
+def lost(
+    site: FleetSite,
+    code: str,
+    message: str,
+    hashed: Hashed | None = None,
+    *,
+    seconds: float = 0.0,
+    attempts: int = 1,
+) -> Outcome:
+    """Make the outcome of a site whose process or worker never answered."""
+    row = failed(site, "error", code, message, hashed)
+    started = datetime.now(UTC) - timedelta(seconds=seconds)
+    run = Run(
+        id=site.id,
+        key=row.key,
+        started=started.isoformat(timespec="milliseconds"),
+        seconds=seconds,
+        host=socket.gethostname(),
+        memory_bytes=0,
+        attempts=attempts,
+    )
+    return Outcome(site.id, row, run)
+
+
+def _calibrated(
+    task: Task, local: LocalFiles, tell: Callable[[Hashed], None]
+) -> tuple[Row, Mapping[str, float]] | None:
+    """Hash the inputs and, where the row is of others, calibrate them."""
+    site = task.site
+    site_sha256 = None if local.site is None else hash_of(local.site)
+    inputs = local.inputs()
+    hashed = Hashed(_key(site, site_sha256, inputs, local.metadata()), inputs, site_sha256)
+    tell(hashed)
+    if hashed.key == task.known and (
+        task.reports is None or _is_reported(below(task.reports, site.id), site, inputs)
+    ):
+        return None
+    result = _result(site, local)
+    if [each.sha256 for each in result.document.inputs] != [each.sha256 for each in inputs]:
+        raise ReadError(f"{site.id}: a recording changed while it was read")
+    if task.reports is not None:
+        _report(result, below(task.reports, site.id), local.folder / "report")
+    row = Row(
+        id=site.id,
+        kind=site.kind,
+        key=hashed.key,
+        site_file=printable(site.site) if site.site else None,
+        site_sha256=site_sha256,
+        version=__version__,
+        libraries=environment(),
+        **answered(site, result.document, inputs),
+    )
+    return row, result.document.seconds
+
+
+def _key(
+    site: FleetSite, site_sha256: str | None, inputs: Sequence[InputEntry], metadata: Sequence[str]
+) -> str:
+    """Hash all that a row follows from: files, settings, version."""
+    parts = [FLEET_SCHEMA, __version__, site, site_sha256, inputs, metadata]
+    return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+
+
+def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResult:
+    """Calibrate, and call the files as they were given."""
+    if local.site is not None:
+        from ..api.site import calibrate_site
+
+        of_site = calibrate_site(local.site)
+        config = of_site.document.config
+        return replace(
+            of_site,
+            document=msgspec.structs.replace(
+                of_site.document,
+                inputs=local.named(of_site.document.inputs),
+                config=msgspec.structs.replace(config, site_file=local.renamed(config.site_file)),
+            ),
+        )
+    from ..api.calibration import calibrate_with
+
+    target, source = local.pair
+    of_pair = calibrate_with(target, source, site.config)
+    inputs = local.named(of_pair.document.inputs)
+    return replace(of_pair, document=msgspec.structs.replace(of_pair.document, inputs=inputs))
+
+
+def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) -> None:
+    """Save a result and its report; to a URL by way of a folder of our own."""
+    if not is_url(place):
+        result.save(place)
+        return
+    for path in result.save(folder):
+        write_bytes(below(place, path.name), path.read_bytes())
+
+
+def _is_reported(folder: str, site: FleetSite, inputs: Sequence[InputEntry]) -> bool:
+    """Whether a folder has the result of these inputs."""
+    for name in ("result.json", "site-result.json"):
+        place = below(folder, name)
+        if not exists(place):
+            continue
+        try:
+            document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), site.kind)
+        except (ReadError, UnicodeDecodeError):
+            return False
+        same = [each.sha256 for each in document.inputs] == [each.sha256 for each in inputs]
+        return same and document.version == __version__
+    return False
+
+
+def _memory() -> int:
+    """Bytes that this process holds."""
+    import psutil
+
+    return int(psutil.Process().memory_info().rss)

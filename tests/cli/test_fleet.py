@@ -1,0 +1,101 @@
+"""The command ``retropole fleet calibrate``."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from retropole.fleet.batch import calibrate_fleet
+from retropole.fleet.sites import find_sites
+from tests.cli.commands import retropole_here
+from tests.fleet.fleets import bytes_of, here, write_fleet
+
+pytest.importorskip("distributed", reason="needs the extra fleet")
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_fleet(tmp_path_factory.mktemp("fleet"))
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have no cluster: what it does is tried elsewhere."""
+
+    @contextmanager
+    def connected(scheduler: str | None, workers: int | None) -> Iterator[None]:
+        yield
+
+    monkeypatch.setattr("retropole.fleet.engine.connected", connected)
+    monkeypatch.setattr("retropole.fleet.engine.outcomes", lambda client, tasks: here(tasks))
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_what_it_says(fleet: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = retropole_here("fleet", "calibrate", fleet, "--out", out)
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[:2] == [
+        "8 sites: 1 ok, 4 refused, 3 error",
+        "calibrated now: 7, as before: 1",
+    ]
+    assert "       2  unreadable" in done.stdout
+    assert done.stdout.endswith(f"written: {out}\n")
+    assert not done.stderr
+    again = retropole_here("fleet", "calibrate", fleet, "--out", out, "--json", "--strict")
+    assert again.returncode == 1
+    told = json.loads(again.stdout)
+    assert (told["schema"], told["calibrated"]) == ("retropole/fleet-run/1", 1)
+    assert told["statuses"] == {"error": 3, "ok": 1, "refused": 4}
+    other = retropole_here("fleet", "calibrate", fleet.parent / "good", "--out", out, "--strict")
+    assert other.returncode == 0
+    assert "in the dataset besides: 7 sites not in SITES" in other.stdout
+
+
+@pytest.mark.usefixtures("in_this_process")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nothing.csv",), "no such file or folder"),
+        (("{0}", "--workers", 2, "--scheduler", "tcp://a:1"), "not both"),
+        (("{0}", "{0}"), "is there twice"),
+        (("{0}", "--time-limit", 0), "--time-limit"),
+    ],
+)
+def test_slips(fleet: Path, tmp_path: Path, words: tuple[object, ...], said: str) -> None:
+    given = [str(word).format(fleet) for word in words]
+    done = retropole_here("fleet", "calibrate", *given, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "what to do: " in done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the system has no SIGINT for one process")
+def test_an_interrupt_leaves_whole_partitions_and_the_next_run_goes_on(
+    fleet: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    words = ["fleet", "calibrate", str(fleet), "--workers", "1", "--out", str(out)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "retropole", *words], stderr=subprocess.PIPE, text=True
+    )
+    while not any((out / "answers").glob("part-??.parquet")) and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    assert process.wait() == 130
+    assert process.stderr is not None
+    assert process.stderr.read() == "retropole: interrupted\n"
+    some = bytes_of(out)
+    assert 0 < len(some) < 8
+    whole = tmp_path / "whole"
+    for each in (out, whole):
+        calibrate_fleet(find_sites([str(fleet)]), str(each), here)
+    assert bytes_of(out) == bytes_of(whole)
+    assert some.items() <= bytes_of(whole).items()

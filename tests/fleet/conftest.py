@@ -1,0 +1,14 @@
+from pathlib import Path
+
+import pytest
+
+from tests.fleet.fleets import write_fleet
+
+pytest.importorskip("distributed", reason="needs the extra fleet")
+pytest.importorskip("pyarrow", reason="needs the extra fleet")
+
+
+@pytest.fixture(scope="session")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """List of a small fleet; whoever changes a file takes a copy."""
+    return write_fleet(tmp_path_factory.mktemp("fleet"))

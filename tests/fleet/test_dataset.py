@@ -1,0 +1,113 @@
+"""Rows as Parquet, and back."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet as pq
+
+from retropole.errors import ReadError
+from retropole.fleet.dataset import (
+    InputEntry,
+    Known,
+    LidarEntry,
+    Row,
+    Run,
+    Step,
+    known_in,
+    partition_of,
+    read_rows,
+    read_runs,
+    write_partition,
+)
+from retropole.result import BudgetEntryDoc, ErrorAtRange
+
+EMPTY = Row(id="a", kind="pair", status="error", version="1", libraries="numpy 2")
+RUN = Run(id="a", started="2026-01-01T00:00:00", seconds=0.5, host="h", memory_bytes=1)
+
+
+def full(name: str, rng: np.random.Generator) -> Row:
+    """Make a row that has everything, with numbers that no decimal writes."""
+    return Row(
+        id=name,
+        kind="site",
+        status="warn",
+        codes=["few_points", "small_margin"],
+        messages=["σ", "ü"],
+        site_file="site.toml",
+        site_sha256="0" * 64,
+        inputs=[
+            InputEntry(lidar="a", placement="1", path="p", sha256="1", sensor="OS1", points=3),
+            InputEntry(lidar="b", placement="1", path="q"),
+        ],
+        latitude_rad=rng.normal(),
+        longitude_rad=rng.normal(),
+        frame="enu",
+        lidars=[
+            LidarEntry(
+                name="a",
+                sensor="OS1",
+                T=rng.normal(size=16).tolist(),
+                covariance=rng.normal(size=36).tolist(),
+                predicted_error=[ErrorAtRange(30.0, rng.uniform())],
+                budget=[BudgetEntryDoc("scale", None, rng.uniform(), "1", None, rng.uniform())],
+            )
+        ],
+        sigma_30m_m=rng.uniform(),
+        document="{}",
+        key="k",
+        version="1",
+        libraries="numpy 2",
+    )
+
+
+def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
+    rng, out = np.random.default_rng(0), str(tmp_path)
+    rows = [full("b", rng), EMPTY]
+    write_partition(out, "part-00.parquet", rows, [RUN])
+    assert read_rows(out, "part-00.parquet") == {row.id: row for row in rows}
+    assert read_runs(out, "part-00.parquet") == {"a": RUN}
+    assert known_in(out) == {"a": Known(None, "error"), "b": Known("k", "warn")}
+    assert read_rows(out, "part-01.parquet") == {}
+    first = (tmp_path / "answers/part-00.parquet").read_bytes()
+    write_partition(out, "part-00.parquet", rows[::-1], [])
+    assert (tmp_path / "answers/part-00.parquet").read_bytes() == first
+    assert not (tmp_path / "runs/part-00.parquet").exists()
+    write_partition(out, "part-00.parquet", [], [])
+    assert known_in(out) == {}
+
+
+def test_steps_come_back(tmp_path: Path) -> None:
+    run = msgspec.structs.replace(RUN, steps=[Step("read", 0.1)], key="k", attempts=2)
+    write_partition(str(tmp_path), "part-00.parquet", [EMPTY], [run])
+    assert read_runs(str(tmp_path), "part-00.parquet") == {"a": run}
+
+
+def test_a_partition_follows_from_the_id_alone() -> None:
+    names = [partition_of(f"post-{k}") for k in range(2000)]
+    assert names[7] == partition_of("post-7")
+    counts = np.unique(names, return_counts=True)[1]
+    assert (len(counts), counts.max() < 30) == (256, True)
+
+
+@pytest.mark.parametrize("damage", ["cut", "not", "foreign"])
+def test_a_damaged_partition_is_named(tmp_path: Path, damage: str) -> None:
+    write_partition(str(tmp_path), "part-00.parquet", [EMPTY], [])
+    path = tmp_path / "answers/part-00.parquet"
+    if damage == "foreign":
+        pq.write_table(pa.table({"id": ["a"]}), path)
+    else:
+        path.write_bytes(path.read_bytes()[:-100] if damage == "cut" else b"PAR1")
+    with pytest.raises(ReadError, match=r"part-00\.parquet: .*; remove it"):
+        known_in(str(tmp_path))
+
+
+def test_other_programs_read_it(tmp_path: Path) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    write_partition(str(tmp_path), "part-00.parquet", [full("b", np.random.default_rng(0))], [])
+    query = f"select id, lidars[1].T[4], codes from '{tmp_path}/answers/*.parquet'"
+    ((name, x, codes),) = duckdb.sql(query).fetchall()
+    assert (name, codes) == ("b", ["few_points", "small_margin"])
+    assert isinstance(x, float)

@@ -1,0 +1,137 @@
+"""Dask's workers give the bytes that one process gives; what dies is given out again."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from distributed import KilledWorker
+
+from retropole.errors import RetropoleError, UsageError
+from retropole.fleet import engine
+from retropole.fleet.batch import calibrate_fleet
+from retropole.fleet.engine import connected, outcomes, run_task
+from retropole.fleet.sites import FleetSite, find_sites
+from retropole.fleet.work import Task, environment, lost
+from tests.fleet.fleets import bytes_of, here, shuffled
+
+
+def test_two_workers_give_the_bytes_of_one_process(fleet: Path, tmp_path: Path) -> None:
+    sites = find_sites([str(fleet)])
+    calibrate_fleet(sites, str(tmp_path / "here"), here)
+    with connected(workers=2) as client:
+        for _ in range(2):
+            summary = calibrate_fleet(
+                shuffled(sites, 4), str(tmp_path / "there"), lambda tasks: outcomes(client, tasks)
+            )
+    assert bytes_of(tmp_path / "there") == bytes_of(tmp_path / "here")
+    assert summary.done == 1
+
+
+class Future:
+    """What becomes of a task, as Dask tells it."""
+
+    def __init__(self, end: object) -> None:
+        self.end = end
+        self.status = "finished"
+        if isinstance(end, Exception):
+            self.status = "error"
+        elif isinstance(end, str):
+            self.status = end
+
+    def add_done_callback(self, call: Callable[[Future], None]) -> None:
+        call(self)
+
+    def result(self, timeout: float) -> object:
+        if isinstance(self.end, Exception):
+            raise self.end
+        return self.end
+
+    def cancel(self) -> None: ...
+
+
+class Cluster:
+    """A cluster of which tasks come back as they are told to, in the end with an outcome."""
+
+    status = "running"
+
+    def __init__(self, ends: dict[str, list[object]]) -> None:
+        self.ends = ends
+        self.given: Counter[str] = Counter()
+        self.most = 0
+
+    def nthreads(self) -> dict[str, int]:
+        return {"a": 1, "b": 2}
+
+    def submit(self, call: object, data: bytes, pure: bool) -> Future:
+        task = msgspec.msgpack.decode(data, type=Task)
+        self.given[task.site.id] += 1
+        left = self.ends.get(task.site.id, [])
+        done = msgspec.msgpack.encode(lost(task.site, "made_up", "done"))
+        return Future(left.pop(0) if left else done)
+
+
+def tasks(names: str) -> Iterator[Task]:
+    for name in names:
+        site = FleetSite(id=name, kind="pair")
+        yield Task(site=site, time_limit=1.0, environment=environment())
+
+
+def test_what_is_lost_is_given_out_again() -> None:
+    worker: Any = "worker"
+    died = KilledWorker("task", worker, 4)
+    ends: dict[str, list[object]] = {
+        "b": ["cancelled", "lost", "cancelled", "lost", "cancelled"],
+        "c": [died, "lost", died],
+        "d": [died] * 9,
+        "e": [OSError("no memory"), RetropoleError("does not start")],
+    }
+    cluster = Cluster(ends)
+    found = {each.id: each.row for each in outcomes(cluster, tasks("abcdefghijklm"))}
+    assert {name: row.codes[0] for name, row in found.items() if row is not None} == {
+        **dict.fromkeys("abcefghijklm", "made_up"),
+        "d": "worker_lost",
+    }
+    assert [cluster.given[name] for name in "abcde"] == [1, 6, 4, engine.ATTEMPTS, 3]
+
+
+def test_few_are_given_out_at_a_time() -> None:
+    taken = []
+
+    def counted() -> Iterator[Task]:
+        for task in tasks("abcdefghijklmnop"):
+            taken.append(task)
+            yield task
+
+    next(outcomes(Cluster({}), counted()))
+    assert len(taken) == engine.PER_THREAD * 3
+
+
+def test_what_no_worker_can_do_ends_it() -> None:
+    with pytest.raises(UsageError, match="No module named 'retropole'"):
+        list(
+            outcomes(
+                Cluster({"a": [ModuleNotFoundError("No module named 'retropole'")]}), tasks("a")
+            )
+        )
+    (task,) = tasks("a")
+    other = msgspec.structs.replace(task, environment="retropole 9")
+    with pytest.raises(UsageError, match="expected retropole 9: install the same on all"):
+        run_task(msgspec.msgpack.encode(other))
+
+
+def test_a_scheduler_that_stays_away_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "ANSWER_WITHIN", 0.5)
+    cluster = Cluster({})
+    cluster.status = "connecting"
+    with pytest.raises(RetropoleError, match="the same command goes on"):
+        list(outcomes(cluster, tasks("a")))
+    with (
+        pytest.raises(UsageError, match="no Dask scheduler answers"),
+        connected("tcp://127.0.0.1:9"),
+    ):
+        pass
