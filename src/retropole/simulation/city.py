@@ -1,4 +1,4 @@
-"""A city of LiDARs on posts along streets: relative poses with noise, wrong ones among them, a survey."""
+"""A city of LiDARs on posts along streets: relative poses, wrong ones among them, and a survey."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from ..datatypes import Array, BoolArray, IntArray
 
 SPACING, BLOCK = 30.0, 4
 """Metres from post to post along a street, and posts from crossing to crossing."""
+
+ACROSS = 0.65
+"""Part of neighbours whose first and second LiDAR are joined too: two edges for each LiDAR in
+all."""
 
 ROTATION, TRANSLATION = (0.02, 0.2), (0.003, 0.02)
 """1 σ of relative poses: from and to, degrees and metres."""
@@ -57,12 +61,12 @@ class City:
 def simulate_city(
     nodes: int, rng: np.random.Generator, wrong: float = 0.01, controls: int = 100
 ) -> City:
-    """Draw a city: two LiDARs on each post, streets of posts in a grid, about two edges for each LiDAR.
+    """Draw a city: streets of posts in a grid, two LiDARs on each, two edges for each LiDAR.
 
-    The LiDARs of a post are joined, and those of two posts that stand next to each other by up to three of
-    four possible pairs. Gross errors are drawn on a scale from one to a thousand times the noise, a third
-    each in rotation, in translation and in both, and one in ten is a relative pose that has
-    nothing to do with the true one.
+    The LiDARs of a post are joined, and those of two posts that stand next to each other by up to
+    three of four possible pairs. Gross errors are drawn on a scale from one to a thousand times the
+    noise, a third each in rotation, in translation and in both, and one in ten is a relative pose
+    that has nothing to do with the true one.
 
     Parameters
     ----------
@@ -127,8 +131,8 @@ def _edges(posts: int, streets: IntArray, rng: np.random.Generator) -> tuple[Int
     """Ends of the edges: of the LiDARs of a post, and of some of those of neighbours."""
     a, b = streets.T
     along = [np.stack([2 * a + p, 2 * b + q], axis=1) for p in (0, 1) for q in (0, 1)]
-    # Both on the same side see each other's poles; across, one in two of one kind does.
-    kept = [along[0], along[3], along[1][rng.random(len(a)) < 0.5]]
+    # Both on the same side see each other's poles; across, some of one kind do.
+    kept = [along[0], along[3], along[1][rng.random(len(a)) < ACROSS]]
     mates = np.stack([2 * np.arange(posts), 2 * np.arange(posts) + 1], axis=1)
     ends = np.concatenate([mates, *kept])
     swapped = rng.random(len(ends)) < 0.5
@@ -138,9 +142,10 @@ def _edges(posts: int, streets: IntArray, rng: np.random.Generator) -> tuple[Int
 
 def _covariances(count: int, rng: np.random.Generator) -> Array:
     """(E, 6, 6) of unequal size along unequal axes, rotation and translation correlated."""
-    low, high = np.log(ROTATION), np.log(TRANSLATION)
-    turned = np.radians(np.exp(rng.uniform(*low, (count, 3))))
-    moved = np.exp(rng.uniform(*high, (count, 3)))
+    turned, moved = (
+        np.exp(rng.uniform(np.log(low), np.log(high), (count, 3)))
+        for low, high in (np.radians(ROTATION), TRANSLATION)
+    )
     sigma = np.concatenate([turned, moved], axis=1)
     mixed = np.eye(6) + 0.3 * rng.normal(size=(count, 6, 6))
     mixed /= np.linalg.norm(mixed, axis=2, keepdims=True)
@@ -163,4 +168,4 @@ def _gross(which: IntArray, covariance: Array, true: Array, rng: np.random.Gener
     for k in np.flatnonzero(rng.random(count) < 0.1):
         other = se3.random(rng, SPACING)
         error[k] = se3.local(other, true[which[k]])
-    return error
+    return np.asarray(error)

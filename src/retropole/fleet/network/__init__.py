@@ -1,1 +1,1 @@
-"""The network of a city: poses that many sites share, adjusted together, with what is wrong named."""
+"""The network of a city: poses that many sites share, adjusted together."""

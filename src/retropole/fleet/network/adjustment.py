@@ -13,8 +13,8 @@ from .parts import Part
 from .residuals import Model, Whitened, moved
 
 SETTLED = 1e-8
-"""Steps end where the next would change the sum of squares by less than this, σ²: no pose then moves
-by more than 1e-4 of its σ."""
+"""Steps end where the next would change the sum of squares by less than this, σ²: no pose then
+moves by more than 1e-4 of its σ."""
 
 MOST_STEPS = 20
 """Of one adjustment; from a robust start three or four are usual."""
@@ -90,7 +90,7 @@ def normal_equations(
     weight: Array,
     parts: tuple[Part, ...],
 ) -> tuple[Blocks, Array]:
-    """Normal equations (N, 6, 6) with their pairs, and right-hand side (N, 6), of weighted observations.
+    """Normal equations (N, 6, 6) with their pairs, and their right-hand side (N, 6).
 
     Parameters
     ----------

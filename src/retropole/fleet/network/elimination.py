@@ -1,8 +1,8 @@
-"""Sparse symmetric matrices of blocks: in which order they are eliminated, and their Cholesky factor.
+"""Sparse symmetric matrices of blocks: the order of their elimination, and their Cholesky factor.
 
-Nodes that are eliminated one after the other and touch the same later ones are taken together as one
-dense *front* (multifrontal method, Duff and Reid 1983), so that loops run over fronts and LAPACK does
-the rest. The order is found once for a graph and serves every matrix with its pattern.
+Nodes that are eliminated one after the other and touch the same later ones are taken together as
+one dense *front* (multifrontal method, Duff and Reid 1983), so that loops run over fronts and
+LAPACK does the rest. The order is found once for a graph and serves every matrix with its pattern.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from ...errors import RetropoleError
 
 SMALL_FRONT, MOST_ZEROS = 8, 0.2
 """Nodes of a front that may be filled up with zeros to half, and the part of zeros in a larger one.
-Fewer fronts of more zeros: of 10,000 poses these took the least time (benchmarks/fleet_network.py)."""
+Fewer fronts of more zeros: of 10,000 poses these took the least time
+(benchmarks/fleet_network.py)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +115,9 @@ def find_pattern(size: int, pairs: IntArray) -> Pattern:
     bounds = np.searchsorted(owner[sorted_pairs], np.arange(len(sequence) + 1))
     members: list[IntArray] = []
     for g in sequence:
-        own, later = groups[g]
+        mine, later = groups[g]
         # Its own come before all later ones, and one after the other.
-        members.append(np.r_[np.sort(place[order[own]]), np.sort(place[order[later]])])
+        members.append(np.r_[np.sort(place[order[mine]]), np.sort(place[order[later]])])
     fronts = []
     for f, g in enumerate(sequence):
         own = len(groups[g][0])
@@ -189,7 +190,8 @@ def _merged(
         children[k] = kept
         if parent[k] >= 0:
             children[parent[k]].append(k)
-    number, groups = {}, []
+    number: dict[int, int] = {}
+    groups: list[tuple[list[int], list[int]]] = []
     for k in range(size):
         if not gone[k]:
             number[k] = len(groups)
@@ -249,9 +251,7 @@ def factorise(pattern: Pattern, matrix: Blocks) -> Factor:
         if count > front.own:
             # Symmetric: rows below the triangle are the columns beside it, as LAPACK stores them.
             rows = dtrsm(1.0, triangle, dense[:c, c:].T, side=1, lower=1, trans_a=1)
-            left[front.parent].append(
-                (scalars(front.into, block), dense[c:, c:] - rows @ rows.T)
-            )
+            left[front.parent].append((scalars(front.into, block), dense[c:, c:] - rows @ rows.T))
         else:
             rows = np.zeros((0, c))
         below.append(rows)
@@ -262,12 +262,11 @@ def solve(factor: Factor, right: Array) -> Array:
     """Solve for right-hand sides (N, B, K)."""
     size, block, sides = right.shape
     x = right.reshape(size * block, sides).copy()
-    steps = [
-        (scalars(front.nodes[: front.own], block), scalars(front.nodes[front.own :], block), L, below)
-        for front, L, below in zip(
-            factor.pattern.fronts, factor.triangles, factor.below, strict=True
-        )
-    ]
+    steps = []
+    fronts = zip(factor.pattern.fronts, factor.triangles, factor.below, strict=True)
+    for front, L, below in fronts:
+        own, later = np.split(scalars(front.nodes, block), [front.own * block])
+        steps.append((own, later, L, below))
     for own, later, L, below in steps:
         x[own] = dtrsm(1.0, L, x[own], lower=1)
         x[later] -= below @ x[own]

@@ -34,6 +34,7 @@ class Edges:
     covariance: Array
 
     def __len__(self) -> int:
+        """How many there are."""
         return len(self.i)
 
 
@@ -56,6 +57,7 @@ class KnownPoses:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 6, 6)))
 
     def __len__(self) -> int:
+        """How many there are."""
         return len(self.node)
 
 
@@ -81,6 +83,7 @@ class ControlPoints:
     seen: Array | None = None
 
     def __len__(self) -> int:
+        """How many there are."""
         return len(self.node)
 
     @property
@@ -116,6 +119,7 @@ class Graph:
     points: ControlPoints = field(default_factory=ControlPoints)
 
     def __post_init__(self) -> None:
+        """Check all of it."""
         if not 0 < self.nodes <= MOST_NODES:
             raise UsageError(f"a network of {self.nodes} poses: expected 1 to {MOST_NODES}")
         edges, known, points = self.edges, self.known, self.points

@@ -1,4 +1,4 @@
-"""The network of a city on one page: from relative poses to poses, each with its covariance and tests."""
+"""The network of a city on one page: from relative poses to poses, with covariances and tests."""
 
 from __future__ import annotations
 

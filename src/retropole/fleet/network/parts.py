@@ -94,6 +94,7 @@ def _open(points: Array) -> Array:
     free = way[:, size <= LEAST_LEVER**2].T
     return np.hstack([free, np.zeros_like(free)])
 
+
 def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     """Add to the wanted observations (M,) those of the least squares that hold all together.
 

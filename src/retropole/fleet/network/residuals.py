@@ -1,7 +1,7 @@
 """What each observation says at some poses: residuals and derivatives, counted in their own σ.
 
-Poses move by steps ``[φ, δ]`` in the axes of the network: ``Exp(φ) R`` and ``t + δ``. The translation
-does not turn with the rotation, so that coordinates as large as a city's do no harm.
+Poses move by steps ``[φ, δ]`` in the axes of the network: ``Exp(φ) R`` and ``t + δ``. The
+translation does not turn with the rotation, so that coordinates as large as a city's do no harm.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What does not fit is taken out, the worst of each neighbourhood at a time, and what does is put back.
+"""What does not fit is taken out, the worst of each neighbourhood first; what does is put back.
 
-A wrong edge raises the tests of its neighbours too. So only that with the largest χ² around goes, the
-rest is adjusted again, and everything tested anew (data snooping, Baarda 1968), those that are out as
-well, until nothing changes.
+A wrong edge raises the tests of its neighbours too. So only that with the largest χ² around goes,
+the rest is adjusted again, and everything tested anew (data snooping, Baarda 1968), those that are
+out as well, until nothing changes.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 
 from ...datatypes import Array, BoolArray, IntArray
 from .adjustment import Adjusted, Layout, adjust
+from .doubtful import inseparable, outvoted, relaid
 from .elimination import Blocks
 from .graph import Graph
 from .parts import Part, connected, find_parts
@@ -26,9 +27,14 @@ MOST_ROUNDS = 30
 PUT_BACK = 1
 """So often an observation that was taken out may come back."""
 
+PLAIN = 10.0
+"""How far beyond chance an observation must miss at first to be out before any test, as a multiple
+of the χ² that chance allows: the tests of nearer ones tell better which of two neighbours is
+wrong."""
+
 TOLD_APART = 9.2
-"""Of two edges either of which explains what does not fit, that whose χ² is less by no more than this
-is not told apart: it is up to a hundred times less likely, 2 ln 100."""
+"""Of two edges either of which explains what does not fit, that whose χ² is less by no more than
+this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +83,9 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
     """
     graph = model.graph
     squares = model.squares(T)
-    active = connected(graph, squares <= critical(graph.freedom), squares)
+    active = connected(graph, squares <= PLAIN * critical(graph.freedom), squares)
     rivals: dict[int, tuple[int, ...]] = {}
+    tried: set[int] = set()
     back = np.zeros(len(active), dtype=np.int64)
     for rounds in range(1, MOST_ROUNDS + 1):
         parts = find_parts(graph, active)
@@ -91,9 +98,19 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
         worst = worst_around(graph, tests.chi2, wrong)
         wanted = connected(graph, (active & ~worst) | fits, tests.chi2)
         if (wanted == active).all():
-            break
+            # Two that are out and agree are more than the one that they contradict.
+            out = outvoted(inseparable(graph, active, tests.freedom), tried)
+            if not out or rounds == MOST_ROUNDS:
+                break
+            wanted = active.copy()
+            for rival, instead in out.items():
+                T = relaid(graph, active, T, rival, instead[0])
+                wanted[rival], wanted[instead] = False, True
+            tried |= out.keys()
+            active = wanted
+            continue
         if rounds < MOST_ROUNDS:
-            rivals |= _as_likely(graph, tests.chi2, wrong, np.flatnonzero(active & ~wanted))
+            rivals |= _as_likely(graph, tests.chi2, active, np.flatnonzero(active & ~wanted))
             back += wanted & ~active
             active = wanted
     settled = adjusted.settled and bool((wanted == active).all())
@@ -124,12 +141,12 @@ def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
 
 
 def _as_likely(
-    graph: Graph, chi2: Array, wrong: BoolArray, taken_out: IntArray
+    graph: Graph, chi2: Array, active: BoolArray, taken_out: IntArray
 ) -> dict[int, tuple[int, ...]]:
-    """Wrong observations that share a pose with one that is taken out, and are as likely."""
-    candidates = np.flatnonzero(wrong)
+    """Observations that share a pose with one that is taken out, and are as likely to be wrong."""
     if not len(taken_out):
         return {}
+    candidates = np.flatnonzero(active & (chi2 > chi2[taken_out].min() - TOLD_APART))
     ends = np.stack(graph.ends, axis=1)
     rows, columns = np.repeat(np.arange(len(candidates)), 2), ends[candidates].ravel()
     real = columns < graph.nodes

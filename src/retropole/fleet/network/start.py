@@ -1,9 +1,9 @@
 """Poses to start from, found without any guess and in spite of wrong edges.
 
 Rotations first: ``R_i R_i_j = R_j`` is linear in the nine numbers of each rotation, and so has one
-solution however far all are turned (chordal relaxation, Martinec and Pajdla 2007). Each is then taken to
-the nearest rotation, and edges that disagree count less and less. Then translations likewise, and where
-all of it lies in the frame of the network by its controls.
+solution however far all are turned (chordal relaxation, Martinec and Pajdla 2007). Each is then
+taken to the nearest rotation, and edges that disagree count less and less. Then translations
+likewise, and where all of it lies in the frame of the network by its controls.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from .parts import Part, find_parts
 from .residuals import Model, moved
 
 REWEIGHTED = (4, 4)
-"""So often edges are weighted anew by the absolute value of what they miss, which has one minimum, and
-then by a function that forgets what misses by far (Geman and McClure 1985)."""
+"""So often edges are weighted anew by the absolute value of what they miss, which has one minimum,
+and then by a function that forgets what misses by far (Geman and McClure 1985)."""
 
 LEAST_WEIGHT = 1e-6
 """Of an edge that is forgotten: what hangs by it alone still has a place."""
@@ -64,8 +64,8 @@ def narrowed(model: Model, layout: Layout, T: Array, critical: Array) -> Array:
         squares = model.squares(T)
         weight = _forgetting(squares / (wide * critical))
         if wide > 1:
-            # Far from control a network bends by more than its controls are uncertain: as long as it
-            # does, none of them is forgotten.
+            # Far from control a network bends by more than its controls are uncertain: as long as
+            # it does, none of them is forgotten.
             far = np.sqrt(np.maximum(squares[edges:] / critical[edges:], 1.0))
             weight[edges:] = 1 / far
         T = moved(T, step(model, layout, T, weight, parts)[0])
@@ -77,9 +77,17 @@ def _forgetting(ratio: Array) -> Array:
     return np.asarray(np.maximum(1 / (1 + ratio) ** 2, LEAST_WEIGHT))
 
 
-def _reweighted(count: int) -> list[bool]:
+def _majority(ratio: Array, precision: Array) -> Array:
+    """Weights by which the sum of absolute misses is least, each counted alike.
+
+    Where three edges meet two good ones then outvote a wrong one, however precise it claims to be.
+    """
+    return np.asarray(1 / np.sqrt(np.maximum(ratio, 1e-2) * precision / np.median(precision)))
+
+
+def _reweighted() -> list[bool]:
     """Which of the rounds forget what misses by far."""
-    return [k >= count for k in range(sum(REWEIGHTED))]
+    return [k >= REWEIGHTED[0] for k in range(sum(REWEIGHTED))]
 
 
 def _rotations(graph: Graph, layout: Layout, first: Array) -> tuple[Array, Array]:
@@ -88,16 +96,17 @@ def _rotations(graph: Graph, layout: Layout, first: Array) -> tuple[Array, Array
     R_i_j = edges.T_i_j[:, :3, :3]
     precision = 3 / np.trace(edges.covariance[:, :3, :3], axis1=1, axis2=2)
     weight = np.ones(len(edges))
-    for forgets in (None, *_reweighted(REWEIGHTED[0])):
+    R = np.zeros((0, 3, 3))
+    for forgets in (None, *_reweighted()):
         if forgets is not None:
+            R_i, R_j = R[edges.i], R[edges.j]
             turned = R_i @ R_i_j @ np.swapaxes(R_j, 1, 2)
-            # |R − I|² = 4 (1 − cos) = 2 angle² to second order.
+            # 3 − tr R = 2 (1 − cos) is the squared angle to second order; four σ are plain.
             ratio = precision * np.maximum(3 - np.trace(turned, axis1=1, axis2=2), 0) / 16
-            weight = _forgetting(ratio) if forgets else 1 / np.sqrt(np.maximum(ratio, 1e-2))
+            weight = _forgetting(ratio) if forgets else _majority(ratio, precision)
         # Rows x of a rotation: |R_i_jᵀ x_i − x_j|².
         w = (weight * precision)[:, None, None]
         R = _nearest_rotations(_solved(layout, w * np.eye(3), w * np.eye(3), -w * R_i_j, first))
-        R_i, R_j = R[edges.i], R[edges.j]
     return R, weight
 
 
@@ -128,7 +137,7 @@ def _nearest_rotations(matrices: Array) -> Array:
 
 
 def _translations(graph: Graph, layout: Layout, first: Array, R: Array, turned: Array) -> Array:
-    """Translations (N, 3) with these rotations; `turned` (E,) is what rotations left of each edge."""
+    """Translations (N, 3) with these rotations; `turned` (E,) is how much each edge counts."""
     edges = graph.edges
     arm = np.einsum("kab,kb->ka", R[edges.i], edges.T_i_j[:, :3, 3])
     # A direction that is off by its σ moves the far end by that much more.
@@ -139,11 +148,12 @@ def _translations(graph: Graph, layout: Layout, first: Array, R: Array, turned: 
     a, b = layout.pattern.pairs.T
     held = np.zeros(graph.nodes, dtype=bool)
     held[first] = True
-    for forgets in (None, *_reweighted(REWEIGHTED[0])):
+    t = np.zeros((graph.nodes, 3))
+    for forgets in (None, *_reweighted()):
         if forgets is not None:
             missed = t[edges.j] - t[edges.i] - arm
             ratio = precision * np.sum(missed**2, axis=1) / 16
-            weight = _forgetting(ratio) if forgets else 1 / np.sqrt(np.maximum(ratio, 1e-2))
+            weight = _forgetting(ratio) if forgets else _majority(ratio, precision)
             weight = np.maximum(weight * turned, LEAST_WEIGHT)
         w = (weight * precision)[:, None, None]
         diagonal = added(layout.onto_nodes[0], w) + added(layout.onto_nodes[1], w)
@@ -182,7 +192,7 @@ def _onto_control(graph: Graph, parts: tuple[Part, ...], T: Array) -> Array:
 
 
 def _laid(source: Array, target: Array) -> Array:
-    """Rigid transform (4, 4) with the least sum of distances: points that lie far off count little."""
+    """Rigid transform (4, 4) with the least sum of distances: what lies far off counts little."""
     weight = np.ones(len(source))
     for _ in range(20):
         share = weight / weight.sum()

@@ -1,8 +1,8 @@
 """Every observation tested against all others, and the least error that the test finds.
 
-What an observation misses, and how much of an error of it shows there, follow from the covariance of
-its own ends alone (Baarda 1968): with A its whitened derivative and Q that covariance, an error ∇ shows
-as ``(I − A Q Aᵀ) ∇``. How much the sum of squares falls without the observation is its χ².
+What an observation misses, and how much of an error of it shows there, follow from the covariance
+of its own ends alone (Baarda 1968): with A its whitened derivative and Q that covariance, an error
+∇ shows as ``(I − A Q Aᵀ) ∇``. How much the sum of squares falls without the observation is its χ².
 """
 
 from __future__ import annotations
@@ -140,9 +140,11 @@ def _tests(of: Whitened, taken_up: Array, root: Array, active: BoolArray) -> Tes
     chi2 = np.sum(np.where(told, scaled, 0.0), axis=1)
     freedom = np.count_nonzero(told, axis=1)
     redundancy = np.clip(np.sum(np.where(told, part, 0.0), axis=1) / size, 0.0, 1.0)
-    information = np.swapaxes(root, 1, 2) @ (
-        (way * np.where(told, part, 0.0)[:, None]) @ np.swapaxes(way, 1, 2)
-    ) @ root
+    information = (
+        np.swapaxes(root, 1, 2)
+        @ ((way * np.where(told, part, 0.0)[:, None]) @ np.swapaxes(way, 1, 2))
+        @ root
+    )
     whole = np.swapaxes(root, 1, 2) @ root
     least = np.array([noncentrality(k) for k in range(size + 1)])[freedom]
     nothing = np.full(count, np.inf)
