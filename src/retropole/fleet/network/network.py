@@ -17,7 +17,7 @@ from .parts import Part
 from .residuals import Model
 from .snooping import snoop
 from .start import find_start, narrowed
-from .testing import Tests, critical
+from .testing import ObservationTests, critical
 
 Kind = Literal["edge", "known pose", "control point"]
 
@@ -68,7 +68,7 @@ class NetworkAdjustment:
     cross
         (E, 6, 6) covariance between the first and the second pose of each edge.
     edges, known, points
-        Tests of the relative poses, the known poses and the control points.
+        ObservationTests of the relative poses, the known poses and the control points.
     left_out
         What does not fit and was not adjusted, by kind and number.
     parts
@@ -87,9 +87,9 @@ class NetworkAdjustment:
     T_world_node: Array
     covariance: Array
     cross: Array
-    edges: Tests
-    known: Tests
-    points: Tests
+    edges: ObservationTests
+    known: ObservationTests
+    points: ObservationTests
     left_out: tuple[LeftOut, ...]
     parts: tuple[Part, ...]
     doubtful: BoolArray

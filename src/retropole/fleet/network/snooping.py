@@ -19,7 +19,7 @@ from .elimination import Blocks
 from .graph import Graph
 from .parts import Part, connected, find_parts
 from .residuals import Model
-from .testing import Tests, all_tests, covariances, critical
+from .testing import ObservationTests, all_tests, covariances, critical
 
 MOST_ROUNDS = 30
 """So often the network is adjusted again; a city of 1 % wrong edges takes 3 to 6."""
@@ -65,7 +65,7 @@ class Snooped:
     parts: tuple[Part, ...]
     covariance: Blocks
     active: BoolArray
-    tests: Tests
+    tests: ObservationTests
     rivals: dict[int, tuple[int, ...]]
     rounds: int
     settled: bool

@@ -33,7 +33,7 @@ checks up to 1e-8 is left in networks of 100,000 poses."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tests:
+class ObservationTests:
     """Tests of some observations.
 
     Attributes
@@ -59,9 +59,9 @@ class Tests:
     detectable_rotation: Array
     detectable_translation: Array
 
-    def part(self, some: slice) -> Tests:
+    def part(self, some: slice) -> ObservationTests:
         """Those of some of the observations."""
-        return Tests(
+        return ObservationTests(
             self.chi2[some],
             self.freedom[some],
             self.w[some],
@@ -82,7 +82,7 @@ def covariances(adjusted: Adjusted, parts: tuple[Part, ...]) -> Blocks:
 
 def all_tests(
     model: Model, layout: Layout, T: Array, covariance: Blocks, active: BoolArray
-) -> Tests:
+) -> ObservationTests:
     """Test all observations (M,): edges, known poses, control points.
 
     Parameters
@@ -112,10 +112,10 @@ def all_tests(
         _tests(known, _through(known.by_j, own[graph.known.node]), model.roots[1], used[1]),
         _tests(points, _through(points.by_j, own[graph.points.node]), model.roots[2], used[2]),
     )
-    return Tests(
+    return ObservationTests(
         *(
             np.concatenate([getattr(one, name) for one in some])
-            for name in Tests.__dataclass_fields__
+            for name in ObservationTests.__dataclass_fields__
         )
     )
 
@@ -124,7 +124,7 @@ def _through(J: Array, covariance: Array) -> Array:
     return np.asarray(J @ covariance @ np.swapaxes(J, 1, 2))
 
 
-def _tests(of: Whitened, taken_up: Array, root: Array, active: BoolArray) -> Tests:
+def _tests(of: Whitened, taken_up: Array, root: Array, active: BoolArray) -> ObservationTests:
     """Test observations of one kind, `taken_up` (K, D, D) the covariance of what the poses say."""
     count, size = of.residual.shape
     shows = np.empty_like(taken_up)
@@ -153,7 +153,9 @@ def _tests(of: Whitened, taken_up: Array, root: Array, active: BoolArray) -> Tes
         nothing if b is None else _detectable(information[:, b, b], whole[:, b, b], least)
         for b in blocks
     )
-    return Tests(chi2, freedom, normalised(chi2, freedom), redundancy, rotation, translation)
+    return ObservationTests(
+        chi2, freedom, normalised(chi2, freedom), redundancy, rotation, translation
+    )
 
 
 def _detectable(information: Array, whole: Array, least: Array) -> Array:
