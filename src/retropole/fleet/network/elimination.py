@@ -20,8 +20,7 @@ from ...errors import RetropoleError
 
 SMALL_FRONT, MOST_ZEROS = 8, 0.2
 """Nodes of a front that may be filled up with zeros to half, and the part of zeros in a larger one.
-Fewer fronts of more zeros: of 10,000 poses these took the least time
-(benchmarks/fleet_network.py)."""
+Fewer fronts have more zeros. Not tuned: a grid of 10,000 nodes makes 1,700 fronts."""
 
 
 @dataclass(frozen=True, eq=False)

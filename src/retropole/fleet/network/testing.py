@@ -28,8 +28,8 @@ POWER = 0.8
 """With which probability the least detectable error is found (Baarda 1968)."""
 
 LEAST_CHECKED = 1e-5
-"""Part of an error that must show in the residuals, where less is rounding: of edges that nothing
-checks up to 1e-8 is left in networks of 100,000 poses."""
+"""Part of an error that must show in the residuals to be tested: far above the rounding that is
+left of what nothing checks, far below what any test could find."""
 
 
 @dataclass(frozen=True, eq=False)
