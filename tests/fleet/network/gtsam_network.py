@@ -44,7 +44,7 @@ def adjust(graph: Graph, start: Array, marginals: np.ndarray) -> Found:
         factors.add(gtsam.BetweenFactorPose3(int(i), int(j), gtsam.Pose3(T), _noise(T, C)))
     for node, world, C in zip(points.node, points.world, points.covariance, strict=True):
         noise = gtsam.noiseModel.Gaussian.Covariance(C)
-        factors.add(gtsam.PoseTranslationPrior3D(int(node), gtsam.Point3(world), noise))
+        factors.add(gtsam.PoseTranslationPrior3D(int(node), world, noise))
     for k, T in enumerate(start):
         values.insert(k, gtsam.Pose3(T))
     options = gtsam.LevenbergMarquardtParams()

@@ -1,7 +1,9 @@
 import numpy as np
 
 from retropole import se3
+from retropole.datatypes import Array
 from retropole.fleet.network.doubtful import hanging, inseparable, outvoted, relaid
+from retropole.fleet.network.graph import Graph
 from retropole.fleet.network.parts import find_parts
 from tests.fleet.network.networks import network_of
 
@@ -9,7 +11,7 @@ ENDS = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 1], [4, 5]])
 """A loop 1–2–3–4, with a tail on either side; node 0 is known."""
 
 
-def graph() -> tuple[np.ndarray, object]:
+def graph() -> tuple[Array, Graph]:
     rng = np.random.default_rng(0)
     T = np.array([se3.random(rng) for _ in range(6)])
     return T, network_of(T, ENDS, rng)

@@ -42,7 +42,7 @@ def test_derivatives_are_those_by_differences(somewhere: tuple[Model, Array]) ->
                 def of(step: Array, node: int = node, kind: int = kind, k: int = k) -> Array:
                     steps = np.zeros((graph.nodes, 6))
                     steps[node] = step
-                    return model.at(moved(T, steps))[kind].residual[k]
+                    return np.asarray(model.at(moved(T, steps))[kind].residual[k])
 
                 expected = numeric_jacobian(of, 6)
                 np.testing.assert_allclose(J[k], expected, atol=1e-6 * np.abs(expected).max())
