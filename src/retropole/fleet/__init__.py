@@ -1,8 +1,9 @@
-"""Thousands of sites: every one calibrated, whatever becomes of single ones, into one dataset.
+"""Thousands of sites: all calibrated, adjusted as one network, and watched over time.
 
-`batch.calibrate_fleet` is the whole on one page: sites (`sites`), one after the other on the
+`batch.calibrate_fleet` is the first on one page: sites (`sites`), one after the other on the
 workers of a Dask cluster (`engine`), each in a process that can be ended (`process`, `child`, and
 `work` within), rows into a partitioned Parquet dataset (`dataset`), on any file system (`storage`).
+`network` adjusts relative poses of many sites together, `history` watches every site's checks.
 """
 
 TIME_LIMIT = 900.0

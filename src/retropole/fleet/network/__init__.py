@@ -1,0 +1,1 @@
+"""The network of a city: poses that many sites share, adjusted together."""

@@ -1,0 +1,188 @@
+"""Least squares of a network: normal equations of blocks, solved again until nothing moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ...datatypes import Array, BoolArray, IntArray
+from .elimination import Blocks, Factor, Pattern, factorise, find_pattern, solve
+from .parts import Part
+from .residuals import Model, Whitened, moved
+
+SETTLED = 1e-8
+"""Steps end where the next would change the sum of squares by less than this, σ²: no pose then
+moves by more than 1e-4 of its σ."""
+
+MOST_STEPS = 20
+"""Of one adjustment; from a robust start three or four are usual."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the observations stand in the normal equations.
+
+    Attributes
+    ----------
+    pattern
+        Of the normal equations: every edge has its block, whether it is active or not.
+    pair
+        (E,) the block of each edge.
+    turned
+        (E,) whether its first pose is the second of the pair.
+    onto_nodes
+        For edges' first and second poses, known poses and points: (N, K) sums over observations.
+    onto_pairs
+        (P, E) sums over edges.
+    """
+
+    pattern: Pattern
+    pair: IntArray
+    turned: BoolArray
+    onto_nodes: tuple[csr_array, ...]
+    onto_pairs: csr_array
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """Poses at the least sum of squares, and the factor of the normal equations there.
+
+    `settled` says whether the steps ended by themselves.
+    """
+
+    T: Array
+    factor: Factor
+    settled: bool
+
+
+def find_layout(model: Model) -> Layout:
+    """Order the unknowns of a network."""
+    graph = model.graph
+    i, j = graph.edges.i, graph.edges.j
+    ends = np.sort(np.stack([i, j], axis=1), axis=1)
+    pairs, pair = np.unique(ends, axis=0, return_inverse=True)
+    pair = pair.reshape(-1)
+    onto_nodes = tuple(
+        _sums(node, graph.nodes) for node in (i, j, graph.known.node, graph.points.node)
+    )
+    pattern = find_pattern(graph.nodes, pairs)
+    return Layout(pattern, pair, i > j, onto_nodes, _sums(pair, len(pairs)))
+
+
+def _sums(target: IntArray, size: int) -> csr_array:
+    """(size, K) matrix that adds up K values by where they belong."""
+    count = len(target)
+    return csr_array((np.ones(count), (target, np.arange(count))), shape=(size, count))
+
+
+def added(sums: csr_array, values: Array) -> Array:
+    """Add up values (K, ...) by where they belong."""
+    shape = values.shape[1:]
+    flat = values.reshape(len(values), int(np.prod(shape)))
+    return np.asarray(sums @ flat).reshape(-1, *shape)
+
+
+def normal_equations(
+    layout: Layout,
+    observed: tuple[Whitened, Whitened, Whitened],
+    weight: Array,
+    parts: tuple[Part, ...],
+) -> tuple[Blocks, Array]:
+    """Normal equations (N, 6, 6) with their pairs, and their right-hand side (N, 6).
+
+    Parameters
+    ----------
+    layout
+        Where they stand.
+    observed
+        Edges, known poses and control points, as `residuals.Model.at` gives them.
+    weight
+        (M,) of each observation.
+    parts
+        With what holds the datum of each.
+    """
+    edges, known, points = observed
+    assert edges.by_i is not None
+    bounds = np.cumsum([len(edges.residual), len(known.residual)])
+    weights = np.split(weight, bounds)
+    sides = (
+        (edges.by_i, edges.residual, weights[0]),
+        (edges.by_j, edges.residual, weights[0]),
+        (known.by_j, known.residual, weights[1]),
+        (points.by_j, points.residual, weights[2]),
+    )
+    size = layout.pattern.size
+    diagonal, right = np.zeros((size, 6, 6)), np.zeros((size, 6))
+    for sums, (J, residual, w) in zip(layout.onto_nodes, sides, strict=True):
+        heavy = np.swapaxes(J, 1, 2) * w[:, None, None]
+        diagonal += added(sums, heavy @ J)
+        right -= added(sums, np.einsum("kab,kb->ka", heavy, residual))
+    cross = np.swapaxes(edges.by_i, 1, 2) @ (edges.by_j * weights[0][:, None, None])
+    cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
+    pairs = added(layout.onto_pairs, cross)
+    _hold(diagonal, pairs, right, layout.pattern.pairs, parts)
+    return Blocks(diagonal, pairs), right
+
+
+def held_nodes(parts: tuple[Part, ...]) -> tuple[IntArray, Array]:
+    """Nodes (H,) that hold a datum, and the projectors (H, 6, 6) on what is held of each."""
+    some = [part for part in parts if len(part.held)]
+    nodes = np.array([part.nodes[0] for part in some], dtype=np.int64)
+    held = np.array([part.held.T @ part.held for part in some]).reshape(-1, 6, 6)
+    return nodes, held
+
+
+def _hold(
+    diagonal: Array, pairs: Array, right: Array, ends: IntArray, parts: tuple[Part, ...]
+) -> None:
+    """Take what is held out of the unknowns, and let it stand by itself instead."""
+    nodes, held = held_nodes(parts)
+    free = np.eye(6) - held
+    # Of the size of the rest, so that it does no harm to what is solved.
+    scale = np.maximum(np.trace(diagonal[nodes], axis1=1, axis2=2) / 6, 1.0)
+    diagonal[nodes] = free @ diagonal[nodes] @ free + scale[:, None, None] * held
+    right[nodes] = np.einsum("kab,kb->ka", free, right[nodes])
+    which = np.full(len(diagonal), -1)
+    which[nodes] = np.arange(len(nodes))
+    for side in (0, 1):
+        at = which[ends[:, side]]
+        some = np.flatnonzero(at >= 0)
+        P = free[at[some]]
+        pairs[some] = P @ pairs[some] if side == 0 else pairs[some] @ P
+
+
+def step(
+    model: Model, layout: Layout, T: Array, weight: Array, parts: tuple[Part, ...]
+) -> tuple[Array, Factor, float]:
+    """One step of Gauss and Newton: steps (N, 6), factor, and by how much it lowers the squares."""
+    normal, right = normal_equations(layout, model.at(T), weight, parts)
+    factor = factorise(layout.pattern, normal)
+    steps = solve(factor, right[:, :, None])[:, :, 0]
+    return steps, factor, float(np.sum(steps * right))
+
+
+def adjust(
+    model: Model, layout: Layout, T: Array, active: BoolArray, parts: tuple[Part, ...]
+) -> Adjusted:
+    """Find the poses with the least sum of squares of the active observations.
+
+    Parameters
+    ----------
+    model, layout
+        The network.
+    T
+        (N, 4, 4) start.
+    active
+        (M,) which observations count.
+    parts
+        What they leave together, with what is held of each.
+    """
+    weight = active.astype(float)
+    for _ in range(MOST_STEPS):
+        steps, factor, gain = step(model, layout, T, weight, parts)
+        T = moved(T, steps)
+        if gain < SETTLED:
+            return Adjusted(T, factor, True)
+    return Adjusted(T, factor, False)

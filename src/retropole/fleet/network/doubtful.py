@@ -1,0 +1,151 @@
+"""Which observations cannot be told apart from one that was left out, and what hangs by them.
+
+Where only one loop leads through two observations, what does not close there is as well the one's
+error as the other's. One was left out; nothing checks the other any more, and it joins what else is
+apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from ... import se3
+from ...datatypes import Array, BoolArray, IntArray
+from .graph import Graph
+from .parts import Part
+
+
+def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int, tuple[int, ...]]:
+    """Find for each observation that is left out the active ones that may be wrong in its stead.
+
+    Parameters
+    ----------
+    graph
+        The network.
+    active
+        (M,) which observations were adjusted.
+    checked
+        (M,) how many numbers of each the others check.
+
+    Returns
+    -------
+    dict
+        Only of those that have any, in the order in which they lead from one end to the other.
+    """
+    i, j = graph.ends
+    lone = active & (checked == 0)
+    label = _components(graph, active & ~lone)
+    bridges = np.flatnonzero(lone)
+    left_out = np.flatnonzero(~active & (label[i] != label[j]))
+    if not len(bridges) or not len(left_out):
+        return {}
+    size = int(label.max()) + 1
+    a, b = label[i[bridges]], label[j[bridges]]
+    forest = csr_array((np.ones(len(bridges)), (a, b)), shape=(size, size))
+    by_ends = {
+        tuple(sorted(ends)): int(k)
+        for ends, k in zip(zip(a.tolist(), b.tolist(), strict=True), bridges, strict=True)
+    }
+    found = {}
+    for k in left_out.tolist():
+        first, last = int(label[i[k]]), int(label[j[k]])
+        _, before = breadth_first_order(forest, first, directed=False)
+        path, at = [], last
+        while before[at] >= 0:
+            path.append(by_ends[tuple(sorted((at, int(before[at]))))])
+            at = int(before[at])
+        if at == first:
+            found[k] = tuple(reversed(path))
+    return found
+
+
+def outvoted(alone: dict[int, tuple[int, ...]], tried: set[int]) -> dict[int, list[int]]:
+    """Find active observations that two or more which were left out agree to be wrong instead.
+
+    Parameters
+    ----------
+    alone
+        From `inseparable`.
+    tried
+        Those that were taken out for that before.
+
+    Returns
+    -------
+    dict
+        For each the ones to put back in its stead, none of them twice.
+    """
+    against: dict[int, list[int]] = {}
+    for k, path in alone.items():
+        for rival in path:
+            against.setdefault(rival, []).append(k)
+    found: dict[int, list[int]] = {}
+    used: set[int] = set()
+    for rival, back in sorted(against.items(), key=lambda each: (-len(each[1]), each[0])):
+        if len(back) > 1 and rival not in tried and used.isdisjoint(back):
+            found[rival] = back
+            used.update(back)
+    return found
+
+
+def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) -> Array:
+    """Move what hangs by one observation to where another puts it.
+
+    Parameters
+    ----------
+    graph
+        The network.
+    active
+        (M,) which observations were adjusted.
+    T
+        (N, 4, 4) poses.
+    rival
+        An active observation that nothing checks.
+    instead
+        An edge or a known pose that joins the same two sides.
+    """
+    edges, known = graph.edges, graph.known
+    kept = active.copy()
+    kept[rival] = False
+    label = _components(graph, kept)
+    i, j = (int(end[instead]) for end in graph.ends)
+    if instead >= len(edges) + len(known) or label[i] == label[j]:
+        return T
+    if instead >= len(edges):
+        target = known.T_world_node[instead - len(edges)]
+    else:
+        T_i_j = edges.T_i_j[instead]
+        # The side without the ground moves, or the smaller one.
+        sizes = [np.count_nonzero(label == label[end]) for end in (i, j)]
+        if label[j] == label[-1] or (label[i] != label[-1] and sizes[1] > sizes[0]):
+            i, j, T_i_j = j, i, se3.inverse(T_i_j)
+        target = T[i] @ T_i_j
+    T = T.copy()
+    side = label[:-1] == label[j]
+    T[side] = target @ se3.inverse(T[j]) @ T[side]
+    return T
+
+
+def hanging(
+    graph: Graph, active: BoolArray, parts: tuple[Part, ...], rivals: set[int]
+) -> BoolArray:
+    """Which poses (N,) are tied to their datum by observations that may be wrong alone."""
+    if not rivals:
+        return np.zeros(graph.nodes, dtype=bool)
+    kept = active.copy()
+    kept[sorted(rivals)] = False
+    label = _components(graph, kept)
+    doubtful = np.zeros(graph.nodes, dtype=bool)
+    for part in parts:
+        datum = graph.nodes if part.controls else part.nodes[0]
+        doubtful[part.nodes] = label[part.nodes] != label[datum]
+    return doubtful
+
+
+def _components(graph: Graph, kept: BoolArray) -> IntArray:
+    """(N + 1,) which nodes, the ground last, hang together by some of the observations."""
+    i, j = graph.ends
+    size = graph.nodes + 1
+    matrix = coo_array((np.ones(int(kept.sum())), (i[kept], j[kept])), shape=(size, size))
+    return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)

@@ -1,0 +1,197 @@
+"""What a network is made of: poses to find, relative poses between them, and what was surveyed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ... import se3
+from ...datatypes import Array, IntArray
+from ...errors import UsageError
+
+MOST_NODES = 10_000_000
+"""More poses than any city has posts: a count beyond it is a mistake."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Relative poses, each taken as independent of the others.
+
+    Attributes
+    ----------
+    i, j
+        (E,) the two poses of each.
+    T_i_j
+        (E, 4, 4) maps points of j into the frame of i.
+    covariance
+        (E, 6, 6) over ``[φ, δ]``, rad and m, axes of i: ``R_true = Exp(φ) R``, ``t_true = t + δ``.
+    """
+
+    i: IntArray
+    j: IntArray
+    T_i_j: Array
+    covariance: Array
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.i)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPoses:
+    """Poses that are known in the frame of the network, with a covariance.
+
+    Attributes
+    ----------
+    node
+        (K,) which.
+    T_world_node
+        (K, 4, 4) maps points of it into the frame of the network.
+    covariance
+        (K, 6, 6) over ``[φ, δ]``, rad and m, axes of the network.
+    """
+
+    node: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    T_world_node: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 6, 6)))
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.node)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPoints:
+    """Surveyed points that a node sees, or that it stands on.
+
+    Attributes
+    ----------
+    node
+        (P,) who sees it.
+    world
+        (P, 3) where it was surveyed, metres, frame of the network.
+    covariance
+        (P, 3, 3) of survey and sight together, m², axes of the network.
+    seen
+        (P, 3) where the node sees it, metres, in its own frame; its own origin unless given.
+    """
+
+    node: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    world: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    seen: Array | None = None
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.node)
+
+    @property
+    def at(self) -> Array:
+        """(P, 3) where each is in the frame of its node, metres."""
+        return np.zeros((len(self), 3)) if self.seen is None else self.seen
+
+
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """A network to adjust.
+
+    Attributes
+    ----------
+    nodes
+        How many poses are to be found.
+    edges
+        Relative poses between them.
+    known, points
+        What ties them to the frame of the network.
+
+    Raises
+    ------
+    UsageError
+        Of arrays that do not fit together, numbers that are not finite, a node that is not there,
+        an edge from a node to itself, a transform that is not rigid, or a covariance that is not
+        symmetric and positive.
+    """
+
+    nodes: int
+    edges: Edges
+    known: KnownPoses = field(default_factory=KnownPoses)
+    points: ControlPoints = field(default_factory=ControlPoints)
+
+    def __post_init__(self) -> None:
+        """Check all of it."""
+        if not 0 < self.nodes <= MOST_NODES:
+            raise UsageError(f"a network of {self.nodes} poses: expected 1 to {MOST_NODES}")
+        edges, known, points = self.edges, self.known, self.points
+        count = len(edges)
+        for what, ends in (("edge", edges.i), ("edge", edges.j)):
+            _check_nodes(what, ends, self.nodes, count)
+        _check_nodes("known pose", known.node, self.nodes, len(known))
+        _check_nodes("control point", points.node, self.nodes, len(points))
+        loops = np.flatnonzero(edges.i == edges.j)
+        if len(loops):
+            raise UsageError(f"edge {loops[0]} leads from pose {edges.i[loops[0]]} to itself")
+        _check_transforms("edge", edges.T_i_j, count)
+        _check_transforms("known pose", known.T_world_node, len(known))
+        _check_covariances("edge", edges.covariance, count, 6)
+        _check_covariances("known pose", known.covariance, len(known), 6)
+        _check_covariances("control point", points.covariance, len(points), 3)
+        for what, xyz in (("world", points.world), ("seen", points.at)):
+            if xyz.shape != (len(points), 3) or not (np.abs(xyz) <= se3.FARTHEST).all():
+                raise UsageError(
+                    f"control points: {what} is {xyz.shape}, expected finite ({len(points)}, 3)"
+                )
+
+    @property
+    def observations(self) -> int:
+        """How many there are: edges first, then known poses, then control points."""
+        return len(self.edges) + len(self.known) + len(self.points)
+
+    @property
+    def ends(self) -> tuple[IntArray, IntArray]:
+        """(M,) the two ends of every observation; `nodes` stands for the ground."""
+        held = np.concatenate([self.known.node, self.points.node])
+        ground = np.full(len(held), self.nodes)
+        return np.concatenate([self.edges.i, ground]), np.concatenate([self.edges.j, held])
+
+    @property
+    def freedom(self) -> IntArray:
+        """(M,) how many numbers each observation is."""
+        return np.repeat([6, 6, 3], [len(self.edges), len(self.known), len(self.points)])
+
+
+def _check_nodes(what: str, nodes: IntArray, most: int, count: int) -> None:
+    if nodes.shape != (count,) or not np.issubdtype(nodes.dtype, np.integer):
+        raise UsageError(f"poses of each {what}: {nodes.shape} {nodes.dtype}, expected ({count},)")
+    wrong = np.flatnonzero((nodes < 0) | (nodes >= most))
+    if len(wrong):
+        raise UsageError(f"{what} {wrong[0]}: there is no pose {nodes[wrong[0]]} of {most}")
+
+
+def _check_transforms(what: str, T: Array, count: int) -> None:
+    if T.shape != (count, 4, 4):
+        raise UsageError(f"transforms of each {what}: {T.shape}, expected ({count}, 4, 4)")
+    R = T[:, :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
+        fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
+        fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
+    if not fine.all():
+        raise UsageError(f"{what} {np.flatnonzero(~fine)[0]}: its transform is not rigid")
+
+
+def _check_covariances(what: str, covariance: Array, count: int, size: int) -> None:
+    if covariance.shape != (count, size, size):
+        shape = f"({count}, {size}, {size})"
+        raise UsageError(f"covariance of each {what}: {covariance.shape}, expected {shape}")
+    sigma = np.sqrt(np.abs(np.diagonal(covariance, axis1=1, axis2=2)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / sigma[:, :, None] / sigma[:, None, :]
+        fine = np.isfinite(correlation).all(axis=(1, 2))
+    skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
+    fine &= skew < 1e-6
+    fine[fine] = np.linalg.eigvalsh(correlation[fine])[:, 0] > 1e-12
+    if not fine.all():
+        raise UsageError(
+            f"{what} {np.flatnonzero(~fine)[0]}: its covariance is not symmetric and positive"
+        )

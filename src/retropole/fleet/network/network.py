@@ -1,0 +1,178 @@
+"""The network of a city on one page: from relative poses to poses, with covariances and tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ...datatypes import Array, BoolArray
+from .adjustment import find_layout
+from .doubtful import hanging, inseparable
+from .graph import Graph
+from .parts import Part
+from .residuals import Model
+from .snooping import snoop
+from .start import find_start, narrowed
+from .testing import ObservationTests, critical
+
+Kind = Literal["edge", "known pose", "control point"]
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """An observation that does not fit.
+
+    Attributes
+    ----------
+    kind, index
+        Which: its number among those of its kind.
+    w
+        Its χ² against all that were adjusted, as a standard normal number.
+    chi2, freedom
+        That χ², and of how many numbers.
+    rivals
+        Others, by kind and number, that may be wrong in its stead: nothing tells which.
+    """
+
+    kind: Kind
+    index: int
+    w: float
+    chi2: float
+    freedom: int
+    rivals: tuple[tuple[Kind, int], ...]
+
+    @property
+    def reason(self) -> str:
+        """In words."""
+        words = f"{self.kind} {self.index}: w {self.w:.1f} against all others"
+        if self.rivals:
+            others = ", ".join(f"{kind} {index}" for kind, index in self.rivals)
+            words += f"; {others} may be wrong in its stead"
+        return words
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkAdjustment:
+    """A network adjusted.
+
+    Attributes
+    ----------
+    T_world_node
+        (N, 4, 4) poses: map points of each node into the frame of the network.
+    covariance
+        (N, 6, 6) over ``[φ, δ]``, rad and m, axes of the network; zero where the datum holds.
+    cross
+        (E, 6, 6) covariance between the first and the second pose of each edge.
+    edges, known, points
+        ObservationTests of the relative poses, the known poses and the control points.
+    left_out
+        What does not fit and was not adjusted, by kind and number.
+    parts
+        Nodes that hang together, and the datum of each part.
+    doubtful
+        (N,) poses that are tied to their datum by what may be wrong in the stead of what was left
+        out: they may be elsewhere by as much as that misses.
+    unit_variance
+        Sum of squares for each degree of freedom: 1 where the covariances given are right.
+    rounds
+        How often all was adjusted.
+    settled
+        Whether steps and rounds ended by themselves.
+    """
+
+    T_world_node: Array
+    covariance: Array
+    cross: Array
+    edges: ObservationTests
+    known: ObservationTests
+    points: ObservationTests
+    left_out: tuple[LeftOut, ...]
+    parts: tuple[Part, ...]
+    doubtful: BoolArray
+    unit_variance: float
+    rounds: int
+    settled: bool
+
+    def joint(self, graph: Graph, edge: int) -> Array:
+        """(12, 12) covariance of both poses of an edge, ``[φ_i, δ_i, φ_j, δ_j]``."""
+        i, j = graph.edges.i[edge], graph.edges.j[edge]
+        cross = self.cross[edge]
+        return np.block([[self.covariance[i], cross], [cross.T, self.covariance[j]]])
+
+
+def adjust_network(
+    graph: Graph, progress: Callable[[str], None] = lambda _: None
+) -> NetworkAdjustment:
+    """Adjust all poses of a network together, without what does not fit.
+
+    Parameters
+    ----------
+    graph
+        Relative poses, and what ties them to the ground. No pose need be known before.
+    progress
+        Is told each step as it begins.
+
+    Raises
+    ------
+    RetropoleError
+        Where the normal equations cannot be solved.
+    """
+    with threadpool_limits(1, user_api="blas"):
+        return _adjust_network(graph, progress)
+
+
+def _adjust_network(graph: Graph, progress: Callable[[str], None]) -> NetworkAdjustment:
+    model = Model(graph)
+    progress("order")
+    layout = find_layout(model)
+    progress("start")
+    T = find_start(model, layout)
+    T = narrowed(model, layout, T, critical(graph.freedom))
+    progress("tests")
+    found = snoop(model, layout, T)
+    progress("end")
+
+    active, tests = found.active, found.tests
+    alone = inseparable(graph, active, tests.freedom)
+    doubtful = hanging(graph, active, found.parts, {k for path in alone.values() for k in path})
+    cross = found.covariance.pairs[layout.pair]
+    cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
+    shares = np.sum((tests.redundancy * graph.freedom)[active])
+    squares = model.squares(found.adjusted.T)[active].sum()
+    ends = np.cumsum([len(graph.edges), len(graph.known)])
+
+    def named(k: int) -> tuple[Kind, int]:
+        kind = int(np.searchsorted(ends, k, side="right"))
+        kinds: tuple[Kind, ...] = ("edge", "known pose", "control point")
+        return kinds[kind], k - int(ends[kind - 1] if kind else 0)
+
+    left_out = []
+    for k in np.flatnonzero(~active).tolist():
+        rivals = dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
+        left_out.append(
+            LeftOut(
+                *named(k),
+                float(tests.w[k]),
+                float(tests.chi2[k]),
+                int(tests.freedom[k]),
+                tuple(named(r) for r in rivals if active[r]),
+            )
+        )
+    return NetworkAdjustment(
+        found.adjusted.T,
+        found.covariance.diagonal,
+        cross,
+        tests.part(slice(0, ends[0])),
+        tests.part(slice(ends[0], ends[1])),
+        tests.part(slice(ends[1], None)),
+        tuple(left_out),
+        found.parts,
+        doubtful,
+        float(squares / shares) if shares > 0 else 1.0,
+        found.rounds,
+        found.settled,
+    )

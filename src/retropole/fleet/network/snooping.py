@@ -1,0 +1,166 @@
+"""What does not fit is taken out, the worst of each neighbourhood first; what does is put back.
+
+A wrong edge raises the tests of its neighbours too. So only that with the largest χ² around goes,
+the rest is adjusted again, and everything tested anew (data snooping, Baarda 1968), those that are
+out as well, until nothing changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ...datatypes import Array, BoolArray, IntArray
+from .adjustment import Adjusted, Layout, adjust
+from .doubtful import inseparable, outvoted, relaid
+from .elimination import Blocks
+from .graph import Graph
+from .parts import Part, connected, find_parts
+from .residuals import Model
+from .testing import ObservationTests, all_tests, covariances, critical
+
+MOST_ROUNDS = 30
+"""So often the network is adjusted again; cities of 10,000 poses with 1 % wrong
+edges took 2 to 10 (benchmarks/fleet_network.py, seeds 0 to 3)."""
+
+PUT_BACK = 1
+"""So often an observation that was taken out may come back."""
+
+PLAIN = 10.0
+"""How far beyond chance an observation must miss at first to be out before any test, as a multiple
+of the χ² that chance allows: the tests of nearer ones tell better which of two neighbours is
+wrong. With 1 instead, 2 more of 147 detectable errors went unnamed (benchmarks/fleet_network.py,
+seed 0)."""
+
+TOLD_APART = 9.2
+"""Of two edges either of which explains what does not fit, that whose χ² is less by no more than
+this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
+
+
+@dataclass(frozen=True, eq=False)
+class Snooped:
+    """The network without what does not fit.
+
+    Attributes
+    ----------
+    adjusted
+        Its poses.
+    parts
+        Its parts, with the datum of each.
+    covariance
+        Of each pose, and of each two that share an edge.
+    active
+        (M,) which observations were adjusted.
+    tests
+        Of all observations.
+    rivals
+        For some that were taken out, others that were as likely when it was.
+    rounds
+        How often all was adjusted.
+    settled
+        Whether the last round changed nothing more.
+    """
+
+    adjusted: Adjusted
+    parts: tuple[Part, ...]
+    covariance: Blocks
+    active: BoolArray
+    tests: ObservationTests
+    rivals: dict[int, tuple[int, ...]]
+    rounds: int
+    settled: bool
+
+
+def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
+    """Adjust a network without the observations that do not fit.
+
+    Parameters
+    ----------
+    model, layout
+        The network.
+    T
+        (N, 4, 4) poses that most observations agree with.
+    """
+    graph = model.graph
+    squares = model.squares(T)
+    active = connected(graph, squares <= PLAIN * critical(graph.freedom), squares)
+    rivals: dict[int, tuple[int, ...]] = {}
+    tried: set[int] = set()
+    back = np.zeros(len(active), dtype=np.int64)
+    for rounds in range(1, MOST_ROUNDS + 1):
+        parts = find_parts(graph, active)
+        adjusted = adjust(model, layout, T, active, parts)
+        T = adjusted.T
+        covariance = covariances(adjusted, parts)
+        tests = all_tests(model, layout, T, covariance, active)
+        beyond = tests.chi2 > critical(tests.freedom)
+        wrong, fits = active & beyond, ~active & ~beyond & (back < PUT_BACK)
+        worst = worst_around(graph, tests.chi2, wrong)
+        wanted = connected(graph, (active & ~worst) | fits, tests.chi2)
+        if (wanted == active).all():
+            # Two that are out and agree are more than the one that they contradict.
+            out = outvoted(inseparable(graph, active, tests.freedom), tried)
+            if not out or rounds == MOST_ROUNDS:
+                break
+            wanted = active.copy()
+            for rival, instead in out.items():
+                T = relaid(graph, active, T, rival, instead[0])
+                wanted[rival], wanted[instead] = False, True
+            tried |= out.keys()
+            active = wanted
+            continue
+        if rounds < MOST_ROUNDS:
+            rivals |= _as_likely(graph, tests.chi2, active, np.flatnonzero(active & ~wanted))
+            back += wanted & ~active
+            active = wanted
+    settled = adjusted.settled and bool((wanted == active).all())
+    return Snooped(adjusted, parts, covariance, active, tests, rivals, rounds, settled)
+
+
+def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
+    """Which of the wrong observations (M,) have the largest χ² of all around.
+
+    Around an edge are all that share one of its poses, or are one edge away from it.
+    """
+    ends = np.stack(graph.ends)
+    # The ground is no neighbourhood: controls at two ends of a city do not meet there.
+    real = ends < graph.nodes
+    largest = np.zeros(graph.nodes + 1)
+    score = np.where(wrong, chi2, 0.0)
+    for side in (0, 1):
+        np.maximum.at(largest, ends[side][real[side]], score[real[side]])
+    farther = largest.copy()
+    edges = slice(0, len(graph.edges))
+    i, j = ends[0][edges], ends[1][edges]
+    np.maximum.at(farther, i, largest[j])
+    np.maximum.at(farther, j, largest[i])
+    around = np.maximum(
+        np.where(real[0], farther[ends[0]], 0), np.where(real[1], farther[ends[1]], 0)
+    )
+    return wrong & (score >= around)
+
+
+def _as_likely(
+    graph: Graph, chi2: Array, active: BoolArray, taken_out: IntArray
+) -> dict[int, tuple[int, ...]]:
+    """Observations that share a pose with one that is taken out, and are as likely to be wrong."""
+    if not len(taken_out):
+        return {}
+    candidates = np.flatnonzero(active & (chi2 > chi2[taken_out].min() - TOLD_APART))
+    ends = np.stack(graph.ends, axis=1)
+    rows, columns = np.repeat(np.arange(len(candidates)), 2), ends[candidates].ravel()
+    real = columns < graph.nodes
+    at = csr_array(
+        (np.ones(int(real.sum())), (columns[real], rows[real])),
+        shape=(graph.nodes, len(candidates)),
+    )
+    found = {}
+    for k in taken_out.tolist():
+        near = [at.indices[at.indptr[n] : at.indptr[n + 1]] for n in ends[k] if n < graph.nodes]
+        others = candidates[np.unique(np.concatenate(near))]
+        others = others[(others != k) & (chi2[others] > chi2[k] - TOLD_APART)]
+        if len(others):
+            found[k] = tuple(others.tolist())
+    return found

@@ -1,0 +1,185 @@
+"""Every observation tested against all others, and the least error that the test finds.
+
+What an observation misses, and how much of an error of it shows there, follow from the covariance
+of its own ends alone (Baarda 1968): with A its whitened derivative and Q that covariance, an error
+∇ shows as ``(I − A Q Aᵀ) ∇``. How much the sum of squares falls without the observation is its χ².
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
+
+from ...datatypes import Array, BoolArray, IntArray
+from .adjustment import Adjusted, Layout, held_nodes
+from .elimination import Blocks
+from .marginals import selected_inverse
+from .parts import Part
+from .residuals import Model, Whitened
+
+SIGNIFICANT = 1e-5
+"""Probability of a sound observation's χ² to be beyond what is taken for chance: a hundredth of the
+sound edges that may be lost at most, one in a thousand. w is then 4.4."""
+
+POWER = 0.8
+"""With which probability the least detectable error is found (Baarda 1968)."""
+
+LEAST_CHECKED = 1e-5
+"""Part of an error that must show in the residuals to be tested: far above the rounding that is
+left of what nothing checks, far below what any test could find."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationTests:
+    """Tests of some observations.
+
+    Attributes
+    ----------
+    chi2
+        (K,) by how much the sum of squares falls without the observation, or, where it is left
+        out, would rise with it.
+    freedom
+        (K,) how many numbers of it the others check; 0 where nothing does.
+    w
+        (K,) the χ² as a standard normal number of the same probability, two-sided.
+    redundancy
+        (K,) part of its errors that shows in its residuals, 0 to 1.
+    detectable_rotation, detectable_translation
+        (K,) least rotation, rad, and translation, m, in the direction in which it shows least,
+        that the test finds with `POWER`; infinite where nothing checks one.
+    """
+
+    chi2: Array
+    freedom: IntArray
+    w: Array
+    redundancy: Array
+    detectable_rotation: Array
+    detectable_translation: Array
+
+    def part(self, some: slice) -> ObservationTests:
+        """Those of some of the observations."""
+        return ObservationTests(
+            self.chi2[some],
+            self.freedom[some],
+            self.w[some],
+            self.redundancy[some],
+            self.detectable_rotation[some],
+            self.detectable_translation[some],
+        )
+
+
+def covariances(adjusted: Adjusted, parts: tuple[Part, ...]) -> Blocks:
+    """Covariance of each pose (N, 6, 6), and of each two that share an edge (P, 6, 6)."""
+    found = selected_inverse(adjusted.factor)
+    nodes, held = held_nodes(parts)
+    free = np.eye(6) - held
+    found.diagonal[nodes] = free @ found.diagonal[nodes] @ free
+    return found
+
+
+def all_tests(
+    model: Model, layout: Layout, T: Array, covariance: Blocks, active: BoolArray
+) -> ObservationTests:
+    """Test all observations (M,): edges, known poses, control points.
+
+    Parameters
+    ----------
+    model, layout
+        The network.
+    T
+        (N, 4, 4) adjusted poses.
+    covariance
+        From `covariances`.
+    active
+        (M,) which observations were adjusted; the others are tested against these.
+    """
+    graph = model.graph
+    edges, known, points = model.at(T)
+    assert edges.by_i is not None
+    cross = covariance.pairs[layout.pair]
+    cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
+    own = covariance.diagonal
+    mixed = edges.by_i @ cross @ np.swapaxes(edges.by_j, 1, 2)
+    taken_up = _through(edges.by_i, own[graph.edges.i]) + _through(edges.by_j, own[graph.edges.j])
+    taken_up += mixed + np.swapaxes(mixed, 1, 2)
+    ends = np.cumsum([len(graph.edges), len(graph.known)])
+    used = np.split(active, ends)
+    some = (
+        _tests(edges, taken_up, model.roots[0], used[0]),
+        _tests(known, _through(known.by_j, own[graph.known.node]), model.roots[1], used[1]),
+        _tests(points, _through(points.by_j, own[graph.points.node]), model.roots[2], used[2]),
+    )
+    return ObservationTests(
+        *(
+            np.concatenate([getattr(one, name) for one in some])
+            for name in ObservationTests.__dataclass_fields__
+        )
+    )
+
+
+def _through(J: Array, covariance: Array) -> Array:
+    return np.asarray(J @ covariance @ np.swapaxes(J, 1, 2))
+
+
+def _tests(of: Whitened, taken_up: Array, root: Array, active: BoolArray) -> ObservationTests:
+    """Test observations of one kind, `taken_up` (K, D, D) the covariance of what the poses say."""
+    count, size = of.residual.shape
+    shows = np.empty_like(taken_up)
+    shows[active] = np.eye(size) - taken_up[active]
+    # One that is left out would take the poses along so far.
+    shows[~active] = np.linalg.inv(np.eye(size) + taken_up[~active])
+    shows = (shows + np.swapaxes(shows, 1, 2)) / 2
+    part, way = np.linalg.eigh(shows)
+    told = part > LEAST_CHECKED
+    along = np.einsum("kab,ka->kb", way, of.residual)
+    part = np.where(told, part, 1.0)
+    scaled = np.where(active[:, None], along**2 / part, along**2 * part)
+    chi2 = np.sum(np.where(told, scaled, 0.0), axis=1)
+    freedom = np.count_nonzero(told, axis=1)
+    redundancy = np.clip(np.sum(np.where(told, part, 0.0), axis=1) / size, 0.0, 1.0)
+    information = (
+        np.swapaxes(root, 1, 2)
+        @ ((way * np.where(told, part, 0.0)[:, None]) @ np.swapaxes(way, 1, 2))
+        @ root
+    )
+    whole = np.swapaxes(root, 1, 2) @ root
+    least = np.array([noncentrality(k) for k in range(size + 1)])[freedom]
+    nothing = np.full(count, np.inf)
+    blocks = (slice(0, 3), slice(3, 6)) if size == 6 else (None, slice(0, 3))
+    rotation, translation = (
+        nothing if b is None else _detectable(information[:, b, b], whole[:, b, b], least)
+        for b in blocks
+    )
+    return ObservationTests(
+        chi2, freedom, normalised(chi2, freedom), redundancy, rotation, translation
+    )
+
+
+def _detectable(information: Array, whole: Array, least: Array) -> Array:
+    """Least error (K,) that is found in the direction in which it shows least."""
+    shown = np.linalg.eigvalsh(information)[:, 0]
+    checked = shown > LEAST_CHECKED * np.linalg.eigvalsh(whole)[:, 0]
+    return np.where(checked, np.sqrt(least / np.where(checked, shown, 1.0)), np.inf)
+
+
+def normalised(chi2: Array, freedom: IntArray) -> Array:
+    """Give each χ² as a standard normal number of the same probability; 0 without freedom."""
+    p = np.where(freedom > 0, chdtrc(np.maximum(freedom, 1), chi2), 1.0)
+    # Where the probability is too small for a number, the χ² is its own best measure.
+    return np.where(p > 1e-300, np.sqrt(2) * erfcinv(np.maximum(p, 1e-300)), np.sqrt(chi2))
+
+
+def critical(freedom: IntArray) -> Array:
+    """χ² (K,) from which on an observation is no chance; infinite without freedom."""
+    return np.where(freedom > 0, chdtri(np.maximum(freedom, 1), SIGNIFICANT), np.inf)
+
+
+@lru_cache
+def noncentrality(freedom: int, power: float = POWER) -> float:
+    """Mean by which an error must raise χ² to be found with some probability."""
+    if not freedom:
+        return np.inf
+    return float(chndtrinc(chdtri(freedom, SIGNIFICANT), freedom, 1 - power))

@@ -1,0 +1,80 @@
+"""Small networks whose truth is known, and their dense counterparts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from retropole import se3
+from retropole.datatypes import Array, IntArray
+from retropole.fleet.network.elimination import Blocks
+from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPoses
+from retropole.simulation.city import SURVEY, City, simulate_city
+
+
+def city(
+    seed: int = 0, nodes: int = 60, wrong: float = 0.0, controls: int = 8
+) -> tuple[City, Graph]:
+    """A city and the network of what was measured in it."""
+    drawn = simulate_city(nodes, np.random.default_rng(seed), wrong, controls)
+    covariance = np.tile(np.eye(3) * SURVEY**2, (len(drawn.control), 1, 1))
+    graph = Graph(
+        len(drawn.T_world_node),
+        Edges(drawn.i, drawn.j, drawn.T_i_j, drawn.covariance),
+        points=ControlPoints(drawn.control, drawn.surveyed, covariance),
+    )
+    return drawn, graph
+
+
+def ladder(length: int, rng: np.random.Generator, sigma: float = 1e-3) -> tuple[Array, Graph]:
+    """True poses, and a network of two rows of nodes with rungs; the first pose is known.
+
+    Edges are the rails first, then the rungs, then a brace across each field: without it the rails
+    of a field could not be told apart.
+    """
+    count = 2 * length
+    T = np.array([se3.random(rng) for _ in range(count)])
+    T[:, :2, 3] += 10.0 * np.stack([np.arange(count) // 2, np.arange(count) % 2], axis=1)
+    k = np.arange(count - 2)
+    braces = np.stack([k[::2], k[::2] + 3], axis=1)
+    ends = np.concatenate([np.stack([k, k + 2], 1), np.arange(count).reshape(-1, 2), braces])
+    return T, network_of(T, ends, rng, sigma)
+
+
+def network_of(T: Array, ends: IntArray, rng: np.random.Generator, sigma: float = 1e-3) -> Graph:
+    """A network of edges between true poses with isotropic noise; the first pose is known."""
+    i, j = ends.T
+    measured = np.linalg.inv(T[i]) @ T[j]
+    noise = sigma * rng.normal(size=(len(i), 6))
+    measured = np.array([se3.retract(a, step) for a, step in zip(measured, noise, strict=True)])
+    covariance = np.tile(np.eye(6) * sigma**2, (len(i), 1, 1))
+    known = KnownPoses(np.array([0]), T[:1], np.eye(6)[None] * 1e-8)
+    return Graph(len(T), Edges(i, j, measured, covariance), known)
+
+
+def spoiled(graph: Graph, edge: int, step: Array) -> Graph:
+    """The same network with a gross error in one edge."""
+    measured = graph.edges.T_i_j.copy()
+    measured[edge] = se3.retract(measured[edge], step)
+    return replace(graph, edges=replace(graph.edges, T_i_j=measured))
+
+
+def dense(matrix: Blocks, pairs: IntArray) -> Array:
+    """All of a symmetric matrix of blocks."""
+    size, b, _ = matrix.diagonal.shape
+    out = np.zeros((size, b, size, b))
+    k = np.arange(size)
+    out[k, :, k, :] = matrix.diagonal
+    out[pairs[:, 0], :, pairs[:, 1], :] = matrix.pairs
+    out[pairs[:, 1], :, pairs[:, 0], :] = np.swapaxes(matrix.pairs, 1, 2)
+    return out.reshape(size * b, size * b)
+
+
+def in_sigma(T: Array, other: Array, covariance: Array) -> float:
+    """Largest distance of poses from others in their stated σ."""
+    worst = 0.0
+    for a, b, C in zip(T, other, covariance, strict=True):
+        step = se3.local(a, b)
+        worst = max(worst, float(np.abs(step / np.sqrt(np.diag(C))).max()))
+    return worst

@@ -1,0 +1,64 @@
+import numpy as np
+
+from retropole import se3
+from retropole.fleet.network.adjustment import (
+    Adjusted,
+    adjust,
+    find_layout,
+    normal_equations,
+)
+from retropole.fleet.network.graph import Graph
+from retropole.fleet.network.parts import find_parts
+from retropole.fleet.network.residuals import Model
+from tests.fleet.network.networks import city, dense, ladder
+
+
+def adjusted(graph: Graph, T: np.ndarray) -> Adjusted:
+    model = Model(graph)
+    active = np.ones(graph.observations, dtype=bool)
+    return adjust(model, find_layout(model), T, active, find_parts(graph, active))
+
+
+def test_normal_equations_are_those_of_the_dense_derivatives() -> None:
+    drawn, graph = city(7, 20)
+    model, T = Model(graph), drawn.T_world_node
+    layout = find_layout(model)
+    rng = np.random.default_rng(0)
+    weight = rng.uniform(0.1, 1, graph.observations)
+    parts = find_parts(graph, weight > 0)
+    normal, right = normal_equations(layout, model.at(T), weight, parts)
+    rows, missed = [], []
+    starts = np.cumsum([0, len(graph.edges), len(graph.known)])
+    first, second = graph.ends
+    for kind, one in enumerate(model.at(T)):
+        for k in range(len(one.residual)):
+            root = np.sqrt(weight[starts[kind] + k])
+            J = np.zeros((one.residual.shape[1], graph.nodes + 1, 6))
+            if one.by_i is not None:
+                J[:, first[starts[kind] + k]] = root * one.by_i[k]
+            J[:, second[starts[kind] + k]] += root * one.by_j[k]
+            rows.append(J[:, :-1].reshape(len(J), -1))
+            missed.append(root * one.residual[k])
+    A, e = np.concatenate(rows), np.concatenate(missed)
+    found = dense(normal, layout.pattern.pairs)
+    np.testing.assert_allclose(found, A.T @ A, atol=1e-9 * found.max())
+    np.testing.assert_allclose(right.ravel(), -A.T @ e, atol=1e-9 * np.abs(A.T @ e).max())
+
+
+def test_exact_edges_give_the_true_poses() -> None:
+    T, graph = ladder(6, np.random.default_rng(8), sigma=1e-3)
+    edges = graph.edges
+    edges.T_i_j[:] = np.linalg.inv(T[edges.i]) @ T[edges.j]
+    rng = np.random.default_rng(0)
+    start = np.array([se3.retract(one, 0.2 * rng.normal(size=6)) for one in T])
+    found = adjusted(graph, start)
+    assert found.settled
+    np.testing.assert_allclose(found.T, T, atol=1e-9)
+
+
+def test_where_it_starts_does_not_matter() -> None:
+    drawn, graph = city(9, 40)
+    rng = np.random.default_rng(1)
+    one = adjusted(graph, drawn.T_world_node)
+    start = [se3.retract(T, 0.1 * rng.normal(size=6)) for T in drawn.T_world_node]
+    np.testing.assert_allclose(adjusted(graph, np.array(start)).T, one.T, atol=1e-7)
