@@ -1,0 +1,1 @@
+"""Thousands of sites: calibrated together, adjusted as a network, watched over time."""
