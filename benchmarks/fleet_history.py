@@ -26,9 +26,10 @@ import numpy as np
 
 from retropole.alignment.certainty import floor
 from retropole.datatypes import Array, PoseEstimate
+from retropole.fleet.history.events import Watched
 from retropole.fleet.history.model import YEAR, Observed
 from retropole.fleet.history.rows import CheckRow, observed
-from retropole.fleet.history.watch import Watched, watch
+from retropole.fleet.history.watch import watch
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, record_again, simulate_pair

@@ -19,7 +19,8 @@ LAYERS = (
     # The method and its answer.
     *("verdict", "fitness", "pipeline", "site", "result"),
     # Around the method, and what people touch.
-    *("simulation", "export", "report", "evaluation", "monitoring", "api", "cli", "__main__"),
+    *("simulation", "export", "report", "evaluation", "monitoring", "api"),
+    *("fleet", "cli", "__main__"),
 )
 """Modules and folders of the package; each imports only what stands before it."""
 

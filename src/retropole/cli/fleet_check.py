@@ -14,8 +14,8 @@ from .check import EXIT_MOVED
 from .common import CONTEXT, DEGREES, EXIT_REFUSED, METRES, progress_on_terminal, show
 
 if TYPE_CHECKING:
+    from ..fleet.history.events import Event
     from ..fleet.history.run import FleetCheck, SiteChange
-    from ..fleet.history.watch import Event
 
 SCHEMA = "retropole/fleet-check/1"
 
@@ -180,10 +180,9 @@ def _said(site: SiteChange, event: Event) -> str:
     new = ", new" if site.is_new(event) else ""
     if event.size is None or event.covariance is None:
         return f"checks that do not agree since {since}{new}"
-    words = []
-    for part, unit in ((slice(0, 3), "rad"), (slice(3, 6), "m")):
-        length, sigma = lengths(event, part)
-        words.append(value_and_error(length, sigma, unit))
+    words: list[str] = []
+    words.append(value_and_error(*lengths(event, slice(0, 3)), "rad"))
+    words.append(value_and_error(*lengths(event, slice(3, 6))))
     per = " a year" if event.kind == "trend" else ""
     unclear = "" if event.is_clear else ", or the other of step and trend"
     return f"{event.kind} since {since}: {words[0]}, {words[1]}{per} (1 σ{unclear}{new})"

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from ...alignment.certainty import floor
@@ -102,7 +103,7 @@ class Changes:
 
     onset: Array
     days: Array
-    is_trend: Array
+    is_trend: NDArray[np.bool_]
     deviation: Array
     information: Array
     vector: Array

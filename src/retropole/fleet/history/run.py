@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from ...monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
 from . import store
 from .check import WatchedSite, check_site
+from .events import Event, Watched
 from .rows import CheckRow, observed
-from .watch import Event, Watched, watch
+from .watch import watch
 
 FLUSH = 100
 """Rows after which they are appended: an interrupt loses no more than these."""
@@ -127,7 +129,7 @@ def changes_of(rows: Sequence[CheckRow]) -> SiteChange:
 
 
 @contextmanager
-def _mapping(processes: int) -> Iterator[Callable[..., Iterable[object]]]:
+def _mapping(processes: int) -> Iterator[Callable[..., Iterable[Any]]]:
     if processes == 1:
         yield map
         return
