@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, get_args
 
 import click
 from msgspec import to_builtins
 
 from ..io.units import Unit
 from ..monitoring.tolerance import DEFAULT_TOLERANCE
-from ..result import DEFAULT_CONFIG, ReasonDoc, confirmation_document
+from ..result import ReasonDoc, confirmation_document
 from .common import (
     CLOUD,
     CONTEXT,
@@ -27,12 +27,8 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..api.inputs import Input
-    from ..datatypes import Array, PoseEstimate
-    from ..errors import Reason
+    from ..datatypes import Array
     from ..monitoring.movement import CheckResult, Movement
-    from ..result import RunConfig
-    from ..uncertainty import Uncertainty
 
 EXIT_MOVED = 4
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
@@ -119,22 +115,23 @@ def check(
       4    moved
       130  interrupted
     """
-    from dataclasses import replace
-
     import numpy as np
 
+    from ..api.checking import checked, read_stored, topic_for
     from ..errors import Reason, Refusal
-    from ..monitoring.drift import check as run
     from ..monitoring.movement import CheckResult
     from ..monitoring.tolerance import Tolerance
     from ..reasons import prefixed
 
     if (sigma_deg is None) != (sigma_m is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
+    sigma = None
+    if sigma_deg is not None and sigma_m is not None:
+        sigma = float(np.radians(sigma_deg)), sigma_m
     with progress_on_terminal(quiet or as_json) as progress:
         progress("read")
         try:
-            stored = _stored(result, sigma_deg, sigma_m)
+            stored = read_stored(result, sigma)
         except Refusal as refusal:
             code = prefixed("stored", refusal.code)
             answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
@@ -144,7 +141,7 @@ def check(
                 target,
                 config.sensor_target,
                 config.threshold_target,
-                topic=_topic(target, target_topic, config.target_topic),
+                topic=topic_for(target, target_topic, config.target_topic),
                 unit=unit or config.unit,
                 quiet=quiet,
                 progress=progress,
@@ -153,120 +150,19 @@ def check(
                 source,
                 config.sensor_source,
                 config.threshold_source,
-                topic=_topic(source, source_topic, config.source_topic),
+                topic=topic_for(source, source_topic, config.source_topic),
                 unit=unit_source or unit or config.source_unit,
                 quiet=quiet,
                 progress=progress,
             )
             progress("check")
-            swapped = _swapped(stored, of_target, of_source)
-            answer = (
-                CheckResult("cannot_tell", (swapped,))
-                if swapped is not None
-                else run(
-                    stored.pose,
-                    of_target.cloud,
-                    of_source.cloud,
-                    uncertainty=stored.uncertainty,
-                    tolerance=Tolerance(float(np.radians(tolerance_deg)), tolerance_m),
-                    radius=config.radius_m,
-                    radius_sigma=config.radius_sigma_m,
-                    sensors=(of_target.sensor, of_source.sensor),
-                    thresholds=(config.threshold_target, config.threshold_source),
-                )
-            )
-            answer = replace(answer, reasons=(*answer.reasons, *stored.warnings))
+            tolerance = Tolerance(float(np.radians(tolerance_deg)), tolerance_m)
+            answer = checked(stored, of_target, of_source, tolerance)
     if as_json:
         show(json_line(answer))
     elif not quiet:
         show(in_colour(in_words(answer), answer.status))
     return EXITS[answer.status]
-
-
-class Stored(NamedTuple):
-    """What RESULT holds: the pose, the options of its run, and what it warned of.
-
-    `uncertainty` is of a result that tells random and systematic errors apart, `hashes` are
-    those of target and source of each placement.
-    """
-
-    pose: PoseEstimate
-    config: RunConfig
-    warnings: tuple[Reason, ...]
-    uncertainty: Uncertainty | None = None
-    hashes: tuple[tuple[str, str], ...] = ()
-
-
-def _stored(path: Path, sigma_deg: float | None, sigma_m: float | None) -> Stored:
-    """Read RESULT; of a file that is not a result document, the options are the default ones.
-
-    Raises
-    ------
-    Refusal
-        Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
-    """
-    import numpy as np
-
-    from ..datatypes import PoseEstimate
-    from ..errors import Reason, Refusal
-    from ..export import inverted, read_transform
-    from ..export.documents import is_result, result_file
-    from ..files import read_document
-    from ..reasons import prefixed
-    from ..result import uncertainty_of
-    from ..result.decoding import decode
-
-    transform = read_transform(path)
-    if transform.roles == ("source", "target"):
-        transform = inverted(transform)
-    covariance = transform.covariance
-    if sigma_deg is not None and sigma_m is not None:
-        covariance = np.diag(np.r_[np.full(3, np.radians(sigma_deg)), np.full(3, sigma_m)] ** 2)
-    if covariance is None:
-        raise Refusal(
-            "no_covariance",
-            f"{path} does not say how certain it is: give result.json, or --sigma-deg and "
-            "--sigma-m",
-        )
-    pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    data = read_document(result_file(path))
-    if not is_result(data):
-        return Stored(pose, DEFAULT_CONFIG, ())
-    document = decode(data)
-    warnings = tuple(
-        Reason(prefixed("stored", reason.code), reason.message, reason.values)
-        for reason in document.reasons
-    )
-    given = sigma_deg is not None
-    parts = None if given else uncertainty_of(document.uncertainty, document.budget)
-    hashes = [item.sha256 for item in document.inputs]
-    pairs = tuple(zip(hashes[::2], hashes[1::2], strict=False))
-    return Stored(pose, document.config, warnings, parts, pairs)
-
-
-def _swapped(stored: Stored, target: Input, source: Input) -> Reason | None:
-    """Say that the files of RESULT, or its topics, are given the other way round."""
-    from ..io import sha256_of
-    from ..monitoring.swapped import swap
-
-    known = stored.config.target_topic, stored.config.source_topic
-    if None not in known and known[0] != known[1] and (source.topic, target.topic) == known:
-        words = f"RESULT's target is the topic {known[0]}, and its source {known[1]}"
-        return swap(words, {"told_by": "topics"})
-    if all(first == second for first, second in stored.hashes):
-        return None
-    if (sha256_of(source.name), sha256_of(target.name)) not in stored.hashes:
-        return None
-    return swap("RESULT was made of these very files", {"told_by": "hashes"})
-
-
-def _topic(path: Path, given: str | None, known: str | None) -> str | None:
-    """Take the topic that is given, else that of RESULT where there is a bag to look for it in."""
-    from ..io import topics_of
-
-    if given is not None or known is None:
-        return given
-    return known if topics_of(path) else None
 
 
 def json_line(answer: CheckResult) -> str:

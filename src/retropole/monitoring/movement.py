@@ -73,6 +73,9 @@ class CheckResult:
         translation of the source's origin.
     covariance
         (6, 6) of the step: what of both poses' errors does not cancel.
+    random
+        (6, 6) of that what each new check draws anew; the rest is the same in all checks that find
+        the pose the same way.
     chi2, p_value
         The test, and how often so much comes about where nothing moved.
     power
@@ -87,6 +90,7 @@ class CheckResult:
     T_target_source: Array | None = None
     step: Array | None = None
     covariance: Array | None = None
+    random: Array | None = None
     chi2: float | None = None
     p_value: float | None = None
     power: float | None = None
@@ -167,7 +171,16 @@ def compare_poses(
         message = "that it moved is certain, but not by how much: " + _in_words(covariance)
         said.append(Reason("size_unsure", message, {}))
     return CheckResult(
-        status, tuple(said), used, new.T_target_source, step, covariance, chi2, p_value, power
+        status,
+        tuple(said),
+        used,
+        new.T_target_source,
+        step,
+        covariance,
+        parts[1].random,
+        chi2,
+        p_value,
+        power,
     )
 
 

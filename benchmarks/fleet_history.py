@@ -1,0 +1,335 @@
+"""How soon a change of a watched site is found, and how often one is found where there was none.
+
+Sites with two years of weekly checks, whose scatter follows one of several laws. The rows are drawn
+here: of each law as many sites without a change, with a step (0.3° or 3 cm), and with a drift of
+1 cm a year. The laws of `TUNE` set the constants of the detector, on seeds below 1000; those of
+`STATE` are others, on seeds from 2000 on. `--recorded N` has N simulated sites recorded again and
+again, and checked as `retropole check` does, to see whether rows scatter as their covariance says.
+Prints Markdown tables.
+
+    python benchmarks/fleet_history.py --sites 200 --first 2000
+    python benchmarks/fleet_history.py --recorded 6 --checks 12 --first 2000
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+
+from retropole.alignment.certainty import floor
+from retropole.datatypes import Array, PoseEstimate
+from retropole.fleet.history.events import Watched
+from retropole.fleet.history.model import YEAR, Observed
+from retropole.fleet.history.rows import CheckRow, observed
+from retropole.fleet.history.watch import watch
+from retropole.monitoring.drift import check
+from retropole.pipeline import calibrate
+from retropole.simulation import NOISE_MODELS, record_again, simulate_pair
+
+WEEKS = 104
+SIGMAS = (np.radians(0.003), np.radians(0.05)), (0.0005, 0.005)
+"""Between which 1 σ of a check's random part lies, rad and m, at all sites (log-uniform): one sweep
+of a street or a harbour gives the least of it, one of a corridor, or of a road, the most."""
+
+STEP = float(np.radians(0.3)), 0.03
+DRIFT = 0.01
+SCENES = ("corridor", "street", "harbor")
+
+
+@dataclass(frozen=True)
+class Law:
+    """How the checks of a site scatter.
+
+    Attributes
+    ----------
+    tails
+        Degrees of freedom of Student's t, of variance one; None is Gaussian.
+    correlation
+        Of a check with the next, a week later.
+    factor
+        σ of the scatter beside what the rows state.
+    missing, gap
+        Share of the weeks without a check, and weeks of one gap.
+    season
+        Amplitude of an annual movement, m, and half as many times 0.01°/1 mm of rotation.
+    lorries
+        Share of the checks that are off by 10 to 30 σ.
+    other
+        Share of the checks found by the scene alone, with an offset of its own.
+    """
+
+    tails: float | None = None
+    correlation: float = 0.0
+    factor: float = 1.0
+    missing: float = 0.0
+    gap: int = 0
+    season: float = 0.0
+    lorries: float = 0.0
+    other: float = 0.0
+
+
+TUNE = {
+    "Gaussian": Law(),
+    "tails": Law(tails=5.0, lorries=0.01),
+    "correlated": Law(correlation=0.5),
+    "too small": Law(factor=1.3),
+    "missing": Law(missing=0.1),
+    "seasonal": Law(season=0.002),
+    "two ways": Law(other=0.2),
+}
+STATE = {
+    "Gaussian": Law(),
+    "heavy tails": Law(tails=3.0, lorries=0.02),
+    "correlated": Law(correlation=0.7),
+    "covariance too small": Law(factor=1.5),
+    "missing weeks": Law(missing=0.2, gap=8),
+    "seasonal": Law(season=0.003),
+    "two ways": Law(other=0.3),
+    "all at once": Law(4.0, 0.4, 1.3, 0.1, 4, 0.0015, 0.01, 0.2),
+}
+"""Laws of a table; a name says what is unlike a Gaussian scatter as stated."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one site, in checks after the change; None where it was not found."""
+
+    law: str
+    change: str
+    years: float
+    false: int
+    found: int | None = None
+    within_days: float | None = None
+    right: bool = False
+    clear: bool = False
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What came of a site that was recorded again and again."""
+
+    seed: int
+    checks: int
+    told: int
+    chi2: list[float]
+    scale: float
+    alarms: int
+
+
+def direction(rng: np.random.Generator) -> Array:
+    """Draw a direction (3,)."""
+    vector = rng.normal(size=3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def scatter(law: Law, sigmas: Array, rng: np.random.Generator) -> Array:
+    """Draw what each check errs by (WEEKS, 6), with the covariance of unit axes."""
+    white = rng.normal(size=(WEEKS, 6))
+    if law.tails is not None:
+        shrink = np.sqrt(rng.chisquare(law.tails, WEEKS) / (law.tails - 2.0))
+        white /= shrink[:, None]
+    noise = white.copy()
+    for k in range(1, WEEKS):
+        noise[k] = law.correlation * noise[k - 1] + np.sqrt(1 - law.correlation**2) * white[k]
+    off = rng.random(WEEKS) < law.lorries
+    for k in np.flatnonzero(off):
+        way = rng.normal(size=6)
+        noise[k] += rng.uniform(10, 30) * way / np.linalg.norm(way)
+    return np.asarray(law.factor * noise)
+
+
+def drawn(law: Law, change: str, seed: int) -> tuple[list[Observed], float]:
+    """Draw a site's checks, and the day of its change (of a step: of the check before)."""
+    rng = np.random.default_rng([16, seed])
+    sigmas = np.repeat([np.exp(rng.uniform(*np.log(each))) for each in SIGMAS], 3)
+    # A rotation about a far centre moves the origin: both parts correlate.
+    A = np.eye(6) + 0.4 * rng.normal(size=(6, 6))
+    A *= (sigmas / np.linalg.norm(A, axis=1))[:, None]
+    common = 1.5 * A @ A.T + 2.0 * floor()
+    level, other = (np.linalg.cholesky(common) @ rng.normal(size=6) for _ in range(2))
+    spread = np.exp(0.2 * rng.normal(size=WEEKS))
+    noise = spread[:, None] * (scatter(law, sigmas, rng) @ A.T)
+    days = 20000.0 + 7.0 * np.arange(WEEKS) + rng.uniform(-0.2, 0.2, WEEKS)
+    days += rng.uniform(0, YEAR)
+    size = np.r_[direction(rng) * law.season * np.radians(0.005) / 0.001, direction(rng)]
+    size[3:] *= law.season
+    season = size * np.cos(2 * np.pi * days[:, None] / YEAR + rng.uniform(0, 2 * np.pi, 6))
+    moved, since = np.zeros((WEEKS, 6)), np.inf
+    if change == "step":
+        k = int(rng.integers(12, WEEKS - 4))
+        part, size_of = ((slice(0, 3), STEP[0]), (slice(3, 6), STEP[1]))[int(rng.integers(2))]
+        moved[k:, part], since = size_of * direction(rng), days[k - 1]
+    elif change == "drift":
+        since = days[int(rng.integers(0, 50))]
+        along = np.maximum(days - since, 0.0) / YEAR
+        moved[:, 3:] = DRIFT * along[:, None] * direction(rng)
+    there = rng.random(WEEKS) >= law.missing
+    if law.gap:
+        start = int(rng.integers(0, WEEKS - law.gap))
+        there[start : start + law.gap] = False
+    by_scene = rng.random(WEEKS) < law.other
+    by_scene[0] = False
+    there[0] = True
+    checks = [
+        Observed(
+            float(days[k]),
+            level + other * by_scene[k] + season[k] + noise[k] + moved[k],
+            spread[k] ** 2 * A @ A.T,
+            common,
+            bool(by_scene[k]),
+        )
+        for k in np.flatnonzero(there)
+    ]
+    return checks, float(since)
+
+
+def judged(
+    name: str, change: str, checks: Sequence[Observed], since: float, seen: Watched
+) -> Outcome:
+    """Tell the alarms before a change, which are false, from the one that finds it."""
+    days = np.array([one.days for one in checks])
+    years = float(min(since, days[-1]) - days[0]) / YEAR
+    false = [event for event in seen.alarms if days[event.found] <= since]
+    true = [event for event in seen.alarms if days[event.found] > since]
+    if change == "none" or not true:
+        return Outcome(name, change, years, len(false))
+    first = true[0]
+    right = first.kind == {"step": "step", "drift": "trend"}[change]
+    number = int((days[: first.found + 1] > since).sum())
+    late = float(days[first.found] - since)
+    return Outcome(name, change, years, len(false), number, late, right, first.is_clear)
+
+
+def run(seed: int, *, laws: dict[str, Law], changes: Sequence[str]) -> list[Outcome]:
+    """Draw a site of each law with each change, and watch it."""
+    found = []
+    for number, (name, law) in enumerate(laws.items()):
+        for change in changes:
+            checks, since = drawn(law, change, 100_000 * number + seed)
+            found.append(judged(name, change, checks, since, watch(checks)))
+    return found
+
+
+def table(outcomes: Sequence[Outcome], laws: dict[str, Law]) -> None:
+    print(
+        "| scatter | false alarms in site-years | steps found by the second check | told as a step "
+        "| drifts found within a year | median, 95 % days | told as a trend |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for name in laws:
+        own = [one for one in outcomes if one.law == name]
+        quiet, steps, drifts = (
+            [one for one in own if one.change == change] for change in ("none", "step", "drift")
+        )
+        soon = [one for one in steps if one.found is not None and one.found <= 2]
+        year = [one for one in drifts if one.within_days is not None and one.within_days <= YEAR]
+        told = [one for one in drifts if one.found is not None]
+        late = np.array([one.within_days or np.inf for one in drifts] or [np.nan])
+        print(
+            f"| {name} | {sum(one.false for one in quiet)} in "
+            f"{sum(one.years for one in quiet):.0f} | "
+            f"{len(soon)} of {len(steps)} ({len(soon) / max(len(steps), 1):.1%}) | "
+            f"{sum(one.right for one in soon)} | "
+            f"{len(year)} of {len(drifts)} ({len(year) / max(len(drifts), 1):.1%}) | "
+            f"{np.median(late):.0f}, {np.quantile(late, 0.95, method='higher'):.0f} | "
+            f"{sum(one.right for one in told)} of {len(told)} |"
+        )
+
+
+def recorded(seed: int, *, checks: int) -> Recorded | None:
+    """Record a simulated site again and again, unmoved, every third time without its poles."""
+    rng = np.random.default_rng([16, seed])
+    pair = simulate_pair(SCENES[seed % 3], rng, noise=NOISE_MODELS["field"])
+    answer = calibrate(pair.target, pair.source, sensors=pair.sensors)
+    if answer.T_target_source is None:
+        return None
+    stored = PoseEstimate(answer.T_target_source, answer.covariance, 0.0)
+    rows, told, start = [], 0, datetime(2026, 1, 5, tzinfo=UTC)
+    for k in range(checks):
+        again = record_again(pair, rng, poles=k % 3 != 2)
+        found = check(
+            stored,
+            again.target,
+            again.source,
+            uncertainty=answer.uncertainty,
+            sensors=pair.sensors,
+        )
+        codes = tuple(reason.code for reason in found.reasons)
+        row = CheckRow("site", start + k * timedelta(days=7), found.status, found.used, codes)
+        row = replace(row, step=found.step, covariance=found.covariance, random=found.random)
+        told += row.is_usable
+        rows.append(row)
+    seen = [one for _, one in observed(rows)]
+    chi2 = []
+    for other in (False, True):
+        own = [one for one in seen if one.other == other]
+        if len(own) < 3:
+            continue
+        # Against their weighted mean: n checks leave 6 (n - 1) degrees of freedom.
+        weights = [np.linalg.inv(one.random) for one in own]
+        mean = np.linalg.solve(
+            sum(weights), sum(W @ one.step for W, one in zip(weights, own, strict=True))
+        )
+        share = len(own) / (len(own) - 1.0)
+        chi2 += [
+            share * float((one.step - mean) @ W @ (one.step - mean))
+            for W, one in zip(weights, own, strict=True)
+        ]
+    watched = watch(seen)
+    return Recorded(seed, len(rows), told, chi2, watched.scale, len(watched.alarms))
+
+
+def recorded_table(sites: Sequence[Recorded]) -> None:
+    chi2 = np.array([value for site in sites for value in site.chi2])
+    print(
+        f"{len(sites)} sites, {sum(site.checks for site in sites)} checks of which "
+        f"{sum(site.told for site in sites)} gave a step that counts, "
+        f"{sum(site.alarms for site in sites)} alarms\n"
+        f"χ² of a step against the mean of its site and way, random part alone: median "
+        f"{np.median(chi2):.1f}, 95 % {np.quantile(chi2, 0.95):.1f}, largest {chi2.max():.1f} "
+        "(χ² with 6 degrees of freedom: 5.3, 12.6)\n"
+        f"scale of a site at the end: {min(site.scale for site in sites):.2f} to "
+        f"{max(site.scale for site in sites):.2f}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sites", type=int, default=200, help="of each law and change")
+    parser.add_argument("--first", type=int, default=2000, help="first seed")
+    parser.add_argument("--tune", action="store_true", help="the laws that set the constants")
+    parser.add_argument("--laws", nargs="*", help="some of them")
+    parser.add_argument("--changes", nargs="*", default=["none", "step", "drift"])
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--recorded", type=int, metavar="N", help="sites to simulate and check")
+    parser.add_argument("--checks", type=int, default=12, help="of each of these")
+    arguments = parser.parse_args()
+    if arguments.recorded:
+        seeds = range(arguments.first, arguments.first + arguments.recorded)
+        found = [recorded(seed, checks=arguments.checks) for seed in seeds]
+        recorded_table([site for site in found if site is not None])
+        return
+    laws = TUNE if arguments.tune else STATE
+    if arguments.laws:
+        laws = {name: laws[name] for name in arguments.laws}
+    seeds = range(arguments.first, arguments.first + arguments.sites)
+    job = partial(run, laws=laws, changes=arguments.changes)
+    outcomes: list[Outcome] = []
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
+        for done, found in enumerate(pool.map(job, seeds, chunksize=4), start=1):
+            outcomes += found
+            if done % 20 == 0:
+                print(f"{done} of {len(seeds)}", file=sys.stderr, flush=True)
+    table(outcomes, laws)
+
+
+if __name__ == "__main__":
+    main()

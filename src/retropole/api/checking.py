@@ -1,0 +1,131 @@
+"""A stored result against new recordings, as files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..datatypes import PoseEstimate
+from ..errors import Reason, Refusal
+from ..export import inverted, read_transform
+from ..export.documents import is_result, result_file
+from ..files import read_document
+from ..io import sha256_of, topics_of
+from ..monitoring.drift import check
+from ..monitoring.movement import CheckResult
+from ..monitoring.swapped import swap
+from ..monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
+from ..reasons import prefixed
+from ..result import DEFAULT_CONFIG, RunConfig, uncertainty_of
+from ..result.decoding import decode
+from ..uncertainty import Uncertainty
+from .inputs import Input
+
+
+class Stored(NamedTuple):
+    """What a stored result holds: the pose, the options of its run, and what it warned of.
+
+    `uncertainty` is of a result that tells random and systematic errors apart, `hashes` are
+    those of target and source of each placement.
+    """
+
+    pose: PoseEstimate
+    config: RunConfig
+    warnings: tuple[Reason, ...]
+    uncertainty: Uncertainty | None = None
+    hashes: tuple[tuple[str, str], ...] = ()
+
+
+def read_stored(path: Path, sigma: tuple[float, float] | None = None) -> Stored:
+    """Read a stored result; of a file that is not a result document, the options are the defaults.
+
+    Parameters
+    ----------
+    path
+        A result document, the folder that holds it, or any file that an export writes.
+    sigma
+        1 σ of its rotation, rad, and of its translation, m, about and along each axis; None takes
+        its covariance.
+
+    Raises
+    ------
+    Refusal
+        Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
+    """
+    transform = read_transform(path)
+    if transform.roles == ("source", "target"):
+        transform = inverted(transform)
+    covariance = transform.covariance
+    if sigma is not None:
+        covariance = np.diag(np.repeat(sigma, 3) ** 2)
+    if covariance is None:
+        raise Refusal(
+            "no_covariance",
+            f"{path} does not say how certain it is: give result.json, or --sigma-deg and "
+            "--sigma-m",
+        )
+    pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
+    data = read_document(result_file(path))
+    if not is_result(data):
+        return Stored(pose, DEFAULT_CONFIG, ())
+    document = decode(data)
+    warnings = tuple(
+        Reason(prefixed("stored", reason.code), reason.message, reason.values)
+        for reason in document.reasons
+    )
+    parts = None if sigma is not None else uncertainty_of(document.uncertainty, document.budget)
+    hashes = [item.sha256 for item in document.inputs]
+    pairs = tuple(zip(hashes[::2], hashes[1::2], strict=False))
+    return Stored(pose, document.config, warnings, parts, pairs)
+
+
+def checked(
+    stored: Stored, target: Input, source: Input, tolerance: Tolerance = DEFAULT_TOLERANCE
+) -> CheckResult:
+    """Check new recordings against a stored result, with the options of its run.
+
+    Raises
+    ------
+    Refusal
+        As `monitoring.drift.check`.
+    """
+    swapped = files_swapped(stored, target, source)
+    if swapped is not None:
+        answer = CheckResult("cannot_tell", (swapped,))
+    else:
+        config = stored.config
+        answer = check(
+            stored.pose,
+            target.cloud,
+            source.cloud,
+            uncertainty=stored.uncertainty,
+            tolerance=tolerance,
+            radius=config.radius_m,
+            radius_sigma=config.radius_sigma_m,
+            sensors=(target.sensor, source.sensor),
+            thresholds=(config.threshold_target, config.threshold_source),
+        )
+    return replace(answer, reasons=(*answer.reasons, *stored.warnings))
+
+
+def files_swapped(stored: Stored, target: Input, source: Input) -> Reason | None:
+    """Say that the files of the stored run, or its topics, are given the other way round."""
+    known = stored.config.target_topic, stored.config.source_topic
+    if None not in known and known[0] != known[1] and (source.topic, target.topic) == known:
+        words = f"RESULT's target is the topic {known[0]}, and its source {known[1]}"
+        return swap(words, {"told_by": "topics"})
+    if all(first == second for first, second in stored.hashes):
+        return None
+    if (sha256_of(source.name), sha256_of(target.name)) not in stored.hashes:
+        return None
+    return swap("RESULT was made of these very files", {"told_by": "hashes"})
+
+
+def topic_for(path: Path, given: str | None, known: str | None) -> str | None:
+    """Take the topic that is given, else the stored one where there is a bag to look for it in."""
+    if given is not None or known is None:
+        return given
+    return known if topics_of(path) else None

@@ -1,0 +1,1 @@
+"""The checks of many sites over time: their history, and what changed."""

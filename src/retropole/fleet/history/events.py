@@ -1,0 +1,99 @@
+"""What is found in the checks of a site."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ...datatypes import Array
+from .model import LEVEL, SLOPE, State
+
+CLEAR = 6.0
+"""Difference of twice the log likelihoods from which a step and a trend are told apart (ln 20)."""
+
+EventKind = Literal["step", "trend", "outlier", "unsettled"]
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """What was found in the checks of a site.
+
+    Attributes
+    ----------
+    kind
+        ``step``: the level changed; ``trend``: it changes steadily; ``outlier``: one check is off,
+        and the next is not; ``unsettled``: checks are off, and no two agree.
+    onset
+        Number of the first check that shows it.
+    found
+        Number of the check that told.
+    size, covariance
+        (6,) and (6, 6) of a step, rad and m, or of a trend, per year; None of others.
+    statistic
+        Twice the log likelihood ratio against no change; of an outlier, its χ².
+    lead
+        By how much that is more than of the other kind of change.
+    """
+
+    kind: EventKind
+    onset: int
+    found: int
+    size: Array | None = None
+    covariance: Array | None = None
+    statistic: float = 0.0
+    lead: float = np.inf
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether somebody should look: anything but a single check that is off."""
+        return self.kind != "outlier"
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether a step and a trend are told apart."""
+        return self.lead >= CLEAR
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What the checks of a site say so far.
+
+    Attributes
+    ----------
+    events
+        In the order in which they were found.
+    waiting
+        Numbers of the checks that are off and wait for another: not confirmed.
+    scale
+        Scatter of the site beside what is stated, in σ.
+    state
+        What is expected of the next check; None before the first.
+    """
+
+    events: tuple[Event, ...] = ()
+    waiting: tuple[int, ...] = ()
+    scale: float = 1.0
+    state: State | None = None
+
+    @property
+    def alarms(self) -> tuple[Event, ...]:
+        """The events that somebody should look at."""
+        return tuple(event for event in self.events if event.is_alarm)
+
+    @property
+    def level(self) -> tuple[Array, Array] | None:
+        """(6,) the step from the stored pose as all checks have it, and its covariance (6, 6)."""
+        return None if self.state is None else _part(self.state, LEVEL)
+
+    @property
+    def slope(self) -> tuple[Array, Array] | None:
+        """(6,) its change per year and (6, 6); None where no trend was found."""
+        if self.state is None or not self.state.covariance[SLOPE, SLOPE].any():
+            return None
+        return _part(self.state, SLOPE)
+
+
+def _part(state: State, part: slice) -> tuple[Array, Array]:
+    return state.mean[part], state.covariance[part, part]

@@ -1,0 +1,103 @@
+"""Steps, trends and outliers of made-up sites are told apart, and quiet sites stay quiet."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retropole.fleet.history.model import YEAR
+from retropole.fleet.history.watch import MOST_WAITING, watch
+from tests.fleet.history.checks import MOVED, SIGMA, checks
+
+ROTATED = np.array([0.0, np.radians(0.3), 0, 0, 0, 0])
+
+
+def test_no_check_says_nothing() -> None:
+    seen = watch([])
+    assert (seen.events, seen.waiting, seen.level, seen.slope) == ((), (), None, None)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_a_quiet_site_stays_quiet(factor: float) -> None:
+    seen = checks(52, seed=3)
+    level = np.mean([one.step for one in seen], axis=0)
+    seen = [replace(one, step=level + factor * (one.step - level)) for one in seen]
+    assert not watch(seen).alarms
+
+
+@pytest.mark.parametrize("moved", [MOVED, ROTATED])
+def test_a_step_is_told_by_the_second_check_and_its_size_is_right(moved: np.ndarray) -> None:
+    seen = watch(checks(22, lambda k: moved * (k >= 20)))
+    (event,) = seen.alarms
+    assert (event.kind, event.onset, event.found) == ("step", 20, 21)
+    assert event.is_clear
+    assert event.size is not None
+    assert event.covariance is not None
+    off = event.size - moved
+    assert off @ np.linalg.solve(event.covariance, off) < 30.0
+    assert seen.level is not None
+    assert watch(checks(21, lambda k: moved * (k >= 20))).waiting == (20,)
+
+
+def test_one_check_that_is_off_is_an_outlier() -> None:
+    seen = watch(checks(24, lambda k: 10 * MOVED * (k == 20)))
+    (event,) = seen.events
+    assert (event.kind, event.onset, event.found) == ("outlier", 20, 21)
+    assert not seen.alarms
+
+
+def test_two_that_are_off_and_do_not_agree_are_outliers() -> None:
+    seen = watch(checks(24, lambda k: MOVED * (k == 20) - MOVED * (k == 21)))
+    assert [(e.kind, e.onset) for e in seen.events] == [("outlier", 20), ("outlier", 21)]
+
+
+def test_an_outlier_within_a_step_does_not_hide_it() -> None:
+    seen = watch(checks(24, lambda k: MOVED * (k >= 20) - 5 * MOVED * (k == 21)))
+    assert [(e.kind, e.onset, e.found) for e in seen.alarms] == [("step", 20, 22)]
+
+
+def test_a_step_before_the_first_check_is_one_against_the_stored_pose() -> None:
+    seen = watch(checks(6, lambda k: 4 * MOVED))
+    assert [(e.kind, e.onset) for e in seen.alarms] == [("step", 0)]
+
+
+def test_checks_of_which_no_two_agree_are_said_to_be_unsettled() -> None:
+    rng = np.random.default_rng(1)
+    far = 100 * SIGMA * rng.normal(size=(60, 6))
+    seen = watch(checks(20 + MOST_WAITING + 3, lambda k: far[k] * (k >= 20)))
+    assert seen.alarms[0].kind == "unsettled"
+
+
+def test_a_drift_is_told_as_a_trend() -> None:
+    drift = np.array([0.0, 0, 0, 0, 0.02, 0])
+    seen = watch(checks(52, lambda k: drift * 7 * max(k - 8, 0) / YEAR))
+    event = seen.alarms[0]
+    assert event.kind == "trend"
+    assert event.size is not None
+    assert event.covariance is not None
+    off = event.size - drift
+    assert off @ np.linalg.solve(event.covariance, off) < 30.0
+    assert seen.slope is not None
+
+
+def test_the_past_is_not_told_otherwise_later() -> None:
+    whole = checks(26, lambda k: MOVED * (k >= 12))
+    early, late = watch(whole[:18]).events, watch(whole).events
+    assert [(e.kind, e.onset, e.found) for e in early] == [
+        (e.kind, e.onset, e.found) for e in late if e.found < 18
+    ]
+
+
+def test_weeks_without_a_check_do_no_harm() -> None:
+    seen = [one for k, one in enumerate(checks(40, lambda k: MOVED * (k >= 36))) if k % 4]
+    (event,) = watch(seen).alarms
+    assert (event.kind, event.found - event.onset) == ("step", 1)
+
+
+def test_what_the_scene_alone_finds_may_lie_elsewhere() -> None:
+    beside = 2.0 * SIGMA
+    seen = [
+        replace(one, step=one.step + beside * (k % 3 == 0), other=k % 3 == 0 and k > 0)
+        for k, one in enumerate(checks(30))
+    ]
+    assert not watch(seen).alarms
