@@ -30,9 +30,9 @@ from scipy.special import chdtri
 from retropole import se3
 from retropole.datatypes import Array
 from retropole.fleet.network.adjustment import adjust, find_layout
+from retropole.fleet.network.components import find_components
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph
 from retropole.fleet.network.network import NetworkAdjustment, adjust_network
-from retropole.fleet.network.parts import find_parts
 from retropole.fleet.network.residuals import Model
 from retropole.fleet.network.testing import all_tests, covariances, noncentrality
 from retropole.simulation.city import SURVEY, City, simulate_city
@@ -80,12 +80,12 @@ def strength(city: City, graph: Graph) -> Array:
     wrong[:, :3, 3] -= city.error[:, 3:]
     model = Model(replace(graph, edges=replace(graph.edges, T_i_j=wrong)))
     active = np.r_[~city.wrong, np.ones(len(city.control), dtype=bool)]
-    parts = find_parts(model.graph, active)
+    components = find_components(model.graph, active)
     layout = find_layout(model)
     points = replace(graph.points, world=city.T_world_node[city.control, :3, 3])
     model = Model(replace(model.graph, points=points))
-    adjusted = adjust(model, layout, city.T_world_node, active, parts)
-    tests = all_tests(model, layout, city.T_world_node, covariances(adjusted, parts), active)
+    adjusted = adjust(model, layout, city.T_world_node, active, components)
+    tests = all_tests(model, layout, city.T_world_node, covariances(adjusted, components), active)
     return tests.chi2[: len(city.i)]
 
 

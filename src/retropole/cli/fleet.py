@@ -17,6 +17,7 @@ from .common import (
     sensor_options,
     show,
 )
+from .fleet_check import fleet_check
 
 if TYPE_CHECKING:
     from ..fleet.batch import FleetSummary
@@ -26,13 +27,17 @@ FLEET_SCHEMA = "retropole/fleet-run/1"
 
 @click.group(context_settings=CONTEXT)
 def fleet() -> None:
-    """Calibrate thousands of sites into one dataset.
+    """Calibrate thousands of sites into one dataset, and watch them over time.
 
     \b
     Examples:
       retropole fleet calibrate recordings/ --out fleet
       retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
+      retropole fleet check sites.csv --history history
     """
+
+
+fleet.add_command(fleet_check)
 
 
 @fleet.command(context_settings=CONTEXT)

@@ -2,21 +2,21 @@ import numpy as np
 
 from retropole import se3
 from retropole.fleet.network.adjustment import (
-    Adjusted,
+    AdjustedNetwork,
     adjust,
     find_layout,
     normal_equations,
 )
+from retropole.fleet.network.components import find_components
 from retropole.fleet.network.graph import Graph
-from retropole.fleet.network.parts import find_parts
 from retropole.fleet.network.residuals import Model
 from tests.fleet.network.networks import city, dense, ladder
 
 
-def adjusted(graph: Graph, T: np.ndarray) -> Adjusted:
+def adjusted(graph: Graph, T: np.ndarray) -> AdjustedNetwork:
     model = Model(graph)
     active = np.ones(graph.observations, dtype=bool)
-    return adjust(model, find_layout(model), T, active, find_parts(graph, active))
+    return adjust(model, find_layout(model), T, active, find_components(graph, active))
 
 
 def test_normal_equations_are_those_of_the_dense_derivatives() -> None:
@@ -25,8 +25,8 @@ def test_normal_equations_are_those_of_the_dense_derivatives() -> None:
     layout = find_layout(model)
     rng = np.random.default_rng(0)
     weight = rng.uniform(0.1, 1, graph.observations)
-    parts = find_parts(graph, weight > 0)
-    normal, right = normal_equations(layout, model.at(T), weight, parts)
+    components = find_components(graph, weight > 0)
+    normal, right = normal_equations(layout, model.at(T), weight, components)
     rows, missed = [], []
     starts = np.cumsum([0, len(graph.edges), len(graph.known)])
     first, second = graph.ends

@@ -2,9 +2,9 @@ import numpy as np
 
 from retropole import se3
 from retropole.datatypes import Array
+from retropole.fleet.network.components import find_components
 from retropole.fleet.network.doubtful import hanging, inseparable, outvoted, relaid
 from retropole.fleet.network.graph import Graph
-from retropole.fleet.network.parts import find_parts
 from tests.fleet.network.networks import network_of
 
 ENDS = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 1], [4, 5]])
@@ -25,11 +25,11 @@ def test_all_edges_of_the_only_loop_may_be_wrong_in_each_others_stead() -> None:
     alone = inseparable(network, active, checked)
     assert set(alone) == {2}
     assert set(alone[2]) == {1, 3, 4}
-    parts = find_parts(network, active)
-    doubtful = hanging(network, active, parts, {1, 3, 4})
+    components = find_components(network, active)
+    doubtful = hanging(network, active, components, {1, 3, 4})
     # Nodes 2 to 5 hang by one of them.
     assert doubtful.tolist() == [False, False, True, True, True, True]
-    assert not hanging(network, active, parts, set()).any()
+    assert not hanging(network, active, components, set()).any()
 
 
 def test_what_others_check_is_no_rival() -> None:

@@ -104,8 +104,12 @@ def test_parts_are_told_with_their_datum() -> None:
     rng = np.random.default_rng(3)
     T = np.array([se3.random(rng) for _ in range(7)])
     found = adjust_network(network_of(T, np.array([[0, 1], [1, 2], [0, 2], [4, 5], [6, 5]]), rng))
-    assert [part.nodes.tolist() for part in found.parts] == [[0, 1, 2], [3], [4, 5, 6]]
-    assert [part.datum for part in found.parts] == [
+    assert [component.nodes.tolist() for component in found.components] == [
+        [0, 1, 2],
+        [3],
+        [4, 5, 6],
+    ]
+    assert [component.datum for component in found.components] == [
         "1 controls",
         "no control: pose 3 is held",
         "no control: pose 4 is held",

@@ -4,8 +4,8 @@ from scipy.stats import ncx2
 
 from retropole import se3
 from retropole.fleet.network.adjustment import adjust, find_layout
+from retropole.fleet.network.components import find_components
 from retropole.fleet.network.graph import Graph
-from retropole.fleet.network.parts import find_parts
 from retropole.fleet.network.residuals import Model
 from retropole.fleet.network.testing import (
     POWER,
@@ -27,9 +27,9 @@ def outcome(
     model = Model(graph)
     active = np.ones(graph.observations, dtype=bool)
     active[list(out)] = False
-    layout, parts = find_layout(model), find_parts(graph, active)
-    found = adjust(model, layout, T, active, parts)
-    tests = all_tests(model, layout, found.T, covariances(found, parts), active)
+    layout, components = find_layout(model), find_components(graph, active)
+    found = adjust(model, layout, T, active, components)
+    tests = all_tests(model, layout, found.T, covariances(found, components), active)
     return tests, float(model.squares(found.T)[active].sum())
 
 
@@ -103,7 +103,7 @@ def test_the_pose_that_holds_a_datum_has_no_covariance() -> None:
     active = np.ones(graph.observations, dtype=bool)
     active[-1] = False
     model = Model(graph)
-    parts = find_parts(graph, active)
-    found = adjust(model, find_layout(model), T, active, parts)
-    assert not covariances(found, parts).diagonal[0].any()
+    components = find_components(graph, active)
+    found = adjust(model, find_layout(model), T, active, components)
+    assert not covariances(found, components).diagonal[0].any()
     np.testing.assert_allclose(se3.local(T[0], found.T[0]), 0, atol=1e-12)

@@ -29,8 +29,10 @@ class Event:
         Number of the first check that shows it.
     found
         Number of the check that told.
-    size, covariance
-        (6,) and (6, 6) of a step, rad and m, or of a trend, per year; None of others.
+    size
+        (6,) of a step, rad and m, or of a trend, per year; None of others.
+    covariance
+        (6, 6) of it.
     statistic
         Twice the log likelihood ratio against no change; of an outlier, its χ².
     lead

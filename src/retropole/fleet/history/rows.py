@@ -49,8 +49,10 @@ class CheckRow:
         What went wrong, in words; None where nothing did.
     step
         (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None where there is none.
-    covariance, random
-        (6, 6) of it, and the part that each check draws anew.
+    covariance
+        (6, 6) of it.
+    random
+        (6, 6) of that the part that each check draws anew.
     chi2, power
         As of ``retropole check``.
     stored_sha256, target_sha256, source_sha256

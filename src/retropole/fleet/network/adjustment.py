@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ...datatypes import Array, BoolArray, IntArray
+from .components import Component
 from .elimination import Blocks, Factor, Pattern, factorise, find_pattern, solve
-from .parts import Part
 from .residuals import Model, Whitened, moved
 
 SETTLED = 1e-8
@@ -46,7 +46,7 @@ class Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class AdjustedNetwork:
     """Poses at the least sum of squares, and the factor of the normal equations there.
 
     `settled` says whether the steps ended by themselves.
@@ -88,7 +88,7 @@ def normal_equations(
     layout: Layout,
     observed: tuple[Whitened, Whitened, Whitened],
     weight: Array,
-    parts: tuple[Part, ...],
+    components: tuple[Component, ...],
 ) -> tuple[Blocks, Array]:
     """Normal equations (N, 6, 6) with their pairs, and their right-hand side (N, 6).
 
@@ -100,7 +100,7 @@ def normal_equations(
         Edges, known poses and control points, as `residuals.Model.at` gives them.
     weight
         (M,) of each observation.
-    parts
+    components
         With what holds the datum of each.
     """
     edges, known, points = observed
@@ -122,23 +122,23 @@ def normal_equations(
     cross = np.swapaxes(edges.by_i, 1, 2) @ (edges.by_j * weights[0][:, None, None])
     cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
     pairs = added(layout.onto_pairs, cross)
-    _hold(diagonal, pairs, right, layout.pattern.pairs, parts)
+    _hold(diagonal, pairs, right, layout.pattern.pairs, components)
     return Blocks(diagonal, pairs), right
 
 
-def held_nodes(parts: tuple[Part, ...]) -> tuple[IntArray, Array]:
+def held_nodes(components: tuple[Component, ...]) -> tuple[IntArray, Array]:
     """Nodes (H,) that hold a datum, and the projectors (H, 6, 6) on what is held of each."""
-    some = [part for part in parts if len(part.held)]
-    nodes = np.array([part.nodes[0] for part in some], dtype=np.int64)
-    held = np.array([part.held.T @ part.held for part in some]).reshape(-1, 6, 6)
+    some = [component for component in components if len(component.held)]
+    nodes = np.array([component.nodes[0] for component in some], dtype=np.int64)
+    held = np.array([component.held.T @ component.held for component in some]).reshape(-1, 6, 6)
     return nodes, held
 
 
 def _hold(
-    diagonal: Array, pairs: Array, right: Array, ends: IntArray, parts: tuple[Part, ...]
+    diagonal: Array, pairs: Array, right: Array, ends: IntArray, components: tuple[Component, ...]
 ) -> None:
     """Take what is held out of the unknowns, and let it stand by itself instead."""
-    nodes, held = held_nodes(parts)
+    nodes, held = held_nodes(components)
     free = np.eye(6) - held
     # Of the size of the rest, so that it does no harm to what is solved.
     scale = np.maximum(np.trace(diagonal[nodes], axis1=1, axis2=2) / 6, 1.0)
@@ -154,18 +154,18 @@ def _hold(
 
 
 def step(
-    model: Model, layout: Layout, T: Array, weight: Array, parts: tuple[Part, ...]
+    model: Model, layout: Layout, T: Array, weight: Array, components: tuple[Component, ...]
 ) -> tuple[Array, Factor, float]:
     """One step of Gauss and Newton: steps (N, 6), factor, and by how much it lowers the squares."""
-    normal, right = normal_equations(layout, model.at(T), weight, parts)
+    normal, right = normal_equations(layout, model.at(T), weight, components)
     factor = factorise(layout.pattern, normal)
     steps = solve(factor, right[:, :, None])[:, :, 0]
     return steps, factor, float(np.sum(steps * right))
 
 
 def adjust(
-    model: Model, layout: Layout, T: Array, active: BoolArray, parts: tuple[Part, ...]
-) -> Adjusted:
+    model: Model, layout: Layout, T: Array, active: BoolArray, components: tuple[Component, ...]
+) -> AdjustedNetwork:
     """Find the poses with the least sum of squares of the active observations.
 
     Parameters
@@ -176,13 +176,13 @@ def adjust(
         (N, 4, 4) start.
     active
         (M,) which observations count.
-    parts
+    components
         What they leave together, with what is held of each.
     """
     weight = active.astype(float)
     for _ in range(MOST_STEPS):
-        steps, factor, gain = step(model, layout, T, weight, parts)
+        steps, factor, gain = step(model, layout, T, weight, components)
         T = moved(T, steps)
         if gain < SETTLED:
-            return Adjusted(T, factor, True)
-    return Adjusted(T, factor, False)
+            return AdjustedNetwork(T, factor, True)
+    return AdjustedNetwork(T, factor, False)

@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from ... import se3
 from ...datatypes import Array, BoolArray, IntArray
+from .components import Component
 from .graph import Graph
-from .parts import Part
 
 
 def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int, tuple[int, ...]]:
@@ -128,7 +128,7 @@ def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) 
 
 
 def hanging(
-    graph: Graph, active: BoolArray, parts: tuple[Part, ...], rivals: set[int]
+    graph: Graph, active: BoolArray, components: tuple[Component, ...], rivals: set[int]
 ) -> BoolArray:
     """Which poses (N,) are tied to their datum by observations that may be wrong alone."""
     if not rivals:
@@ -137,9 +137,9 @@ def hanging(
     kept[sorted(rivals)] = False
     label = _components(graph, kept)
     doubtful = np.zeros(graph.nodes, dtype=bool)
-    for part in parts:
-        datum = graph.nodes if part.controls else part.nodes[0]
-        doubtful[part.nodes] = label[part.nodes] != label[datum]
+    for component in components:
+        datum = graph.nodes if component.controls else component.nodes[0]
+        doubtful[component.nodes] = label[component.nodes] != label[datum]
     return doubtful
 
 

@@ -11,9 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from ...datatypes import Array, BoolArray
 from .adjustment import find_layout
+from .components import Component
 from .doubtful import hanging, inseparable
 from .graph import Graph
-from .parts import Part
 from .residuals import Model
 from .snooping import snoop
 from .start import find_start, narrowed
@@ -71,8 +71,8 @@ class NetworkAdjustment:
         ObservationTests of the relative poses, the known poses and the control points.
     left_out
         What does not fit and was not adjusted, by kind and number.
-    parts
-        Nodes that hang together, and the datum of each part.
+    components
+        Nodes that hang together, and the datum of each component.
     doubtful
         (N,) poses that are tied to their datum by what may be wrong in the stead of what was left
         out: they may be elsewhere by as much as that misses.
@@ -91,7 +91,7 @@ class NetworkAdjustment:
     known: ObservationTests
     points: ObservationTests
     left_out: tuple[LeftOut, ...]
-    parts: tuple[Part, ...]
+    components: tuple[Component, ...]
     doubtful: BoolArray
     unit_variance: float
     rounds: int
@@ -138,7 +138,9 @@ def _adjust_network(graph: Graph, progress: Callable[[str], None]) -> NetworkAdj
 
     active, tests = found.active, found.tests
     alone = inseparable(graph, active, tests.freedom)
-    doubtful = hanging(graph, active, found.parts, {k for path in alone.values() for k in path})
+    doubtful = hanging(
+        graph, active, found.components, {k for path in alone.values() for k in path}
+    )
     cross = found.covariance.pairs[layout.pair]
     cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
     shares = np.sum((tests.redundancy * graph.freedom)[active])
@@ -170,7 +172,7 @@ def _adjust_network(graph: Graph, progress: Callable[[str], None]) -> NetworkAdj
         tests.part(slice(ends[0], ends[1])),
         tests.part(slice(ends[1], None)),
         tuple(left_out),
-        found.parts,
+        found.components,
         doubtful,
         float(squares / shares) if shares > 0 else 1.0,
         found.rounds,

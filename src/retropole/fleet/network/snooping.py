@@ -13,11 +13,11 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ...datatypes import Array, BoolArray, IntArray
-from .adjustment import Adjusted, Layout, adjust
+from .adjustment import AdjustedNetwork, Layout, adjust
+from .components import Component, connected, find_components
 from .doubtful import inseparable, outvoted, relaid
 from .elimination import Blocks
 from .graph import Graph
-from .parts import Part, connected, find_parts
 from .residuals import Model
 from .testing import ObservationTests, all_tests, covariances, critical
 
@@ -47,8 +47,8 @@ class Snooped:
     ----------
     adjusted
         Its poses.
-    parts
-        Its parts, with the datum of each.
+    components
+        Its components, with the datum of each.
     covariance
         Of each pose, and of each two that share an edge.
     active
@@ -63,8 +63,8 @@ class Snooped:
         Whether the last round changed nothing more.
     """
 
-    adjusted: Adjusted
-    parts: tuple[Part, ...]
+    adjusted: AdjustedNetwork
+    components: tuple[Component, ...]
     covariance: Blocks
     active: BoolArray
     tests: ObservationTests
@@ -90,10 +90,10 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
     tried: set[int] = set()
     back = np.zeros(len(active), dtype=np.int64)
     for rounds in range(1, MOST_ROUNDS + 1):
-        parts = find_parts(graph, active)
-        adjusted = adjust(model, layout, T, active, parts)
+        components = find_components(graph, active)
+        adjusted = adjust(model, layout, T, active, components)
         T = adjusted.T
-        covariance = covariances(adjusted, parts)
+        covariance = covariances(adjusted, components)
         tests = all_tests(model, layout, T, covariance, active)
         beyond = tests.chi2 > critical(tests.freedom)
         wrong, fits = active & beyond, ~active & ~beyond & (back < PUT_BACK)
@@ -116,7 +116,7 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
             back += wanted & ~active
             active = wanted
     settled = adjusted.settled and bool((wanted == active).all())
-    return Snooped(adjusted, parts, covariance, active, tests, rivals, rounds, settled)
+    return Snooped(adjusted, components, covariance, active, tests, rivals, rounds, settled)
 
 
 def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:

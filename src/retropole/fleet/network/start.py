@@ -13,9 +13,9 @@ import numpy as np
 from ... import se3
 from ...datatypes import Array
 from .adjustment import Layout, added, step
+from .components import Component, find_components
 from .elimination import Blocks, factorise, solve
 from .graph import Graph
-from .parts import Part, find_parts
 from .residuals import Model, moved
 
 REWEIGHTED = (4, 4)
@@ -36,13 +36,13 @@ def find_start(model: Model, layout: Layout) -> Array:
     """Find poses (N, 4, 4) to start from, near enough for least squares to go on."""
     graph = model.graph
     everything = np.ones(graph.observations, dtype=bool)
-    parts = find_parts(graph, everything)
-    first = np.array([part.nodes[0] for part in parts])
+    components = find_components(graph, everything)
+    first = np.array([component.nodes[0] for component in components])
     T = np.tile(np.eye(4), (graph.nodes, 1, 1))
     if len(graph.edges):
         T[:, :3, :3], weight = _rotations(graph, layout, first)
         T[:, :3, 3] = _translations(graph, layout, first, T[:, :3, :3], weight)
-    return _onto_control(graph, parts, T)
+    return _onto_control(graph, components, T)
 
 
 def narrowed(model: Model, layout: Layout, T: Array, critical: Array) -> Array:
@@ -58,7 +58,7 @@ def narrowed(model: Model, layout: Layout, T: Array, critical: Array) -> Array:
         (M,) the square in σ² that chance allows each observation.
     """
     everything = np.ones(model.graph.observations, dtype=bool)
-    parts = find_parts(model.graph, everything)
+    components = find_components(model.graph, everything)
     edges = len(model.graph.edges)
     for wide in WIDE:
         squares = model.squares(T)
@@ -68,7 +68,7 @@ def narrowed(model: Model, layout: Layout, T: Array, critical: Array) -> Array:
             # it does, none of them is forgotten.
             far = np.sqrt(np.maximum(squares[edges:] / critical[edges:], 1.0))
             weight[edges:] = 1 / far
-        T = moved(T, step(model, layout, T, weight, parts)[0])
+        T = moved(T, step(model, layout, T, weight, components)[0])
     return T
 
 
@@ -111,7 +111,7 @@ def _rotations(graph: Graph, layout: Layout, first: Array) -> tuple[Array, Array
 
 
 def _solved(layout: Layout, at_i: Array, at_j: Array, cross: Array, first: Array) -> Array:
-    """Rotations as they come out of the linear equations (N, 3, 3), the first of each part held."""
+    """Rotations that solve the linear equations (N, 3, 3), the first of each component held."""
     diagonal = added(layout.onto_nodes[0], at_i) + added(layout.onto_nodes[1], at_j)
     cross = cross.copy()
     cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
@@ -167,8 +167,8 @@ def _translations(graph: Graph, layout: Layout, first: Array, R: Array, turned: 
     return t
 
 
-def _onto_control(graph: Graph, parts: tuple[Part, ...], T: Array) -> Array:
-    """Lay each part into the frame of the network by its controls."""
+def _onto_control(graph: Graph, components: tuple[Component, ...], T: Array) -> Array:
+    """Lay each component into the frame of the network by its controls."""
     known, points = graph.known, graph.points
     corners = np.concatenate([np.zeros((1, 3)), LEVER * np.eye(3)])
     own, world = T[known.node], known.T_world_node
@@ -179,15 +179,15 @@ def _onto_control(graph: Graph, parts: tuple[Part, ...], T: Array) -> Array:
     target = np.concatenate([np.swapaxes(there[0], 1, 2).reshape(-1, 3), points.world])
     node = np.concatenate([np.repeat(known.node, 4), points.node])
     number = np.empty(graph.nodes, dtype=np.int64)
-    for k, part in enumerate(parts):
-        number[part.nodes] = k
+    for k, component in enumerate(components):
+        number[component.nodes] = k
     T = T.copy()
-    by_part = np.argsort(number[node], kind="stable")
-    bounds = np.searchsorted(number[node][by_part], np.arange(len(parts) + 1))
-    for k, part in enumerate(parts):
-        some = by_part[bounds[k] : bounds[k + 1]]
+    by_component = np.argsort(number[node], kind="stable")
+    bounds = np.searchsorted(number[node][by_component], np.arange(len(components) + 1))
+    for k, component in enumerate(components):
+        some = by_component[bounds[k] : bounds[k + 1]]
         if len(some):
-            T[part.nodes] = _laid(source[some], target[some]) @ T[part.nodes]
+            T[component.nodes] = _laid(source[some], target[some]) @ T[component.nodes]
     return T
 
 

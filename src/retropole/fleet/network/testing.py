@@ -14,10 +14,10 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
 
 from ...datatypes import Array, BoolArray, IntArray
-from .adjustment import Adjusted, Layout, held_nodes
+from .adjustment import AdjustedNetwork, Layout, held_nodes
+from .components import Component
 from .elimination import Blocks
 from .marginals import selected_inverse
-from .parts import Part
 from .residuals import Model, Whitened
 
 SIGNIFICANT = 1e-5
@@ -71,10 +71,10 @@ class ObservationTests:
         )
 
 
-def covariances(adjusted: Adjusted, parts: tuple[Part, ...]) -> Blocks:
+def covariances(adjusted: AdjustedNetwork, components: tuple[Component, ...]) -> Blocks:
     """Covariance of each pose (N, 6, 6), and of each two that share an edge (P, 6, 6)."""
     found = selected_inverse(adjusted.factor)
-    nodes, held = held_nodes(parts)
+    nodes, held = held_nodes(components)
     free = np.eye(6) - held
     found.diagonal[nodes] = free @ found.diagonal[nodes] @ free
     return found

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 
 from retropole.datatypes import Array
+from retropole.fleet.network.components import connected, find_components
 from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses
-from retropole.fleet.network.parts import connected, find_parts
 from tests.fleet.network.networks import ladder
 
 
@@ -24,7 +24,7 @@ def test_a_part_without_control_holds_its_first_node() -> None:
     edges = graph.edges
     # Nodes 4 to 7 are cut off.
     active[: len(edges)] = (edges.i < 4) == (edges.j < 4)
-    first, second = find_parts(graph, active)
+    first, second = find_components(graph, active)
     assert first.nodes.tolist() == [0, 1, 2, 3]
     assert first.controls == 1
     assert not len(first.held)
@@ -38,21 +38,21 @@ def test_points_hold_what_they_can() -> None:
     places = np.array([[0.0, 0, 0], [4, 0, 0], [9, 0, 0], [0, 5, 0]])
     open_rotations = {1: 3, 2: 1, 3: 1, 4: 0}
     for count, left in open_rotations.items():
-        (part,) = find_parts(
+        (component,) = find_components(
             with_points(graph, places[:count]), np.ones(len(graph.edges) + count, dtype=bool)
         )
-        assert len(part.held) == left
-        assert not part.held[:, 3:].any()
+        assert len(component.held) == left
+        assert not component.held[:, 3:].any()
         if left == 1:
-            np.testing.assert_allclose(np.abs(part.held[0]), [1, 0, 0, 0, 0, 0], atol=1e-12)
-            assert "open" in part.datum
+            np.testing.assert_allclose(np.abs(component.held[0]), [1, 0, 0, 0, 0, 0], atol=1e-12)
+            assert "open" in component.datum
 
 
 def test_what_holds_the_network_together_stays() -> None:
     _, graph = ladder(3, np.random.default_rng(0))
     squares = np.arange(graph.observations, dtype=float)
     kept = connected(graph, np.zeros(graph.observations, dtype=bool), squares)
-    assert len(find_parts(graph, kept)) == 1
+    assert len(find_components(graph, kept)) == 1
     # No more than a tree that hangs by the ground, and that of the least squares.
     assert kept.sum() == graph.nodes
     assert kept[0]

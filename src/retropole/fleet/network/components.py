@@ -1,4 +1,4 @@
-"""Which nodes hang together, and what each part's datum is: control, or its first node held."""
+"""Which nodes hang together, and their datum: control, or the first node held."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEAST_LEVER = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Component:
     """Nodes that hang together.
 
     Attributes
@@ -50,7 +50,7 @@ class Part:
 
 
 def labels(graph: Graph, active: BoolArray) -> IntArray:
-    """(N,) number of the part of each node; parts are counted by their first node."""
+    """(N,) number of the component of each node; components are counted by their first node."""
     edges = active[: len(graph.edges)]
     i, j = graph.edges.i[edges], graph.edges.j[edges]
     matrix = coo_array((np.ones(len(i)), (i, j)), shape=(graph.nodes, graph.nodes))
@@ -61,8 +61,8 @@ def labels(graph: Graph, active: BoolArray) -> IntArray:
     return np.asarray(rank[inverse])
 
 
-def find_parts(graph: Graph, active: BoolArray) -> tuple[Part, ...]:
-    """Find the parts of a network, by those of its observations that are active (M,)."""
+def find_components(graph: Graph, active: BoolArray) -> tuple[Component, ...]:
+    """Find the components of a network, by those of its observations that are active (M,)."""
     label = labels(graph, active)
     edges, known = len(graph.edges), len(graph.known)
     by_label = np.argsort(label, kind="stable")
@@ -74,14 +74,14 @@ def find_parts(graph: Graph, active: BoolArray) -> tuple[Part, ...]:
     some = np.bincount(pointed, minlength=len(bounds) - 1)
     by_part = np.argsort(pointed, kind="stable")
     ends = np.cumsum(some)
-    parts = []
+    components = []
     for k in range(len(bounds) - 1):
         held = np.zeros((0, 6))
         if not full[k]:
             held = _open(world[by_part[ends[k] - some[k] : ends[k]]])
         nodes = by_label[bounds[k] : bounds[k + 1]]
-        parts.append(Part(nodes, int(full[k] + some[k]), held))
-    return tuple(parts)
+        components.append(Component(nodes, int(full[k] + some[k]), held))
+    return tuple(components)
 
 
 def _open(points: Array) -> Array:
