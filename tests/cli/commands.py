@@ -3,7 +3,7 @@
 import io
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,12 +29,18 @@ class Done:
     stderr: str
 
 
-def retropole_here(*words: object) -> Done:
+def retropole_here(*words: object, cwd: Path | None = None) -> Done:
     """Run a command in this process, which takes no time to start."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
+    # Documents are written as bytes.
+    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8") for _ in range(2))
+    with redirect_stdout(out), redirect_stderr(err), chdir(cwd or Path()):
         code = run([str(word) for word in words])
-    return Done(code, out.getvalue(), err.getvalue())
+    return Done(code, *(_text(each) for each in (out, err)))
+
+
+def _text(written: io.TextIOWrapper) -> str:
+    written.seek(0)
+    return written.read()
 
 
 def transform_of(folder: Path) -> Array:

@@ -13,7 +13,7 @@ from retropole.datatypes import Array, PointCloud
 from retropole.io import write_pcd
 from retropole.simulation import place_again, simulate_pair
 from retropole.simulation.writing import write_pair
-from tests.cli.commands import retropole, retropole_here, transform_of
+from tests.cli.commands import retropole_here, transform_of
 
 
 def assert_close(T: Array, T_true: Array, degrees: float = 1.0, metres: float = 0.15) -> None:
@@ -22,7 +22,7 @@ def assert_close(T: Array, T_true: Array, degrees: float = 1.0, metres: float = 
 
 
 def test_two_files_in_one_extrinsic_out(scene: Path, truth: Array, tmp_path: Path) -> None:
-    done = retropole(
+    done = retropole_here(
         "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path / "r"
     )
     assert done.returncode == 0, done.stderr
@@ -34,7 +34,7 @@ def test_two_files_in_one_extrinsic_out(scene: Path, truth: Array, tmp_path: Pat
 
 
 def test_result_document_is_whole(scene: Path, tmp_path: Path) -> None:
-    done = retropole(
+    done = retropole_here(
         "calibrate", scene / "lidar0.pcd", scene / "lidar1.pcd", "--out", tmp_path, "--json"
     )
     assert done.returncode == 0
@@ -66,7 +66,7 @@ def test_moving_a_cloud_moves_the_answer(
         source = PointCloud(source.xyz, source.intensity)
     write_pcd(tmp_path / "target.pcd", target)
     write_pcd(tmp_path / "source.pcd", source)
-    done = retropole("calibrate", "target.pcd", "source.pcd", "--out", "r", "-q", cwd=tmp_path)
+    done = retropole_here("calibrate", "target.pcd", "source.pcd", "--out", "r", "-q", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     # Compare where both LiDARs are, not at an origin metres away that any rotation would move far.
     A, B = transform_of(tmp_path / "r"), expected
@@ -76,7 +76,7 @@ def test_moving_a_cloud_moves_the_answer(
 
 
 def test_swapping_the_clouds_inverts_the_answer(scene: Path, truth: Array, tmp_path: Path) -> None:
-    done = retropole(
+    done = retropole_here(
         "calibrate", scene / "lidar1.pcd", scene / "lidar0.pcd", "--out", tmp_path, "-q"
     )
     assert done.returncode == 0, done.stderr
@@ -86,7 +86,9 @@ def test_swapping_the_clouds_inverts_the_answer(scene: Path, truth: Array, tmp_p
 
 def test_a_refusal_exits_with_3_and_leaves_its_reason(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    done = retropole("calibrate", *files, "--threshold-source", 1e9, "--out", "r", cwd=tmp_path)
+    done = retropole_here(
+        "calibrate", *files, "--threshold-source", 1e9, "--out", "r", cwd=tmp_path
+    )
     assert done.returncode == 3
     result = json.loads((tmp_path / "r" / "result.json").read_text())
     assert result["status"] == "refused"
@@ -102,7 +104,7 @@ def test_placements_give_one_answer(scene: Path, truth: Array, tmp_path: Path) -
     again = tmp_path / "front.pcd", tmp_path / "rear.pcd"
     for path, cloud in zip(again, (other.target, other.source), strict=True):
         write_pcd(path, cloud)
-    done = retropole(
+    done = retropole_here(
         "calibrate", "--placement", *files, "--placement", *again, "--out", tmp_path / "r"
     )
     assert done.returncode == 0, done.stderr
@@ -115,9 +117,9 @@ def test_placements_give_one_answer(scene: Path, truth: Array, tmp_path: Path) -
 
 def test_a_prior_is_taken_and_a_wrong_one_refused(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    done = retropole("calibrate", *files, "--up", "--out", "up", "-q", cwd=tmp_path)
+    done = retropole_here("calibrate", *files, "--up", "--out", "up", "-q", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    done = retropole(
+    done = retropole_here(
         *("calibrate", *files, "--prior-rpy-deg", 0, 0, 170, "--prior-sigma-deg", 5),
         *("--out", "wrong", "-q"),
         cwd=tmp_path,
@@ -134,7 +136,7 @@ def test_arguments_that_contradict_each_other(scene: Path) -> None:
         ("calibrate", *files, "--placement", *files),
         ("calibrate", *files, "--up", "--prior-rpy-deg", 0, 0, 0),
     ):
-        done = retropole(*words)
+        done = retropole_here(*words)
         assert done.returncode == 2
         assert "Error" in done.stderr or "retropole:" in done.stderr
 
@@ -145,33 +147,35 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
 ) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     topics = "--target-topic", "/front", "--source-topic", "/rear"
-    assert retropole("calibrate", *files, "--out", tmp_path / "files", "-q").returncode == 0
-    done = retropole("calibrate", bag, bag, *topics, "--out", tmp_path / "bag", "-q")
+    assert retropole_here("calibrate", *files, "--out", tmp_path / "files", "-q").returncode == 0
+    done = retropole_here("calibrate", bag, bag, *topics, "--out", tmp_path / "bag", "-q")
     assert done.returncode == 0, done.stderr
     np.testing.assert_array_equal(transform_of(tmp_path / "bag"), transform_of(tmp_path / "files"))
     result = json.loads((tmp_path / "bag" / "result.json").read_text())
     assert result["config"]["target_topic"] == "/front"
     assert len({document["sha256"] for document in result["inputs"]}) == 1
     clouds = bag, bag, *topics
-    done = retropole("evaluate", *clouds, "--transform", tmp_path / "bag", "--json")
+    done = retropole_here("evaluate", *clouds, "--transform", tmp_path / "bag", "--json")
     assert json.loads(done.stdout)["overlap"] > 0.5
-    done = retropole("compare", *clouds, "--methods", "poles", "--json")
+    done = retropole_here("compare", *clouds, "--methods", "poles", "--json")
     assert json.loads(done.stdout)["methods"][0]["status"] == "ok"
     # Topics are those of each placement.
     two = [word for _ in range(2) for word in ("--placement", bag, bag)]
-    done = retropole("calibrate", *two, *topics, "--no-refine", "--out", tmp_path / "two", "-q")
+    done = retropole_here(
+        "calibrate", *two, *topics, "--no-refine", "--out", tmp_path / "two", "-q"
+    )
     assert done.returncode == 3
     assert "TARGET of placement 1 and TARGET of placement 2 are both topic /front" in done.stderr
 
 
 @pytest.mark.slow
 def test_poles_that_the_user_vouches_for_are_recorded(tmp_path: Path) -> None:
-    done = retropole("simulate", "bare", "--seed", 3, "--out", tmp_path / "bare")
+    done = retropole_here("simulate", "bare", "--seed", 3, "--out", tmp_path / "bare")
     assert done.returncode == 0, done.stderr
     files = tmp_path / "bare" / "lidar0.pcd", tmp_path / "bare" / "lidar1.pcd"
     codes, config = {}, {}
     for words in ((), ("--trust-poles",)):
-        done = retropole("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
+        done = retropole_here("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
         assert done.returncode == 0, done.stderr
         result = json.loads(done.stdout)
         codes[words] = {reason["code"] for reason in result["reasons"]}
@@ -207,12 +211,12 @@ def test_ambiguous_is_no_dead_end(tmp_path: Path) -> None:
 
 
 def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
-    done = retropole("calibrate", bag, bag, cwd=tmp_path)
+    done = retropole_here("calibrate", bag, bag, cwd=tmp_path)
     assert done.returncode == 2
     assert "/front (1 message), /rear (1 message)" in done.stderr
     same = "--target-topic", "/front", "--source-topic", "/front"
     assert list(tmp_path.iterdir()) == []
-    done = retropole("calibrate", bag, bag, *same, cwd=tmp_path)
+    done = retropole_here("calibrate", bag, bag, *same, cwd=tmp_path)
     assert done.returncode == 3
     assert "refused (same_recording): TARGET and SOURCE are both topic /front" in done.stderr
     assert "--source-topic" in done.stderr
@@ -221,7 +225,7 @@ def test_topics_that_cannot_be_told_apart(bag: Path, tmp_path: Path) -> None:
 def test_the_command_writes_what_python_saves(scene: Path, tmp_path: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
     words = "--radius", 0.021, "--poles", 2, "--no-refine", "--sensor-target", "Pandar64"
-    done = retropole("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
+    done = retropole_here("calibrate", *files, *words, "--out", tmp_path / "r", "--json")
     assert done.returncode == 0, done.stderr
     result = rp.calibrate(*files, radius=0.021, poles=2, refine=False, sensor_target="Pandar64")
     result.save(tmp_path / "python")
@@ -261,7 +265,7 @@ def test_a_need_that_is_not_met_warns_also_when_quiet(scene: Path, tmp_path: Pat
     assert "not_fit_for_purpose: within 0.6 cm at 60 m: " in done.stdout
     assert done.stderr == ""
     for quietly in ("-q", "--json"):
-        process = retropole(*asked, quietly, "--strict")
+        process = retropole_here(*asked, quietly, "--strict")
         assert process.returncode == 1
         assert process.stderr.startswith("retropole: warning (not_fit_for_purpose): within 0.6 cm")
         assert (process.stdout == "") == (quietly == "-q")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.simulation import record_again, simulate_pair, write_pair
-from tests.cli.commands import retropole
+from tests.cli.commands import retropole_here
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
 
@@ -19,7 +19,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_pair(street, folder / "first")
     write_pair(record_again(street, rng, poles=False), folder / "same")
     write_pair(record_again(street, rng, moved=SMALL_ROTATION, poles=False), folder / "moved")
-    done = retropole(
+    done = retropole_here(
         "calibrate", "first/lidar0.pcd", "first/lidar1.pcd", "--out", "r", "-q", cwd=folder
     )
     assert done.returncode == 0, done.stderr
@@ -28,7 +28,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(site: Path, result: str, recording: str, *words: str) -> tuple[int, str]:
     files = f"{recording}/lidar0.pcd", f"{recording}/lidar1.pcd"
-    done = retropole("check", result, *files, *words, cwd=site)
+    done = retropole_here("check", result, *files, *words, cwd=site)
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout
 
@@ -65,7 +65,7 @@ def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
 
 def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:
     words = ("--parent", "front", "--child", "rear", "--out", "r.urdf")
-    assert retropole("export", "r", "--to", "urdf", *words, cwd=site).returncode == 0
+    assert retropole_here("export", "r", "--to", "urdf", *words, cwd=site).returncode == 0
     code, text = run(site, "r.urdf", "same", "--json")
     assert code == 3
     answer = json.loads(text)
@@ -79,13 +79,13 @@ def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:
 
 def test_an_inverted_export_is_inverted_again(site: Path) -> None:
     words = ("--to", "json", "--invert", "--out", "inverted.json")
-    assert retropole("export", "r", *words, cwd=site).returncode == 0
+    assert retropole_here("export", "r", *words, cwd=site).returncode == 0
     assert run(site, "inverted.json", "same", "-q")[0] == 0
 
 
 def test_a_refused_result_cannot_tell(site: Path) -> None:
     files = "same/lidar0.pcd", "same/lidar1.pcd"
-    assert retropole("calibrate", *files, "--out", "refused", "-q", cwd=site).returncode == 3
+    assert retropole_here("calibrate", *files, "--out", "refused", "-q", cwd=site).returncode == 3
     code, text = run(site, "refused", "same", "--json")
     assert code == 3
     assert json.loads(text)["reasons"][0]["code"].startswith("stored_")
@@ -122,6 +122,6 @@ def test_of_a_result_without_both_kinds_of_error_nothing_cancels(site: Path) -> 
 
 
 def test_help_has_worked_examples(site: Path) -> None:
-    done = retropole("check", "--help", cwd=site)
+    done = retropole_here("check", "--help", cwd=site)
     assert done.returncode == 0
     assert "retropole check " in done.stdout.split("Examples:")[1]

@@ -12,23 +12,19 @@ from scipy.spatial.transform import Rotation
 from retropole.evaluation.methods import ALL_METHODS, OURS
 from retropole.evaluation.rivals import RIVALS, missing_extra
 from retropole.io import read_cloud, write_pcd
-
-
-def retropole(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "retropole", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+from tests.cli.commands import retropole_here
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scene")
-    done = retropole("simulate", "corridor", "--seed", 4, "--out", folder)
+    done = retropole_here("simulate", "corridor", "--seed", 4, "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
 
 
 def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) -> None:
-    done = retropole(
+    done = retropole_here(
         *("compare", scene / "lidar0.pcd", scene / "lidar1.pcd"),
         *("--truth", scene / "truth.json"),
         cwd=tmp_path,
@@ -45,7 +41,7 @@ def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) 
 
 
 def test_json_is_all_of_stdout_and_right(scene: Path) -> None:
-    done = retropole(
+    done = retropole_here(
         *("compare", scene / "lidar0.pcd", scene / "lidar1.pcd", "--json"),
         *("--truth", scene / "truth.json", "--methods", "planes,poles"),
     )
@@ -72,7 +68,7 @@ def test_json_is_all_of_stdout_and_right(scene: Path) -> None:
 
 def test_without_a_truth_there_are_no_errors(scene: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    done = retropole("compare", *files, "--methods", "planes", "--json")
+    done = retropole_here("compare", *files, "--methods", "planes", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["methods"][0]["e_rt_m"] is None
 
@@ -80,7 +76,7 @@ def test_without_a_truth_there_are_no_errors(scene: Path) -> None:
 def test_where_all_refuse_the_exit_code_is_3(scene: Path, tmp_path: Path) -> None:
     few = read_cloud(scene / "lidar0.pcd").select(np.arange(20))
     write_pcd(tmp_path / "few.pcd", few)
-    done = retropole(
+    done = retropole_here(
         *("compare", "few.pcd", scene / "lidar1.pcd", "--methods", "poles,planes,icp"),
         cwd=tmp_path,
     )
@@ -93,7 +89,7 @@ def test_where_all_refuse_the_exit_code_is_3(scene: Path, tmp_path: Path) -> Non
 @pytest.mark.skipif(missing_extra("kiss") is None, reason="the extra kiss is installed")
 def test_only_what_is_not_installed_is_bad_usage(scene: Path) -> None:
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    done = retropole("compare", *files, "--methods", "kiss")
+    done = retropole_here("compare", *files, "--methods", "kiss")
     assert done.returncode == 2
     assert "retropole[kiss]" in done.stderr
 
@@ -101,7 +97,7 @@ def test_only_what_is_not_installed_is_bad_usage(scene: Path) -> None:
 def test_a_truth_that_is_no_transform_is_named(scene: Path, tmp_path: Path) -> None:
     (tmp_path / "T.txt").write_text("2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
     files = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    done = retropole("compare", *files, "--truth", "T.txt", cwd=tmp_path)
+    done = retropole_here("compare", *files, "--truth", "T.txt", cwd=tmp_path)
     assert done.returncode == 2
     assert "T.txt" in done.stderr
     assert "Traceback" not in done.stderr
@@ -117,14 +113,14 @@ def test_a_truth_that_is_no_transform_is_named(scene: Path, tmp_path: Path) -> N
     ],
 )
 def test_bad_usage_exits_with_2_and_one_reason(words: tuple[str, ...], tmp_path: Path) -> None:
-    done = retropole("compare", *words, cwd=tmp_path)
+    done = retropole_here("compare", *words, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.strip()
     assert "Traceback" not in done.stderr
 
 
 def test_help_has_worked_examples_and_every_method() -> None:
-    done = retropole("compare", "--help")
+    done = retropole_here("compare", "--help")
     assert done.returncode == 0
     assert "retropole compare " in done.stdout.split("Examples:")[1]
     listed = done.stdout.split("Methods:")[1].split("Examples:")[0]

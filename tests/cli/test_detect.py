@@ -7,27 +7,27 @@ import pytest
 
 from retropole.datatypes import PointCloud
 from retropole.io import write_pcd
-from tests.cli.commands import retropole
+from tests.cli.commands import retropole_here
 
 
 def test_detect_prints_a_table_and_draws(scene: Path, tmp_path: Path) -> None:
-    done = retropole("detect", scene / "lidar0.pcd", "--out", tmp_path)
+    done = retropole_here("detect", scene / "lidar0.pcd", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "2 poles" in done.stdout
     assert (tmp_path / "detect.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    as_json = retropole("detect", scene / "lidar0.pcd", "--out", tmp_path, "--json")
+    as_json = retropole_here("detect", scene / "lidar0.pcd", "--out", tmp_path, "--json")
     assert len(json.loads(as_json.stdout)["poles"]) == 2
 
 
 def test_detect_and_info_take_a_topic(bag: Path, tmp_path: Path) -> None:
-    done = retropole("detect", bag, "--topic", "/front", "--out", tmp_path)
+    done = retropole_here("detect", bag, "--topic", "/front", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "2 poles" in done.stdout
-    done = retropole("info", bag)
+    done = retropole_here("info", bag)
     assert done.returncode == 0, done.stderr
     assert "/front" in done.stdout
     assert "/rear" in done.stdout
-    document = json.loads(retropole("info", bag, "--topic", "/rear", "--json").stdout)
+    document = json.loads(retropole_here("info", bag, "--topic", "/rear", "--json").stdout)
     assert document["schema"] == "retropole/info/1"
     assert [cloud["topic"] for cloud in document["clouds"]] == ["/rear"]
 
@@ -38,12 +38,12 @@ def test_what_is_left_out_of_a_long_recording_is_said(
 ) -> None:
     for k in range(24):
         write_pcd(tmp_path / "many" / f"{k}.pcd", clouds[0])
-    done = retropole("detect", "many", "--json", cwd=tmp_path)
+    done = retropole_here("detect", "many", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     read = -(-24 // -(-24 * len(clouds[0]) // 1_000_000))
     assert read < 24, "the clouds are large enough for frames to be left out"
     assert f"read {read} of 24 frames" in done.stderr
     assert json.loads(done.stdout)["input"]["points"] == read * len(clouds[0])
-    done = retropole("detect", "many", "--json", "--frames", "3:5", cwd=tmp_path)
+    done = retropole_here("detect", "many", "--json", "--frames", "3:5", cwd=tmp_path)
     assert json.loads(done.stdout)["input"]["points"] == 2 * len(clouds[0])
     assert "frames" not in done.stderr

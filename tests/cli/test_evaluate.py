@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.commands import retropole
+from tests.cli.commands import retropole_here
 
 
 def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
@@ -17,7 +17,7 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "wrong.txt", wrong)
     scores = []
     for file in (truth, tmp_path / "wrong.txt"):
-        done = retropole("evaluate", *clouds, "--transform", file, "--truth", truth, "--json")
+        done = retropole_here("evaluate", *clouds, "--transform", file, "--truth", truth, "--json")
         assert done.returncode == 0, done.stderr
         scores.append(json.loads(done.stdout))
     right, off = scores
@@ -31,13 +31,13 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     assert found["contradicted"] == found["contradicting"] / (
         found["agreeing"] + found["contradicting"]
     )
-    done = retropole("evaluate", *clouds, "--transform", truth)
+    done = retropole_here("evaluate", *clouds, "--transform", truth)
     assert f"{found['agreeing']:,} places agree, {found['contradicting']} deny it" in done.stdout
 
 
 def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "scaled.txt", np.diag([2.0, 2.0, 2.0, 1.0]))
     clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
-    done = retropole("evaluate", *clouds, "--transform", tmp_path / "scaled.txt")
+    done = retropole_here("evaluate", *clouds, "--transform", tmp_path / "scaled.txt")
     assert done.returncode == 2
     assert "scaled.txt" in done.stderr

@@ -12,7 +12,7 @@ from retropole.datatypes import PointCloud
 from retropole.errors import UsageError
 from retropole.io import write_pcd
 from tests.api.test_calibration import answer_of
-from tests.cli.commands import retropole, retropole_here
+from tests.cli.commands import retropole_here
 
 Clouds = tuple[PointCloud, PointCloud]
 
@@ -69,10 +69,10 @@ def test_frames_that_are_left_out_are_said(clouds: Clouds, tmp_path: Path) -> No
     for k in range(30):
         write_pcd(tmp_path / "many" / f"{k}.pcd", few)
     words = ["detect", tmp_path / "many", "--json", "--out", tmp_path, "--frames", ":"]
-    done = retropole(*words, "--max-points", 20 * len(few))
+    done = retropole_here(*words, "--max-points", 20 * len(few))
     assert "read 15 of 30 frames, one in 2, " in done.stderr
     assert json.loads(done.stdout)["input"]["frames_left_out"] == 15
-    assert "frames" not in retropole(*words).stderr
+    assert "frames" not in retropole_here(*words).stderr
 
 
 def test_a_stored_run_with_no_limit_named_has_the_default(scene: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from retropole.io import read_cloud, write_pcd
-from tests.cli.commands import retropole
+from tests.cli.commands import retropole_here
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +19,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two scans and the result of calibrating them, by relative paths."""
     folder = tmp_path_factory.mktemp("run")
     sensor = ("--sensor-target", "VLP-16", "--sensor-source", "VLP-16")
-    done = retropole("simulate", "harbor", "--seed", 1, *sensor, "--out", folder)
+    done = retropole_here("simulate", "harbor", "--seed", 1, *sensor, "--out", folder)
     assert done.returncode == 0, done.stderr
-    done = retropole("calibrate", "lidar0.pcd", "lidar1.pcd", "--out", "r", cwd=folder)
+    done = retropole_here("calibrate", "lidar0.pcd", "lidar1.pcd", "--out", "r", cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -35,7 +35,7 @@ def own(run: Path, tmp_path: Path) -> Path:
 def test_makes_the_page_that_calibrate_made(own: Path) -> None:
     before = (own / "r" / "report.html").read_text()
     (own / "r" / "report.html").unlink()
-    done = retropole("report", "r/result.json", cwd=own)
+    done = retropole_here("report", "r/result.json", cwd=own)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "written: r/report.html"
     assert (own / "r" / "report.html").read_text() == before
@@ -44,14 +44,14 @@ def test_makes_the_page_that_calibrate_made(own: Path) -> None:
 def test_takes_the_folder_of_a_result(own: Path) -> None:
     before = (own / "r" / "report.html").read_text()
     (own / "r" / "report.html").unlink()
-    done = retropole("report", "r", cwd=own)
+    done = retropole_here("report", "r", cwd=own)
     assert (done.returncode, done.stdout.strip()) == (0, "written: r/report.html")
     assert (own / "r" / "report.html").read_text() == before
 
 
 def test_finds_the_clouds_beside_the_result(own: Path, tmp_path: Path) -> None:
     shutil.copy(own / "r" / "result.json", own / "result.json")
-    done = retropole("report", own / "result.json", "--out", tmp_path / "a.html", cwd=tmp_path)
+    done = retropole_here("report", own / "result.json", "--out", tmp_path / "a.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert (tmp_path / "a.html").stat().st_size > 100_000
@@ -60,16 +60,16 @@ def test_finds_the_clouds_beside_the_result(own: Path, tmp_path: Path) -> None:
 def test_takes_the_clouds_that_are_given(own: Path) -> None:
     for k in (0, 1):
         (own / f"lidar{k}.pcd").rename(own / f"moved{k}.pcd")
-    done = retropole("report", "r/result.json", cwd=own)
+    done = retropole_here("report", "r/result.json", cwd=own)
     assert done.returncode == 2
     assert "lidar0.pcd" in done.stderr
     assert "TARGET and SOURCE" in done.stderr
-    done = retropole("report", "r/result.json", "moved0.pcd", "moved1.pcd", cwd=own)
+    done = retropole_here("report", "r/result.json", "moved0.pcd", "moved1.pcd", cwd=own)
     assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_says_where_a_cloud_is_not_the_one_of_the_run(own: Path) -> None:
-    done = retropole("report", "r/result.json", "lidar1.pcd", "lidar0.pcd", cwd=own)
+    done = retropole_here("report", "r/result.json", "lidar1.pcd", "lidar0.pcd", cwd=own)
     assert done.returncode == 0
     assert done.stderr.count("is not the file that the run read") == 2
     page = (own / "r" / "report.html").read_text()
@@ -79,16 +79,16 @@ def test_says_where_a_cloud_is_not_the_one_of_the_run(own: Path) -> None:
 
 
 def test_wrong_numbers_of_clouds_and_wrong_files(own: Path) -> None:
-    assert retropole("report", "r/result.json", "lidar0.pcd", cwd=own).returncode == 2
-    done = retropole("report", "lidar0.pcd", cwd=own)
+    assert retropole_here("report", "r/result.json", "lidar0.pcd", cwd=own).returncode == 2
+    done = retropole_here("report", "lidar0.pcd", cwd=own)
     assert done.returncode == 2
     assert "no result document" in done.stderr
-    done = retropole("report", "none.json", cwd=own)
+    done = retropole_here("report", "none.json", cwd=own)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     document = json.loads((own / "r" / "result.json").read_text())
     (own / "empty.json").write_text(json.dumps({**document, "inputs": []}))
-    done = retropole("report", "empty.json", cwd=own)
+    done = retropole_here("report", "empty.json", cwd=own)
     assert done.returncode == 2
     assert "0 inputs" in done.stderr
 
@@ -101,16 +101,18 @@ def test_refused_and_several_placements(own: Path) -> None:
         again = replace(cloud, xyz=cloud.xyz + rng.normal(0.0, 1e-3, cloud.xyz.shape))
         write_pcd(own / f"again{k}.pcd", again)
     pairs = [("--placement", f"{name}0.pcd", f"{name}1.pcd") for name in ("lidar", "again")]
-    done = retropole("calibrate", *pairs[0], *pairs[1], "--no-refine", "--out", "two", cwd=own)
+    done = retropole_here("calibrate", *pairs[0], *pairs[1], "--no-refine", "--out", "two", cwd=own)
     assert done.returncode == 0, done.stderr
     before = (own / "two" / "report.html").read_text()
-    done = retropole("report", "two/result.json", cwd=own)
+    done = retropole_here("report", "two/result.json", cwd=own)
     assert done.returncode == 0, done.stderr
     assert (own / "two" / "report.html").read_text() == before
-    done = retropole("calibrate", "lidar0.pcd", "lidar1.pcd", "--poles", 5, "--out", "no", cwd=own)
+    done = retropole_here(
+        "calibrate", "lidar0.pcd", "lidar1.pcd", "--poles", 5, "--out", "no", cwd=own
+    )
     assert done.returncode == 3
     before = (own / "no" / "report.html").read_text()
-    assert retropole("report", "no/result.json", cwd=own).returncode == 0
+    assert retropole_here("report", "no/result.json", cwd=own).returncode == 0
     assert (own / "no" / "report.html").read_text() == before
 
 
@@ -123,10 +125,10 @@ def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
     topics = {"/front": [points[0], points[1]], "/rear": [points[1], points[0]]}
     bag = write_bag(own, "mcap", topics)
     which = ("--target-topic", "/front", "--source-topic", "/rear", "--frames", "0:1")
-    done = retropole("calibrate", bag, bag, *which, "--no-refine", "--out", "b", "-q", cwd=own)
+    done = retropole_here("calibrate", bag, bag, *which, "--no-refine", "--out", "b", "-q", cwd=own)
     assert done.returncode == 0, done.stderr
     before = (own / "b" / "report.html").read_text()
-    done = retropole("report", "b/result.json", cwd=own)
+    done = retropole_here("report", "b/result.json", cwd=own)
     assert (done.returncode, done.stderr) == (0, "")
     assert (own / "b" / "report.html").read_text() == before
 
@@ -134,7 +136,7 @@ def test_reads_the_topics_and_frames_of_the_run(own: Path) -> None:
 def test_the_certificate_names_the_site_and_the_lidars(own: Path) -> None:
     before = (own / "r" / "report.html").read_text()
     named = ("--site", "Pier 4 <b>", "--serial-target", "11002", "--serial-source", "11007")
-    assert retropole("report", "r", *named, cwd=own).returncode == 0
+    assert retropole_here("report", "r", *named, cwd=own).returncode == 0
     page = (own / "r" / "report.html").read_text()
     for said in ("Pier 4 &lt;b&gt;", "11002", "11007"):
         assert said in page
