@@ -164,7 +164,12 @@ def step(
 
 
 def adjust(
-    model: Model, layout: Layout, T: Array, active: BoolArray, components: tuple[Component, ...]
+    model: Model,
+    layout: Layout,
+    T: Array,
+    active: BoolArray,
+    components: tuple[Component, ...],
+    until: float = SETTLED,
 ) -> AdjustedNetwork:
     """Find the poses with the least sum of squares of the active observations.
 
@@ -178,11 +183,13 @@ def adjust(
         (M,) which observations count.
     components
         What they leave together, with what is held of each.
+    until
+        Steps end where the next would change the sum of squares by less than this, σ².
     """
     weight = active.astype(float)
     for _ in range(MOST_STEPS):
         steps, factor, gain = step(model, layout, T, weight, components)
         T = moved(T, steps)
-        if gain < SETTLED:
+        if gain < until:
             return AdjustedNetwork(T, factor, True)
     return AdjustedNetwork(T, factor, False)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ...datatypes import Array, BoolArray, IntArray
-from .adjustment import AdjustedNetwork, Layout, adjust
+from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
 from .components import Component, connected, find_components
 from .doubtful import inseparable, outvoted, relaid
 from .elimination import Blocks
@@ -24,6 +24,11 @@ from .testing import ObservationTests, all_tests, covariances, critical
 MOST_ROUNDS = 30
 """So often the network is adjusted again; cities of 10,000 poses with 1 % wrong
 edges took 2 to 10 (benchmarks/fleet_network.py, seeds 0 to 3)."""
+
+ROUGHLY = 1e-2
+"""Rounds that others follow end their steps where the next would change the sum of squares by less
+than this, σ²: a χ² at the limit of chance then moves by 1 at most, where steps shrink tenfold by
+less than 0.4. Only what the last round finds, adjusted to the end, stands."""
 
 PUT_BACK = 1
 """So often an observation that was taken out may come back."""
@@ -89,9 +94,11 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
     rivals: dict[int, tuple[int, ...]] = {}
     tried: set[int] = set()
     back = np.zeros(len(active), dtype=np.int64)
+    until = ROUGHLY
     for rounds in range(1, MOST_ROUNDS + 1):
         components = find_components(graph, active)
-        adjusted = adjust(model, layout, T, active, components)
+        until = SETTLED if rounds == MOST_ROUNDS else until
+        adjusted = adjust(model, layout, T, active, components, until)
         T = adjusted.T
         covariance = covariances(adjusted, components)
         tests = all_tests(model, layout, T, covariance, active)
@@ -102,8 +109,11 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
         if (wanted == active).all():
             # Two that are out and agree are more than the one that they contradict.
             out = outvoted(inseparable(graph, active, tests.freedom), tried)
-            if not out or rounds == MOST_ROUNDS:
+            if rounds == MOST_ROUNDS or (not out and until == SETTLED):
                 break
+            if not out:
+                until = SETTLED
+                continue
             wanted = active.copy()
             for rival, instead in out.items():
                 T = relaid(graph, active, T, rival, instead[0])
