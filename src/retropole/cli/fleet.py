@@ -18,6 +18,7 @@ from .common import (
     show,
 )
 from .fleet_check import fleet_check
+from .fleet_network import fleet_network
 
 if TYPE_CHECKING:
     from ..fleet.batch import FleetSummary
@@ -34,10 +35,12 @@ def fleet() -> None:
       retropole fleet calibrate recordings/ --out fleet
       retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
       retropole fleet check sites.csv --history history
+      retropole fleet network fleet --nodes nodes.csv --out network.parquet
     """
 
 
 fleet.add_command(fleet_check)
+fleet.add_command(fleet_network)
 
 
 @fleet.command(context_settings=CONTEXT)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import difflib
-import io
 import math
 import posixpath
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from ..errors import MissingExtraError, ReadError, UsageError, quoting
+from ..errors import ReadError, UsageError, quoting
 from ..result import DEFAULT_CONFIG, RunConfig
+from .lists import LISTS, lines_of
 from .storage import (
     absolute,
     below,
@@ -23,13 +21,11 @@ from .storage import (
     found_below,
     is_folder,
     matching,
-    read_bytes,
 )
 
 Kind = Literal["pair", "site"]
 
 SITE_FILE = ".toml"
-LISTS = (".csv", ".parquet")
 ROLES = ("target", "source")
 """How the recordings of a pair are called in its folder, whatever their suffix."""
 
@@ -190,9 +186,8 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
 
 def _in_list(place: str, config: RunConfig) -> Iterator[FleetSite]:
     """Take the sites of a CSV or Parquet list; paths in it count from its folder."""
-    lines = _csv(place) if place.endswith(".csv") else _parquet(place)
-    for number, line in enumerate(lines, 1):
-        given = {name: value for name, value in line.items() if value not in (None, "")}
+    for number, line in enumerate(lines_of(place, COLUMNS, "id"), 1):
+        given = dict(line)
         name = str(given.pop("id", ""))
         fault = id_fault(name)
         if fault:
@@ -244,51 +239,3 @@ def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig)
         fault=quoting(fault),
         **names,
     )
-
-
-def _check_columns(place: str, names: Sequence[str]) -> None:
-    """Refuse a column that is not known: it is a slip, and would do nothing."""
-    for name in names:
-        if name not in COLUMNS:
-            near = difflib.get_close_matches(str(name), COLUMNS, 1)
-            guess = f", expected {near[0]}" if near else f", expected some of {', '.join(COLUMNS)}"
-            raise ReadError(f"{place}: unknown column {str(name)!r}{guess}")
-    if "id" not in names:
-        raise ReadError(f"{place}: no column 'id'")
-    for name in set(names):
-        if list(names).count(name) > 1:
-            raise ReadError(f"{place}: the column {name!r} is there twice")
-
-
-def _csv(place: str) -> Iterator[Mapping[str, Any]]:
-    """Read the rows of a CSV list."""
-    try:
-        text = read_bytes(place).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ReadError(f"{place}: is not UTF-8: {error}") from None
-    rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-    try:
-        _check_columns(place, [name.strip() for name in rows.fieldnames or ()])
-        for row in rows:
-            if None in row or None in row.values():
-                raise ReadError(f"{place}: line {rows.line_num} has not as many cells as the first")
-            yield {name.strip(): value.strip() for name, value in row.items()}
-    except csv.Error as error:
-        raise ReadError(f"{place}: line {rows.line_num}: {error}") from None
-
-
-def _parquet(place: str) -> Iterator[Mapping[str, Any]]:
-    """Read the rows of a Parquet list."""
-    try:
-        from pyarrow import ArrowException
-        from pyarrow import parquet as pq
-    except ImportError:
-        raise MissingExtraError("fleet", "reading Parquet") from None
-    data = read_bytes(place)
-    try:
-        file = pq.ParquetFile(io.BytesIO(data))
-        _check_columns(place, file.schema_arrow.names)
-        for batch in file.iter_batches():
-            yield from batch.to_pylist()
-    except (ArrowException, OSError) as error:
-        raise ReadError(f"{place}: is not Parquet: {error}") from None

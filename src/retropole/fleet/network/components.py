@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,13 +39,18 @@ class Component:
     @property
     def datum(self) -> str:
         """In words."""
+        return self.datum_of(None)
+
+    def datum_of(self, names: Sequence[str] | None) -> str:
+        """In words, with the first node by its name (N,) rather than by its number."""
         first = int(self.nodes[0])
+        pose = f"pose {first if names is None else names[first]}"
         if not self.controls:
-            return f"no control: pose {first} is held"
+            return f"no control: {pose} is held"
         if len(self.held):
             return (
                 f"{self.controls} controls leave {len(self.held)} of its rotations open: "
-                f"pose {first} is held in them"
+                f"{pose} is held in them"
             )
         return f"{self.controls} controls"
 

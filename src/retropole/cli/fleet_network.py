@@ -1,0 +1,146 @@
+"""The command ``retropole fleet network``."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import click
+
+from .check import EXIT_MOVED
+from .common import CONTEXT, EXIT_REFUSED, progress_on_terminal, show
+
+if TYPE_CHECKING:
+    from ..fleet.network.dataset import FleetNetwork
+    from ..fleet.network.network import NetworkAdjustment
+
+SCHEMA = "retropole/fleet-network/1"
+
+
+@click.command("network", context_settings=CONTEXT)
+@click.argument("dataset")
+@click.option(
+    "--nodes",
+    metavar="TABLE",
+    required=True,
+    help="Which LiDAR of which site is which node, and surveyed points; .csv or .parquet.",
+)
+@click.option("--out", metavar="FILE", required=True, help="Parquet file to write, or its URL.")
+@click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool) -> int:
+    """Adjust sites that share LiDARs together, without what does not fit.
+
+    DATASET is what 'retropole fleet calibrate' wrote. TABLE has a row for each LiDAR of each site:
+    node (its name in the network, the same wherever the LiDAR was), site (the id in DATASET) and
+    lidar (target or source of a pair, otherwise as the site file calls it). A row with x_m, y_m,
+    z_m and sigma_m says where its node was surveyed; seen_x_m, seen_y_m and seen_z_m where the node
+    sees that point, if it is not its own origin. Without survey the first node of each component is
+    its frame.
+
+    FILE has the pose and covariance of every node, the test of every relative pose and control
+    point, and what was left out and why.
+
+    \b
+    Examples:
+      retropole fleet network fleet --nodes nodes.csv --out network.parquet
+      retropole fleet network s3://city/fleet --nodes nodes.parquet --out network.parquet --json
+
+    \b
+    A table:
+      node,site,lidar,x_m,y_m,z_m,sigma_m
+      mast-1,quay-1,target,12.30,4.55,6.10,0.01
+      mast-2,quay-1,source,,,,
+      mast-2,quay-2,target,,,,
+      mast-3,quay-2,source,,,,
+
+    \b
+    Exit code:
+      0    everything fits
+      2    a file or an option is wrong, or nothing joins two nodes
+      3    the adjustment did not settle; nothing is written
+      4    a relative pose or a control point does not fit and was left out
+      130  interrupted
+    """
+    from ..fleet.network.answer import write_network
+    from ..fleet.network.dataset import find_network
+    from ..fleet.network.network import adjust_network
+    from ..fleet.network.nodes import read_nodes
+
+    with progress_on_terminal(quiet or as_json) as progress:
+        progress("read")
+        network = find_network(dataset, read_nodes(nodes))
+        found = adjust_network(network.graph, progress)
+        if found.settled:
+            progress("write")
+            write_network(out, network, found)
+    if as_json:
+        show(json_line(network, found, out))
+    elif not quiet:
+        show(in_words(network, found, out))
+    if not found.settled:
+        return EXIT_REFUSED
+    return EXIT_MOVED if found.left_out else 0
+
+
+def json_line(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
+    """Write what was found as one line of JSON."""
+    from ..fleet.network.answer import name_of
+
+    return json.dumps(
+        {
+            "schema": SCHEMA,
+            "out": out if found.settled else None,
+            "settled": found.settled,
+            "poses": len(network.nodes),
+            "edges": len(network.graph.edges),
+            "control_points": len(network.graph.points),
+            "components": [
+                {"poses": len(each.nodes), "datum": each.datum_of(network.nodes)}
+                for each in found.components
+            ],
+            "left_out": [
+                {
+                    "kind": one.kind,
+                    "name": name_of(network, one.kind, one.index),
+                    "w": one.w,
+                    "rivals": [name_of(network, *rival) for rival in one.rivals],
+                }
+                for one in found.left_out
+            ],
+            "doubtful": [
+                name for name, is_so in zip(network.nodes, found.doubtful, strict=True) if is_so
+            ],
+            "not_used": [
+                {"kind": one.kind, "name": one.name, "reason": one.reason}
+                for one in network.not_used
+            ],
+            "unit_variance": found.unit_variance,
+        }
+    )
+
+
+def in_words(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
+    """Write what was found as a person reads it."""
+    from ..errors import printable
+    from ..fleet.network.answer import reason_of
+    from ..quantities import counted
+
+    graph = network.graph
+    lines = [
+        f"{counted(graph.nodes, 'pose')}, {counted(len(graph.edges), 'relative pose')}, "
+        f"{counted(len(graph.points), 'control point')}; "
+        f"unit variance {found.unit_variance:.2f} (1 where the covariances are right)"
+    ]
+    lines += [
+        printable(f"{counted(len(each.nodes), 'pose')}: {each.datum_of(network.nodes)}")
+        for each in found.components
+    ]
+    lines += [printable(f"left out: {reason_of(network, one)}") for one in found.left_out]
+    doubtful = int(found.doubtful.sum())
+    if doubtful:
+        lines.append(f"{counted(doubtful, 'pose')} doubtful: tied by what may be wrong instead")
+    lines += [printable(f"not used: {one.name} ({one.reason})") for one in network.not_used]
+    settled = printable(f"written: {out}")
+    lines.append(settled if found.settled else "the adjustment did not settle: nothing is written")
+    return "\n".join(lines)

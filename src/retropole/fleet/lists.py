@@ -1,0 +1,86 @@
+"""Lists, CSV or Parquet: rows by the names of their columns."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from ..errors import MissingExtraError, ReadError
+from .storage import read_bytes
+
+LISTS = (".csv", ".parquet")
+
+
+def lines_of(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:
+    """Read the rows of a list, each without its empty cells.
+
+    Parameters
+    ----------
+    place
+        Path or URL; ``.csv``, or else Parquet.
+    columns
+        Every column that it may have.
+    needed
+        The column that it must have.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be read, or has another column or one twice.
+    MissingExtraError
+        Where the extra ``fleet`` is not installed.
+    """
+    read = _csv if place.endswith(".csv") else _parquet
+    for line in read(place, columns, needed):
+        yield {name: value for name, value in line.items() if value not in (None, "")}
+
+
+def _check_columns(place: str, names: Sequence[str], columns: Sequence[str], needed: str) -> None:
+    """Refuse a column that is not known: it is a slip, and would do nothing."""
+    for name in names:
+        if name not in columns:
+            near = difflib.get_close_matches(str(name), columns, 1)
+            guess = f", expected {near[0]}" if near else f", expected some of {', '.join(columns)}"
+            raise ReadError(f"{place}: unknown column {str(name)!r}{guess}")
+    if needed not in names:
+        raise ReadError(f"{place}: no column {needed!r}")
+    for name in set(names):
+        if list(names).count(name) > 1:
+            raise ReadError(f"{place}: the column {name!r} is there twice")
+
+
+def _csv(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:
+    """Read the rows of a CSV list."""
+    try:
+        text = read_bytes(place).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ReadError(f"{place}: is not UTF-8: {error}") from None
+    rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    try:
+        _check_columns(place, [name.strip() for name in rows.fieldnames or ()], columns, needed)
+        for row in rows:
+            if None in row or None in row.values():
+                raise ReadError(f"{place}: line {rows.line_num} has not as many cells as the first")
+            yield {name.strip(): value.strip() for name, value in row.items()}
+    except csv.Error as error:
+        raise ReadError(f"{place}: line {rows.line_num}: {error}") from None
+
+
+def _parquet(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:
+    """Read the rows of a Parquet list."""
+    try:
+        from pyarrow import ArrowException
+        from pyarrow import parquet as pq
+    except ImportError:
+        raise MissingExtraError("fleet", "reading Parquet") from None
+    data = read_bytes(place)
+    try:
+        file = pq.ParquetFile(io.BytesIO(data))
+        _check_columns(place, file.schema_arrow.names, columns, needed)
+        for batch in file.iter_batches():
+            yield from batch.to_pylist()
+    except (ArrowException, OSError) as error:
+        raise ReadError(f"{place}: is not Parquet: {error}") from None

@@ -1,0 +1,181 @@
+"""From the answers of a fleet to a network: sites that share LiDARs have nodes in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from ... import se3
+from ...datatypes import Array
+from ...errors import ReadError, quoting
+from ...result.site import SiteDoc
+from ...site.relative import RelativePose, joint_of, relative
+from ...uncertainty import covariance_fault
+from ..answers import document_of
+from ..dataset import AT_RANGE, Row, partitions_in, read_rows
+from ..sites import ROLES
+from ..storage import absolute
+from .graph import ControlPoints, Edges, Graph
+from .nodes import NodeList
+
+
+@dataclass(frozen=True)
+class NotUsed:
+    """A site, or a node without a site that was used, which is not in the network, and why."""
+
+    kind: str
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class FleetNetwork:
+    """The network of a fleet.
+
+    Attributes
+    ----------
+    graph
+        To adjust.
+    nodes
+        Names of its poses, in order.
+    sites
+        Of each edge, the id of the row that it was taken of.
+    not_used
+        Sites and nodes that are not in it.
+    """
+
+    graph: Graph
+    nodes: tuple[str, ...]
+    sites: tuple[str, ...]
+    not_used: tuple[NotUsed, ...]
+
+
+def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
+    """Make a network of the answers of a fleet.
+
+    A pair is an edge. A site is a tree of edges between those of its LiDARs that are nodes: of all
+    such trees the one whose edges are the most certain.
+
+    Parameters
+    ----------
+    dataset
+        Path or URL of what ``retropole fleet calibrate`` has written.
+    nodes
+        Which LiDAR of which site is which node, and control points.
+
+    Raises
+    ------
+    ReadError
+        Where the dataset is damaged, or there is no such site or LiDAR in it, or no edge at all.
+    """
+    out = absolute(dataset)
+    edges: list[tuple[str, str, str, RelativePose]] = []
+    not_used: list[NotUsed] = []
+    missing = set(nodes.of_site)
+    for partition in partitions_in(out):
+        for row in read_rows(out, partition).values():
+            missing.discard(row.id)
+            lidars = nodes.of_site.get(row.id, {})
+            why = _why_not(row, lidars)
+            if why:
+                not_used.append(NotUsed("site", row.id, why))
+                continue
+            edges += [(row.id, *edge) for edge in _edges_of(row, lidars, nodes.place)]
+    if missing:
+        name = min(missing)
+        raise ReadError(f"{nodes.place}: there is no site {quoting(name)!r} in {dataset}")
+    if not edges:
+        raise ReadError(f"{dataset}: no answer has two LiDARs that are nodes of {nodes.place}")
+    edges.sort(key=lambda edge: edge[:3])
+    sites, first, second, poses = zip(*edges, strict=True)
+    names = tuple(sorted({*first, *second}))
+    number = {name: k for k, name in enumerate(names)}
+    named = {each for lidars in nodes.of_site.values() for each in lidars.values()}
+    named |= {point.node for point in nodes.surveyed}
+    lone = sorted(named - set(names))
+    not_used += [NotUsed("node", name, "no relative pose leads to it") for name in lone]
+    points = [point for point in nodes.surveyed if point.node in number]
+    graph = Graph(
+        len(names),
+        Edges(
+            np.array([number[name] for name in first]),
+            np.array([number[name] for name in second]),
+            np.array([pose.T_i_j for pose in poses]),
+            np.array([pose.covariance for pose in poses]),
+        ),
+        points=ControlPoints(
+            np.array([number[point.node] for point in points], dtype=np.int64),
+            _rows([(point.x_m, point.y_m, point.z_m) for point in points]),
+            np.array([np.eye(3) * point.sigma_m**2 for point in points]).reshape(-1, 3, 3),
+            _rows([(point.seen_x_m, point.seen_y_m, point.seen_z_m) for point in points]),
+        ),
+    )
+    return FleetNetwork(graph, names, sites, tuple(not_used))
+
+
+def _rows(points: list[tuple[float, float, float]]) -> Array:
+    return np.array(points, dtype=float).reshape(-1, 3)
+
+
+def _why_not(row: Row, lidars: Mapping[str, str]) -> str:
+    """Say why a row makes no edge; empty where it does."""
+    if not row.lidars:
+        return f"{row.status}: {', '.join(row.codes)}" if row.codes else row.status
+    if len(lidars) < 2:
+        return f"{'one' if lidars else 'none'} of its LiDARs is a node"
+    return ""
+
+
+def _edges_of(
+    row: Row, lidars: Mapping[str, str], place: str
+) -> Iterator[tuple[str, str, RelativePose]]:
+    """Give the relative poses that a row has, by the nodes that they join."""
+    document = document_of(row.document or "", "site") if row.kind == "site" else None
+    have = [lidar.name for lidar in document.lidars] if isinstance(document, SiteDoc) else ROLES
+    unknown = sorted(set(lidars) - set(have))
+    if unknown:
+        raise ReadError(
+            f"{place}: the site {quoting(row.id)!r} has no LiDAR {quoting(unknown[0])!r}, "
+            f"expected one of {', '.join(quoting(name) for name in have)}"
+        )
+    if isinstance(document, SiteDoc):
+        yield from _tree(document, lidars)
+    else:
+        yield lidars[ROLES[0]], lidars[ROLES[1]], _pair(row)
+
+
+def _pair(row: Row) -> RelativePose:
+    """Take the pose of the source in the frame of the target."""
+    (source,) = row.lidars
+    try:
+        T = se3.rigid(np.array(source.T).reshape(4, 4))
+        C = np.array(source.covariance).reshape(6, 6)
+        fault = covariance_fault(C)
+    except (ReadError, ValueError) as error:
+        fault = str(error)
+    if fault:
+        raise ReadError(f"the answer of {quoting(row.id)!r}: {fault}")
+    return RelativePose(T, C)
+
+
+def _tree(document: SiteDoc, lidars: Mapping[str, str]) -> Iterator[tuple[str, str, RelativePose]]:
+    """Take relative poses that join some LiDARs of a site without a loop, the most certain."""
+    joint = np.array(document.joint_covariance, dtype=float)
+    some = [k for k, lidar in enumerate(document.lidars) if lidar.name in lidars]
+    T = {k: np.array(document.lidars[k].T_site_lidar, dtype=float) for k in some}
+    found = {
+        (a, b): relative(T[some[a]], T[some[b]], joint_of(joint, some[a], some[b]))
+        for a in range(len(some))
+        for b in range(a + 1, len(some))
+    }
+    weight = np.zeros((len(some), len(some)))
+    for ends, pose in found.items():
+        C = pose.covariance
+        weight[ends] = AT_RANGE**2 * np.trace(C[:3, :3]) + np.trace(C[3:, 3:])
+    tree = minimum_spanning_tree(weight).tocoo()
+    for a, b in sorted(zip(tree.row.tolist(), tree.col.tolist(), strict=True)):
+        names = (lidars[document.lidars[some[k]].name] for k in (a, b))
+        yield (*names, found[a, b])
