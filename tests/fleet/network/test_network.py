@@ -160,8 +160,8 @@ def test_gtsam_finds_the_same(nodes: int) -> None:
     found = adjust_network(graph)
     assert not found.left_out
     other = gtsam_network.adjust(graph, truth.T_world_node, np.arange(graph.nodes))
-    # What edges miss is some 0.1°: its second order is a few thousandths of a σ.
-    assert in_sigma(found.T_world_node, other.T, found.covariance) < 0.05
+    # What edges miss is some 0.1°: its second order is a hundredth of a σ at most.
+    assert in_sigma(found.T_world_node, other.T, found.covariance) < 0.02
     sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     apart = np.abs(found.covariance - other.covariance) / (sigma[:, :, None] * sigma[:, None, :])
-    assert apart.max() < 0.02
+    assert apart.max() < 0.005

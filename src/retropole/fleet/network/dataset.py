@@ -177,5 +177,5 @@ def _tree(document: SiteDoc, lidars: Mapping[str, str]) -> Iterator[tuple[str, s
         weight[ends] = AT_RANGE**2 * np.trace(C[:3, :3]) + np.trace(C[3:, 3:])
     tree = minimum_spanning_tree(weight).tocoo()
     for a, b in sorted(zip(tree.row.tolist(), tree.col.tolist(), strict=True)):
-        names = (lidars[document.lidars[some[k]].name] for k in (a, b))
-        yield (*names, found[a, b])
+        first, second = (lidars[document.lidars[some[k]].name] for k in (a, b))
+        yield first, second, found[a, b]
