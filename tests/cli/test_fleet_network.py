@@ -8,6 +8,7 @@ import pytest
 
 from retropole import se3
 from tests.cli.commands import retropole_here
+from tests.fleet.answered import answered_pair, write_answers
 from tests.fleet.network.made_up_fleet import WRONG, MadeUpFleet, write_made_up_fleet
 
 pq = pytest.importorskip("pyarrow.parquet", reason="needs the extra fleet")
@@ -31,8 +32,8 @@ def test_what_it_says_and_writes(made_up: MadeUpFleet, tmp_path: Path) -> None:
     assert lines[1] == "6 poses: 3 controls"
     assert lines[2].startswith(f"left out: {WRONG} (p1 to p3): w ")
     assert lines[3:] == [
-        "not used: bad (refused: few_poles)",
-        "not used: p9 (no relative pose leads to it)",
+        "not used: 1 node (no relative pose leads to it)",
+        "not used: 1 site (refused: few_poles)",
         f"written: {out}",
     ]
     rows = pq.read_table(out).to_pylist()
@@ -67,6 +68,22 @@ def test_all_that_fits_ends_with_0(made_up: MadeUpFleet, tmp_path: Path) -> None
     done = retropole_here("fleet", "network", made_up.dataset, "--nodes", nodes, "--out", out, "-q")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert out.is_file()
+
+
+def test_components_that_are_many_are_counted(tmp_path: Path) -> None:
+    names = [f"s{k}" for k in range(12)]
+    out = write_answers(tmp_path / "fleet", [answered_pair(name, np.eye(4)) for name in names])
+    nodes = tmp_path / "nodes.csv"
+    rows = [f"{name}{role[0]},{name},{role}" for name in names for role in ("target", "source")]
+    nodes.write_text("\n".join(["node,site,lidar", *rows]) + "\n")
+    done = retropole_here(
+        "fleet", "network", out, "--nodes", nodes, "--out", tmp_path / "network.parquet"
+    )
+    lines = done.stdout.splitlines()
+    assert done.returncode == 0
+    assert lines[1] == "2 poses: no control: pose s0s is held"
+    assert lines[-2] == "and 2 components more"
+    assert len(lines) == 13
 
 
 def test_a_slip_ends_with_2_and_writes_nothing(made_up: MadeUpFleet, tmp_path: Path) -> None:

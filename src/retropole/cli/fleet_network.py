@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import click
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from ..fleet.network.network import NetworkAdjustment
 
 SCHEMA = "retropole/fleet-network/1"
+
+MOST_COMPONENTS = 10
+"""The largest that are told by a line each."""
 
 
 @click.command("network", context_settings=CONTEXT)
@@ -132,15 +136,22 @@ def in_words(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
         f"{counted(len(graph.points), 'control point')}; "
         f"unit variance {found.unit_variance:.2f} (1 where the covariances are right)"
     ]
+    by_size = sorted(found.components, key=lambda each: -len(each.nodes))
     lines += [
         printable(f"{counted(len(each.nodes), 'pose')}: {each.datum_of(network.nodes)}")
-        for each in found.components
+        for each in by_size[:MOST_COMPONENTS]
     ]
+    if len(by_size) > MOST_COMPONENTS:
+        lines.append(f"and {counted(len(by_size) - MOST_COMPONENTS, 'component')} more")
     lines += [printable(f"left out: {reason_of(network, one)}") for one in found.left_out]
     doubtful = int(found.doubtful.sum())
     if doubtful:
         lines.append(f"{counted(doubtful, 'pose')} doubtful: tied by what may be wrong instead")
-    lines += [printable(f"not used: {one.name} ({one.reason})") for one in network.not_used]
+    kinds = Counter((one.kind, one.reason) for one in network.not_used)
+    lines += [
+        printable(f"not used: {counted(count, kind)} ({reason})")
+        for (kind, reason), count in sorted(kinds.items(), key=lambda each: (-each[1], each[0]))
+    ]
     settled = printable(f"written: {out}")
     lines.append(settled if found.settled else "the adjustment did not settle: nothing is written")
     return "\n".join(lines)

@@ -75,7 +75,10 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
     edges: list[tuple[str, str, str, RelativePose]] = []
     not_used: list[NotUsed] = []
     missing = set(nodes.of_site)
-    for partition in partitions_in(out):
+    partitions = partitions_in(out)
+    if not partitions:
+        raise ReadError(f"{dataset}: no answers of 'retropole fleet calibrate'")
+    for partition in partitions:
         for row in read_rows(out, partition).values():
             missing.discard(row.id)
             lidars = nodes.of_site.get(row.id, {})
