@@ -21,14 +21,17 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
         ("a", 1.0, 0.01, 0.0),
         ("a", 4.0, 0.02, 0.5),
     ]
-    rows = [
-        {"node": "a", "site": "s", "lidar": "target", "x_m": 1.0, "y_m": 2.0, "z_m": 3.0}
-        | {"sigma_m": 0.01},
-        {"node": "b", "site": "s", "lidar": "source"},
-        {"node": "a", "x_m": 4.0, "y_m": 5.0, "z_m": 6.0, "sigma_m": 0.02, "seen_x_m": 0.5},
-    ]
-    table = pa.Table.from_pylist(
-        [{name: row.get(name) for name in rows[0] | rows[2]} for row in rows]
+    table = pa.table(
+        {
+            "node": ["a", "b", "a"],
+            "site": ["s", "s", None],
+            "lidar": ["target", "source", None],
+            "x_m": [1.0, None, 4.0],
+            "y_m": [2.0, None, 5.0],
+            "z_m": [3.0, None, 6.0],
+            "sigma_m": [0.01, None, 0.02],
+            "seen_x_m": [None, None, 0.5],
+        }
     )
     pq.write_table(table, tmp_path / "nodes.parquet")
     other = read_nodes(str(tmp_path / "nodes.parquet"))
