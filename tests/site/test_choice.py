@@ -44,7 +44,7 @@ def count_of(poses: dict[int, Array], pairs: Sequence[Pair], poles: Sequence[Arr
         i, j = each.lidars
         met = each.at(se3.inverse(poses[i]) @ poses[j], poles[j])
         if met is not None:
-            count += len(met.placements) * (1.0 if each.overlaps else 0.25)
+            count += met.evidence * (1.0 if each.overlaps else 0.25)
     return count
 
 
@@ -193,6 +193,23 @@ def test_pairs_whose_scenes_do_not_overlap_do_not_outvote_one_that_does() -> Non
     assert most_of(pairs[2]) < most_of(pairs[0]) / 2
     found = choose_poses(range(3), pairs, poles, 0)
     np.testing.assert_allclose(found.best.poses[1], true_pair(poses, 0, 1), atol=1e-9)
+    assert not found.rivals
+
+
+def test_poles_that_agree_outvote_scenes_that_prefer_another_pose() -> None:
+    """Two of four poles lie on each other after a half turn, and the scenes lie nearer then."""
+    rng = np.random.default_rng(3)
+    poses, poles = drawn(rng, 3)
+    turn = half_turn(rng)
+    pairs = []
+    for i in (0, 1):
+        right = true_pair(poses, i, 2)
+        four = replace(hypothesis(right, score=0.1), poles=4, stands=False)
+        two = hypothesis(right @ turn, score=0.2)
+        pairs.append(pair((i, 2), two, four, overlaps=i == 0))
+    pairs.append(pair((0, 1), hypothesis(true_pair(poses, 0, 1))))
+    found = choose_poses(range(3), pairs, poles, 0)
+    np.testing.assert_allclose(found.best.poses[2], true_pair(poses, 0, 2), atol=1e-9)
     assert not found.rivals
 
 

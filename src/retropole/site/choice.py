@@ -2,10 +2,10 @@
 
 What one pair of LiDARs cannot decide the others may: around a loop the poses of the pairs must
 compose to the identity, and a third LiDAR that both see ties them. Poses are given to one LiDAR
-after the other, each from a hypothesis of a pair with one that has its pose already; a placement of
-a pair counts where a hypothesis that it allows, and the scene leaves standing, is met. The choice
-with the largest count is found by branch and bound, and with it every other one that counts as
-much: then the data do not decide.
+after the other, each from a hypothesis of a pair with one that has its pose already; where a
+hypothesis of a pair is met, the poles that agree under it count. The choice with the largest count
+is found by branch and bound, and with it every other one that counts as much: then the data do not
+decide.
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ from ..datatypes import Array
 from .pairs import Pair, PairHypothesis, is_same_pose
 
 WITHOUT_SCENE = 0.25
-"""A placement of a pair whose scenes do not overlap counts so much: that their poles have one shape
-may be chance, but more of it is less."""
+"""Poles of a pair whose scenes do not overlap count so much: that they have one shape may be
+chance, but more of it is less."""
 
 UNLIKELY = 0.6
 """A hypothesis that the scene does not leave standing beside the best, but does not rule out, has
 this part of the count: a loop that closes with two of them is more than one that does not close."""
 
 EQUAL = 0.02
-"""Choices whose counts differ by less are equally good: by less than any placement of a pair
-counts."""
+"""Choices whose counts differ by less are equally good: by less than any pole of a pair counts."""
 
 ELSEWHERE = 2.0
 """A LiDAR lies elsewhere in another choice beyond so many times what poles leave open: from two
@@ -180,7 +179,7 @@ class _Search:
         met = pair.at(se3.inverse(both[first]) @ both[second], self.poles[second])
         if met is None:
             return 0.0
-        return weight_of(pair) * len(met.placements) * (1.0 if met.stands else UNLIKELY)
+        return weight_of(pair, met)
 
     def _pair(self, a: int, b: int) -> Pair | None:
         return self.pairs.get((min(a, b), max(a, b)))
@@ -205,14 +204,15 @@ class _Search:
         return sum(most_of(pair) for lidars, pair in self.pairs.items() if waiting & set(lidars))
 
 
-def weight_of(pair: Pair) -> float:
-    """What each placement of a pair counts."""
-    return 1.0 if pair.overlaps else WITHOUT_SCENE
+def weight_of(pair: Pair, hypothesis: PairHypothesis) -> float:
+    """What a hypothesis of a pair counts."""
+    by_scene = 1.0 if pair.overlaps else WITHOUT_SCENE
+    return by_scene * hypothesis.evidence * (1.0 if hypothesis.stands else UNLIKELY)
 
 
 def most_of(pair: Pair) -> float:
     """Most that a pair can count."""
-    return weight_of(pair) * max(len(each.placements) for each in pair.standing)
+    return max(weight_of(pair, each) for each in pair.possible)
 
 
 def _scene_score(choice: Choice, search: _Search) -> float:

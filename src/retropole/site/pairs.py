@@ -63,6 +63,15 @@ class PairHypothesis:
     stands: bool
     possible: bool = True
 
+    @property
+    def evidence(self) -> int:
+        """How much the poles say for it: of each placement one less than there are.
+
+        Two poles of one placement allow several poses, and one of them is right; every pole more
+        that agrees would do so by chance.
+        """
+        return self.poles - len(self.placements)
+
 
 @dataclass(frozen=True, eq=False)
 class Pair:
@@ -98,9 +107,7 @@ class Pair:
     def at(self, T: Array, points: Array) -> PairHypothesis | None:
         """Find the possible hypothesis that a pose (4, 4) is, with points (N, 3) of the second."""
         near = [each for each in self.possible if is_same_pose(T, each.T, points)]
-        return max(
-            near, key=lambda each: (each.stands, len(each.placements), each.score), default=None
-        )
+        return max(near, key=lambda each: (each.stands, each.evidence, each.score), default=None)
 
 
 def is_same_pose(T: Array, other: Array, points: Array, slack: float = 1.0) -> bool:

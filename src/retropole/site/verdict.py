@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -107,13 +108,13 @@ def _loop_through(moved: Sequence[int], pairs: Sequence[Pair]) -> list[int] | No
 def confirm_links(
     site: Site, scans: SiteScans, adjusted: Adjusted, pairs: Sequence[Pair]
 ) -> Iterator[Reason]:
-    """Hold each LiDAR's pose against what stands in the scene it shares with its best partner.
+    """Hold the poses against what stands in the scenes, link by link of all LiDARs.
 
     Yields
     ------
     Reason
-        ``not_confirmed`` where poles of one placement alone vouch for a LiDAR, and the scene does
-        not.
+        ``not_confirmed`` where two poles alone link some LiDARs to all others, and the scene does
+        not vouch for the link.
 
     Raises
     ------
@@ -121,18 +122,7 @@ def confirm_links(
         ``scene_contradicts``.
     """
     by_lidars = {pair.lidars: pair for pair in pairs}
-    done: set[tuple[int, int]] = set()
-    for lidar in range(len(site.lidars)):
-        links = [
-            (_shared(adjusted, lidar, other), other)
-            for other in range(len(site.lidars))
-            if other != lidar
-        ]
-        count, other = max(links)
-        key = (min(lidar, other), max(lidar, other))
-        if key in done or not count:
-            continue
-        done.add(key)
+    for key, across in _links(adjusted, len(site.lidars)):
         found = _confirmation(scans, adjusted, by_lidars[key])
         names = f"{site.lidars[key[0]].name} and {site.lidars[key[1]].name}"
         try:
@@ -140,23 +130,51 @@ def confirm_links(
         except Refusal as refusal:
             raise Refusal(refusal.code, f"{names}: {refusal.message}", refusal.values) from None
         wrong = found.probability_wrong
-        if wrong is not None and wrong > MAX_WRONG and _alone(adjusted, lidar):
+        if wrong is not None and wrong > MAX_WRONG and across <= 2:
             yield Reason(
                 "not_confirmed",
-                f"two poles of one placement alone vouch for {names}, and their surroundings do "
-                f"not tell (wrong with {100 * wrong:.0f} %): add a pole or a placement",
+                f"two poles alone link {names}, and their surroundings do not tell (wrong with "
+                f"{100 * wrong:.0f} %): add a pole or a placement that both see",
                 {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
             )
 
 
-def _shared(adjusted: Adjusted, lidar: int, other: int) -> int:
-    return sum({lidar, other} <= pole.seen.keys() for pole in adjusted.datum.poles)
+def _links(adjusted: Adjusted, count: int) -> Iterator[tuple[tuple[int, int], int]]:
+    """The pairs that link all LiDARs by most poles, and of those by most patches of the scene.
+
+    Yields
+    ------
+    tuple, int
+        A pair, and how many poles both sides see that it links: one LiDAR or many on each.
+    """
+    seen = [pole.seen.keys() for pole in adjusted.datum.poles]
+    patches = {term.lidars: len(term.weights) for term in adjusted.end.scene}
+    weights = {
+        pair: (sum(set(pair) <= own for own in seen), patches.get(pair, 0))
+        for pair in combinations(range(count), 2)
+    }
+    side = [{i} for i in range(count)]
+    tree = []
+    for pair in sorted(weights, key=lambda pair: weights[pair], reverse=True):
+        i, j = pair
+        if weights[pair][0] and side[i] is not side[j]:
+            tree.append(pair)
+            joined = side[i] | side[j]
+            for k in joined:
+                side[k] = joined
+    for pair in tree:
+        near = _reached(pair[0], [other for other in tree if other != pair])
+        yield pair, sum(bool(own & near) and bool(own - near) for own in seen)
 
 
-def _alone(adjusted: Adjusted, lidar: int) -> bool:
-    """Whether a LiDAR shares no more than two poles with all others."""
-    own = [pole for pole in adjusted.datum.poles if lidar in pole.seen and len(pole.seen) > 1]
-    return len(own) <= 2
+def _reached(first: int, tree: Sequence[tuple[int, int]]) -> set[int]:
+    """LiDARs that some pairs link to one."""
+    reached: set[int] = {first}
+    for _ in tree:
+        for pair in tree:
+            if reached & set(pair):
+                reached |= set(pair)
+    return reached
 
 
 def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmation:
