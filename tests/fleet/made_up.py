@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -92,7 +93,11 @@ def write_made_up(out: Path, rows: list[Row], seed: int = 0) -> Path:
 
 
 def write_city(out: Path, count: int, seed: int = 0) -> Path:
-    """Write the dataset of a city of so many sites."""
+    """Write the dataset of a city of so many sites, about forty in each partition."""
     rng = np.random.default_rng(seed)
-    rows = [made_up_row(f"post-{k:05d}", rng, placed=k % 50 > 0) for k in range(count)]
-    return write_made_up(out, rows, seed)
+    most = f"part-{min(255, count // 40):02x}.parquet"
+    names = (f"post-{k:05d}" for k in itertools.count())
+    ids = itertools.islice((name for name in names if partition_of(name) <= most), count)
+    return write_made_up(
+        out, [made_up_row(name, rng, placed=k % 50 > 0) for k, name in enumerate(ids)], seed
+    )

@@ -1,10 +1,16 @@
 "use strict";
-// The page of a fleet has no view: what is folded is on paper all the same.
+// The page of a fleet has no view. On paper, its colours are light, and what is folded is open.
 setUpPage(() => {});
-let folded = [];
+let before = null;
 addEventListener("beforeprint", () => {
-  folded = all("details:not([open])");
-  for (const part of folded) part.open = true;
+  before ||= { theme: root.dataset.theme, folded: all("details:not([open])") };
+  root.dataset.theme = "light";
+  for (const part of before.folded) part.open = true;
 });
-addEventListener("afterprint", () => { for (const part of folded) part.open = false; });
+addEventListener("afterprint", () => {
+  if (!before) return;
+  for (const part of before.folded) part.open = false;
+  if (before.theme) root.dataset.theme = before.theme; else delete root.dataset.theme;
+  before = null;
+});
 root.dataset.usable = String(Math.round(performance.now()));
