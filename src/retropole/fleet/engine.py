@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -104,18 +105,19 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     with dask.config.set({**quiet, **spawned}):
         if scheduler is None:
             count = CPU_COUNT if workers is None else workers
-            with (
-                _leftovers_unsaid(),
-                local(
-                    n_workers=count,
-                    threads_per_worker=1,
-                    processes=True,
-                    dashboard_address=None,
-                    silence_logs=logging.CRITICAL,
-                ) as cluster,
-                of(cluster, set_as_default=False) as client,
-            ):
-                yield client
+            with _leftovers_unsaid():
+                with _interrupts_are_ours():
+                    started = local(
+                        n_workers=count,
+                        threads_per_worker=1,
+                        processes=True,
+                        dashboard_address=None,
+                        # Its server of metrics runs all the same: for this machine alone.
+                        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+                        silence_logs=logging.CRITICAL,
+                    )
+                with started as cluster, of(cluster, set_as_default=False) as client:
+                    yield client
             return
         try:
             client = of(scheduler, timeout=ANSWER_WITHIN, set_as_default=False)
@@ -127,6 +129,22 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
             except TimeoutError:
                 raise UsageError(f"{scheduler}: the cluster has no worker") from None
             yield client
+
+
+@contextmanager
+def _interrupts_are_ours() -> Iterator[None]:
+    """Keep Ctrl-C, which a terminal sends to all processes, from those that are started here.
+
+    Threads and processes inherit what is blocked. One that comes meanwhile is met afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
