@@ -7,6 +7,7 @@ and the scheduler may be started again: what was under way is given out once mor
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import threading
@@ -30,6 +31,9 @@ LOOK = 0.5
 
 GATHER_WITHIN = 10.0
 """Seconds for a row to come from the worker that has it, which may have died since."""
+
+COUNT_AGAIN = 2.0
+"""Seconds after which the workers are counted again: the scheduler is asked over the network."""
 
 PER_THREAD = 2
 """Tasks that are given out for each thread of a worker: one under way, and the next."""
@@ -98,7 +102,11 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     of: Any = distributed.Client
     # What becomes of a site is in its row; the log of a worker that died helps nobody.
     quiet = {"logging": {"distributed": "critical", "asyncio": "critical"}}
-    spawned = {"distributed.worker.multiprocessing-method": "spawn"}
+    spawned = {
+        "distributed.worker.multiprocessing-method": "spawn",
+        # A hundred times a second it would note what the worker does: it waits.
+        "distributed.worker.profile.enabled": False,
+    }
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -182,9 +190,12 @@ def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
     given: dict[Any, tuple[Task, int]] = {}
     again: list[tuple[Task, int]] = []
     done = threading.Event()
+    threads, counted = 0, -math.inf
     try:
         while True:
-            room = PER_THREAD * _threads(client) - len(given)
+            if client.status != "running" or time.monotonic() > counted + COUNT_AGAIN:
+                threads, counted = _threads(client), time.monotonic()
+            room = PER_THREAD * threads - len(given)
             fresh = islice(tasks, max(0, room - len(again)))
             again += [(task, 1) for task in fresh]
             while again:
