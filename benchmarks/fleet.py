@@ -6,7 +6,8 @@
 Pairs are simulated recordings of two VLP-16 in a street, each of another seed. ``kills`` calibrates
 them on two local workers, and again on a cluster of its own whose workers are killed (SIGKILL) at
 random so many times, the processes that calibrate besides, and whose scheduler is killed and
-started again once; a third run finds nothing to do. ``speed`` calibrates them on one worker and on two.
+started again once; a third run finds nothing to do. ``speed`` calibrates them on one worker and on
+two.
 
 Overhead is the time from the first start to the last end on one worker, less the steps of the
 calibrations themselves (reading included), for each pair. Times are of this machine at this moment.
