@@ -4,9 +4,10 @@
     python benchmarks/fleet.py speed --pairs 2000
 
 Pairs are simulated recordings of two VLP-16 in a street, each of another seed. ``kills`` calibrates
-them on two local workers, and again on a cluster of its own whose workers, or the processes that
-calibrate, are killed (SIGKILL) at random, and whose scheduler is killed and started again once; a
-third run finds nothing to do. ``speed`` calibrates them on one worker and on two.
+them on two local workers, and again on a cluster of its own whose workers are killed (SIGKILL) at
+random so many times, the processes that calibrate besides, and whose scheduler is killed and
+started again once; a third run finds nothing to do. ``speed`` calibrates them on one worker and on
+two.
 
 Overhead is the time from the first start to the last end on one worker, less the steps of the
 calibrations themselves (reading included), for each pair. Times are of this machine at this moment.
@@ -224,7 +225,7 @@ def kills(pairs: Path, folder: Path, count: int, seed: int) -> None:
             written = len(partitions_in(str(out)))
             if not done["scheduler"] and written > whole / 2:
                 done["scheduler"] += cluster.kill("scheduler", calibrating=False)
-            elif done["workers"] + done["calibrating"] < count * written / (0.9 * whole):
+            elif done["workers"] < count * min(1.0, written / (0.9 * whole)):
                 calibrating = rng.random() < 0.3
                 which = "calibrating" if calibrating else "workers"
                 name = rng.choice(["worker a", "worker b"])
@@ -250,7 +251,7 @@ def main() -> None:
         command = commands.add_parser(name)
         command.add_argument("--pairs", type=int, default=40)
         command.add_argument("--folder", type=Path, help="keep the simulated pairs here")
-    commands.choices["kills"].add_argument("--kills", type=int, default=10)
+    commands.choices["kills"].add_argument("--kills", type=int, default=10, help="of workers")
     commands.choices["kills"].add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")

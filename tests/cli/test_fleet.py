@@ -77,6 +77,22 @@ def test_slips(fleet: Path, tmp_path: Path, words: tuple[object, ...], said: str
     assert "what to do: " in done.stderr
 
 
+@pytest.mark.usefixtures("in_this_process")
+def test_the_report_is_made_with_it_and_again(fleet: Path, tmp_path: Path) -> None:
+    out, page, again = tmp_path / "out", tmp_path / "fleet.html", tmp_path / "again.html"
+    words = ("fleet", "calibrate", fleet.parent / "small", "--out", out, "--report", page)
+    done = retropole_here(*words)
+    assert done.returncode == 0
+    assert done.stdout.endswith(f"written: {out}\nwritten: {page}\n")
+    made = retropole_here("fleet", "report", out, "--out", again)
+    assert made.stdout == f"written: {again}\n"
+    assert again.read_bytes() == page.read_bytes()
+    none = retropole_here("fleet", "report", tmp_path, "--out", again)
+    assert none.returncode == 2
+    assert "is no dataset of a fleet" in none.stderr
+    assert "fleet calibrate --out" in none.stderr
+
+
 @pytest.mark.skipif(os.name == "nt", reason="the system has no SIGINT for one process")
 def test_an_interrupt_leaves_whole_partitions_and_the_next_run_goes_on(
     fleet: Path, tmp_path: Path
@@ -84,11 +100,15 @@ def test_an_interrupt_leaves_whole_partitions_and_the_next_run_goes_on(
     out = tmp_path / "out"
     words = ["fleet", "calibrate", str(fleet), "--workers", "1", "--out", str(out)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "retropole", *words], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "retropole", *words],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     while not any((out / "answers").glob("part-??.parquet")) and process.poll() is None:
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    # As a terminal does: to every process that the command has started.
+    os.killpg(process.pid, signal.SIGINT)
     assert process.wait() == 130
     assert process.stderr is not None
     assert process.stderr.read() == "retropole: interrupted\n"

@@ -3,6 +3,9 @@ from pathlib import Path
 import pytest
 
 from tests.fleet.fleets import write_fleet
+from tests.report.conftest import browser
+
+__all__ = ["browser"]
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 pytest.importorskip("pyarrow", reason="needs the extra fleet")

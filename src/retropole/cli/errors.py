@@ -69,6 +69,9 @@ def failure_of(error: Exception, command: str) -> Failure:
         case ReadError() if command == "retropole fleet calibrate":
             look = "check SITES and the dataset; what is wrong with one recording is in its row"
             return Failure("unreadable", str(error), (look,), "fleet.html")
+        case ReadError() if command == "retropole fleet report":
+            look = "name the folder that 'retropole fleet calibrate --out' wrote to"
+            return Failure("unreadable", str(error), (look,), "fleet.html")
         case ReadError():
             look = "check the path and the file; 'retropole info FILE' says what a recording holds"
             return Failure("unreadable", str(error), (look,), "troubleshooting.html")

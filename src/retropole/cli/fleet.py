@@ -19,6 +19,7 @@ from .common import (
 )
 from .fleet_check import fleet_check
 from .fleet_network import fleet_network
+from .fleet_report import fleet_report
 
 if TYPE_CHECKING:
     from ..fleet.batch import FleetSummary
@@ -34,11 +35,13 @@ def fleet() -> None:
     Examples:
       retropole fleet calibrate recordings/ --out fleet
       retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
+      retropole fleet report fleet --out fleet.html
       retropole fleet check sites.csv --history history
       retropole fleet network fleet --nodes nodes.csv --out network.parquet
     """
 
 
+fleet.add_command(fleet_report)
 fleet.add_command(fleet_check)
 fleet.add_command(fleet_network)
 
@@ -61,6 +64,7 @@ fleet.add_command(fleet_network)
     help="Of one site.",
 )
 @click.option("--reports", metavar="DIR", help="Folder or URL for result and report of each site.")
+@click.option("--report", metavar="FILE", help="Write the report of the fleet, one HTML page.")
 @click.option("--retry", is_flag=True, help="Try sites that ended in an error again.")
 @click.option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
 @radius_option
@@ -75,6 +79,7 @@ def calibrate(
     workers: int | None,
     time_limit: float,
     reports: str | None,
+    report: str | None,
     retry: bool,
     drop_others: bool,
     radius: float,
@@ -99,7 +104,7 @@ def calibrate(
 
     \b
     Examples:
-      retropole fleet calibrate recordings/ --out fleet
+      retropole fleet calibrate recordings/ --out fleet --report fleet.html
       retropole fleet calibrate 'posts/*/site.toml' --out fleet --reports reports --workers 8
       retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
       retropole fleet calibrate sites.csv --out fleet --retry --time-limit 3600
@@ -113,6 +118,8 @@ def calibrate(
     """
     from ..fleet.batch import calibrate_fleet
     from ..fleet.engine import connected, outcomes
+    from ..fleet.overview import overview_of
+    from ..fleet.report import write_fleet_report
     from ..fleet.sites import find_sites
     from ..result import RunConfig
 
@@ -140,10 +147,13 @@ def calibrate(
                 time_limit=time_limit,
                 progress=progress,
             )
+        if report is not None:
+            progress("write the report")
+            write_fleet_report(report, overview_of(out), reports)
     if as_json:
         show(json.dumps({"schema": FLEET_SCHEMA, "out": out, **_counts(summary)}))
     elif not quiet:
-        show(_in_words(summary, out))
+        show(_in_words(summary, out, *([] if report is None else [report])))
     return EXIT_WARNED if strict and set(summary.statuses) - {"ok"} else 0
 
 
@@ -157,7 +167,7 @@ def _counts(summary: FleetSummary) -> dict[str, object]:
     }
 
 
-def _in_words(summary: FleetSummary, out: str) -> str:
+def _in_words(summary: FleetSummary, *written: str) -> str:
     """Say what became of a fleet: counts, the commonest codes, where it is."""
     from ..errors import printable
     from ..quantities import counted
@@ -172,5 +182,5 @@ def _in_words(summary: FleetSummary, out: str) -> str:
         lines.append("errors are tried again with --retry, or once their files are others")
     if summary.others:
         lines.append(f"in the dataset besides: {counted(summary.others, 'site')} not in SITES")
-    lines.append(f"written: {printable(out)}")
+    lines += [f"written: {printable(place)}" for place in written]
     return "\n".join(lines)

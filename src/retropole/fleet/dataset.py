@@ -25,6 +25,9 @@ ANSWERS, RUNS = "answers", "runs"
 LARGEST_PARTITION = 2**31
 """Bytes; four thousand rows of a quarter of a megabyte."""
 
+AGAIN = "; remove it, and its sites are calibrated again"
+"""What to do about a partition that is damaged."""
+
 AT_RANGE = 30.0
 """Where the errors of sites are compared, m."""
 
@@ -102,7 +105,7 @@ class Known(msgspec.Struct, frozen=True):
     status: Status
 
 
-Of = TypeVar("Of", Row, Run, Known)
+Of = TypeVar("Of", bound=msgspec.Struct)
 
 
 def partition_of(name: str) -> str:
@@ -110,9 +113,9 @@ def partition_of(name: str) -> str:
     return f"part-{hashlib.sha256(name.encode()).hexdigest()[:2]}.parquet"
 
 
-def partitions_in(out: str) -> list[str]:
-    """Name the partitions that a dataset has."""
-    return [name for name in names_in(below(out, ANSWERS)) if name.endswith(".parquet")]
+def partitions_in(out: str, folder: str = ANSWERS) -> list[str]:
+    """Name the partitions that a dataset has, of `ANSWERS` or of `RUNS`."""
+    return [name for name in names_in(below(out, folder)) if name.endswith(".parquet")]
 
 
 def known_in(out: str) -> dict[str, Known]:
@@ -125,10 +128,7 @@ def known_in(out: str) -> dict[str, Known]:
     """
     known: dict[str, Known] = {}
     for name in partitions_in(out):
-        place = below(below(out, ANSWERS), name)
-        table = _table(place, ["id", "key", "status"])
-        for each in table:
-            known[each.pop("id")] = msgspec.convert(each, Known)
+        known |= read_as(out, ANSWERS, name, Known)
     return known
 
 
@@ -140,7 +140,7 @@ def read_rows(out: str, partition: str) -> dict[str, Row]:
     ReadError
         As `known_in`.
     """
-    return _read(out, ANSWERS, partition, Row)
+    return read_as(out, ANSWERS, partition, Row) if _is_there(out, ANSWERS, partition) else {}
 
 
 def read_runs(out: str, partition: str) -> dict[str, Run]:
@@ -151,7 +151,34 @@ def read_runs(out: str, partition: str) -> dict[str, Run]:
     ReadError
         As `known_in`.
     """
-    return _read(out, RUNS, partition, Run)
+    return read_as(out, RUNS, partition, Run) if _is_there(out, RUNS, partition) else {}
+
+
+def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of]:
+    """Read the columns of a partition that a data class has, by id.
+
+    Parameters
+    ----------
+    out
+        Path or URL of the dataset.
+    folder
+        `ANSWERS` or `RUNS`.
+    partition
+        Of `partitions_in`.
+    of
+        Its fields are names of columns; what they hold is checked.
+
+    Raises
+    ------
+    ReadError
+        As `known_in`.
+    """
+    place = below(below(out, folder), partition)
+    rows = _table(place, list({"id": None, **dict.fromkeys(of.__struct_fields__)}))
+    try:
+        return {row["id"]: msgspec.convert(row, of) for row in rows}
+    except (KeyError, msgspec.ValidationError) as error:
+        raise ReadError(f"{place}: damaged ({error}){AGAIN}") from None
 
 
 def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterable[Run]) -> None:
@@ -173,30 +200,26 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
             remove(place)
 
 
-def _read(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of]:
-    if partition not in names_in(below(out, folder)):
-        return {}
-    rows = _table(below(below(out, folder), partition))
-    return {row["id"]: msgspec.convert(row, of) for row in rows}
+def _is_there(out: str, folder: str, partition: str) -> bool:
+    return partition in names_in(below(out, folder))
 
 
-def _table(place: str, columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
-    """Read the rows of a file, some columns of it or all."""
+def _table(place: str, columns: Sequence[str]) -> list[dict[str, Any]]:
+    """Read some columns of a file, as rows."""
     try:
         from pyarrow import ArrowException
         from pyarrow import parquet as pq
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
     data = read_bytes(place, LARGEST_PARTITION)
-    again = "; remove it, and its sites are calibrated again"
     try:
         file = pq.ParquetFile(io.BytesIO(data))
         schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
         if schema != FLEET_SCHEMA:
-            raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{again}")
-        rows: list[dict[str, Any]] = file.read(columns=columns).to_pylist()
+            raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{AGAIN}")
+        rows: list[dict[str, Any]] = file.read(columns=list(columns)).to_pylist()
     except (ArrowException, OSError) as error:
-        raise ReadError(f"{place}: damaged ({error}){again}") from None
+        raise ReadError(f"{place}: damaged ({error}){AGAIN}") from None
     return rows
 
 

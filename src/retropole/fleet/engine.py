@@ -7,7 +7,9 @@ and the scheduler may be started again: what was under way is given out once mor
 from __future__ import annotations
 
 import logging
+import math
 import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -29,6 +31,9 @@ LOOK = 0.5
 
 GATHER_WITHIN = 10.0
 """Seconds for a row to come from the worker that has it, which may have died since."""
+
+COUNT_AGAIN = 2.0
+"""Seconds after which the workers are counted again: the scheduler is asked over the network."""
 
 PER_THREAD = 2
 """Tasks that are given out for each thread of a worker: one under way, and the next."""
@@ -97,25 +102,30 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     of: Any = distributed.Client
     # What becomes of a site is in its row; the log of a worker that died helps nobody.
     quiet = {"logging": {"distributed": "critical", "asyncio": "critical"}}
-    spawned = {"distributed.worker.multiprocessing-method": "spawn"}
+    spawned = {
+        "distributed.worker.multiprocessing-method": "spawn",
+        # A hundred times a second it would note what the worker does: it waits.
+        "distributed.worker.profile.enabled": False,
+    }
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set({**quiet, **spawned}):
         if scheduler is None:
             count = CPU_COUNT if workers is None else workers
-            with (
-                _leftovers_unsaid(),
-                local(
-                    n_workers=count,
-                    threads_per_worker=1,
-                    processes=True,
-                    dashboard_address=None,
-                    silence_logs=logging.CRITICAL,
-                ) as cluster,
-                of(cluster, set_as_default=False) as client,
-            ):
-                yield client
+            with _leftovers_unsaid():
+                with _interrupts_are_ours():
+                    started = local(
+                        n_workers=count,
+                        threads_per_worker=1,
+                        processes=True,
+                        dashboard_address=None,
+                        # Its server of metrics runs all the same: for this machine alone.
+                        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+                        silence_logs=logging.CRITICAL,
+                    )
+                with started as cluster, of(cluster, set_as_default=False) as client:
+                    yield client
             return
         try:
             client = of(scheduler, timeout=ANSWER_WITHIN, set_as_default=False)
@@ -127,6 +137,22 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
             except TimeoutError:
                 raise UsageError(f"{scheduler}: the cluster has no worker") from None
             yield client
+
+
+@contextmanager
+def _interrupts_are_ours() -> Iterator[None]:
+    """Keep Ctrl-C, which a terminal sends to all processes, from those that are started here.
+
+    Threads and processes inherit what is blocked. One that comes meanwhile is met afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -164,9 +190,12 @@ def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
     given: dict[Any, tuple[Task, int]] = {}
     again: list[tuple[Task, int]] = []
     done = threading.Event()
+    threads, counted = 0, -math.inf
     try:
         while True:
-            room = PER_THREAD * _threads(client) - len(given)
+            if client.status != "running" or time.monotonic() > counted + COUNT_AGAIN:
+                threads, counted = _threads(client), time.monotonic()
+            room = PER_THREAD * threads - len(given)
             fresh = islice(tasks, max(0, room - len(again)))
             again += [(task, 1) for task in fresh]
             while again:

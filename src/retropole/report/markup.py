@@ -42,6 +42,7 @@ def table(
     rows: Sequence[Sequence[object]],
     text: Collection[int] = (),
     bars: Sequence[tuple[str, float]] = (),
+    links: Sequence[str] = (),
 ) -> str:
     """Lay out a table that scrolls sideways on narrow screens.
 
@@ -53,6 +54,8 @@ def table(
         Columns of words, aligned left; all others but the first are numbers.
     bars
         Of each row, the class and the length, 0 to 1, of a bar behind its last cell.
+    links
+        Of each row, where its heading leads; empty for nowhere.
     """
     kind = ["" if k not in text else ' class="text"' for k in range(len(header))]
     head = "".join(
@@ -62,14 +65,20 @@ def table(
         f' class="share share-{round(100 * min(max(share, 0), 1))} {escape(name)}"'
         for name, share in bars
     ] or [kind[-1]] * len(rows)
+    headings = [escape(str(row[0])) for row in rows]
+    if links:
+        headings = [
+            f'<a href="{escape(link)}">{name}</a>' if link else name
+            for name, link in zip(headings, links, strict=True)
+        ]
     body = "".join(
-        f'<tr><th scope="row">{escape(str(row[0]))}</th>'
+        f'<tr><th scope="row">{heading}</th>'
         + "".join(
             f"<td{c}>{escape(str(cell))}</td>"
             for c, cell in zip([*kind[1:-1], end], row[1:], strict=True)
         )
         + "</tr>"
-        for row, end in zip(rows, ends, strict=True)
+        for heading, row, end in zip(headings, rows, ends, strict=True)
     )
     name = escape(caption)
     return (

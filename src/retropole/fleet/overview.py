@@ -1,0 +1,146 @@
+"""What became of a fleet, taken from its dataset: little of each site, so that thousands fit."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from ..errors import ReadError, shortened
+from .dataset import ANSWERS, RUNS, Status, partitions_in, read_as
+from .sites import Kind
+from .storage import absolute
+
+STATUSES: tuple[Status, ...] = ("ok", "warn", "refused", "error")
+"""From the best to the worst."""
+
+
+class Seen(msgspec.Struct, frozen=True):
+    """What is taken of each row; the fields are columns of the dataset."""
+
+    id: str
+    kind: Kind
+    status: Status
+    codes: tuple[str, ...]
+    messages: tuple[str, ...]
+    latitude_rad: Annotated[float, Meta(ge=-math.pi / 2, le=math.pi / 2)] | None
+    longitude_rad: Annotated[float, Meta(ge=-math.pi, le=2 * math.pi)] | None
+    sigma_30m_m: Annotated[float, Meta(ge=0)] | None
+    version: str
+    libraries: str
+
+
+class _Took(msgspec.Struct, frozen=True):
+    """What is taken of each run."""
+
+    started: datetime
+    seconds: Annotated[float, Meta(ge=0, le=1e9)]
+    host: str
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What became of a fleet.
+
+    Attributes
+    ----------
+    place
+        Path or URL of the dataset.
+    sites
+        Every site, in the order of the ids; messages only of those that ended in an error.
+    made_by
+        How many rows each version, with the libraries that compute, has made.
+    seconds
+        How long each site took, in no order.
+    first, last
+        When the first site was begun, and the last done, UTC; None without runs.
+    hosts
+        How many sites were done on each machine.
+    """
+
+    place: str
+    sites: tuple[Seen, ...]
+    made_by: Mapping[str, int]
+    seconds: Sequence[float]
+    first: datetime | None
+    last: datetime | None
+    hosts: Mapping[str, int]
+
+    @property
+    def statuses(self) -> dict[Status, int]:
+        """How many sites ended so, from the best to the worst; those that none did are left out."""
+        counts = Counter(site.status for site in self.sites)
+        return {status: counts[status] for status in STATUSES if counts[status]}
+
+    @property
+    def errors_at_range(self) -> list[float]:
+        """Predicted errors at 30 m, 1 σ, metres, from the least on; of sites with an answer."""
+        found = (site.sigma_30m_m for site in self.sites)
+        return sorted(each for each in found if each is not None and math.isfinite(each))
+
+    def worst(self, count: int) -> list[Seen]:
+        """Give the sites with the largest predicted errors, the largest first."""
+        stated = [site for site in self.sites if site.sigma_30m_m is not None]
+        return sorted(stated, key=lambda site: (-(site.sigma_30m_m or 0.0), site.id))[:count]
+
+
+def overview_of(out: str) -> Overview:
+    """Read what became of a fleet, one partition after the other.
+
+    Parameters
+    ----------
+    out
+        Path or URL of the dataset.
+
+    Raises
+    ------
+    ReadError
+        Where there is none, or a partition is damaged.
+    """
+    out = absolute(out)
+    partitions = partitions_in(out)
+    if not partitions:
+        raise ReadError(f"{out}: is no dataset of a fleet: it has no {ANSWERS}/part-….parquet")
+    sites: list[Seen] = []
+    made_by: Counter[str] = Counter()
+    hosts: Counter[str] = Counter()
+    seconds: list[float] = []
+    times: list[datetime] = []
+    for name in partitions:
+        rows = read_as(out, ANSWERS, name, Seen)
+        sites += map(_slim, rows.values())
+        made_by.update(f"retropole {row.version}: {row.libraries}" for row in rows.values())
+    for name in partitions_in(out, RUNS):
+        for run in read_as(out, RUNS, name, _Took).values():
+            try:
+                start = run.started.astimezone(UTC)
+                times = _widened(times, start, start + timedelta(seconds=run.seconds))
+            except OverflowError:
+                raise ReadError(f"{out}/{RUNS}/{name}: there is no time {run.started}") from None
+            seconds.append(run.seconds)
+            hosts[run.host] += 1
+    return Overview(
+        place=out,
+        sites=tuple(sorted(sites, key=lambda site: site.id)),
+        made_by=made_by,
+        seconds=seconds,
+        first=times[0] if times else None,
+        last=times[1] if times else None,
+        hosts=hosts,
+    )
+
+
+def _slim(row: Seen) -> Seen:
+    """Leave out what no part of the page shows, thousands of times."""
+    messages = tuple(map(shortened, row.messages)) if row.status == "error" else ()
+    return msgspec.structs.replace(row, messages=messages, version="", libraries="")
+
+
+def _widened(times: list[datetime], start: datetime, end: datetime) -> list[datetime]:
+    return [min([start, *times[:1]]), max([end, *times[1:]])]

@@ -1,0 +1,279 @@
+"""Pictures of a fleet: where its sites are, and how large their predicted errors are."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from html import escape
+
+from ..quantities import counted, error
+from ..report.site.svg import large, round_below
+from .dataset import Status
+from .overview import STATUSES, Seen
+
+EARTH = 6_371_009.0
+"""Mean radius of the Earth, m (IUGG, Moritz 2000): a map of a city to 0.3 %."""
+
+WIDTH, HEIGHTS = 520.0, (200.0, 560.0)
+"""Of a picture in its own units; the least and the greatest height of the map."""
+
+MARGIN, RIGHT = 44.0, 84.0
+"""Around what is drawn; to the right of the map is room for degrees of latitude."""
+
+MIDDLE = (WIDTH + MARGIN - RIGHT) / 2
+
+LEAST_SPAN = 200.0
+"""A map shows at least so much, m."""
+
+FLAT_BELOW = 500e3
+"""So wide a map, m, is to scale everywhere within 1 % or so; a wider one in its middle."""
+
+MOST_NAMED = 20_000
+"""So many sites, the worst first, say their names in the map: a page of 2 MB."""
+
+SHAPES: dict[Status, Callable[[float], str]] = {
+    "ok": lambda r: "h.01",
+    "warn": lambda r: f"m0{-1.2 * r:.2g}l{1.2 * r:.2g} {2.2 * r:.2g}h{-2.4 * r:.2g}z",
+    "refused": lambda r: f"m{-r:.2g}{-r:.2g}h{2 * r:.2g}v{2 * r:.2g}h{-2 * r:.2g}z",
+    "error": lambda r: (
+        f"m{-r:.2g}{-r:.2g}l{2 * r:.2g} {2 * r:.2g}m0{-2 * r:.2g}l{-2 * r:.2g} {2 * r:.2g}"
+    ),
+}
+"""A mark of each status beside its colour, from its middle on: dot, triangle, square, cross."""
+
+PER_DECADE = (20, 10, 5, 2, 1)
+"""Bars of a histogram for each power of ten: as many as stay below `MOST_BARS`."""
+
+MOST_BARS = 40
+BARS_HEIGHT = 230.0
+
+
+def fleet_map(sites: Sequence[Seen]) -> str:
+    """Draw where the sites are whose place is known: a figure, or a sentence where none is."""
+    placed = [site for site in sites if site.latitude_rad is not None]
+    placed = [site for site in placed if site.longitude_rad is not None]
+    if not placed:
+        return (
+            "<p>No site says where it is, so there is no map. A list says it in its columns "
+            "<code>latitude_deg</code> and <code>longitude_deg</code>, a site file in the origin "
+            "of its frame.</p>"
+        )
+    view = _View(placed)
+    present = [status for status in STATUSES if any(site.status == status for site in placed)]
+    size = next(r for r, most in ((6.0, 50), (4.0, 1000), (2.5, math.inf)) if len(placed) <= most)
+    named = MOST_NAMED
+    marks: list[str] = []
+    # The worst are drawn last, on top, and are the first to be named.
+    for status in reversed(present):
+        of_status = [site for site in placed if site.status == status]
+        marks.insert(0, _marks(status, of_status, view, size, named))
+        named = max(0, named - len(of_status))
+    said = _map_said(len(placed), len(sites), view)
+    keys = "".join(_key(status, sum(s.status == status for s in placed)) for status in present)
+    return (
+        '<figure class="picture fleet-map">'
+        f'<svg viewBox="0 0 {WIDTH:g} {view.height:.0f}" role="img" aria-labelledby="map-said">'
+        f"{view.grid()}{''.join(marks)}{view.scale_bar()}</svg>"
+        f'<figcaption><ul class="legend">{keys}</ul>'
+        f'<p id="map-said">{escape(said)}</p></figcaption></figure>'
+    )
+
+
+def _key(status: Status, count: int) -> str:
+    """Explain a mark."""
+    mark = f'<path d="M15 7{SHAPES[status](5.0)}"/>'
+    return (
+        f'<li><svg viewBox="0 0 30 14" aria-hidden="true"><g class="site {status} size-50">{mark}'
+        f"</g></svg>{count:,} {status}</li>"
+    )
+
+
+class _View:
+    """From latitude and longitude to the picture: north is at the top, to scale in the middle."""
+
+    def __init__(self, placed: Sequence[Seen]) -> None:
+        longitudes = [site.longitude_rad or 0.0 for site in placed]
+        # Longitudes count from their mean direction, so that a fleet may lie across 180°.
+        self._from = math.atan2(sum(map(math.sin, longitudes)), sum(map(math.cos, longitudes)))
+        x = [self._east(each) for each in longitudes]
+        y = [site.latitude_rad or 0.0 for site in placed]
+        self._x, self._y = (min(x) + max(x)) / 2, (min(y) + max(y)) / 2
+        self._narrow = max(math.cos(self._y), 0.01)
+        self.metres = (EARTH * self._narrow * (max(x) - min(x)), EARTH * (max(y) - min(y)))
+        spans = [max(each, LEAST_SPAN) for each in self.metres]
+        self._scale = min((WIDTH - MARGIN - RIGHT) / spans[0], (HEIGHTS[1] - 2 * MARGIN) / spans[1])
+        self.height = min(max(self._scale * spans[1] + 2 * MARGIN, HEIGHTS[0]), HEIGHTS[1])
+
+    def _east(self, longitude: float) -> float:
+        return (longitude - self._from + math.pi) % (2 * math.pi) - math.pi
+
+    def place(self, site: Seen) -> tuple[float, float]:
+        """Give where a site is in the picture."""
+        assert site.latitude_rad is not None
+        assert site.longitude_rad is not None
+        return self._at(self._east(site.longitude_rad), site.latitude_rad)
+
+    def _at(self, east: float, north: float) -> tuple[float, float]:
+        scale = self._scale * EARTH
+        return (
+            MIDDLE + scale * self._narrow * (east - self._x),
+            self.height / 2 - scale * (north - self._y),
+        )
+
+    def grid(self) -> str:
+        """Draw round degrees of latitude and longitude."""
+        step = round_below(math.degrees(WIDTH / (3 * self._scale * EARTH * self._narrow)))
+        lines = []
+        first, unit = self._from + self._x, 1 / (self._scale * EARTH * self._narrow)
+        west, east = first - MIDDLE * unit, first + (WIDTH - RIGHT - MIDDLE) * unit
+        for k in _multiples(math.degrees(west), math.degrees(east), step):
+            x, _ = self._at(self._x + math.radians(k * step) - first, self._y)
+            degrees = (k * step + 180) % 360 - 180
+            lines.append(
+                f'<path class="grid" d="M{x:.1f} 0V{self.height:.0f}"/><text class="soft" '
+                f'x="{x + 3:.1f}" y="14">{_degrees(degrees, step, "E", "W")}</text>'
+            )
+        step = round_below(math.degrees(self.height / (3 * self._scale * EARTH)))
+        high = self.height / 2 / (self._scale * EARTH)
+        bounds = (max(self._y - high, -math.pi / 2), min(self._y + high, math.pi / 2))
+        for k in _multiples(math.degrees(bounds[0]), math.degrees(bounds[1]), step):
+            _, y = self._at(self._x, math.radians(k * step))
+            lines.append(
+                f'<path class="grid" d="M0 {y:.1f}H{WIDTH:g}"/><text class="soft" x="{WIDTH - 4:g}"'
+                f' y="{y - 4:.1f}" text-anchor="end">{_degrees(k * step, step, "N", "S")}</text>'
+            )
+        return "".join(lines)
+
+    def scale_bar(self) -> str:
+        """Draw a round length."""
+        metres = round_below(0.25 * WIDTH / self._scale)
+        x, y = 14.0, self.height - 14.0
+        words = f"{large(metres)} m" if metres < 1000 else f"{large(metres / 1000)} km"
+        return (
+            f'<path class="bar" d="M{x:g} {y - 5:.1f}v5h{metres * self._scale:.1f}v-5"/>'
+            f'<text x="{x:g}" y="{y - 10:.1f}">{words}</text>'
+        )
+
+
+def _multiples(low: float, high: float, step: float) -> range:
+    return range(math.ceil(low / step), math.floor(high / step) + 1)
+
+
+def _degrees(value: float, step: float, positive: str, negative: str) -> str:
+    """Write degrees with as many decimals as a step has."""
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    # What rounds to none has no side.
+    text = f"{abs(value):.{decimals}f}"
+    side = "" if not float(text) else positive if value > 0 else negative
+    return f"{text}°{side and ' ' + side}"
+
+
+def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, named: int) -> str:
+    """Draw sites of one status; those beyond the named ones only where there is none yet."""
+    shape = SHAPES[status](size)
+    drawn = []
+    for site in sites[:named]:
+        x, y = view.place(site)
+        stated = f", {error(site.sigma_30m_m)} at 30 m" if site.sigma_30m_m is not None else ""
+        name = escape(f"{site.id}: {status}{stated}")
+        drawn.append(f'<path d="M{x:.1f} {y:.1f}{shape}"><title>{name}</title></path>')
+    for x, y in sorted({(round(x), round(y)) for x, y in map(view.place, sites[named:])}):
+        drawn.append(f'<path d="M{x} {y}{shape}"/>')
+    return f'<g class="site {status} size-{size * 10:.0f}">{"".join(drawn)}</g>'
+
+
+def _map_said(placed: int, sites: int, view: _View) -> str:
+    """Say what the map shows, also for those who do not see it."""
+    said = [f"{counted(placed, 'site')}. North is at the top; the worst lie on top."]
+    if max(view.metres) > FLAT_BELOW:
+        said.append("The scale holds in the middle.")
+    if sites > placed:
+        said.append(f"{counted(sites - placed, 'site')} not drawn: nothing says where.")
+    if placed > MOST_NAMED:
+        said.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
+    return " ".join(said)
+
+
+def histogram(values: Sequence[float]) -> str:
+    """Draw how many sites have which predicted error at 30 m; nothing where none has any.
+
+    Parameters
+    ----------
+    values
+        Metres, from the least on.
+    """
+    values = [each for each in values if each > 0]
+    if not values:
+        return ""
+    low, high, per = _decades(values)
+    edges = [10 ** (k / per) for k in range(low, high + 1)]
+    counts = [0] * (high - low)
+    for each in values:
+        counts[min(max(bisect_right(edges, each) - 1, 0), len(counts) - 1)] += 1
+    foot, head = BARS_HEIGHT - 34.0, 24.0
+    wide, tall = (WIDTH - 2 * MARGIN) / len(counts), (foot - head) / max(counts)
+    bars = [
+        f'<path d="M{MARGIN + k * wide + 0.5:.1f} {foot:.1f}v{-count * tall:.1f}h{wide - 1:.1f}'
+        f'v{count * tall:.1f}z"><title>{_between(edges[k], edges[k + 1])}: '
+        f"{counted(count, 'site')}</title></path>"
+        for k, count in enumerate(counts)
+        if count
+    ]
+    lines = [f'<path class="bar" d="M{MARGIN:g} {foot:g}H{WIDTH - MARGIN:g}"/>']
+    for at in _round_values(edges[0], edges[-1]):
+        x = MARGIN + (math.log10(at) * per - low) * wide
+        lines.append(
+            f'<path class="bar" d="M{x:.1f} {foot:g}v6"/><text x="{x:.1f}" y="{foot + 22:g}" '
+            f'text-anchor="middle">{_plain_length(at)}</text>'
+        )
+    step = round_below(max(counts) / 2) if max(counts) > 1 else 1.0
+    for count in range(int(step), max(counts) + 1, max(1, int(step))):
+        y = foot - count * tall
+        lines.append(
+            f'<path class="grid" d="M{MARGIN:g} {y:.1f}H{WIDTH - MARGIN:g}"/>'
+            f'<text class="soft" x="{MARGIN - 6:g}" y="{y + 5:.1f}" text-anchor="end">{count:,}'
+            "</text>"
+        )
+    said = (
+        f"Predicted error of a point 30 m away, 1 σ: how many of {counted(len(values), 'site')} "
+        "with an answer. The scale is logarithmic."
+    )
+    return (
+        f'<figure class="picture"><svg viewBox="0 0 {WIDTH:g} {BARS_HEIGHT:g}" role="img" '
+        f'aria-labelledby="errors-said">{"".join(lines)}<g class="bars">{"".join(bars)}</g></svg>'
+        f'<figcaption id="errors-said">{escape(said)}</figcaption></figure>'
+    )
+
+
+def _decades(values: Sequence[float]) -> tuple[int, int, int]:
+    """Choose the bars: the first and the last edge, and how many make a power of ten."""
+    for per in PER_DECADE:
+        low = math.floor(math.log10(values[0]) * per + 1e-9)
+        high = max(math.ceil(math.log10(values[-1]) * per - 1e-9), low + 1)
+        if high - low <= MOST_BARS:
+            break
+    return low, high, per
+
+
+def _round_values(low: float, high: float) -> list[float]:
+    """Give 1, 2, 5 times the powers of ten of a range; over many decades only the powers."""
+    decades = math.log10(high / low)
+    steps = (1, 2, 5) if decades < 2.5 else (1,)
+    found = [
+        step * 10.0**power
+        for power in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+        for step in steps
+        if low * (1 - 1e-9) <= step * 10.0**power <= high * (1 + 1e-9)
+    ]
+    every = max(1, math.ceil(len(found) / 8))
+    return found[::every] or [low]
+
+
+def _plain_length(metres: float) -> str:
+    """Write a round length without more digits than it has: ``5 mm``, ``0.2 m``."""
+    return f"{1000 * metres:.3g} mm" if metres < 0.0995 else f"{metres:.3g} m"
+
+
+def _between(low: float, high: float) -> str:
+    return f"{error(low)} to {error(high)}"

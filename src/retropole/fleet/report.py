@@ -1,0 +1,316 @@
+"""Put what became of a fleet into one HTML file that needs no network."""
+
+from __future__ import annotations
+
+import os.path
+import posixpath
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from urllib.parse import quote
+
+from ..errors import printable
+from ..quantities import counted, duration, error, percent
+from ..reasons import explain
+from ..report.markup import MISSING, NO_BREAK, share_styles, table
+from ..report.page import fill_page
+from .dataset import AT_RANGE, FLEET_SCHEMA
+from .overview import Overview, Seen
+from .pictures import fleet_map, histogram
+from .storage import absolute, below, exists, folder_of, is_url, write_bytes
+
+WORST = 20
+"""So many of the largest errors are listed."""
+
+MOST_FAILED = 500
+"""So many errors are listed with their messages; a DuckDB query tells of more."""
+
+EXAMPLES = 3
+"""So many sites are named for each reason."""
+
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
+
+ERRORS = {
+    "unreadable": "A file is absent, damaged or no recording",
+    "usage": "An option or a line of the list makes no sense",
+    "missing_extra": "A recording needs an extra",
+    "time_limit": "It took longer than its time limit",
+    "out_of_memory": "It took more memory than its worker has",
+    "killed": "Its process crashed or was ended, again and again",
+    "worker_lost": "Its workers died, again and again",
+    "system": "The worker's disk or system failed",
+    "internal": "A fault of this program",
+}
+"""What the code of a row that ended in an error means, in short; docs/fleet.md says more."""
+
+TITLES = {"map": "Map", "far": "Errors at 30 m", "worst": "Worst", "reasons": "Reasons"}
+TITLES |= {"errors": "Errors", "run": "This dataset"}
+
+
+def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: "") -> str:
+    """Render what became of a fleet as one HTML page.
+
+    Parameters
+    ----------
+    overview
+        As `overview.overview_of` gives it.
+    link
+        Where a site's own report is, as the page links to it; empty for nowhere.
+
+    Returns
+    -------
+    str
+        The page. It holds its style and code, asks no other address for anything, and works from a
+        file. The same dataset gives the same page.
+    """
+    parts = {
+        "map": _map(overview),
+        "far": _far(overview),
+        "worst": _worst(overview, link),
+        "reasons": _reasons(overview),
+        "errors": _errors(overview),
+        "run": _dataset(overview),
+    }
+    parts = {name: html for name, html in parts.items() if html}
+    name = printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
+    return fill_page(
+        "fleet.html",
+        ("style.css", "site.css", "fleet.css"),
+        ("page.js", "fleet.js"),
+        {
+            "title": escape(name),
+            "created": escape(_when(overview)),
+            "counts": _counts(overview),
+            "links": "".join(f'<a href="#{part}">{TITLES[part]}</a>' for part in parts),
+            "parts": "".join(
+                f'<section aria-labelledby="{part}"><h2 id="{part}">{TITLES[part]}</h2>'
+                f"{html}</section>"
+                for part, html in parts.items()
+            ),
+        },
+        share_styles(),
+    )
+
+
+def write_fleet_report(place: str, overview: Overview, reports: str | None = None) -> None:
+    """Write `render_fleet`'s page to a file or a URL, whole or not at all.
+
+    Parameters
+    ----------
+    place
+        Path or URL of the page.
+    overview
+        What it shows.
+    reports
+        Path or URL of the folder with the reports of the sites, as ``fleet calibrate --reports``
+        wrote them; those that are there are linked to.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written.
+    """
+    place = absolute(place)
+    root = None if reports is None else _from(folder_of(place), absolute(reports))
+
+    def link(site: Seen) -> str:
+        if root is None or reports is None:
+            return ""
+        name = "report.html" if site.kind == "pair" else "site-report.html"
+        if not exists(below(below(absolute(reports), site.id), name)):
+            return ""
+        # A path that begins with a name and a colon would be taken for a URL.
+        return quote(f"./{root}/{site.id}/{name}")
+
+    write_bytes(place, render_fleet(overview, link).encode("utf-8"))
+
+
+def _from(folder: str, to: str) -> str | None:
+    """Write how one folder is reached from another; None where a link cannot."""
+    if not is_url(folder) and not is_url(to):
+        try:
+            return Path(os.path.relpath(to, folder)).as_posix()
+        except ValueError:  # On another drive.
+            return None
+    (scheme, _, here), (other, _, there) = folder.partition("://"), to.partition("://")
+    # The first name is a bucket: no relative link leads from one to another.
+    if scheme != other or here.split("/")[0] != there.split("/")[0]:
+        return None
+    return posixpath.relpath(f"/{there}", f"/{here}")
+
+
+def _when(overview: Overview) -> str:
+    said = counted(len(overview.sites), "site")
+    if overview.first is None or overview.last is None:
+        return said
+    return (
+        f"{said} · calibrated {overview.first:%Y-%m-%d %H:%M} to {overview.last:%Y-%m-%d %H:%M} UTC"
+    )
+
+
+def _counts(overview: Overview) -> str:
+    """Say how many sites ended how, before all else."""
+    every = len(overview.sites)
+    tiles = "".join(
+        f'<div class="{status}"><dt>{status}</dt>'
+        f"<dd>{count:,} ({percent(count / every).replace(' ', NO_BREAK)})</dd></div>"
+        for status, count in overview.statuses.items()
+    )
+    errors = overview.errors_at_range
+    stated = ""
+    if errors:
+        stated = (
+            f"Half of the {counted(len(errors), 'site')} with an answer have a predicted error of "
+            f"at most {error(_quantile(errors, 0.5))} at {AT_RANGE:g} m (1 σ), 95 % of them of at "
+            f"most {error(_quantile(errors, 0.95))}."
+        )
+    return (
+        '<section aria-labelledby="counts"><h2 id="counts">'
+        f"{escape(counted(every, 'site'))}</h2><p>{escape(stated)}</p>"
+        f'<dl class="tiles">{tiles}</dl></section>'
+    )
+
+
+def _quantile(values: Sequence[float], level: float) -> float:
+    """Give the least of sorted values that so large a share of them does not exceed."""
+    return values[max(0, min(len(values) - 1, -int(-level * len(values) // 1) - 1))]
+
+
+def _map(overview: Overview) -> str:
+    return fleet_map(overview.sites)
+
+
+def _far(overview: Overview) -> str:
+    """Show how large the predicted errors are."""
+    errors = overview.errors_at_range
+    if not errors:
+        return "<p>No site has an answer, so there is no predicted error.</p>"
+    rows = [("least", error(errors[0]))]
+    rows += [
+        (f"{percent(level)} have at most", error(_quantile(errors, level))) for level in LEVELS
+    ]
+    rows += [("largest", error(errors[-1]))]
+    listed = table("Predicted error at 30 m", ("sites with an answer", "1 σ"), rows)
+    return (
+        f'<div class="columns">{histogram(errors)}{listed}</div>'
+        '<p class="note">Of a site with several LiDARs, the one whose error is largest counts.</p>'
+    )
+
+
+def _worst(overview: Overview, link: Callable[[Seen], str]) -> str:
+    """List the answers with the largest predicted errors."""
+    sites = overview.worst(WORST)
+    rows = [
+        (
+            printable(site.id),
+            site.status,
+            error(site.sigma_30m_m),
+            ", ".join(map(printable, site.codes)) or MISSING,
+        )
+        for site in sites
+    ]
+    links = [link(site) for site in sites]
+    linked = (
+        ""
+        if any(links) or not rows
+        else (
+            '<p class="note">Reports of single sites are linked here where <code>--reports</code> '
+            "names their folder.</p>"
+        )
+    )
+    caption = f"The {len(rows)} largest predicted errors"
+    header = ("site", "status", "error at 30 m, 1 σ", "codes")
+    return table(caption, header, rows, (1, 3), links=links) + linked if rows else ""
+
+
+def _reasons(overview: Overview) -> str:
+    """Count the codes, with a few sites of each."""
+    counts: Counter[str] = Counter()
+    named: dict[str, list[str]] = {}
+    statuses: dict[str, Counter[str]] = {}
+    for site in overview.sites:
+        for code in dict.fromkeys(site.codes):
+            counts[code] += 1
+            statuses.setdefault(code, Counter())[site.status] += 1
+            if len(names := named.setdefault(code, [])) < EXAMPLES:
+                names.append(printable(site.id))
+    if not counts:
+        return "<p>No site has a reason: all are ok.</p>"
+    order = sorted(counts, key=lambda code: (-counts[code], code))
+    rows = [
+        (
+            printable(code),
+            _title(code),
+            ", ".join(named[code]) + (", …" if counts[code] > EXAMPLES else ""),
+            f"{counts[code]:,}",
+        )
+        for code in order
+    ]
+    bars = [
+        (statuses[code].most_common(1)[0][0], counts[code] / len(overview.sites)) for code in order
+    ]
+    header = ("code", "what it says", "for example", "sites")
+    return table("Sites by reason", header, rows, (1, 2), bars)
+
+
+def _title(code: str) -> str:
+    known = explain(code)
+    return ERRORS.get(code, MISSING) if known is None else known.title
+
+
+def _errors(overview: Overview) -> str:
+    """List what ended in an error, with its message."""
+    failed = [site for site in overview.sites if site.status == "error"]
+    if not failed:
+        return ""
+    rows = [
+        (
+            printable(site.id),
+            ", ".join(map(printable, site.codes)),
+            printable(" ".join(site.messages)),
+        )
+        for site in failed[:MOST_FAILED]
+    ]
+    listed = table("Sites that ended in an error", ("site", "code", "message"), rows, (1, 2))
+    more = ""
+    if len(failed) > MOST_FAILED:
+        more = (
+            f"<p>{len(failed) - MOST_FAILED:,} more are in the dataset: <code>SELECT id, messages "
+            "FROM 'answers/*.parquet' WHERE status = 'error'</code>.</p>"
+        )
+    again = (
+        "<p>They are tried again by <code>retropole fleet calibrate … --retry</code>, or once "
+        "their files are others.</p>"
+    )
+    summary = f"<summary>{counted(len(failed), 'site')} with messages</summary>"
+    shown = " open" if len(failed) <= WORST else ""
+    return f"{again}<details{shown}>{summary}{listed}{more}</details>"
+
+
+def _dataset(overview: Overview) -> str:
+    """Say what the page is of."""
+    rows: list[tuple[str, str]] = [
+        ("dataset", printable(overview.place)),
+        ("schema", FLEET_SCHEMA),
+    ]
+    rows += [
+        (f"made by ({counted(n, 'site')})", printable(name)) for name, n in _most(overview.made_by)
+    ]
+    rows += [
+        (f"done on ({counted(n, 'site')})", printable(name)) for name, n in _most(overview.hosts)
+    ]
+    seconds = sorted(overview.seconds)
+    if seconds:
+        rows += [
+            ("time of one site, median", duration(_quantile(seconds, 0.5))),
+            ("time of one site, 95 % at most", duration(_quantile(seconds, 0.95))),
+            ("time of one site, longest", duration(seconds[-1])),
+            ("of all together", duration(sum(seconds))),
+        ]
+    return table("What this page shows", ("what", "value"), rows, (1,))
+
+
+def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
+    """Give the ten commonest."""
+    return sorted(counts.items(), key=lambda each: (-each[1], each[0]))[:10]

@@ -1,0 +1,202 @@
+"""The page of a fleet: whole, offline, small enough, and text stays text."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from retropole.errors import ReadError
+from retropole.fleet.dataset import Row, write_partition
+from retropole.fleet.overview import Overview, Seen, overview_of
+from retropole.fleet.report import MOST_FAILED, WORST, render_fleet, write_fleet_report
+from tests.fleet.made_up import made_up_row, write_city, write_made_up
+from tests.report.made_up import HOSTILE, Page
+
+MOST_BYTES = 3e6
+"""Of a page of 10,000 sites (chosen: opens at once from a mail)."""
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_city(tmp_path_factory.mktemp("city") / "fleet", 120)
+
+
+@pytest.fixture(scope="module")
+def overview(city: Path) -> Overview:
+    return overview_of(str(city))
+
+
+def seen(name: str, **changes: object) -> Seen:
+    """Make what is taken of one row."""
+    site = Seen(name, "pair", "ok", (), (), None, None, 0.01, "1", "numpy 2")
+    return msgspec.structs.replace(site, **changes)
+
+
+def of_sites(*sites: Seen) -> Overview:
+    return Overview("/city", sites, {"retropole 1": len(sites)}, [], None, None, {})
+
+
+def rows_of(page: str, caption: str) -> list[list[str]]:
+    """Give the cells of a table by its caption, as text."""
+    (body,) = re.findall(f"<caption>{caption}.*?<tbody>(.*?)</tbody>", page)
+    rows = re.findall(r"<tr>(.*?)</tr>", body)
+    return [
+        [re.sub("<[^>]*>", "", cell) for cell in re.findall(r"<t[hd].*?</t[hd]>", row)]
+        for row in rows
+    ]
+
+
+def test_every_part_that_there_is_can_be_reached(overview: Overview) -> None:
+    page = Page(render_fleet(overview))
+    assert page.open == []
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    links = [str(a["href"])[1:] for tag, a in page.tags if tag == "a"]
+    assert {"map", "far", "worst", "reasons", "errors", "run"} <= set(links) <= set(ids)
+
+
+def test_the_page_asks_for_nothing_from_anywhere(overview: Overview) -> None:
+    html = render_fleet(overview)
+    assert not re.findall(r"https?://[^\s\"'`)]+", html)
+    (policy,) = (a for tag, a in Page(html).tags if tag == "meta" and "http-equiv" in a)
+    assert str(policy["content"]).startswith("default-src 'none'; script-src 'sha256-")
+    assert "unsafe" not in str(policy["content"])
+    assert not re.findall(r"<[^>]* style=", html.split("<script")[0])
+
+
+def test_it_counts_what_the_dataset_has(city: Path, overview: Overview) -> None:
+    assert len(overview.sites) == sum(overview.statuses.values()) == 120
+    html = render_fleet(overview)
+    text = Page(html).text
+    for status, count in overview.statuses.items():
+        assert f"{status}{count:,} (" in text
+    found = {cells[0]: int(cells[3]) for cells in rows_of(html, "Sites by reason")}
+    codes = [code for site in overview.sites for code in site.codes]
+    assert found == {code: codes.count(code) for code in set(codes)}
+    failed = [site for site in overview.sites if site.status == "error"]
+    assert rows_of(html, "Sites that ended") == [
+        [site.id, site.codes[0], site.messages[0]] for site in failed
+    ]
+    quantiles = dict(rows_of(html, "Predicted error"))
+    errors = 1000 * np.array(overview.errors_at_range)
+    found_mm = {name: float(each.removesuffix(" mm")) for name, each in quantiles.items()}
+    assert found_mm["least"] == pytest.approx(errors.min(), rel=0.05)
+    assert found_mm["largest"] == pytest.approx(errors.max(), rel=0.05)
+    for name, sigma in found_mm.items():
+        if "%" in name:
+            level = float(name.split()[0]) / 100
+            below = np.mean(errors <= sigma * 1.05)
+            assert below >= level - 0.01
+            assert np.mean(errors < sigma * 0.95) < level + 0.01
+    assert "2026-03-01 12:00 to 2026-03-08 12:00 UTC" in text
+
+
+def test_the_worst_stand_first(overview: Overview) -> None:
+    stated = {site.id: site.sigma_30m_m for site in overview.sites if site.sigma_30m_m is not None}
+    names = [cells[0] for cells in rows_of(render_fleet(overview), f"The {WORST} largest")]
+    assert names == sorted(stated, key=lambda name: -stated[name])[:WORST]
+
+
+def test_the_worst_lead_to_their_own_reports(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows = [made_up_row(name, rng) for name in ("a b#1", "q:1/x", "plain")]
+    made = [
+        msgspec.structs.replace(row, status="ok", sigma_30m_m=0.03 - 0.01 * k)
+        for k, row in enumerate(rows)
+    ]
+    made[2] = msgspec.structs.replace(made[2], kind="site")
+    out = write_made_up(tmp_path / "out", made)
+    for name in ("a b#1/report.html", "q:1/x/report.html"):
+        (tmp_path / "reports" / name).parent.mkdir(parents=True)
+        (tmp_path / "reports" / name).touch()
+    page = tmp_path / "pages/fleet.html"
+    write_fleet_report(str(page), overview_of(str(out)), str(tmp_path / "reports"))
+    links = [str(a["href"]) for tag, a in Page(page.read_text()).tags if tag == "a"]
+    assert [link for link in links if not link.startswith("#")] == [
+        "./../reports/a%20b%231/report.html",
+        "./../reports/q%3A1/x/report.html",
+    ]
+    assert "Reports of single sites" not in page.read_text()
+
+
+def test_a_dataset_its_reports_and_its_page_may_be_urls(city: Path) -> None:
+    import fsspec
+
+    memory = fsspec.filesystem("memory")
+    memory.put(f"{city}/", "/drawn/fleet", recursive=True)
+    overview = overview_of("memory://drawn/fleet")
+    assert msgspec.to_builtins(overview.sites) == msgspec.to_builtins(overview_of(str(city)).sites)
+    first = overview.worst(1)[0].id
+    memory.pipe_file(f"/drawn/reports/{first}/report.html", b"")
+    write_fleet_report("memory://drawn/fleet.html", overview, "memory://drawn/reports")
+    page = memory.cat_file("/drawn/fleet.html").decode()
+    assert f'href="./reports/{first}/report.html"' in page
+    write_fleet_report("memory://drawn/fleet.html", overview, "memory://elsewhere/reports")
+    assert "/report.html" not in memory.cat_file("/drawn/fleet.html").decode()
+
+
+def test_the_same_dataset_gives_the_same_page(city: Path, overview: Overview) -> None:
+    assert render_fleet(overview_of(str(city))) == render_fleet(overview)
+
+
+def test_what_others_wrote_stays_text() -> None:
+    sites = [
+        seen(HOSTILE, status="error", codes=(HOSTILE,), messages=(HOSTILE,), sigma_30m_m=None),
+        seen(f"{HOSTILE}2", codes=(HOSTILE,), latitude_rad=0.1, longitude_rad=0.1),
+    ]
+    hostile = replace(
+        of_sites(*sites), place=f"/{HOSTILE}", made_by={HOSTILE: 2}, hosts={HOSTILE: 1}
+    )
+    page = Page(render_fleet(hostile, lambda site: HOSTILE))
+    assert page.open == []
+    assert [tag for tag, _ in page.tags].count("script") == 2
+    # What steers a terminal or a line is escaped as text besides.
+    assert page.text.count("</script><script>window.injected=1</script>") > 5
+
+
+def test_without_answers_or_places_it_says_so() -> None:
+    page = Page(render_fleet(of_sites(seen("a", status="refused", sigma_30m_m=None))))
+    assert "No site says where it is" in page.text
+    assert "No site has an answer" in page.text
+    assert "all are ok" not in page.text.replace("No site has a reason: all are ok.", "")
+    assert not [tag for tag, _ in page.tags if tag == "svg"]
+
+
+def test_ten_thousand_sites_stay_small() -> None:
+    rng = np.random.default_rng(1)
+    sites = [
+        seen(
+            f"district-{k % 23}/post-{k:05d}",
+            status="error" if k % 3 else "warn",
+            codes=("unreadable",),
+            messages=("x" * 300,) if k % 3 else (),
+            latitude_rad=float(rng.uniform(0.9, 0.901)),
+            longitude_rad=float(rng.uniform(0.2, 0.201)),
+            sigma_30m_m=None if k % 3 else float(rng.uniform(0, 0.1)),
+        )
+        for k in range(10_000)
+    ]
+    html = render_fleet(of_sites(*sites))
+    assert len(html.encode()) < MOST_BYTES
+    assert (
+        html.count("<title>")
+        == 1 + 10_000 + len(re.findall(r'"bars">(.*?)</g>', html)[0].split("<title>")) - 1
+    )
+    failed = sum(site.status == "error" for site in sites)
+    assert f"{failed - MOST_FAILED:,} more are in the dataset" in html
+
+
+def test_what_is_no_dataset_is_an_error(city: Path, tmp_path: Path) -> None:
+    with pytest.raises(ReadError, match="is no dataset of a fleet"):
+        overview_of(str(tmp_path))
+    row = made_up_row("a", np.random.default_rng(0))
+    for changes in ({"latitude_rad": 9.0}, {"sigma_30m_m": float("nan")}, {"status": "fine"}):
+        wrong: Row = msgspec.structs.replace(row, **changes)
+        write_partition(str(tmp_path / "out"), "part-00.parquet", [wrong], [])
+        with pytest.raises(ReadError, match=r"part-00\.parquet: damaged"):
+            overview_of(str(tmp_path / "out"))
