@@ -10,8 +10,9 @@ from typing import TypeVar
 import numpy as np
 
 from retropole.fleet.batch import Doing
+from retropole.fleet.child import done
 from retropole.fleet.sites import FleetSite
-from retropole.fleet.work import Outcome, Task, answer
+from retropole.fleet.work import Outcome, Task
 from retropole.io import write_pcd
 from retropole.simulation import simulate_pair
 from tests.api.site_files import recorded, write_site
@@ -57,14 +58,14 @@ def write_fleet(folder: Path) -> Path:
 
 def here(tasks: Iterator[Task]) -> Iterator[Outcome]:
     """Do tasks in this process."""
-    return map(answer, tasks)
+    return map(done, tasks)
 
 
 def in_disorder(seed: int) -> Doing:
     """Do tasks in this process, in another order."""
 
     def doing(tasks: Iterator[Task]) -> Iterator[Outcome]:
-        return map(answer, shuffled(tasks, seed))
+        return map(done, shuffled(tasks, seed))
 
     return doing
 

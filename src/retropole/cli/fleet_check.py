@@ -4,36 +4,57 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..fleet import TIME_LIMIT
 from ..monitoring.tolerance import DEFAULT_TOLERANCE
 from .check import EXIT_MOVED
-from .common import CONTEXT, DEGREES, EXIT_REFUSED, METRES, progress_on_terminal, show
+from .common import (
+    CONTEXT,
+    DEGREES,
+    EXIT_REFUSED,
+    METRES,
+    Number,
+    progress_on_terminal,
+    show,
+)
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event
+    from ..fleet.history.rows import CheckRow
     from ..fleet.history.run import FleetCheck, SiteChange
 
 SCHEMA = "retropole/fleet-check/1"
 
 
 @click.command("check", context_settings=CONTEXT)
-@click.argument("sites", type=click.Path(path_type=Path, exists=True))
+@click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option(
     "--history",
-    type=click.Path(path_type=Path, file_okay=False),
     required=True,
-    help="Folder of the history (Parquet), which is appended to; made where there is none.",
+    metavar="DIR",
+    help="Folder or URL of the history (Parquet), which is appended to; made where there is none.",
 )
 @click.option(
-    "--processes",
-    type=click.IntRange(1, 256),
-    default=1,
+    "--answers",
+    metavar="DATASET",
+    help="Of 'retropole fleet calibrate': holds the stored results, by the ids of the sites.",
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster: tcp://host:8786.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1, max=1024),
+    help="Number of local processes, where there is no --scheduler.  [default: one per processor]",
+)
+@click.option(
+    "--time-limit",
+    type=Number(min=1, max=1e6),
+    default=TIME_LIMIT,
     show_default=True,
-    help="How many sites to check at a time.",
+    metavar="SECONDS",
+    help="Of one site.",
 )
 @click.option(
     "--tolerance-deg",
@@ -52,9 +73,12 @@ SCHEMA = "retropole/fleet-check/1"
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def fleet_check(
-    sites: Path,
-    history: Path,
-    processes: int,
+    sites: tuple[str, ...],
+    history: str,
+    answers: str | None,
+    scheduler: str | None,
+    workers: int | None,
+    time_limit: float,
     tolerance_deg: float,
     tolerance_m: float,
     as_json: bool,
@@ -62,39 +86,53 @@ def fleet_check(
 ) -> int:
     """Check SITES against their stored results, append to a history, and tell what changed.
 
-    SITES is a list, CSV or Parquet, with the columns id, target, source, result and, if known, time
-    (ISO 8601; otherwise when the recordings were written), paths relative to the list. Or a folder
-    of folders, one for each site, with result.json and recordings named target and source.
+    SITES are lists (.csv, .parquet), folders and globs of these, as paths or URLs (s3://, gs://),
+    as 'retropole fleet calibrate' takes them: of each pair a new target and a new source, of each
+    site of many LiDARs a site file with the new recordings, whose pairs are checked. What each is
+    held against is in DATASET, or else in the column result of the list, or else in result.json
+    beside the target, or site-result.json beside the site file. The column time (ISO 8601) says
+    when it was recorded; otherwise that is when the later of the two was written.
 
     Of each site all checks since it was calibrated count: a step is told when a second check
     confirms it, a trend when enough have shown it. A single check that is off is no change.
-    What the history has already is not checked again.
+    What the history has already is not checked again. What is wrong with one site is in its row,
+    and ends nothing.
 
     \b
     Examples:
-      retropole fleet check sites.csv --history history
-      retropole fleet check sites.csv --history history --processes 8 --json
+      retropole fleet check tonight.csv --answers fleet --history history
+      retropole fleet check tonight/ --answers fleet --history history --json
+      retropole fleet check sites.csv --history s3://city/history --scheduler tcp://head:8786
 
     \b
     Exit code:
       0    no site has changed since it was calibrated
-      2    a file or an option is wrong
+      2    a list, an option, the dataset or the history is wrong, or there is no room
       3    no site could be told
       4    a site has changed
-      130  interrupted
+      130  interrupted; what was checked is in the history
     """
-    from ..fleet.history.check import find_sites
+    from ..fleet.engine import connected, outcomes
     from ..fleet.history.run import check_fleet
+    from ..fleet.sites import find_sites
     from ..monitoring.tolerance import Tolerance
 
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
     with progress_on_terminal(quiet or as_json) as progress:
-        found = check_fleet(
-            find_sites(sites),
-            history,
-            tolerance=Tolerance(math.radians(tolerance_deg), tolerance_m),
-            processes=processes,
-            progress=progress,
-        )
+        progress("find the sites")
+        sites_found = find_sites(sites)
+        progress("start the workers")
+        with connected(scheduler, workers) as client:
+            found = check_fleet(
+                sites_found,
+                history,
+                lambda tasks: outcomes(client, tasks),
+                answers=answers,
+                tolerance=Tolerance(math.radians(tolerance_deg), tolerance_m),
+                time_limit=time_limit,
+                progress=progress,
+            )
     if as_json:
         show(json_line(found))
     elif not quiet:
@@ -117,7 +155,7 @@ def json_line(found: FleetCheck) -> str:
                 for event in site.changes
             ],
             "not_confirmed": [
-                {"id": site.id, "since": site.rows[site.watched.waiting[0]].time.isoformat()}
+                {"id": site.id, "since": site.times[site.watched.waiting[0]].isoformat()}
                 for site in found.sites
                 if site.watched.waiting
             ],
@@ -139,8 +177,8 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
     size, covariance = event.size, event.covariance
     return {
         "kind": event.kind,
-        "since": site.rows[event.onset].time.isoformat(),
-        "found": site.rows[event.found].time.isoformat(),
+        "since": site.times[event.onset].isoformat(),
+        "found": site.times[event.found].isoformat(),
         "new": site.is_new(event),
         "clear": event.is_clear,
         "statistic": event.statistic,
@@ -152,31 +190,39 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
 def in_words(found: FleetCheck) -> str:
     """Write what was found as a person reads it: a line for each site that has something to say."""
     from ..errors import printable
+    from ..quantities import counted
 
     lines = []
     for site in found.sites:
         said = [_said(site, event) for event in site.changes]
         if site.watched.waiting:
-            since = site.rows[site.watched.waiting[0]].time
-            said.append(f"off since {since:%Y-%m-%d}, not confirmed")
+            since = site.times[site.watched.waiting[0]]
+            said.append(f"off since {since:%Y-%m-%d}, not confirmed: another check will tell")
         if not site.is_told:
-            why = ", ".join(site.newest.codes) or site.newest.message or ""
-            said.append(f"{site.newest.status.replace('_', ' ')} ({why})")
+            said.append(_untold(site.newest))
         if said:
             lines.append(printable(f"{site.id}: {'; '.join(said)}"))
     changed = sum(bool(site.changes) for site in found.sites)
     untold = sum(not site.is_told for site in found.sites)
     lines.append(
-        f"{len(found.sites)} sites, {found.appended} new checks: {changed} changed since they were "
-        f"calibrated, {untold} not told"
+        f"{counted(len(found.sites), 'site')}, {counted(found.appended, 'new check')}; changed "
+        f"since their calibration: {changed}, not told: {untold}"
     )
     return "\n".join(lines)
+
+
+def _untold(newest: CheckRow) -> str:
+    """Say why a check gave no answer; of what cannot be told the codes say it shortly."""
+    codes = ", ".join(newest.codes)
+    if newest.status == "error":
+        return f"error ({codes}: {newest.message})"
+    return f"{newest.status.replace('_', ' ')} ({codes})"
 
 
 def _said(site: SiteChange, event: Event) -> str:
     from ..quantities import value_and_error
 
-    since = f"{site.rows[event.onset].time:%Y-%m-%d}"
+    since = f"{site.times[event.onset]:%Y-%m-%d}"
     new = ", new" if site.is_new(event) else ""
     if event.size is None or event.covariance is None:
         return f"checks that do not agree since {since}{new}"
@@ -185,7 +231,8 @@ def _said(site: SiteChange, event: Event) -> str:
     words.append(value_and_error(*lengths(event, slice(3, 6))))
     per = " a year" if event.kind == "trend" else ""
     unclear = "" if event.is_clear else ", or the other of step and trend"
-    return f"{event.kind} since {since}: {words[0]}, {words[1]}{per} (1 σ{unclear}{new})"
+    size = f"rotation {words[0]}, translation {words[1]}{per}"
+    return f"{event.kind} since {since}: {size} (1 σ{unclear}{new})"
 
 
 def lengths(event: Event, part: slice) -> tuple[float, float]:

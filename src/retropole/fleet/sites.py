@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import posixpath
 from collections.abc import Iterable, Iterator, Mapping
+from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -40,8 +41,14 @@ OPTIONS = (
 )
 """Options of a pair that a list may have as columns: those of `RunConfig`."""
 
-COLUMNS = ("id", *ROLES, "site", "latitude_deg", "longitude_deg", *OPTIONS)
+CHECKED = ("result", "time")
+"""Columns of a list for ``fleet check``: one list may serve both commands."""
+
+COLUMNS = ("id", *ROLES, "site", "latitude_deg", "longitude_deg", *OPTIONS, *CHECKED)
 """Every column that a list may have."""
+
+EARLIEST, LATEST = datetime(1970, 1, 1, tzinfo=UTC), datetime(2200, 1, 1, tzinfo=UTC)
+"""Between which a recording was made."""
 
 
 class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,6 +68,10 @@ class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
         Options of a pair; a site file has its own.
     latitude, longitude
         Where it is, rad; None where that is not said.
+    result
+        Place of the stored result that a check holds it against; a calibration takes none.
+    time
+        When a list says that it was recorded, ISO 8601, UTC; empty where none does.
     fault
         What is wrong with its line of a list; empty where nothing is.
     """
@@ -73,6 +84,8 @@ class FleetSite(msgspec.Struct, frozen=True, kw_only=True):
     config: RunConfig = DEFAULT_CONFIG
     latitude: float | None = None
     longitude: float | None = None
+    result: str = ""
+    time: str = ""
     fault: str = ""
 
 
@@ -210,14 +223,18 @@ def id_fault(name: str) -> str:
 def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig) -> FleetSite:
     """Make a site of a row; what is wrong with it is its own matter, and ends nothing."""
     kind: Kind = "site" if "site" in given else "pair"
-    names = {key: below(folder, str(given[key])) for key in (*ROLES, "site") if key in given}
+    files = (*ROLES, "site", "result")
+    names = {key: below(folder, str(given[key])) for key in files if key in given}
     expected = {"site"} if kind == "site" else set(ROLES)
     options = {key: value for key, value in given.items() if key in OPTIONS}
     fault, position = "", _Position()
-    if set(names) != expected:
+    time, wrong = _time(given.get("time"))
+    if set(names) - {"result"} != expected:
         fault = "expected target and source, or site alone"
     elif kind == "site" and options:
         fault = f"{', '.join(options)}: of a site, its file says that"
+    elif wrong:
+        fault = wrong
     try:
         position = msgspec.convert(given, _Position, strict=False)
         base = msgspec.structs.asdict(config)
@@ -236,6 +253,21 @@ def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig)
         config=config,
         latitude=radians[0],
         longitude=radians[1],
+        time=time,
         fault=quoting(fault),
         **names,
     )
+
+
+def _time(given: object) -> tuple[str, str]:
+    """Read a time, UTC where it has no zone; gives it, and what is wrong with it."""
+    if given is None:
+        return "", ""
+    try:
+        time = given if isinstance(given, datetime) else datetime.fromisoformat(str(given))
+        time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    except (ValueError, OverflowError):
+        return "", f"time: {given!r} is no time (ISO 8601)"
+    if not EARLIEST <= time < LATEST:
+        return "", f"time: {given!r} is no time of a recording"
+    return time.isoformat(), ""

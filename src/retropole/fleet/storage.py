@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import posixpath
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,23 @@ def names_in(folder: str) -> list[str]:
     except Exception as error:
         raise ReadError(f"{folder}: cannot be listed ({error})") from None
     return sorted(posixpath.basename(str(each).replace("\\", "/")) for each in found)
+
+
+def written(place: str) -> datetime:
+    """Give when a file, or the last file of a folder, was written; UTC, to the second.
+
+    Raises
+    ------
+    ReadError
+        Where there is none, or the file system does not know.
+    """
+    system, path = filesystem(place)
+    try:
+        files = system.find(path) if system.isdir(path) else [path]
+        last: datetime = max(system.modified(each) for each in files)
+    except Exception as error:
+        raise ReadError(f"{place}: when it was written is not known ({error})") from None
+    return last.astimezone(UTC).replace(microsecond=0)
 
 
 def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:

@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -22,6 +22,7 @@ from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, prin
 from ..files import LARGEST_DOCUMENT
 from .answers import answered, document_of
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
+from .history.task import Check
 from .local import LocalFiles, hash_of
 from .sites import FleetSite
 from .storage import below, exists, is_url, read_bytes, write_bytes
@@ -42,9 +43,13 @@ CODES: tuple[tuple[type[Exception], str], ...] = (
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
-    """What a worker is told: the site, and the key of the row that there is of it."""
+    """What a worker is told: the site, and the key of the row that there is of it.
+
+    With a `check` the site is held against its stored result, and not calibrated.
+    """
 
     site: FleetSite
+    check: Check | None = None
     known: str | None = None
     reports: str | None = None
     time_limit: float
@@ -60,11 +65,15 @@ class Hashed(msgspec.Struct, frozen=True, tag=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, tag=True):
-    """What became of a task; `row` is None where the row that there is still holds."""
+    """What became of a task; `row` is None where the row that there is still holds.
+
+    `check` holds the columns of a check's row, as the history has them.
+    """
 
     id: str
     row: Row | None = None
     run: Run | None = None
+    check: dict[str, Any] | None = None
 
 
 @cache
@@ -115,11 +124,7 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
     except Refusal as error:
         row = failed(task.site, "refused", error.code, error.message, *hashed)
     except Exception as error:
-        code = next(code for kind, code in CODES if isinstance(error, kind))
-        words = str(error)
-        if code in ("system", "out_of_memory", "internal"):
-            words = f"{type(error).__name__}: {words}"
-        row = failed(task.site, "error", code, quoting(words), *hashed)
+        row = failed(task.site, "error", *code_of(error), *hashed)
     run = Run(
         id=task.site.id,
         key=row.key,
@@ -130,6 +135,15 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
         memory_bytes=_memory(),
     )
     return Outcome(task.site.id, row, run)
+
+
+def code_of(error: Exception) -> tuple[str, str]:
+    """Name what went wrong: its code, and in words."""
+    code = next(code for kind, code in CODES if isinstance(error, kind))
+    words = str(error)
+    if code in ("system", "out_of_memory", "internal"):
+        words = f"{type(error).__name__}: {words}"
+    return code, quoting(words)
 
 
 def failed(
@@ -217,6 +231,7 @@ def _key(
     site: FleetSite, site_sha256: str | None, inputs: Sequence[InputEntry], metadata: Sequence[str]
 ) -> str:
     """Hash all that a row follows from: files, settings, version."""
+    site = msgspec.structs.replace(site, result="", time="")
     parts = [FLEET_SCHEMA, __version__, site, site_sha256, inputs, metadata]
     return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
 

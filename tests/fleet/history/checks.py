@@ -39,4 +39,5 @@ def row(k: int = 0, name: str = "lamp-1", **given: object) -> CheckRow:
         "target_sha256": f"t{k}",
         "source_sha256": f"s{k}",
     }
-    return CheckRow(name, START + k * timedelta(days=7), "same", **(values | given))  # type: ignore[arg-type]
+    status = str(given.pop("status", "same"))
+    return CheckRow(name, START + k * timedelta(days=7), status, **(values | given))  # type: ignore[arg-type]

@@ -1,19 +1,22 @@
 """A history is appended to, never twice, and read as it was written."""
 
-from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from retropole.errors import ReadError
-from retropole.fleet.history.rows import observed, plain, row_of
-from retropole.fleet.history.store import append, read, schema
+from retropole.fleet.history.rows import CheckRow
+from retropole.fleet.history.store import append, keys, schema
+from retropole.fleet.history.store import read as read_sites
 from tests.fleet.history.checks import row
 
 pa = pytest.importorskip("pyarrow", reason="needs the extra fleet")
 pq = pytest.importorskip("pyarrow.parquet", reason="needs the extra fleet")
+
+
+def read(folder: Path, ids: set[str] | None = None) -> dict[str, list[CheckRow]]:
+    return dict(read_sites(str(folder), ids))
 
 
 def files(folder: Path) -> dict[Path, bytes]:
@@ -23,7 +26,7 @@ def files(folder: Path) -> dict[Path, bytes]:
 def test_what_was_written_is_read(tmp_path: Path) -> None:
     rows = [row(k) for k in range(6)]
     rows.append(row(6, step=None, covariance=None, random=None, codes=("a", "b"), message="ö"))
-    assert append(tmp_path, [*rows, row(2, "lamp-2")]) == 8
+    assert append(str(tmp_path), [*rows, row(2, "lamp-2")]) == 8
     assert sorted(path.name for path in tmp_path.iterdir()) == ["month=2026-01", "month=2026-02"]
     again = read(tmp_path)
     assert list(again) == ["lamp-1", "lamp-2"]
@@ -37,12 +40,27 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
 
 
 def test_the_same_check_twice_adds_nothing(tmp_path: Path) -> None:
-    append(tmp_path, [row(k) for k in range(3)])
+    append(str(tmp_path), [row(k) for k in range(3)])
     before = files(tmp_path)
-    assert append(tmp_path, [row(k) for k in range(3)]) == 0
+    assert append(str(tmp_path), [row(k) for k in range(3)]) == 0
     assert files(tmp_path) == before
-    assert append(tmp_path, [row(k) for k in range(4)]) == 1
+    assert append(str(tmp_path), [row(k) for k in range(4)]) == 1
     assert before.items() <= files(tmp_path).items()
+
+
+def test_the_keys_of_some_sites_and_months(tmp_path: Path) -> None:
+    rows = [row(k) for k in range(6)]
+    append(str(tmp_path), [*rows, row(0, "lamp-2")])
+    assert keys(str(tmp_path), {"lamp-1"}) == {"lamp-1": {one.key for one in rows}}
+    assert keys(str(tmp_path), months=["month=2026-02"]) == {"lamp-1": {rows[4].key, rows[5].key}}
+
+
+def test_the_same_rows_are_the_same_bytes(tmp_path: Path) -> None:
+    rows = [row(k) for k in range(3)]
+    append(str(tmp_path / "a"), rows)
+    append(str(tmp_path / "b"), rows[::-1])
+    first, second = (list(files(tmp_path / name).values()) for name in "ab")
+    assert first == second
 
 
 def test_there_is_no_history_before_the_first(tmp_path: Path) -> None:
@@ -50,7 +68,7 @@ def test_there_is_no_history_before_the_first(tmp_path: Path) -> None:
 
 
 def test_what_is_damaged_is_said(tmp_path: Path) -> None:
-    append(tmp_path, [row()])
+    append(str(tmp_path), [row()])
     (path,) = files(tmp_path)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
@@ -70,31 +88,3 @@ def test_what_is_damaged_is_said(tmp_path: Path) -> None:
 def _written(folder: Path, data: bytes) -> Path:
     (folder / "whole").write_bytes(data)
     return folder / "whole"
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("step", [np.nan] * 6), ("step", None), ("covariance", list(-np.eye(6).ravel()))],
-)
-def test_no_step_is_taken_that_is_none(name: str, value: object) -> None:
-    with pytest.raises(ReadError, match="lamp-1"):
-        row_of({**plain(row()), name: value})
-
-
-def test_checks_against_an_older_stored_pose_are_left_out() -> None:
-    rows = [row(k, stored_sha256="a" if k < 3 else "b") for k in range(5)]
-    assert [one.target_sha256 for one, _ in observed(rows[::-1])] == ["t3", "t4"]
-
-
-def test_only_steps_that_can_be_trusted_count() -> None:
-    assert row(0).is_usable
-    assert replace(row(1), status="cannot_tell", codes=("too_weak",)).is_usable
-    assert not replace(row(1), status="cannot_tell").is_usable
-    assert not row(2, codes=("several_minima",)).is_usable
-    assert not row(3, step=None, covariance=None, random=None).is_usable
-
-
-def test_the_first_way_of_being_found_is_the_one_to_compare_with() -> None:
-    seen = observed([row(0), row(1, used="scene"), row(2)])
-    assert [one.other for _, one in seen] == [False, True, False]
-    assert seen[1][1].days - seen[0][1].days == timedelta(days=7) / timedelta(days=1)

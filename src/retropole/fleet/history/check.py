@@ -1,197 +1,176 @@
-"""Which sites to check, and the drift check of one as a row.
-
-A site that cannot be read or told is a row too: nothing ends the others.
-"""
+"""The drift check of one site as a row. Nothing that can be wrong with it ends more than itself."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from functools import lru_cache
+import hashlib
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ... import __version__
-from ...errors import ReadError, Refusal, RetropoleError, UsageError, quoting
-from ...export.documents import result_file
-from ...files import read_document
-from ...io import sha256_of
-from ...monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
-from . import store
-from .rows import LONGEST_ID, CheckRow
+from ...datatypes import PoseEstimate
+from ...errors import ReadError, Refusal, quoting
+from ...export import read_transform
+from ...export.documents import RESULT_FILE, result_file
+from ...files import LARGEST_DOCUMENT, read_document
+from ...monitoring.tolerance import Tolerance
+from ...result import RunConfig
+from ..dataset import Row
+from ..local import LocalFiles
+from ..sites import FleetSite
+from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, written
+from ..work import Hashed, code_of
+from .rows import CheckRow, plain
+from .task import Check
 
-COLUMNS = ("id", "target", "source", "result")
-
-LATEST = datetime(2200, 1, 1, tzinfo=UTC)
-
-
-@dataclass(frozen=True)
-class WatchedSite:
-    """A site to check: its name, the new recordings, and what they are checked against.
-
-    `time` is when they were recorded; None takes when the later of the two files was written.
-    """
-
-    id: str
-    target: Path
-    source: Path
-    result: Path
-    time: datetime | None = None
-
-
-def find_sites(path: Path) -> list[WatchedSite]:
-    """Read which sites to check.
-
-    Parameters
-    ----------
-    path
-        A CSV or Parquet list with the columns id, target, source, result and, if known, time (ISO
-        8601), its paths relative to its own folder. Or a folder of folders, one for each site,
-        with result.json, and recordings named target and source (``target.pcd``, ``source/``).
-
-    Raises
-    ------
-    ReadError
-        Where it is no such list.
-    UsageError
-        Where two sites have one name, or there is none.
-    """
-    if path.is_dir():
-        sites = list(_in_folder(path))
-    else:
-        rows = _parquet(path) if path.suffix == ".parquet" else _csv(path)
-        sites = [_listed(path, number, row) for number, row in enumerate(rows, start=1)]
-    if not sites:
-        raise UsageError(f"{path}: no site with result.json, target and source")
-    counted = Counter(site.id for site in sites)
-    name, count = counted.most_common(1)[0]
-    if count > 1:
-        raise UsageError(f"{path}: {count} sites are called {name!r}")
-    return sites
-
-
-def _in_folder(folder: Path) -> Iterator[WatchedSite]:
-    for site in sorted(folder.iterdir()):
-        recordings = [
-            sorted(site.glob(f"{name}.*")) + [p for p in (site / name,) if p.is_dir()]
-            for name in ("target", "source")
-        ]
-        if (site / "result.json").is_file() and all(len(found) == 1 for found in recordings):
-            yield WatchedSite(site.name, recordings[0][0], recordings[1][0], site / "result.json")
-
-
-def _csv(path: Path) -> list[dict[str, object]]:
-    try:
-        text = read_document(path).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ReadError(f"{path}: a list of sites is CSV (UTF-8) or Parquet") from None
-    return [dict(row) for row in csv.DictReader(io.StringIO(text))]
-
-
-def _parquet(path: Path) -> list[dict[str, object]]:
-    pa, pq = store.arrow()
-    try:
-        return list(pq.read_table(path).to_pylist())
-    except pa.ArrowException as error:
-        raise ReadError(f"{path}: no Parquet: {error}") from None
-
-
-def _listed(path: Path, number: int, row: dict[str, object]) -> WatchedSite:
-    values = [row.get(name) for name in COLUMNS]
-    if not all(isinstance(value, str) and value for value in values):
-        raise ReadError(f"{path}, site {number}: expected the columns {', '.join(COLUMNS)}")
-    name, *paths = (str(value) for value in values)
-    if len(name) > LONGEST_ID:
-        raise ReadError(f"{path}, site {number}: an id of more than {LONGEST_ID} characters")
-    target, source, result = (path.parent / each for each in paths)
-    return WatchedSite(name, target, source, result, _time(path, number, row.get("time")))
-
-
-def _time(path: Path, number: int, given: object) -> datetime | None:
-    """Read a time; without a zone it is UTC."""
-    if given is None or given == "":
-        return None
-    try:
-        time = given if isinstance(given, datetime) else datetime.fromisoformat(str(given))
-    except ValueError:
-        raise ReadError(f"{path}, site {number}: {given!r} is no time (ISO 8601)") from None
-    time = time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
-    if not datetime(1970, 1, 1, tzinfo=UTC) <= time < LATEST:
-        raise ReadError(f"{path}, site {number}: {given!r} is no time of a recording")
-    return time
+if TYPE_CHECKING:
+    from ...api.checking import Stored
 
 
 def check_site(
-    site: WatchedSite, *, tolerance: Tolerance = DEFAULT_TOLERANCE, history: Path | None = None
-) -> CheckRow | None:
-    """Check one site; whatever goes wrong is said in its row.
+    site: FleetSite, check: Check, tell: Callable[[Hashed], None] = lambda hashed: None
+) -> dict[str, Any] | None:
+    """Check one site, unless the history has this very check.
 
-    None where `history` has this very check already: the same recordings and stored result.
+    Parameters
+    ----------
+    site
+        A pair, and the place of its stored result: ``result.json`` beside the target where it
+        names none.
+    check
+        What to hold it against.
+    tell
+        Called with the hashes of its files before anything is read of what is in them.
+
+    Returns
+    -------
+    dict or None
+        Columns of the row, whatever happens; None where the history has it without an error: the
+        same recordings and stored result, at the same time.
     """
-    # What could not even be read has no other time than that of the attempt.
-    time = site.time or datetime.now(UTC).replace(microsecond=0)
-    tried = CheckRow(site.id, time, "error", version=__version__)
-    try:
-        paths = result_file(site.result), site.target, site.source
-        hashes = [sha256_of(path) for path in paths]
-        tried = replace(
-            tried,
-            time=site.time or _recorded(site),
-            stored_sha256=hashes[0],
-            target_sha256=hashes[1],
-            source_sha256=hashes[2],
+    time = datetime.fromisoformat(site.time) if site.time else check.tried
+    tried = CheckRow(site.id, time, "cannot_tell", version=__version__)
+    with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
+        try:
+            local = LocalFiles(site, Path(folder))
+            stored = _stored(site, check, Path(folder))
+            tried = _hashed(tried, site, local, stored, tell)
+            if tried.key in check.known:
+                return None
+            tried = _checked(site, check, local, stored, tried)
+        except Refusal as refusal:
+            tried = replace(tried, codes=(refusal.code,), message=quoting(refusal.message))
+        except Exception as error:
+            code, words = code_of(error)
+            tried = replace(tried, status="error", codes=(code,), message=words)
+        if tried.message is not None:
+            tried = replace(tried, message=_named(tried.message, site, check, Path(folder)))
+    return plain(tried)
+
+
+def _place(site: FleetSite) -> str:
+    """Name the place of the stored result."""
+    return site.result or below(folder_of(site.target), RESULT_FILE)
+
+
+def _named(words: str, site: FleetSite, check: Check, folder: Path) -> str:
+    """Call copies in a folder of our own as they were given."""
+    stored = RESULT_FILE if check.document is not None else _place(site)
+    for role, place in (("target", site.target), ("source", site.source), ("stored", stored)):
+        copy = folder / role / place.rstrip("/").rpartition("/")[2]
+        words = words.replace(quoting(f"{copy}"), quoting(place))
+    return words
+
+
+def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
+    """Make the row of a check whose process or worker never answered, of what is known of it."""
+    hashes = [each.sha256 or "" for each in row.inputs] or ["", ""]
+    return CheckRow(
+        site.id,
+        datetime.fromisoformat(site.time) if site.time else check.tried,
+        "error",
+        codes=tuple(row.codes),
+        message=row.messages[0] if row.messages else None,
+        stored_sha256=row.site_sha256 or "",
+        target_sha256=hashes[0],
+        source_sha256=hashes[-1],
+        version=__version__,
+    )
+
+
+def _stored(site: FleetSite, check: Check, folder: Path) -> Path:
+    """Bring the stored result to this machine."""
+    if check.document is not None:
+        data, path = check.document.encode(), folder / "stored" / RESULT_FILE
+    else:
+        place = _place(site)
+        if not exists(place):
+            raise ReadError(
+                f"{place}: there is no stored result; name it in a column result, or give the "
+                "answers of 'fleet calibrate'"
+            )
+        if not is_url(place):
+            return result_file(Path(place))
+        data = read_bytes(
+            below(place, RESULT_FILE) if is_folder(place) else place, LARGEST_DOCUMENT
         )
-        if history is not None and tried.key in _known(history, f"{tried.time:%Y-%m}"):
-            return None
-        return _checked(site, tried, tolerance)
-    except Refusal as refusal:
-        return replace(
-            tried, status="cannot_tell", codes=(refusal.code,), message=quoting(refusal.message)
-        )
-    except (RetropoleError, OSError, MemoryError) as error:
-        return replace(tried, message=quoting(f"{error}" or type(error).__name__))
+        path = folder / "stored" / place.rstrip("/").rpartition("/")[2]
+    path.parent.mkdir()
+    path.write_bytes(data)
+    return path
 
 
-@lru_cache(maxsize=4)
-def _known(history: Path, month: str) -> set[str]:
-    return store.keys(history, [f"month={month}"])
+def _hashed(
+    tried: CheckRow,
+    site: FleetSite,
+    local: LocalFiles,
+    stored: Path,
+    tell: Callable[[Hashed], None],
+) -> CheckRow:
+    """Add the hashes, and when the later recording was written where the list has no time."""
+    inputs = local.inputs()
+    sha256 = hashlib.sha256(read_document(stored)).hexdigest()
+    if not site.time:
+        tried = replace(tried, time=max(written(site.target), written(site.source)))
+    target, source = (each.sha256 or "" for each in inputs)
+    tried = replace(tried, stored_sha256=sha256, target_sha256=target, source_sha256=source)
+    tell(Hashed(tried.key, inputs, sha256))
+    return tried
 
 
-def _recorded(site: WatchedSite) -> datetime:
-    """Give when the later recording was written, to the second."""
-    files = [
-        each
-        for path in (site.target, site.source)
-        for each in (path.rglob("*") if path.is_dir() else (path,))
-    ]
-    latest = max((each.stat().st_mtime for each in files), default=0.0)
-    return datetime.fromtimestamp(int(latest), UTC)
-
-
-def _checked(site: WatchedSite, tried: CheckRow, tolerance: Tolerance) -> CheckRow:
+def _checked(
+    site: FleetSite, check: Check, local: LocalFiles, result: Path, tried: CheckRow
+) -> CheckRow:
     from ...api.checking import checked, read_stored, topic_for
     from ...api.inputs import read_input
 
-    stored = read_stored(site.result)
+    if check.lidars is None:
+        stored = read_stored(result)
+    else:
+        stored = _of_site(result, check.lidars, site.config)
     config = stored.config
-    target = read_input(
-        site.target,
-        sensor=config.sensor_target,
-        threshold=config.threshold_target,
-        topic=topic_for(site.target, None, config.target_topic),
-        unit=config.unit,
+    target, source = local.pair
+    answer = checked(
+        stored,
+        read_input(
+            target,
+            sensor=config.sensor_target,
+            threshold=config.threshold_target,
+            topic=topic_for(target, None, config.target_topic),
+            unit=config.unit,
+        ),
+        read_input(
+            source,
+            sensor=config.sensor_source,
+            threshold=config.threshold_source,
+            topic=topic_for(source, None, config.source_topic),
+            unit=config.source_unit,
+        ),
+        Tolerance(*check.tolerance),
     )
-    source = read_input(
-        site.source,
-        sensor=config.sensor_source,
-        threshold=config.threshold_source,
-        topic=topic_for(site.source, None, config.source_topic),
-        unit=config.source_unit,
-    )
-    answer = checked(stored, target, source, tolerance)
     words = [reason.message for reason in answer.reasons]
     return replace(
         tried,
@@ -205,3 +184,17 @@ def _checked(site: WatchedSite, tried: CheckRow, tolerance: Tolerance) -> CheckR
         chi2=answer.chi2,
         power=answer.power,
     )
+
+
+def _of_site(result: Path, lidars: tuple[str, str], config: RunConfig) -> Stored:
+    """Take the pose between two LiDARs of a site; what both have in common cancels in it.
+
+    How much of it errs alike in both recordings is not stored of a site: all of it counts.
+    """
+    from ...api.checking import Stored
+
+    target, source = lidars
+    transform = read_transform(result, parent=target, child=source)
+    if transform.covariance is None:
+        raise Refusal("no_covariance", f"{result} does not say how certain {source} is to {target}")
+    return Stored(PoseEstimate(transform.T_parent_child, transform.covariance, 0.0), config, ())

@@ -7,7 +7,7 @@ A check k at time t gives a step ``y_k`` (6,) from the stored pose. It is modell
 - *level*: what the stored pose errs by, the same in every check; it grows by a *slope* once a trend
   was found.
 - *season*: a cosine and a sine of a year for each of the six, zero mean and `SEASON` wide.
-- *slow*: an Ornstein-Uhlenbeck process with the time `SLOW_TIME`: weather, warm-up, leaves.
+- *slow*: an Ornstein-Uhlenbeck process with the time `SLOW_TIME`, or another: weather, leaves.
 - *other*: what a pose found the other way (by the scene alone, where poles gave the first) differs.
 - *e*: drawn anew in each check, with the random part of its covariance times a scale.
 
@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtrc, chdtri
 
 from ...alignment.certainty import floor
 from ...datatypes import Array
@@ -42,8 +42,22 @@ SEASON = np.r_[np.full(3, np.radians(0.015)), np.full(3, 0.002)]
 """1 σ of the cosine and of the sine, rad and m: a steel mast of 6 m that is 30 K warmer on one side
 than a year's mean differs in length by 2 mm."""
 
+TRANSLATION = slice(3, 6)
+"""Of the six."""
+
+RAREST = 1e-280
+"""Smaller probabilities are none to a computer."""
+
 LEVEL_FACTOR = 1.5
 """How much wider than stated the stored pose's error may be, in σ."""
+
+UNNAMED = floor()
+"""(6, 6) of what no model names."""
+
+IDENTITY = np.eye(6)
+
+NOTHING_KNOWN = np.diag(np.repeat([1e-2, 1e-4], 3))
+"""Information on a change that has no data yet: tiny, and keeps its size solvable."""
 
 Kind = Literal["step", "trend"]
 
@@ -75,7 +89,10 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The filter after a check: mean (36,) and covariance (36, 36) of the state, and its time."""
+    """The filter after a check: mean (36,) and covariance (36, 36) of the state, and its time.
+
+    Several filters that run beside each other, R, are (R, 36) and (R, 36, 36).
+    """
 
     mean: Array
     covariance: Array
@@ -96,9 +113,10 @@ class Changes:
     is_trend
         (M,) whether the slope changed, or the level.
     deviation
-        (M, 36, 6) by how much the state is off from the filter's, for a change of size one.
+        (36, M, 6) by how much the state is off from the filter's, for a change of size one.
     information, vector
-        (M, 6, 6) and (M, 6) the normal equations of the size.
+        (M, 6, 6) and (M, 6) the normal equations of the size. Of several filters that run beside
+        each other these three have their number R first.
     """
 
     onset: Array
@@ -109,83 +127,117 @@ class Changes:
     vector: Array
 
     def statistics(self) -> Array:
-        """(M,) twice the log likelihood ratio of each change against none: χ²(6) where none was."""
-        if not len(self.onset):
-            return np.zeros(0)
-        sizes = np.linalg.solve(self.information, self.vector[..., None])[..., 0]
-        return np.asarray(np.einsum("mi,mi->m", sizes, self.vector))
+        """(M,) twice the log likelihood ratio of each change against none: χ²(6) where none was.
+
+        A trend may be one of translation alone, as of a foundation that settles, which three
+        degrees of freedom tell; it counts as the χ²(6) that chance exceeds as often.
+        """
+        both = self._ratio(slice(0, 6))
+        alone = np.where(self.is_trend, self._ratio(TRANSLATION), 0.0)
+        return np.asarray(np.maximum(both, chdtri(6, np.maximum(chdtrc(3, alone), RAREST))))
 
     def size(self, m: int) -> tuple[Array, Array]:
         """(6,) the most likely size of a change, per year of a trend, and its (6, 6) covariance."""
-        covariance = np.linalg.inv(self.information[m])
-        return np.asarray(covariance @ self.vector[m]), covariance
+        covariance = np.asarray(np.linalg.inv(self.information[..., m, :, :]), float)
+        return (covariance @ self.vector[..., m, :, None])[..., 0], covariance
+
+    def of(self, run: int) -> Changes:
+        """Give those of one of several filters."""
+        parts = self.deviation[run], self.information[run], self.vector[run]
+        return Changes(self.onset, self.days, self.is_trend, *parts)
+
+    def _ratio(self, part: slice) -> Array:
+        """(M,) the same where nothing but a part of the six changed."""
+        vector = self.vector[..., part, None]
+        sizes = np.linalg.solve(self.information[..., part, part], vector)
+        return np.asarray((sizes * vector).sum(axis=(-2, -1)))
 
 
-def no_changes() -> Changes:
-    """Give no change at all."""
+def no_changes(*runs: int) -> Changes:
+    """Give no change at all; of so many filters that run beside each other."""
     none = np.zeros(0)
-    shapes = np.zeros((0, SIZE, 6)), np.zeros((0, 6, 6)), np.zeros((0, 6))
+    shapes = np.zeros((*runs, SIZE, 0, 6)), np.zeros((*runs, 0, 6, 6)), np.zeros((*runs, 0, 6))
     return Changes(none, none, none.astype(bool), *shapes)
 
 
 def begin(changes: Changes, check: int, days: float, *, kinds: tuple[Kind, ...]) -> Changes:
     """Add the changes that begin with a check."""
-    fresh = np.zeros((len(kinds), SIZE, 6))
+    runs, count = changes.vector.shape[:-2], len(kinds)
+    fresh = np.zeros((*runs, SIZE, count, 6))
     for m, kind in enumerate(kinds):
-        fresh[m, SLOPE if kind == "trend" else LEVEL] = np.eye(6)
-    is_trend = np.array([kind == "trend" for kind in kinds])
-    # What has no data yet counts as nothing known: a tiny information keeps it solvable.
-    tiny = np.diag(np.r_[np.full(3, 1e-2), np.full(3, 1e-4)])
+        fresh[..., SLOPE if kind == "trend" else LEVEL, m, :] = IDENTITY
+    known = np.broadcast_to(NOTHING_KNOWN, (*runs, count, 6, 6))
+    joined = np.concatenate
     return Changes(
-        np.r_[changes.onset, np.full(len(kinds), check)],
-        np.r_[changes.days, np.full(len(kinds), days)],
-        np.r_[changes.is_trend, is_trend].astype(bool),
-        np.concatenate([changes.deviation, fresh]),
-        np.concatenate([changes.information, np.broadcast_to(tiny, (len(kinds), 6, 6))]),
-        np.concatenate([changes.vector, np.zeros((len(kinds), 6))]),
+        joined([changes.onset, np.full(count, check)]),
+        joined([changes.days, np.full(count, days)]),
+        joined([changes.is_trend, [kind == "trend" for kind in kinds]]),
+        joined([changes.deviation, fresh], axis=-2),
+        joined([changes.information, known], axis=-3),
+        joined([changes.vector, np.zeros((*runs, count, 6))], axis=-2),
     )
 
 
-def some(changes: Changes, keep: Array) -> Changes:
-    """Keep some of the changes: a mask or indices (M,)."""
-    names = ("onset", "days", "is_trend", "deviation", "information", "vector")
-    return Changes(*(getattr(changes, name)[keep] for name in names))
+def some(changes: Changes, keep: NDArray[np.bool_]) -> Changes:
+    """Keep some of the changes: a mask (M,)."""
+    if keep.all():
+        return changes
+    kept = np.flatnonzero(keep)
+    return Changes(
+        changes.onset[kept],
+        changes.days[kept],
+        changes.is_trend[kept],
+        changes.deviation.take(kept, axis=-2),
+        changes.information.take(kept, axis=-3),
+        changes.vector.take(kept, axis=-2),
+    )
 
 
-def first_state(first: Observed, share: float) -> State:
+def first_state(first: Observed, share: float | Array) -> State:
     """Give what is known before the first check: the stored pose may err by what is stated.
 
     Of what varies slowly the variance is the floor of what no model names, and a share of a check's
-    random part.
+    random part; of several shares (R,) it is that of as many filters.
     """
-    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    covariance[LEVEL, LEVEL] = LEVEL_FACTOR**2 * first.common
-    covariance[COSINE, COSINE] = covariance[SINE, SINE] = np.diag(SEASON**2)
-    covariance[SLOW, SLOW] = floor() + share * first.random
+    shares = np.asarray(share)[..., None, None]
+    mean = np.zeros((*shares.shape[:-2], SIZE))
+    covariance = np.zeros((*mean.shape, SIZE))
+    covariance[..., LEVEL, LEVEL] = LEVEL_FACTOR**2 * first.common
+    covariance[..., COSINE, COSINE] = covariance[..., SINE, SINE] = np.diag(SEASON**2)
+    covariance[..., SLOW, SLOW] = UNNAMED + shares * first.random
     return State(mean, covariance, first.days)
 
 
 def predicted(
-    state: State, changes: Changes, check: Observed, scale: float, share: float
+    state: State,
+    changes: Changes,
+    check: Observed,
+    scale: float | Array,
+    share: float | Array,
+    slow_time: float | Array = SLOW_TIME,
 ) -> tuple[State, Changes]:
     """Bring the state, and what each change makes of it, to the time of a check.
 
-    `scale` is that of the random part, in σ, and `share` as for `first_state`.
+    `scale` is that of the random part, in σ, and `share` as for `first_state`; what varies slowly
+    forgets within `slow_time`, days.
     """
     years = (check.days - state.days) / YEAR
-    kept = float(np.exp(-(check.days - state.days) / SLOW_TIME))
-    F = np.eye(SIZE)
-    F[LEVEL, SLOPE] = years * np.eye(6)
-    F[SLOW, SLOW] *= kept
-    P = F @ state.covariance @ F.T
+    kept = np.exp(-(check.days - state.days) / np.asarray(slow_time))[..., None, None]
+    F = np.zeros((*kept.shape[:-2], SIZE, SIZE))
+    F[...] = np.eye(SIZE)
+    F[..., LEVEL, SLOPE] = years * IDENTITY
+    F[..., SLOW, SLOW] *= kept
+    P = F @ state.covariance @ np.swapaxes(F, -1, -2)
     deviation = changes.deviation.copy()
-    deviation[:, LEVEL] += years * deviation[:, SLOPE]
-    deviation[:, SLOW] *= kept
-    P[SLOW, SLOW] += (1.0 - kept**2) * (floor() + scale**2 * share * check.random)
+    deviation[..., LEVEL, :, :] += years * deviation[..., SLOPE, :, :]
+    deviation[..., SLOW, :, :] *= kept[..., None]
+    varied = np.asarray(np.square(scale) * share)[..., None, None] * check.random
+    P[..., SLOW, SLOW] += (1.0 - kept**2) * (UNNAMED + varied)
     if check.other and not state.knows_other:
-        P[OTHER, OTHER] += LEVEL_FACTOR**2 * check.common
+        P[..., OTHER, OTHER] += LEVEL_FACTOR**2 * check.common
     knows = state.knows_other or check.other
-    ahead = State(F @ state.mean, P, check.days, knows)
+    mean = (F @ state.mean[..., None])[..., 0]
+    ahead = State(mean, P, check.days, knows)
     return ahead, replace(changes, deviation=deviation)
 
 
@@ -198,37 +250,42 @@ def weights(check: Observed) -> Array:
 class Surprise(NamedTuple):
     """χ²(6) of a check against what was predicted, and the logarithm of that one's determinant."""
 
-    chi2: float
-    log_size: float
+    chi2: Array
+    log_size: Array
 
 
 def updated(
-    state: State, changes: Changes, check: Observed, scale: float
+    state: State, changes: Changes, check: Observed, scale: float | Array
 ) -> tuple[State, Changes, Surprise]:
     """Take a check in; gives the surprise too. The state is that of the check's time."""
     shares = weights(check)
-    H = (shares[:, None, None] * np.eye(6)).transpose(1, 0, 2).reshape(6, SIZE)
+    H = (IDENTITY[:, None, :] * shares[:, None]).reshape(6, SIZE)
     PH = state.covariance @ H.T
-    factor = cho_factor(H @ PH + scale**2 * check.random)
-    inverse = cho_solve(factor, np.eye(6))
+    S = H @ PH + np.asarray(np.square(scale))[..., None, None] * check.random
+    inverse = np.linalg.inv(S)
+    inverse = (inverse + np.swapaxes(inverse, -1, -2)) / 2.0
     gain = PH @ inverse
-    off = check.step - H @ state.mean
-    P = state.covariance - gain @ PH.T
-    after = replace(state, mean=state.mean + gain @ off, covariance=(P + P.T) / 2.0)
+    off = (check.step - state.mean @ H.T)[..., None]
+    P = state.covariance - gain @ np.swapaxes(PH, -1, -2)
+    P = (P + np.swapaxes(P, -1, -2)) / 2.0
+    after = replace(state, mean=state.mean + (gain @ off)[..., 0], covariance=P)
     weighted = inverse @ off
-    log_size = 2.0 * float(np.log(np.diag(factor[0])).sum())
-    told = Surprise(float(off @ weighted), log_size)
-    if not len(changes.onset):
-        return after, changes, told
-    shown = np.tensordot(changes.deviation.reshape(-1, 6, 36), shares, (1, 0)).reshape(-1, 6, 6)
-    across = np.swapaxes(shown, 1, 2)
+    chi2 = np.asarray((off * weighted).sum(axis=(-2, -1)))
+    told = Surprise(chi2, np.linalg.slogdet(S)[1])
+    # All changes side by side: few products of large matrices, and not many of small ones.
+    deviation = changes.deviation.reshape(*changes.deviation.shape[:-2], -1)
+    shown = H @ deviation
+    split = (*shown.shape[:-1], -1, 6)
+    across = np.moveaxis(shown.reshape(split), -3, -1)
+    through = np.moveaxis((inverse @ shown).reshape(split), -3, -2)
+    vector = (np.swapaxes(weighted, -1, -2) @ shown).reshape(changes.vector.shape)
     return (
         after,
         replace(
             changes,
-            deviation=changes.deviation - gain @ shown,
-            information=changes.information + across @ inverse @ shown,
-            vector=changes.vector + across @ weighted,
+            deviation=(deviation - gain @ shown).reshape(changes.deviation.shape),
+            information=changes.information + across @ through,
+            vector=changes.vector + vector,
         ),
         told,
     )
@@ -237,7 +294,9 @@ def updated(
 def adopted(state: State, changes: Changes, m: int) -> State:
     """Put a change into the state: from now on it is part of what is expected."""
     size, covariance = changes.size(m)
-    D = changes.deviation[m]
+    D = changes.deviation[..., m, :]
     return replace(
-        state, mean=state.mean + D @ size, covariance=state.covariance + D @ covariance @ D.T
+        state,
+        mean=state.mean + (D @ size[..., None])[..., 0],
+        covariance=state.covariance + D @ covariance @ np.swapaxes(D, -1, -2),
     )

@@ -79,9 +79,13 @@ class CheckRow:
 
     @property
     def key(self) -> str:
-        """What makes it this check: the same site, time, stored result and recordings."""
+        """What makes it this check: the same site, time, stored result and recordings.
+
+        A check that ended in an error does not stand for one that succeeds.
+        """
         hashes = self.stored_sha256, self.target_sha256, self.source_sha256
-        words = "\n".join((self.id, self.time.astimezone(UTC).isoformat(), *hashes))
+        failure = ("error", *self.codes) if self.status == "error" else ()
+        words = "\n".join((self.id, self.time.astimezone(UTC).isoformat(), *hashes, *failure))
         return hashlib.sha256(words.encode()).hexdigest()
 
     @property

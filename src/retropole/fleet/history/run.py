@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
-from typing import Any
+from datetime import UTC, datetime
 
+from ...errors import UsageError
 from ...monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
+from ...quantities import counted, duration
+from .. import TIME_LIMIT
+from ..batch import Doing
+from ..dataset import Row, partition_of, partitions_in, read_rows
+from ..sites import FleetSite
+from ..storage import absolute
+from ..work import Outcome, Task, environment, failed
 from . import store
-from .check import WatchedSite, check_site
+from .check import lost_check
 from .events import Event, Watched
-from .rows import CheckRow, observed
+from .rows import CheckRow, observed, row_of
+from .site_pairs import watched_pairs
+from .task import Check
 from .watch import watch
 
 FLUSH = 100
-"""Rows after which they are appended: an interrupt loses no more than these."""
+"""Sites whose rows are appended together: an interrupt loses no more than these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +35,17 @@ class SiteChange:
 
     Attributes
     ----------
-    rows
-        Its checks that gave a step from the newest stored pose, in the order of time: what the
-        numbers in `watched` count.
+    times
+        Of its checks that gave a step from the newest stored pose, in order: what the numbers in
+        `watched` count.
     watched
         What was found in them.
     newest
-        Its newest check, whatever came of it.
+        What came of its check in this run; of one that the history had, the last that had no error.
     """
 
     id: str
-    rows: Sequence[CheckRow]
+    times: Sequence[datetime]
     watched: Watched
     newest: CheckRow
 
@@ -54,7 +61,7 @@ class SiteChange:
 
     def is_new(self, event: Event) -> bool:
         """Whether the newest check found it."""
-        return self.is_told and event.found == len(self.rows) - 1
+        return self.is_told and event.found == len(self.times) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +73,14 @@ class FleetCheck:
 
 
 def check_fleet(
-    sites: Sequence[WatchedSite],
-    history: Path,
+    sites: Sequence[FleetSite],
+    history: str,
+    doing: Doing,
     *,
+    answers: str | None = None,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
-    processes: int = 1,
+    time_limit: float = TIME_LIMIT,
+    now: datetime | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> FleetCheck:
     """Check sites, append to their history, and tell what changed.
@@ -78,65 +88,172 @@ def check_fleet(
     Parameters
     ----------
     sites
-        From `check.find_sites`.
+        As `fleet.sites.find_sites` gives them; their order does not matter.
     history
-        Folder of the history; made where there is none.
+        Path or URL of the history; made where there is none.
+    doing
+        What does the tasks: `engine.outcomes` with its client.
+    answers
+        Path or URL of a dataset of `batch.calibrate_fleet` that holds the stored results; None
+        where each site names its own, or has it beside the target.
     tolerance
         Of the check of each.
-    processes
-        How many sites are checked at a time; more than one are spawned.
+    time_limit
+        Of one site, seconds.
+    now
+        When the run begins: the time of sites whose files cannot be read. None takes the clock.
     progress
-        Is told which of how many is under way.
+        Is told how many of the sites are checked, and when the rest may be.
 
     Raises
     ------
     MissingExtraError
         Without the extra ``fleet``.
+    UsageError
+        Where `answers` is no dataset, or a site names another stored result.
     ReadError
-        Where the history is damaged.
+        Where the history or the dataset is damaged.
     OSError
-        Where it cannot be written.
+        Where the history cannot be written.
     """
-    store.arrow()
-    appended, waiting = 0, list[CheckRow]()
-    with _mapping(processes) as mapped:
-        try:
-            job = partial(check_site, tolerance=tolerance, history=history)
-            for done, row in enumerate(mapped(job, sites), start=1):
-                progress(f"check, {done} of {len(sites)}")
-                if row is not None:
-                    waiting.append(row)
-                if len(waiting) >= FLUSH:
-                    appended, waiting = appended + store.append(history, waiting), []
-        finally:
-            # Also what was checked before an interrupt.
-            appended += store.append(history, waiting)
-        progress("history")
-        rows = store.read(history, {site.id for site in sites})
-        there = [rows[site.id] for site in sites if site.id in rows]
-        return FleetCheck(appended, tuple(mapped(changes_of, there)))
+    history = absolute(history)
+    if answers is not None:
+        answers = absolute(answers)
+        _check_answers(answers, sites)
+    tried = (now or datetime.now(UTC)).replace(microsecond=0)
+    # So that each partition of the answers is read once.
+    ordered = [
+        pair
+        for site in sorted(sites, key=lambda site: (partition_of(site.id), site.id))
+        for pair in watched_pairs(site, answers)
+    ]
+    by_id = {pair.site.id: pair.site for pair in ordered}
+    if len(by_id) < len(ordered):
+        raise UsageError("a pair of a site is called as another site is: call that one otherwise")
+    known = store.keys(history, by_id)
+    blank = Check(tolerance=(tolerance.rotation, tolerance.translation), tried=tried)
+    rows = _Rows(history, known, list(by_id))
+
+    def tasks() -> Iterator[Task]:
+        stored: dict[str, Row] = {}
+        part = ""
+        for pair in ordered:
+            site = pair.site
+            if answers is not None and partition_of(pair.origin) != part:
+                part = partition_of(pair.origin)
+                stored = read_rows(answers, part)
+            own = stored.get(pair.origin)
+            fault = site.fault or ("" if answers is None else _unanswered(own, pair.lidars))
+            if fault:
+                rows.add(site.id, lost_check(site, blank, failed(site, "error", "usage", fault)))
+                continue
+            yield Task(
+                site=site,
+                check=Check(
+                    tolerance=blank.tolerance,
+                    tried=tried,
+                    document=None if own is None else own.document,
+                    lidars=pair.lidars,
+                    known=sorted(known.get(site.id, ())),
+                ),
+                time_limit=time_limit,
+                environment=environment(),
+            )
+
+    start = time.monotonic()
+    try:
+        for outcome in doing(tasks()):
+            rows.add(outcome.id, _row(outcome, by_id[outcome.id], blank))
+            progress(_progress(rows.done, len(ordered), time.monotonic() - start))
+    finally:
+        # Also what was checked before an interrupt.
+        rows.write_rest()
+    progress("look at the history")
+    changes = (changes_of(own, rows.of.get(name)) for name, own in store.read(history, by_id))
+    return FleetCheck(rows.appended, tuple(changes))
 
 
-def changes_of(rows: Sequence[CheckRow]) -> SiteChange:
-    """Tell what changed at one site, from all of its checks."""
+def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:
+    """Tell what changed at one site, from all of its checks; `newest` is that of this run."""
     usable = observed(list(rows))
+    newest = newest or max(rows, key=lambda row: (row.status != "error", row.time, row.key))
     return SiteChange(
         rows[0].id,
-        [row for row, _ in usable],
+        [row.time for row, _ in usable],
         watch([one for _, one in usable]),
-        max(rows, key=lambda row: (row.time, row.key)),
+        newest,
     )
 
 
-@contextmanager
-def _mapping(processes: int) -> Iterator[Callable[..., Iterable[Any]]]:
-    if processes == 1:
-        yield map
-        return
-    # small_gicp hangs after a fork.
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        try:
-            yield pool.map
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+class _Rows:
+    """Rows that come in any order, appended to the history in that of the sites, many together.
+
+    So the files of the history are the same whatever the workers.
+    """
+
+    def __init__(self, history: str, known: Mapping[str, set[str]], ids: Sequence[str]) -> None:
+        self._history = history
+        self._known = known
+        self._chunk_of = {name: k // FLUSH for k, name in enumerate(ids)}
+        self._left = Counter(self._chunk_of.values())
+        self._rows: dict[int, list[CheckRow]] = {}
+        self.of: dict[str, CheckRow] = {}
+        self.appended = self.done = 0
+
+    def add(self, name: str, row: CheckRow | None) -> None:
+        """Take the row of a site; None where the history has it."""
+        chunk = self._chunk_of[name]
+        self._left[chunk] -= 1
+        self.done += 1
+        if row is not None:
+            self.of[name] = row
+            self._rows.setdefault(chunk, []).append(row)
+        if not self._left[chunk]:
+            self._write(chunk)
+
+    def write_rest(self) -> None:
+        """Append what is there of sites whose neighbours are missing."""
+        for chunk in sorted(self._rows):
+            self._write(chunk)
+
+    def _write(self, chunk: int) -> None:
+        rows = self._rows.pop(chunk, [])
+        known = set[str]().union(*(self._known.get(row.id, ()) for row in rows))
+        self.appended += store.append(self._history, rows, known)
+
+
+def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:
+    """Find out now what would make an error of every site."""
+    if not partitions_in(answers):
+        raise UsageError(f"{answers}: is no dataset of 'retropole fleet calibrate'")
+    named = next((site for site in sites if site.result), None)
+    if named is not None:
+        raise UsageError(
+            f"site {named.id!r}: its list names a stored result, {named.result}, and so do the "
+            "answers; take the column result out, or do without --answers"
+        )
+
+
+def _unanswered(stored: Row | None, lidars: tuple[str, str] | None) -> str:
+    """Say why a pair has no stored result among the answers; empty where it has one."""
+    if stored is None:
+        return "the answers have no site of this id; calibrate it"
+    if lidars is None and stored.kind == "site":
+        return "the answers have a site of many LiDARs of this id: give a site file"
+    if stored.document is None:
+        return f"it was not calibrated: {', '.join(stored.codes)}"
+    return ""
+
+
+def _row(outcome: Outcome, site: FleetSite, check: Check) -> CheckRow | None:
+    """Take the row of a check; None where the history has it."""
+    if outcome.check is not None:
+        return row_of(outcome.check)
+    return None if outcome.row is None else lost_check(site, check, outcome.row)
+
+
+def _progress(done: int, count: int, seconds: float) -> str:
+    """Say how far it is, and how long the rest takes if it goes on so."""
+    left = seconds / done * (count - done)
+    rest = f", about {duration(left)} left" if left else ""
+    return f"check: {done} of {counted(count, 'site')}{rest}"

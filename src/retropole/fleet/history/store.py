@@ -7,13 +7,14 @@ new rows, named by the keys of its rows and written whole or not at all. Nothing
 from __future__ import annotations
 
 import hashlib
+import io
 import re
-from collections.abc import Collection, Iterable, Iterator
-from pathlib import Path
+from bisect import bisect_right
+from collections.abc import Collection, Container, Iterable, Iterator
 from typing import Any
 
 from ...errors import MissingExtraError, ReadError
-from ...files import write_atomically
+from ..storage import below, names_in, read_bytes, write_bytes
 from .rows import SCHEMA, CheckRow, plain, row_of
 
 MONTH = re.compile(r"month=\d{4}-\d{2}")
@@ -22,8 +23,17 @@ LARGEST_FILE = 2**31
 """Bytes of a file: 10,000 sites make 10 MB in an append."""
 
 
-def append(folder: Path, rows: Iterable[CheckRow]) -> int:
+def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None = None) -> int:
     """Append checks to a history; those that it has are left out.
+
+    Parameters
+    ----------
+    folder
+        Path or URL of the history.
+    rows
+        Their order does not matter: the same rows give the same bytes.
+    known
+        Keys of the checks that the history has of these sites; None has them read.
 
     Returns
     -------
@@ -45,37 +55,49 @@ def append(folder: Path, rows: Iterable[CheckRow]) -> int:
         months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
     count = 0
     for month, own in sorted(months.items()):
-        known = keys(folder, [month])
-        fresh = {key: row for key, row in sorted(own.items()) if key not in known}
+        kept = known
+        if kept is None:
+            kept = set().union(*keys(folder, months=[month]).values())
+        fresh = {key: row for key, row in sorted(own.items()) if key not in kept}
         if not fresh:
             continue
         name = hashlib.sha256("\n".join(fresh).encode()).hexdigest()[:32]
         table = pa.Table.from_pylist([plain(row) for row in fresh.values()], schema=schema())
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd")
-        write_atomically(folder / month / f"{name}.parquet", sink.getvalue().to_pybytes())
+        place = below(below(folder, month), f"{name}.parquet")
+        write_bytes(place, sink.getvalue().to_pybytes())
         count += len(fresh)
     return count
 
 
-def keys(folder: Path, months: Collection[str] | None = None) -> set[str]:
-    """Give the keys of all checks of a history, or of some of its months."""
-    return {
-        key
-        for path in _files(folder, months)
-        for key in _table(path, ["key"]).column("key").to_pylist()
-    }
+def keys(
+    folder: str, ids: Collection[str] | None = None, months: Collection[str] | None = None
+) -> dict[str, set[str]]:
+    """Give the keys of the checks of each site of a history, or of some of its months."""
+    found: dict[str, set[str]] = {}
+    for place in _files(folder, months):
+        columns = _table(place, ["id", "key"])
+        for name, key in zip(*(columns.column(c).to_pylist() for c in ("id", "key")), strict=True):
+            if ids is None or name in ids:
+                found.setdefault(name, set()).add(key)
+    return found
 
 
-def read(folder: Path, ids: Collection[str] | None = None) -> dict[str, list[CheckRow]]:
-    """Read a history: the checks of each site, in the order of time.
+def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str, list[CheckRow]]]:
+    """Read a history: the checks of each site in the order of time, sites in the order of ids.
 
     Parameters
     ----------
     folder
-        The history; where there is none, it is empty.
+        Path or URL of the history; where there is none, it is empty.
     ids
         Sites to read; None reads all.
+
+    Yields
+    ------
+    tuple of str and list of CheckRow
+        One site at a time: of a large history the rows of all would not fit into memory.
 
     Raises
     ------
@@ -84,15 +106,26 @@ def read(folder: Path, ids: Collection[str] | None = None) -> dict[str, list[Che
     ReadError
         Where a file of it is damaged, or not of this schema.
     """
-    found: dict[str, CheckRow] = {}
-    for path in _files(folder):
-        for columns in _table(path).to_pylist():
-            if ids is None or columns["id"] in ids:
-                found[columns["key"]] = row_of(columns)
-    sites: dict[str, list[CheckRow]] = {}
-    for row in sorted(found.values(), key=lambda row: (row.id, row.time, row.key)):
-        sites.setdefault(row.id, []).append(row)
-    return sites
+    pa, _ = arrow()
+    tables = [_of_sites(_table(place), ids) for place in _files(folder)]
+    whole = pa.concat_tables([schema().empty_table(), *tables])
+    whole = whole.sort_by([(name, "ascending") for name in ("id", "time", "key")])
+    names = whole.column("id").to_pylist()
+    start = 0
+    while start < len(names):
+        end = bisect_right(names, names[start], start)
+        rows = {row["key"]: row for row in whole.slice(start, end - start).to_pylist()}
+        yield names[start], [row_of(row) for row in rows.values()]
+        start = end
+
+
+def _of_sites(table: Any, ids: Collection[str] | None) -> Any:
+    if ids is None:
+        return table
+    pa, _ = arrow()
+    from pyarrow import compute
+
+    return table.filter(compute.is_in(table.column("id"), pa.array(sorted(ids), pa.string())))
 
 
 def schema() -> Any:
@@ -123,29 +156,25 @@ def schema() -> Any:
     )
 
 
-def _files(folder: Path, months: Collection[str] | None = None) -> Iterator[Path]:
-    if not folder.is_dir():
-        return
-    for month in sorted(folder.iterdir()):
-        if MONTH.fullmatch(month.name) and (months is None or month.name in months):
-            yield from sorted(month.glob("*.parquet"))
+def _files(folder: str, months: Collection[str] | None = None) -> Iterator[str]:
+    for month in names_in(folder):
+        if MONTH.fullmatch(month) and (months is None or month in months):
+            for name in names_in(below(folder, month)):
+                if name.endswith(".parquet"):
+                    yield below(below(folder, month), name)
 
 
-def _table(path: Path, columns: list[str] | None = None) -> Any:
+def _table(place: str, columns: list[str] | None = None) -> Any:
     pa, pq = arrow()
-    if path.stat().st_size > LARGEST_FILE:
-        raise ReadError(f"{path}: more than {LARGEST_FILE} bytes, no history is so long")
+    data = read_bytes(place, LARGEST_FILE)
     try:
-        with path.open("rb") as file:
-            parquet = pq.ParquetFile(file)
-            metadata = parquet.schema_arrow.metadata or {}
-            if metadata.get(b"schema") != SCHEMA.encode() or not parquet.schema_arrow.equals(
-                schema()
-            ):
-                raise ReadError(f"{path}: not of the schema {SCHEMA}")
-            return parquet.read(columns)
+        parquet = pq.ParquetFile(io.BytesIO(data))
+        metadata = parquet.schema_arrow.metadata or {}
+        if metadata.get(b"schema") != SCHEMA.encode() or not parquet.schema_arrow.equals(schema()):
+            raise ReadError(f"{place}: not of the schema {SCHEMA}")
+        return parquet.read(columns)
     except (pa.ArrowException, OSError) as error:
-        raise ReadError(f"{path}: no history: {error}") from None
+        raise ReadError(f"{place}: no history: {error}") from None
 
 
 def arrow() -> tuple[Any, Any]:

@@ -1,0 +1,113 @@
+"""The command ``retropole fleet check``."""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from retropole.fleet.batch import calibrate_fleet
+from retropole.fleet.history.store import append, read
+from retropole.fleet.sites import find_sites
+from tests.cli.commands import retropole_here
+from tests.fleet.fleets import here, write_fleet
+from tests.fleet.history.checks import MOVED
+
+pytest.importorskip("distributed", reason="needs the extra fleet")
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_fleet(tmp_path_factory.mktemp("fleet"))
+
+
+@pytest.fixture(scope="module")
+def answers(fleet: Path) -> Path:
+    out = fleet.parent / "answers"
+    calibrate_fleet(find_sites([str(fleet)]), str(out), here)
+    return out
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have no cluster: what it does is tried elsewhere."""
+
+    @contextmanager
+    def connected(scheduler: str | None, workers: int | None) -> Iterator[None]:
+        yield
+
+    monkeypatch.setattr("retropole.fleet.engine.connected", connected)
+    monkeypatch.setattr("retropole.fleet.engine.outcomes", lambda client, tasks: here(tasks))
+
+
+def test_what_it_says(fleet: Path, answers: Path, tmp_path: Path) -> None:
+    words = ("fleet", "check", fleet, "--answers", answers, "--history", tmp_path)
+    done = retropole_here(*words)
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[-1] == (
+        "8 sites, 8 new checks; changed since their calibration: 0, not told: 7"
+    )
+    assert "small/1: cannot tell (too_few_poles)" in done.stdout
+    assert "damaged: error (usage: it was not calibrated: unreadable)" in done.stdout
+    assert not done.stderr
+    again = retropole_here(*words, "--json")
+    assert again.returncode == 0
+    told = json.loads(again.stdout)
+    assert (told["schema"], told["sites"], told["changed"]) == ("retropole/fleet-check/1", 8, [])
+    assert {each["id"] for each in told["not_told"]} >= {"yard", "absent", "small/1"}
+    assert "good" not in {each["id"] for each in told["not_told"]}
+    assert retropole_here(*words, "--quiet").stdout == ""
+
+
+def test_a_site_that_changed_ends_with_its_own_code(
+    fleet: Path, answers: Path, tmp_path: Path
+) -> None:
+    good = fleet.parent / "good"
+    words = ("fleet", "check", good, "--answers", answers, "--history", tmp_path)
+    assert retropole_here(*words).returncode == 0
+    ((_, (row,)),) = read(str(tmp_path))
+    assert row.step is not None
+    # As if it had been watched in another year, and moved in it.
+    before = [replace(row, time=row.time.replace(year=2020, month=k)) for k in range(1, 8)]
+    moved = [
+        replace(row, time=row.time.replace(year=2020, month=k), step=row.step + MOVED)
+        for k in (8, 9)
+    ]
+    append(str(tmp_path), [*before, *moved])
+    done = retropole_here(*words)
+    assert done.returncode == 4
+    assert "good: step since 2020-08-" in done.stdout
+    assert "not confirmed: another check will tell" in done.stdout
+    told = json.loads(retropole_here(*words, "--json").stdout)
+    (event,) = told["changed"]
+    assert (event["id"], event["kind"], event["new"]) == ("good", "step", False)
+    np.testing.assert_allclose(event["size"], MOVED, atol=0.005)
+    assert np.shape(event["covariance"]) == (6, 6)
+
+
+def test_nothing_told_is_not_nothing_found(fleet: Path, answers: Path, tmp_path: Path) -> None:
+    words = ("fleet", "check", fleet.parent / "small", "--answers", answers)
+    done = retropole_here(*words, "--history", tmp_path)
+    assert done.returncode == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nothing.csv",), "no such file or folder"),
+        (("{0}", "--workers", 2, "--scheduler", "tcp://a:1"), "not both"),
+        (("{0}", "--answers", "{1}"), "is no dataset"),
+        (("{0}", "--time-limit", 0), "--time-limit"),
+    ],
+)
+def test_slips(fleet: Path, tmp_path: Path, words: tuple[object, ...], said: str) -> None:
+    given = [str(word).format(fleet, tmp_path) for word in words]
+    done = retropole_here("fleet", "check", *given, "--history", tmp_path / "history")
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "what to do: " in done.stderr
+    assert not os.path.exists(tmp_path / "history")
