@@ -130,7 +130,7 @@ def test_links_are_told_with_the_poles_that_both_their_sides_see(steps: Steps) -
     pole = steps.adjusted.datum.poles[0]
     own = next(iter(pole.seen.values()))
     seen = [*[(0, 1)] * 3, *[(2, 3)] * 3, (1, 2), (1, 2, 3)]
-    poles = tuple(replace(pole, seen=dict.fromkeys(each, own)) for each in seen)
+    poles = [replace(pole, seen=dict.fromkeys(each, own)) for each in seen]
     datum = replace(steps.adjusted.datum, poles=poles)
     apart = replace(steps.adjusted, datum=datum, end=replace(steps.adjusted.end, scene=()))
     found = dict(_links(apart, 4))
