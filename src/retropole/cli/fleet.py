@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..fleet import TIME_LIMIT
+from .cluster import check_cluster, cluster_options
 from .common import (
     CONTEXT,
     EXIT_WARNED,
-    Number,
     progress_on_terminal,
     radius_option,
     sensor_options,
@@ -49,20 +48,7 @@ fleet.add_command(fleet_network)
 @fleet.command(context_settings=CONTEXT)
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option("--out", required=True, metavar="DATASET", help="Folder or URL of the dataset.")
-@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster: tcp://host:8786.")
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1, max=1024),
-    help="Number of local processes, where there is no --scheduler.  [default: one per processor]",
-)
-@click.option(
-    "--time-limit",
-    type=Number(min=1, max=1e6),
-    default=TIME_LIMIT,
-    show_default=True,
-    metavar="SECONDS",
-    help="Of one site.",
-)
+@cluster_options
 @click.option("--reports", metavar="DIR", help="Folder or URL for result and report of each site.")
 @click.option("--report", metavar="FILE", help="Write the report of the fleet, one HTML page.")
 @click.option("--retry", is_flag=True, help="Try sites that ended in an error again.")
@@ -123,8 +109,7 @@ def calibrate(
     from ..fleet.sites import find_sites
     from ..result import RunConfig
 
-    if scheduler is not None and workers is not None:
-        raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
+    check_cluster(scheduler, workers)
     config = RunConfig(
         radius_m=radius,
         sensor_target=sensor_target,

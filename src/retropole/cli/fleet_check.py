@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..fleet import TIME_LIMIT
 from ..monitoring.tolerance import DEFAULT_TOLERANCE
 from .check import EXIT_MOVED
+from .cluster import check_cluster, cluster_options
 from .common import (
     CONTEXT,
     DEGREES,
     EXIT_REFUSED,
     METRES,
-    Number,
     progress_on_terminal,
     show,
 )
@@ -42,20 +41,7 @@ SCHEMA = "retropole/fleet-check/1"
     metavar="DATASET",
     help="Of 'retropole fleet calibrate': holds the stored results, by the ids of the sites.",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster: tcp://host:8786.")
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1, max=1024),
-    help="Number of local processes, where there is no --scheduler.  [default: one per processor]",
-)
-@click.option(
-    "--time-limit",
-    type=Number(min=1, max=1e6),
-    default=TIME_LIMIT,
-    show_default=True,
-    metavar="SECONDS",
-    help="Of one site.",
-)
+@cluster_options
 @click.option(
     "--tolerance-deg",
     type=DEGREES,
@@ -117,8 +103,7 @@ def fleet_check(
     from ..fleet.sites import find_sites
     from ..monitoring.tolerance import Tolerance
 
-    if scheduler is not None and workers is not None:
-        raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
+    check_cluster(scheduler, workers)
     with progress_on_terminal(quiet or as_json) as progress:
         progress("find the sites")
         sites_found = find_sites(sites)
