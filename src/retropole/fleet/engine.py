@@ -15,7 +15,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
-from types import FrameType
 from typing import Any
 
 import msgspec
@@ -157,29 +156,6 @@ def _interrupts_are_ours() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_noted() -> Iterator[threading.Event]:
-    """Note Ctrl-C beside raising it: in what Python calls by itself, as after a collection of
-    garbage, errors end nothing, and it would be lost.
-    """
-    noted = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield noted
-        return
-    raised = before
-
-    def note(number: int, frame: FrameType | None) -> None:
-        noted.set()
-        raised(number, frame)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield noted
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
 def _leftovers_unsaid() -> Iterator[None]:
     """Have the process that cleans up after an interrupt do so in silence."""
     before = os.environ.get("PYTHONWARNINGS")
@@ -215,38 +191,35 @@ def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:
     again: list[tuple[Task, int]] = []
     done = threading.Event()
     threads, counted = 0, -math.inf
-    with _interrupts_noted() as interrupted:
-        try:
-            while True:
-                if interrupted.is_set():
-                    raise KeyboardInterrupt
-                if client.status != "running" or time.monotonic() > counted + COUNT_AGAIN:
-                    threads, counted = _threads(client), time.monotonic()
-                room = PER_THREAD * threads - len(given)
-                fresh = islice(tasks, max(0, room - len(again)))
-                again += [(task, 1) for task in fresh]
-                while again:
-                    future = _given(client, again[-1][0])
-                    if future is None:
-                        break
-                    given[future] = again.pop()
-                    future.add_done_callback(lambda future: done.set())
-                if not given and not again:
-                    return
-                done.wait(LOOK)
-                done.clear()
-                for future in [each for each in given if each.status != "pending"]:
-                    task, attempts = given.pop(future)
-                    outcome = _outcome(future, task, attempts)
-                    if outcome is None:
-                        # Of a scheduler that was started again, it is no matter of the site.
-                        again.append((task, attempts + (future.status == "error")))
-                    else:
-                        yield outcome
-        finally:
-            for future in given:
-                with suppress(Exception):
-                    future.cancel()
+    try:
+        while True:
+            if client.status != "running" or time.monotonic() > counted + COUNT_AGAIN:
+                threads, counted = _threads(client), time.monotonic()
+            room = PER_THREAD * threads - len(given)
+            fresh = islice(tasks, max(0, room - len(again)))
+            again += [(task, 1) for task in fresh]
+            while again:
+                future = _given(client, again[-1][0])
+                if future is None:
+                    break
+                given[future] = again.pop()
+                future.add_done_callback(lambda future: done.set())
+            if not given and not again:
+                return
+            done.wait(LOOK)
+            done.clear()
+            for future in [each for each in given if each.status != "pending"]:
+                task, attempts = given.pop(future)
+                outcome = _outcome(future, task, attempts)
+                if outcome is None:
+                    # Of a scheduler that was started again, it is no matter of the site.
+                    again.append((task, attempts + (future.status == "error")))
+                else:
+                    yield outcome
+    finally:
+        for future in given:
+            with suppress(Exception):
+                future.cancel()
 
 
 def _threads(client: Any) -> int:
