@@ -156,6 +156,7 @@ def render_field_test(document: FieldTestDoc) -> str:
         ("style.css",),
         ("page.js", "field-test.js"),
         {
+            "title": "Field test",
             "status": escape(document.status),
             "created": escape(f"{document.created} · {count}"),
             "verdict": _verdict(document),

@@ -16,21 +16,24 @@ def fill_page(
     parts: Mapping[str, str],
     style: str = "",
 ) -> str:
-    """Fill a template of the assets.
+    """Fill a template of the assets, the body of a page.
 
     Parameters
     ----------
     template, styles, scripts
         Names of files of the assets; style and code go into the page in this order.
     parts
-        HTML, by the names of the template's places.
+        HTML, by the names of the template's places; `title` is also that of the page, and `status`,
+        where there is one, an attribute of its root.
     style
         More style, behind that of the files.
     """
     sheet = "".join(map(_asset, styles)) + style
     code = [_asset(name) for name in scripts]
-    return Template(_asset(template)).substitute(
-        parts,
+    return Template(_asset("page.html")).substitute(
+        attributes=f' data-status="{parts["status"]}"' if "status" in parts else "",
+        title=parts["title"],
+        body=Template(_asset(template)).substitute(parts),
         style=sheet,
         style_hash=_source_of(sheet),
         scripts="\n".join(f"<script>{text}</script>" for text in code),
