@@ -7,9 +7,11 @@ from hypothesis import settings
 from retropole import se3
 from retropole.datatypes import Array, Pole
 
-# No test asserts a wall-clock time: a busy machine is no counterexample.
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
+# No test asserts a wall-clock time: a busy machine is no counterexample. Examples are the same in
+# every run; `pytest --hypothesis-profile=search` draws others, and more of them.
+settings.register_profile("same", deadline=None, derandomize=True)
+settings.register_profile("search", deadline=None, max_examples=1000)
+settings.load_profile("same")
 
 PoleMaker = Callable[..., Pole]
 

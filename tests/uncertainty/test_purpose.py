@@ -95,7 +95,7 @@ def test_an_answer_is_never_surer_than_its_probability(
     fit = fitness(a_covariance(seed), Need(within, at), wrong=wrong)
     assert fit.probability <= 1 - wrong
     assert (fit.answer == "yes") == (fit.probability >= CONFIDENCE)
-    assert (fit.bound is None) == (wrong >= 1 - CONFIDENCE)
+    assert (fit.bound is None) == (1 - wrong <= CONFIDENCE)
     if fit.bound is not None:
         assert (fit.bound < 0.999 * within) <= (fit.answer == "yes")
     said = fit.words

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from .. import se3
 from ..datatypes import Array, Hypothesis, Match, Placement
@@ -153,28 +154,20 @@ def _links(adjusted: Adjusted, count: int) -> Iterator[tuple[tuple[int, int], in
         pair: (sum(set(pair) <= own for own in seen), patches.get(pair, 0))
         for pair in combinations(range(count), 2)
     }
-    side = [{i} for i in range(count)]
-    tree = []
-    for pair in sorted(weights, key=lambda pair: weights[pair], reverse=True):
-        i, j = pair
-        if weights[pair][0] and side[i] is not side[j]:
-            tree.append(pair)
-            joined = side[i] | side[j]
-            for k in joined:
-                side[k] = joined
-    for pair in tree:
-        near = _reached(pair[0], [other for other in tree if other != pair])
+    linked = [pair for pair in weights if weights[pair][0]]
+    linked.sort(key=lambda pair: weights[pair], reverse=True)
+    ranks = np.zeros((count, count))
+    for rank, pair in enumerate(linked, start=1):
+        ranks[pair] = rank
+    tree = minimum_spanning_tree(ranks).toarray()
+    for pair in linked:
+        if not tree[pair]:
+            continue
+        rest = tree.copy()
+        rest[pair] = 0.0
+        _, label = connected_components(rest, directed=False)
+        near = set(np.flatnonzero(label == label[pair[0]]).tolist())
         yield pair, sum(bool(own & near) and bool(own - near) for own in seen)
-
-
-def _reached(first: int, tree: Sequence[tuple[int, int]]) -> set[int]:
-    """LiDARs that some pairs link to one."""
-    reached: set[int] = {first}
-    for _ in tree:
-        for pair in tree:
-            if reached & set(pair):
-                reached |= set(pair)
-    return reached
 
 
 def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmation:
