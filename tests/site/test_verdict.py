@@ -13,7 +13,6 @@ from retropole.site.pairs import Pair
 from retropole.site.verdict import (
     CHECKED,
     OPEN,
-    _links,
     check_decided,
     check_linked,
     confirm_links,
@@ -123,19 +122,3 @@ def test_a_scene_that_denies_an_answer_refuses_it(steps: Steps) -> None:
         list(confirm_links(steps.site, steps.scans, wrong, steps.pairs))
     assert refused.value.code == "scene_contradicts"
     assert "posts-" in refused.value.message
-
-
-def test_links_are_told_with_the_poles_that_both_their_sides_see(steps: Steps) -> None:
-    """Two groups of LiDARs, of three poles each, and two poles more that one of each sees."""
-    pole = steps.adjusted.datum.poles[0]
-    own = next(iter(pole.seen.values()))
-    seen = [*[(0, 1)] * 3, *[(2, 3)] * 3, (1, 2), (1, 2, 3)]
-    poles = [replace(pole, seen=dict.fromkeys(each, own)) for each in seen]
-    datum = replace(steps.adjusted.datum, poles=poles)
-    apart = replace(steps.adjusted, datum=datum, end=replace(steps.adjusted.end, scene=()))
-    found = dict(_links(apart, 4))
-    assert found[0, 1] == 3
-    assert found[2, 3] == 4
-    # All that the one group has to do with the other are two poles, though each LiDAR sees more.
-    assert found[1, 2] == 2
-    assert len(found) == 3

@@ -13,6 +13,7 @@ from ..errors import Reason, Refusal
 from ..scene.agreement import MAX_AXES_CHI2
 from .adjustment import Adjusted, without_observations
 from .answer import Test
+from .contradiction import MORE, coinciding, denied_poles
 from .datum import Datum, without_poles, without_survey
 from .description import Site
 from .shared import SharedPole
@@ -35,6 +36,10 @@ MOST_TRIED = 5
 TOLD_APART = 9.2
 """Of two surveyed points either of which explains what does not fit, the one whose χ² is less by no
 more than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
+
+AS_MUCH = 0.99
+"""As much of the surroundings coincides without one suspect as without another from this part on:
+without a pole of a sound site it was within 0.2 % of what it is with it."""
 
 TAKES_ALONG = {"pole": 1, "placement": 2}
 """How much goes with what is left out: a single point of the survey takes nothing else along."""
@@ -92,7 +97,13 @@ def without_blunders(
     reasons: list[Reason] = []
     for _ in range(MOST_BLUNDERS):
         if worst_test(now.tests) is None:
-            return now, reasons
+            denied = max(denied_poles(now, adjust), key=lambda each: each[2], default=None)
+            if denied is None:
+                return now, reasons
+            pole, rest, more = denied
+            reasons.append(_denied(site, now.datum.poles[pole], more))
+            now = rest
+            continue
         tried: list[tuple[float, Adjusted, Suspect]] = []
         for suspect in _suspects(site, now):
             try:
@@ -101,12 +112,10 @@ def without_blunders(
                 continue
             worst = worst_test(rest.tests)
             tried.append((0.0 if worst is None else worst.chi2, rest, suspect))
-            if worst is None and suspect.point is None:
-                break
         _check_told_apart([suspect for chi2, _, suspect in tried if chi2 == 0.0])
         if not tried:
             break
-        _, now, suspect = min(tried, key=lambda each: each[0])
+        now, suspect = _likeliest(tried)
         reasons.append(suspect.reason)
     worst = worst_test(now.tests)
     if worst is None:
@@ -120,6 +129,21 @@ def without_blunders(
         "is a file of another placement?",
         {"w": worst.w, "chi2": worst.chi2, "allowed": SIGNIFICANT},
     )
+
+
+def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:
+    """Choose the suspect without which all else fits best, and most of the surroundings coincides.
+
+    What is left of two poles or three fits easily, whichever goes; the surroundings tell. Of those
+    that leave as much of them the first is chosen.
+    """
+    least = min(chi2 for chi2, _, _ in tried)
+    fitting = [
+        (coinciding(rest.end), rest, suspect) for chi2, rest, suspect in tried if chi2 == least
+    ]
+    most = max(coincide for coincide, _, _ in fitting)
+    _, rest, suspect = next(each for each in fitting if each[0] >= AS_MUCH * most)
+    return rest, suspect
 
 
 def _check_told_apart(clean: Sequence[Suspect]) -> None:
@@ -215,6 +239,17 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         lambda datum: _without_survey(datum, test.name),
         test.chi2,
         test.name.split(" as ")[0],
+    )
+
+
+def _denied(site: Site, pole: SharedPole, more: float) -> Reason:
+    seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
+    return Reason(
+        "pole_moved",
+        f"{pole.name(site)} does not stand at one place for all that see it ({seen}): without it "
+        f"{more:.1f} times as much of their surroundings coincides, and it was left out: did it "
+        "move between the recordings?",
+        {"more": more, "allowed": MORE, **place_of(site, pole)},
     )
 
 

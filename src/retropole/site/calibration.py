@@ -52,6 +52,7 @@ def calibrate_site(
     count = len(site.lidars)
     pairs: tuple[Pair, ...] = ()
     groups: list[list[int]] = []
+    blunders: list[Reason] = []
     # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the way.
     with threadpool_limits(1, user_api="blas"):
         with step("extract"):
@@ -91,7 +92,7 @@ def calibrate_site(
             with step("confirm"):
                 unconfirmed = list(confirm_links(site, scans, adjusted, pairs))
         except Refusal as refusal:
-            return refused(site, scans, pairs, groups, refusal, seconds)
+            return refused(site, scans, pairs, groups, refusal, blunders, seconds)
         with step("state"):
             found = [*unusable(site, scans), *blunders, *unconfirmed]
             return answered(site, scans, pairs, groups, adjusted, found, seconds)
@@ -154,13 +155,14 @@ def refused(
     pairs: Sequence[Pair],
     groups: Sequence[Sequence[int]],
     refusal: Refusal,
+    blunders: Sequence[Reason],
     seconds: dict[str, float],
 ) -> SiteCalibration:
     """State a refusal, with all that was found before it."""
     reason = Reason(refusal.code, refusal.message, refusal.values)
     return SiteCalibration(
         status="refused",
-        reasons=(reason, *unusable(site, scans)),
+        reasons=(reason, *unusable(site, scans), *blunders),
         site=site,
         datum="",
         scans=scans.by_lidar,

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from .. import se3
 from ..datatypes import Array, Hypothesis, Match, Placement
@@ -21,6 +19,7 @@ from .answer import LidarPose, LoopClosure, Test
 from .blunders import POOR, place_of, worst_test
 from .choice import Choices, where_they_differ
 from .description import Site
+from .links import links
 from .pairs import Pair
 from .scans import SiteScans
 
@@ -123,7 +122,8 @@ def confirm_links(
         ``scene_contradicts``.
     """
     by_lidars = {pair.lidars: pair for pair in pairs}
-    for key, across in _links(adjusted, len(site.lidars)):
+    for link in links(adjusted):
+        key = link.lidars
         found = _confirmation(scans, adjusted, by_lidars[key])
         names = f"{site.lidars[key[0]].name} and {site.lidars[key[1]].name}"
         try:
@@ -131,43 +131,13 @@ def confirm_links(
         except Refusal as refusal:
             raise Refusal(refusal.code, f"{names}: {refusal.message}", refusal.values) from None
         wrong = found.probability_wrong
-        if wrong is not None and wrong > MAX_WRONG and across <= 2:
+        if wrong is not None and wrong > MAX_WRONG and len(link.poles) <= 2:
             yield Reason(
                 "not_confirmed",
                 f"two poles alone link {names}, and their surroundings do not tell (wrong with "
                 f"{100 * wrong:.0f} %): add a pole or a placement that both see",
                 {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
             )
-
-
-def _links(adjusted: Adjusted, count: int) -> Iterator[tuple[tuple[int, int], int]]:
-    """The pairs that link all LiDARs by most poles, and of those by most patches of the scene.
-
-    Yields
-    ------
-    tuple, int
-        A pair, and how many poles both sides see that it links: one LiDAR or many on each.
-    """
-    seen = [pole.seen.keys() for pole in adjusted.datum.poles]
-    patches = {term.lidars: len(term.weights) for term in adjusted.end.scene}
-    weights = {
-        pair: (sum(set(pair) <= own for own in seen), patches.get(pair, 0))
-        for pair in combinations(range(count), 2)
-    }
-    linked = [pair for pair in weights if weights[pair][0]]
-    linked.sort(key=lambda pair: weights[pair], reverse=True)
-    ranks = np.zeros((count, count))
-    for rank, pair in enumerate(linked, start=1):
-        ranks[pair] = rank
-    tree = minimum_spanning_tree(ranks).toarray()
-    for pair in linked:
-        if not tree[pair]:
-            continue
-        rest = tree.copy()
-        rest[pair] = 0.0
-        _, label = connected_components(rest, directed=False)
-        near = set(np.flatnonzero(label == label[pair[0]]).tolist())
-        yield pair, sum(bool(own & near) and bool(own - near) for own in seen)
 
 
 def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmation:
