@@ -43,7 +43,9 @@ def test_three_poles_check_each_other(own: Steps) -> None:
     assert not list(denied_poles(own.adjusted, lambda datum: pytest.fail("adjusted again")))
 
 
-@pytest.mark.parametrize("which,gone,by", [(0, 2, 0.8), (0, 0, 0.4), (1, 0, 0.8), (1, 1, 0.4)])
+@pytest.mark.parametrize(
+    ("which", "gone", "by"), [(0, 2, 0.8), (0, 0, 0.4), (1, 0, 0.8), (1, 1, 0.4)]
+)
 def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     own: Steps, which: int, gone: int, by: float
 ) -> None:

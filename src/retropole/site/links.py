@@ -1,4 +1,4 @@
-"""What holds a site together: the pairs that link all LiDARs, and the poles that link both sides."""
+"""What holds a site together: pairs that link all LiDARs, and the poles that both sides see."""
 
 from __future__ import annotations
 
