@@ -76,22 +76,18 @@ def denied_poles(
     int, Adjusted, float
         Index of the pole, everything adjusted without it, and how many times as much coincides.
     """
-    for link in links(adjusted):
-        if len(link.poles) == 2:
-            yield from _denied_of(link, adjusted, adjust)
-
-
-def _denied_of(
-    link: Link, adjusted: Adjusted, adjust: Callable[[Datum], Adjusted]
-) -> Iterator[tuple[int, Adjusted, float]]:
-    before = coinciding(adjusted.end, link.near)
-    if not before:
-        return
-    for k in link.poles:
+    weak = [link for link in links(adjusted) if len(link.poles) == 2]
+    for k in sorted({k for link in weak for k in link.poles}):
         try:
             rest = adjust(without_poles(adjusted.datum, {k}))
         except Refusal:
             continue
-        more = coinciding(rest.end, link.near) / before
+        more = max((_more(link, adjusted, rest) for link in weak if k in link.poles), default=0.0)
         if more > MORE:
             yield k, rest, more
+
+
+def _more(link: Link, adjusted: Adjusted, rest: Adjusted) -> float:
+    """How many times as much coincides across a link in the rest; 0 where nothing did before."""
+    before = coinciding(adjusted.end, link.near)
+    return coinciding(rest.end, link.near) / before if before else 0.0
