@@ -71,6 +71,7 @@ class Row:
     w: float = 0.0
     loop: float = 1.0
     named: bool = False
+    seen_once: bool = False
     seconds: float = 0.0
     gigabytes: float = 0.0
     family: str = ""
@@ -188,6 +189,7 @@ def run_blunder(seed: int) -> Row | None:
     row = Row(seed, f"{kind} {lidars} × {placements} × {poles}: {blunder}")
     answer = timed(row, sim)
     row.named = is_named(sim, answer)
+    row.seen_once = is_seen_once(sim, answer)
     row.words += f", {sim.blunder.name}" if sim.blunder else ""
     return row
 
@@ -228,6 +230,21 @@ def is_named(sim: SimulatedSite, answer: SiteCalibration) -> bool:
             name = f"{wrong.end} of {sim.surveyed[wrong.surveyed].name}"
             if name in reason.message:
                 return True
+    return False
+
+
+def is_seen_once(sim: SimulatedSite, answer: SiteCalibration) -> bool:
+    """Whether a bumped pole counts, and no LiDAR found it where it stood before, or none after."""
+    wrong = sim.blunder
+    if wrong is None or wrong.pole is None:
+        return False
+    for pole in answer.poles:
+        if pole.placement != wrong.placements[0]:
+            continue
+        at = dict(zip(("at_x_m", "at_y_m", "at_z_m"), pole.point.tolist(), strict=True))
+        if is_at(sim, at, pole.placement, wrong.pole):
+            after = set(pole.seen_by) & set(wrong.lidars)
+            return not after or after == set(pole.seen_by)
     return False
 
 
@@ -346,8 +363,12 @@ def report(rows: list[Row]) -> None:
         for blunder in BLUNDERS:
             some = [row for row in rows if f": {blunder}" in row.words]
             named = sum(row.named for row in some)
-            absorbed = sum(row.status == "ok" for row in some)
-            print(f"  {blunder}: named {named} of {len(some)}, absorbed under ok {absorbed}")
+            absorbed = [row for row in some if row.status == "ok"]
+            once = sum(row.seen_once for row in absorbed)
+            print(
+                f"  {blunder}: named {named} of {len(some)}, under ok {len(absorbed)}, of which "
+                f"{once} at one place alone for all LiDARs that found it"
+            )
     for family in dict.fromkeys(row.family for row in rows if row.family):
         report_family([row for row in rows if row.family == family])
     if not answered:
