@@ -94,7 +94,8 @@ SITE: dict[SiteCode, Explanation] = {
     ),
     "pole_moved": Explanation(
         "A pole did not stand still",
-        "The pole named stands elsewhere for some LiDARs than for the others, and was left out.",
+        "The pole named stands elsewhere for some LiDARs than for the others, and was left out: it "
+        "does not fit the other poles, or the surroundings coincide without it and not with it.",
         (
             "Nothing to do where enough poles are left: the answer does not use it.",
             "Else record the placement again, all LiDARs while the poles stand.",
