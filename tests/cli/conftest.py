@@ -1,6 +1,8 @@
 """A simulated street as files and as a bag, for all commands."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -37,3 +39,16 @@ def bag(clouds: tuple[PointCloud, PointCloud], tmp_path_factory: pytest.TempPath
     points = [points_of(cloud) for cloud in clouds]
     folder = tmp_path_factory.mktemp("bag")
     return write_bag(folder, "mcap", {"/front": points[:1], "/rear": points[1:]})
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have no cluster for what a fleet does: that is tried elsewhere."""
+    from tests.fleet.fleets import here
+
+    @contextmanager
+    def connected(scheduler: str | None, workers: int | None) -> Iterator[None]:
+        yield
+
+    monkeypatch.setattr("retropole.fleet.engine.connected", connected)
+    monkeypatch.setattr("retropole.fleet.engine.outcomes", lambda client, tasks: here(tasks))

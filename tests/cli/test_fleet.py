@@ -6,8 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -24,18 +22,6 @@ pytest.importorskip("distributed", reason="needs the extra fleet")
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_fleet(tmp_path_factory.mktemp("fleet"))
-
-
-@pytest.fixture
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have no cluster: what it does is tried elsewhere."""
-
-    @contextmanager
-    def connected(scheduler: str | None, workers: int | None) -> Iterator[None]:
-        yield
-
-    monkeypatch.setattr("retropole.fleet.engine.connected", connected)
-    monkeypatch.setattr("retropole.fleet.engine.outcomes", lambda client, tasks: here(tasks))
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -2,8 +2,6 @@
 
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +17,8 @@ from tests.fleet.history.checks import MOVED
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -30,18 +30,6 @@ def answers(fleet: Path) -> Path:
     out = fleet.parent / "answers"
     calibrate_fleet(find_sites([str(fleet)]), str(out), here)
     return out
-
-
-@pytest.fixture(autouse=True)
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have no cluster: what it does is tried elsewhere."""
-
-    @contextmanager
-    def connected(scheduler: str | None, workers: int | None) -> Iterator[None]:
-        yield
-
-    monkeypatch.setattr("retropole.fleet.engine.connected", connected)
-    monkeypatch.setattr("retropole.fleet.engine.outcomes", lambda client, tasks: here(tasks))
 
 
 def test_what_it_says(fleet: Path, answers: Path, tmp_path: Path) -> None:

@@ -3,9 +3,9 @@ from pathlib import Path
 import pytest
 
 from tests.fleet.fleets import write_fleet
-from tests.report.conftest import browser
+from tests.report.conftest import browser, phone
 
-__all__ = ["browser"]
+__all__ = ["browser", "phone"]
 
 pytest.importorskip("distributed", reason="needs the extra fleet")
 pytest.importorskip("pyarrow", reason="needs the extra fleet")

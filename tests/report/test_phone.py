@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,16 +15,6 @@ pytestmark = needs_browser
 
 LEAST_TARGET = 44
 """CSS pixels of a target's height and width (WCAG 2.2, 2.5.5)."""
-
-
-@pytest.fixture
-def phone(browser: Browser) -> Iterator[Browser]:
-    size = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
-    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
-    yield browser
-    browser.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
-    browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def touch(browser: Browser, x: float, y: float, dx: int = 0, dy: int = 0) -> None:

@@ -16,6 +16,7 @@ from .answer import Test
 from .contradiction import MORE, coinciding, denied_poles
 from .datum import Datum, without_poles, without_survey
 from .description import Site
+from .links import links
 from .shared import SharedPole
 
 SIGNIFICANT, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
@@ -112,6 +113,8 @@ def without_blunders(
                 continue
             worst = worst_test(rest.tests)
             tried.append((0.0 if worst is None else worst.chi2, rest, suspect))
+            if worst is None and suspect.point is None and _is_checked(rest):
+                break
         _check_told_apart([suspect for chi2, _, suspect in tried if chi2 == 0.0])
         if not tried:
             break
@@ -129,6 +132,11 @@ def without_blunders(
         "is a file of another placement?",
         {"w": worst.w, "chi2": worst.chi2, "allowed": SIGNIFICANT},
     )
+
+
+def _is_checked(adjusted: Adjusted) -> bool:
+    """Whether three poles or more link any LiDARs to all others, so that they check each other."""
+    return all(len(link.poles) > 2 for link in links(adjusted))
 
 
 def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +20,6 @@ pytestmark = needs_browser
 def page(status: Status = "ok", lidars: int = 4, count: int = 3000) -> str:
     site = made_up_site(status, lidars=lidars, placements=2, count=count)
     return render_site(document_of(site), site)
-
-
-@pytest.fixture
-def phone(browser: Browser) -> Iterator[Browser]:
-    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
-    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
-    yield browser
-    browser.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
-    browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def test_keys_switch_lidars_and_placements(browser: Browser, tmp_path: Path) -> None:
