@@ -1,10 +1,11 @@
 import numpy as np
 
+from retropole import se3
 from retropole.fleet.network.adjustment import find_layout
 from retropole.fleet.network.graph import Graph
 from retropole.fleet.network.residuals import Model
 from retropole.fleet.network.snooping import Snooped, snoop, worst_around
-from tests.fleet.network.networks import city, ladder, spoiled
+from tests.fleet.network.networks import city, ladder, network_of, spoiled
 
 
 def snooped(graph: Graph, T: np.ndarray) -> Snooped:
@@ -42,6 +43,22 @@ def test_only_the_worst_of_a_neighbourhood_goes() -> None:
     # Rails 0–2, 2–4 and 14–16.
     wrong[[0, 2, 14]] = True
     assert np.flatnonzero(worst_around(graph, chi2, wrong)).tolist() == [2, 14]
+
+
+def test_wrong_edges_that_contradict_each_other_outvote_no_other() -> None:
+    rng = np.random.default_rng(6)
+    T, graph = ladder(8, rng)
+    # One more node, by three edges, of which two have nothing to do with its pose.
+    T = np.concatenate([T, se3.random(rng)[None]])
+    ends = np.stack([graph.edges.i, graph.edges.j], axis=1)
+    graph = network_of(T, np.concatenate([ends, [[6, 16], [8, 16], [10, 16]]]), rng)
+    count = len(graph.edges)
+    for edge in (count - 2, count - 1):
+        graph = spoiled(graph, edge, rng.normal(size=6))
+    found = snooped(graph, T)
+    assert np.flatnonzero(~found.active).tolist() == [count - 2, count - 1]
+    # Nothing was put back in place of the sound one.
+    assert found.rounds <= 2
 
 
 def test_a_wrong_control_point_is_taken_out() -> None:

@@ -7,6 +7,8 @@ apart.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
@@ -14,7 +16,13 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from ... import se3
 from ...datatypes import Array, BoolArray, IntArray
 from .components import Component
-from .graph import Graph
+from .graph import ControlPoints, Edges, Graph, KnownPoses
+from .residuals import Model
+from .testing import critical
+
+AGREE = 10.0
+"""By how much more than chance allows two may miss each other and still agree, as a multiple of
+that χ²: the poses on either side of them, whose errors they also miss by, are taken as certain."""
 
 
 def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int, tuple[int, ...]]:
@@ -61,7 +69,9 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
     return found
 
 
-def outvoted(alone: dict[int, tuple[int, ...]], tried: set[int]) -> dict[int, list[int]]:
+def outvoted(
+    alone: dict[int, tuple[int, ...]], tried: set[int], agree: Callable[[int, int, int], bool]
+) -> dict[int, list[int]]:
     """Find active observations that two or more which were left out agree to be wrong instead.
 
     Parameters
@@ -70,6 +80,8 @@ def outvoted(alone: dict[int, tuple[int, ...]], tried: set[int]) -> dict[int, li
         From `inseparable`.
     tried
         Those that were taken out for that before.
+    agree
+        Whether two agree where a third, the first given, is wrong: `agrees`.
 
     Returns
     -------
@@ -84,9 +96,74 @@ def outvoted(alone: dict[int, tuple[int, ...]], tried: set[int]) -> dict[int, li
     used: set[int] = set()
     for rival, back in sorted(against.items(), key=lambda each: (-len(each[1]), each[0])):
         if len(back) > 1 and rival not in tried and used.isdisjoint(back):
-            found[rival] = back
-            used.update(back)
+            groups = ([k for k in back if k == one or agree(rival, one, k)] for one in back)
+            most = max(groups, key=len)
+            if len(most) > 1:
+                found[rival] = most
+                used.update(most)
     return found
+
+
+def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, other: int) -> bool:
+    """Whether two observations lay what hangs by a third in the same place.
+
+    That whole side is laid by least squares of both; they agree if neither then misses by far more
+    than chance (`AGREE`).
+
+    Parameters
+    ----------
+    graph
+        The network.
+    active
+        (M,) which observations were adjusted.
+    T
+        (N, 4, 4) poses.
+    rival
+        An active observation that nothing checks.
+    one, other
+        Two that join the same two sides.
+    """
+    both = np.sort([one, other])
+    # A control point does not say how a side is turned: it comes last, and lays none.
+    T = relaid(graph, active, T, rival, int(both[0]))
+    kept = active.copy()
+    kept[rival] = False
+    label = _components(graph, kept)
+    i, j = (int(end[both[0]]) for end in graph.ends)
+    side = label == label[j if label[j] != label[-1] else i]
+    about = T[j, :3, 3]
+    two = _only(graph, both)
+    derivative, residual = [], []
+    first, last = two.ends
+    for seen in Model(two).at(T):
+        count = len(seen.residual)
+        rows = np.zeros((*seen.residual.shape, 6))
+        for nodes, J in ((first[:count], seen.by_i), (last[:count], seen.by_j)):
+            if J is not None:
+                # A turn of the side by φ moves a pose of it by φ × (t − about).
+                moves = J.copy()
+                moves[:, :, :3] -= J[:, :, 3:] @ se3.hat(T[nodes, :3, 3] - about)
+                rows += moves * side[nodes, None, None]
+        first, last = first[count:], last[count:]
+        derivative.append(rows.reshape(-1, 6))
+        residual.append(seen.residual.ravel())
+    A, e = np.concatenate(derivative), np.concatenate(residual)
+    left = e - A @ np.linalg.lstsq(A, e)[0]
+    return bool(left @ left <= AGREE * critical(np.array(len(e) - 6)))
+
+
+def _only(graph: Graph, some: IntArray) -> Graph:
+    """Some of the observations, in rising order."""
+    edges, known, points = graph.edges, graph.known, graph.points
+    bounds = np.cumsum([len(edges), len(known)])
+    a, b, c = np.split(some, np.searchsorted(some, bounds))
+    b, c = b - bounds[0], c - bounds[1]
+    return Graph(
+        graph.nodes,
+        Edges(edges.i[a], edges.j[a], edges.T_i_j[a], edges.covariance[a]),
+        KnownPoses(known.node[b], known.T_world_node[b], known.covariance[b]),
+        ControlPoints(points.node[c], points.world[c], points.covariance[c], points.at[c]),
+    )
 
 
 def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) -> Array:

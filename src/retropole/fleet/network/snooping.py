@@ -8,6 +8,7 @@ out as well, until nothing changes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -15,7 +16,7 @@ from scipy.sparse import csr_array
 from ...datatypes import Array, BoolArray, IntArray
 from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
 from .components import Component, connected, find_components
-from .doubtful import inseparable, outvoted, relaid
+from .doubtful import agrees, inseparable, outvoted, relaid
 from .elimination import Blocks
 from .graph import Graph
 from .residuals import Model
@@ -23,7 +24,7 @@ from .testing import ObservationTests, all_tests, covariances, critical
 
 MOST_ROUNDS = 30
 """So often the network is adjusted again; cities of 10,000 poses with 1 % wrong
-edges took 2 to 10 (benchmarks/fleet_network.py, seeds 0 to 3)."""
+edges took 3 to 6 (benchmarks/fleet_network.py, seeds 0 to 3)."""
 
 ROUGHLY = 1e-2
 """Rounds that others follow end their steps where the next would change the sum of squares by less
@@ -107,8 +108,10 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
         worst = worst_around(graph, tests.chi2, wrong)
         wanted = connected(graph, (active & ~worst) | fits, tests.chi2)
         if (wanted == active).all():
-            # Two that are out and agree are more than the one that they contradict.
-            out = outvoted(inseparable(graph, active, tests.freedom), tried)
+            # Two that are out and agree are more than the one that they contradict. Two that do
+            # not are wrong themselves: put back, they would bend all that is around them.
+            alone = inseparable(graph, active, tests.freedom)
+            out = outvoted(alone, tried, partial(agrees, graph, active, T))
             if rounds == MOST_ROUNDS or (not out and until == SETTLED):
                 break
             if not out:
