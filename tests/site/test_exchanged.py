@@ -1,5 +1,7 @@
 """Recordings that are another's: named, and nothing said of those that are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,13 @@ from retropole.errors import Refusal
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site
-from retropole.site.exchanged import check_exchanged, check_places, support_of
+from retropole.site.exchanged import (
+    _share_poles,
+    _swapped,
+    check_exchanged,
+    check_places,
+    support_of,
+)
 from retropole.site.scans import Views
 from tests.site.adjusting import Steps, made, with_lidar
 
@@ -71,6 +79,15 @@ def test_sound_recordings_are_not_denied(steps: Steps) -> None:
     assert support.met == support.possible
     assert set(support.possible) == {(i, p) for i in range(3) for p in range(2)}
     assert not support.unsupported()
+
+
+def test_recordings_in_their_own_place_show_poles_where_others_see_them(steps: Steps) -> None:
+    """Even where no pair of LiDARs has scenes that overlap enough to support a recording."""
+    one, other = (1, 0), (1, 1)
+    changed = replace(steps.scans, by_lidar=_swapped(steps.scans.by_lidar, one, other))
+    best, radius = steps.choices.best, steps.site.radius
+    assert _share_poles(steps.scans, best, radius, one, other)
+    assert not _share_poles(changed, best, radius, one, other)
 
 
 def test_a_placement_that_shows_another_place_is_told(steps: Steps) -> None:

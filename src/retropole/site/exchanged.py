@@ -18,6 +18,7 @@ from .choice import Choice, choose_poses, linked_groups
 from .description import Site
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SAME_PLACE, Recording, SiteScans, Views, elsewhere, same_place
+from .shared import shared_poles
 
 T = TypeVar("T")
 Rows = tuple[tuple[T, ...], ...]
@@ -145,6 +146,10 @@ def check_exchanged(
         if any(elsewhere(seen, lidar) for lidar in {one[0], other[0]}):
             # In each other's place they would not show where those LiDARs stand.
             continue
+        if _share_poles(tried, choice, site.radius, one, other):
+            if not _share_poles(scans, choice, site.radius, one, other):
+                mended.append((one, other))
+            continue
         found = find_pairs(tried, seen)
         group = next((g for g in linked_groups(len(site.lidars), found) if one[0] in g), [])
         if len(group) < 2:
@@ -165,6 +170,17 @@ def check_exchanged(
         for k in (0, 1)
     )
     raise _exchanged(first, second, "fit all others in each other's place")
+
+
+def _share_poles(
+    scans: SiteScans, choice: Choice, radius: float, one: Recording, other: Recording
+) -> bool:
+    """Whether both of two recordings show two poles or more where others of the placement do."""
+    shared = [pole for pole in shared_poles(scans, choice.poses, radius) if len(pole.seen) > 1]
+    return all(
+        sum(lidar in pole.seen and pole.placement == placement for pole in shared) > 1
+        for lidar, placement in (one, other)
+    )
 
 
 def _swapped(rows: Rows[T], one: Recording, other: Recording) -> Rows[T]:
