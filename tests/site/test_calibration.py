@@ -8,10 +8,14 @@ import pytest
 
 from retropole import se3
 from retropole.datatypes import Array
+from retropole.errors import Reason, Refusal
 from retropole.pipeline import calibrate
 from retropole.simulation.sites import SimulatedSite
+from retropole.site import calibration
+from retropole.site.adjustment import Adjusted
 from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
+from retropole.site.description import Site
 from retropole.site.relative import RelativePose
 from retropole.uncertainty import predicted_error
 from tests.numeric import numeric_jacobian
@@ -221,3 +225,20 @@ def test_steps_are_named_and_timed(found: SiteCalibration, pair_site: SimulatedS
     again = calibrate_site(pair_site.as_site(), progress=told.append)
     assert told == list(again.seconds)
     assert list(found.seconds) == told
+
+
+def test_a_refusal_says_what_was_left_out_before_it(
+    pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_left_out(site: Site, first: Adjusted, adjust: object) -> tuple[Adjusted, list[Reason]]:
+        return first, [Reason("pole_moved", "pole 1 of placement 1 was left out", {})]
+
+    def denied(*_: object) -> list[Reason]:
+        raise Refusal("scene_contradicts", "nothing stands where it should", {})
+
+    monkeypatch.setattr(calibration, "without_blunders", one_left_out)
+    monkeypatch.setattr(calibration, "confirm_links", denied)
+    found = calibrate_site(pair_site.as_site())
+    assert found.status == "refused"
+    assert [reason.code for reason in found.reasons] == ["scene_contradicts", "pole_moved"]
+    assert not found.lidars
