@@ -36,7 +36,15 @@ def test_of_a_sound_site_no_pole_is_denied(own: Steps) -> None:
     before = coinciding(two.end)
     for k in (0, 1):
         one = own.again(without_poles(two.datum, {k}))
-        assert coinciding(one.end) == pytest.approx(before, rel=0.005)
+        assert coinciding(one.end) == pytest.approx(before, rel=0.002)
+
+
+def test_how_certain_the_answer_is_has_no_part_in_what_coincides(own: Steps) -> None:
+    end = own.adjusted.end
+    unsure = replace(end, search=100 * end.search, inverse=100 * end.inverse)
+    assert coinciding(unsure) == coinciding(end)
+    assert coinciding(end, frozenset({0})) == coinciding(end)
+    assert coinciding(end, frozenset({0, 1})) == 0.0
 
 
 def test_three_poles_check_each_other(own: Steps) -> None:

@@ -67,8 +67,10 @@ class SceneTerm:
     ----------
     lidars
         The pair.
+    sets
+        Patches of both.
     pairs, weights
-        Patches that correspond, and the weights (P,) of their residuals, 1/m².
+        Those that correspond, and the weights (P,) of their residuals, 1/m².
     rows
         (P, 12 + B) derivative of the residuals by the unknowns at `place`.
     place
@@ -76,6 +78,7 @@ class SceneTerm:
     """
 
     lidars: tuple[int, int]
+    sets: PatchSets
     pairs: PatchPairs
     weights: Array
     rows: Array
@@ -270,7 +273,7 @@ def _scene_term(
     by_poses = pairs.jacobian @ held @ relative_jacobian(T[i], T[j])
     place = np.r_[unknowns.pose(i), unknowns.pose(j), unknowns.of_layout(sets.layout, lidars)]
     rows = np.concatenate([by_poses, pairs.by_error], axis=1)
-    return SceneTerm(lidars, pairs, weights, rows, place)
+    return SceneTerm(lidars, sets, pairs, weights, rows, place)
 
 
 def _solve(problem: _Problem, T: Array, terms: Sequence[SceneTerm], sigma: Array) -> SiteEnd:
