@@ -7,11 +7,18 @@ import pytest
 
 from retropole import se3
 from retropole.datatypes import Array
-from retropole.errors import Refusal
+from retropole.errors import Reason, Refusal
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.answer import SiteCalibration
-from retropole.site.blunders import SIGNIFICANT, significant, without_blunders, worst_test
+from retropole.site.blunders import (
+    SIGNIFICANT,
+    Suspect,
+    _likeliest,
+    significant,
+    without_blunders,
+    worst_test,
+)
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site
 from retropole.site.relative import joint_of, relative
@@ -150,3 +157,15 @@ def test_an_end_of_a_surveyed_pole_that_is_off_is_never_absorbed() -> None:
     assert found.status != "ok"
     assert any(first.name in reason.message for reason in found.reasons)
     check_true(found, simulated)
+
+
+def test_where_nothing_alone_leaves_what_fits_the_worst_of_equals_is_it(steps: Steps) -> None:
+    """Two blunders: without either the other is left, and what hardly fits is not the first."""
+
+    def suspect(chi2: float) -> Suspect:
+        return Suspect(Reason("survey_outlier", "", {}), lambda datum: datum, chi2, f"C{chi2:g}")
+
+    one, other, third = suspect(65.0), suspect(106.0), suspect(200.0)
+    tried = [(64.0, steps.adjusted, one), (66.0, steps.adjusted, other)]
+    assert _likeliest([*tried, (107.0, steps.adjusted, third)])[1] is other
+    assert _likeliest([*tried, (0.0, steps.adjusted, third)])[1] is third

@@ -35,8 +35,8 @@ MOST_TRIED = 5
 
 
 TOLD_APART = 9.2
-"""Of two surveyed points either of which explains what does not fit, the one whose χ² is less by no
-more than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
+"""Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
+than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
 
 AS_MUCH = 0.99
 """As much of the surroundings coincides without one suspect as without another from this part on:
@@ -140,15 +140,18 @@ def _is_checked(adjusted: Adjusted) -> bool:
 
 
 def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:
-    """Choose the suspect without which all else fits best, and most of the surroundings coincides.
+    """Choose the suspect without which all else fits, and most of the surroundings coincides.
 
     What is left of two poles or three fits easily, whichever goes; the surroundings tell. Of those
-    that leave as much of them the first is chosen.
+    that leave as much of them the first is chosen. Where something else does not fit either, what
+    is left hardly tells: of those that leave about as little, the one that itself fits worst is.
     """
     least = min(chi2 for chi2, _, _ in tried)
-    fitting = [
-        (coinciding(rest.end), rest, suspect) for chi2, rest, suspect in tried if chi2 == least
-    ]
+    if least > 0.0:
+        near = [each for each in tried if each[0] <= least + TOLD_APART]
+        _, rest, suspect = max(near, key=lambda each: each[2].chi2)
+        return rest, suspect
+    fitting = [(coinciding(rest.end), rest, suspect) for chi2, rest, suspect in tried if not chi2]
     most = max(coincide for coincide, _, _ in fitting)
     _, rest, suspect = next(each for each in fitting if each[0] >= AS_MUCH * most)
     return rest, suspect
