@@ -33,6 +33,7 @@ import numpy as np
 from coverage import STATING
 from retropole import se3
 from retropole.datatypes import Array
+from retropole.errors import Reason
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.site_survey import Survey
@@ -221,7 +222,7 @@ def is_named(sim: SimulatedSite, answer: SiteCalibration) -> bool:
             if (
                 "pole" in reason.values
                 and str(reason.values["placement"]) == sim.placements[placement]
-                and is_at(sim, reason.values, placement, wrong.pole)
+                and is_at(sim, place_in(reason), placement, wrong.pole)
             ):
                 return True
         elif wrong.point is not None and sim.points[wrong.point].name in reason.message:
@@ -241,18 +242,21 @@ def is_seen_once(sim: SimulatedSite, answer: SiteCalibration) -> bool:
     for pole in answer.poles:
         if pole.placement != wrong.placements[0]:
             continue
-        at = dict(zip(("at_x_m", "at_y_m", "at_z_m"), pole.point.tolist(), strict=True))
-        if is_at(sim, at, pole.placement, wrong.pole):
+        if is_at(sim, pole.point, pole.placement, wrong.pole):
             after = set(pole.seen_by) & set(wrong.lidars)
             return not after or after == set(pole.seen_by)
     return False
 
 
-def is_at(sim: SimulatedSite, values: object, placement: int, pole: int) -> bool:
-    """Whether a named pole is the one that was bumped: the nearest of its placement."""
-    assert isinstance(values, dict)
+def place_in(reason: Reason) -> Array:
+    """Where a reason says that a pole stands (3,), in the frame of the site."""
+    return np.array([float(reason.values[f"at_{axis}_m"]) for axis in "xyz"])
+
+
+def is_at(sim: SimulatedSite, point: Array, placement: int, pole: int) -> bool:
+    """Whether a pole found at a place is the one that was bumped: the nearest of its placement."""
     T = np.eye(4) if sim.surveyed or sim.points else sim.T_world_lidar[0]
-    at = se3.apply(T, np.array([[values[f"at_{axis}_m"] for axis in "xyz"]]))[0]
+    at = se3.apply(T, point[None])[0]
     away = [
         float(np.linalg.norm(np.cross(at - each.centre, each.axis)))
         for each in sim.poles[placement]

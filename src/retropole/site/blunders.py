@@ -135,8 +135,8 @@ def without_blunders(
 
 
 def _is_checked(adjusted: Adjusted) -> bool:
-    """Whether three poles or more link any LiDARs to all others, so that they check each other."""
-    return all(len(link.poles) > 2 for link in links(adjusted))
+    """Whether the poles of every link check each other."""
+    return all(link.is_checked for link in links(adjusted))
 
 
 def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:

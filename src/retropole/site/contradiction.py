@@ -16,7 +16,7 @@ from ..errors import Refusal
 from ..scene.patch_pairs import pair_patches
 from .adjustment import Adjusted
 from .datum import Datum, without_poles
-from .links import Link, links
+from .links import links
 from .refinement import SceneTerm, SiteEnd
 from .state import POSE
 
@@ -45,11 +45,18 @@ def coinciding(end: SiteEnd, near: frozenset[int] | None = None) -> float:
     near
         LiDARs on one side of a link: only pairs across it count then.
     """
-    return sum(
-        _coinciding(end, term)
-        for term in end.scene
-        if near is None or len(near & set(term.lidars)) == 1
-    )
+    counts = _by_pair(end)
+    return sum(counts.values()) if near is None else _across(counts, near)
+
+
+def _by_pair(end: SiteEnd) -> dict[tuple[int, int], float]:
+    """Count the patches that coincide, pair by pair: a pair lies across several links."""
+    return {term.lidars: _coinciding(end, term) for term in end.scene}
+
+
+def _across(counts: dict[tuple[int, int], float], near: frozenset[int]) -> float:
+    """Add up what coincides between LiDARs on one side of a link and those on the other."""
+    return sum(count for lidars, count in counts.items() if len(near & set(lidars)) == 1)
 
 
 def _coinciding(end: SiteEnd, term: SceneTerm) -> float:
@@ -82,18 +89,19 @@ def denied_poles(
     int, Adjusted, float
         Index of the pole, everything adjusted without it, and how many times as much coincides.
     """
-    weak = [link for link in links(adjusted) if len(link.poles) == 2]
-    for k in sorted({k for link in weak for k in link.poles}):
+    counts = _by_pair(adjusted.end)
+    # Where nothing coincides across a link, its surroundings do not tell.
+    weak = [
+        (link, before)
+        for link in links(adjusted)
+        if len(link.poles) == 2 and (before := _across(counts, link.near))
+    ]
+    for k in sorted({k for link, _ in weak for k in link.poles}):
         try:
             rest = adjust(without_poles(adjusted.datum, {k}))
         except Refusal:
             continue
-        more = max((_more(link, adjusted, rest) for link in weak if k in link.poles), default=0.0)
+        left = _by_pair(rest.end)
+        more = max(_across(left, link.near) / before for link, before in weak if k in link.poles)
         if more > MORE:
             yield k, rest, more
-
-
-def _more(link: Link, adjusted: Adjusted, rest: Adjusted) -> float:
-    """How many times as much coincides across a link in the rest; 0 where nothing did before."""
-    before = coinciding(adjusted.end, link.near)
-    return coinciding(rest.end, link.near) / before if before else 0.0

@@ -30,6 +30,11 @@ class Link:
     near: frozenset[int]
     poles: tuple[int, ...]
 
+    @property
+    def is_checked(self) -> bool:
+        """Whether its poles check each other: two fit by themselves."""
+        return len(self.poles) > 2
+
 
 def links(adjusted: Adjusted) -> Iterator[Link]:
     """Find the pairs that link all LiDARs by most poles, and of those by most patches of the scene.

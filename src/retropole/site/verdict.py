@@ -131,7 +131,7 @@ def confirm_links(
         except Refusal as refusal:
             raise Refusal(refusal.code, f"{names}: {refusal.message}", refusal.values) from None
         wrong = found.probability_wrong
-        if wrong is not None and wrong > MAX_WRONG and len(link.poles) <= 2:
+        if wrong is not None and wrong > MAX_WRONG and not link.is_checked:
             yield Reason(
                 "not_confirmed",
                 f"two poles alone link {names}, and their surroundings do not tell (wrong with "

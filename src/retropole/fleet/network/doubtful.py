@@ -7,7 +7,8 @@ apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
@@ -96,7 +97,8 @@ def outvoted(
     used: set[int] = set()
     for rival, back in sorted(against.items(), key=lambda each: (-len(each[1]), each[0])):
         if len(back) > 1 and rival not in tried and used.isdisjoint(back):
-            groups = ([k for k in back if k == one or agree(rival, one, k)] for one in back)
+            agreed = {frozenset(pair) for pair in combinations(back, 2) if agree(rival, *pair)}
+            groups = ([k for k in back if k == one or {k, one} in agreed] for one in back)
             most = max(groups, key=len)
             if len(most) > 1:
                 found[rival] = most
@@ -126,9 +128,7 @@ def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, othe
     both = np.sort([one, other])
     # A control point does not say how a side is turned: it comes last, and lays none.
     T = relaid(graph, active, T, rival, int(both[0]))
-    kept = active.copy()
-    kept[rival] = False
-    label = _components(graph, kept)
+    label = _components_without(graph, active, [rival])
     i, j = (int(end[both[0]]) for end in graph.ends)
     side = label == label[j if label[j] != label[-1] else i]
     about = T[j, :3, 3]
@@ -183,9 +183,7 @@ def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) 
         An edge or a known pose that joins the same two sides.
     """
     edges, known = graph.edges, graph.known
-    kept = active.copy()
-    kept[rival] = False
-    label = _components(graph, kept)
+    label = _components_without(graph, active, [rival])
     i, j = (int(end[instead]) for end in graph.ends)
     if instead >= len(edges) + len(known) or label[i] == label[j]:
         return T
@@ -210,9 +208,7 @@ def hanging(
     """Which poses (N,) are tied to their datum by observations that may be wrong alone."""
     if not rivals:
         return np.zeros(graph.nodes, dtype=bool)
-    kept = active.copy()
-    kept[sorted(rivals)] = False
-    label = _components(graph, kept)
+    label = _components_without(graph, active, sorted(rivals))
     doubtful = np.zeros(graph.nodes, dtype=bool)
     for component in components:
         datum = graph.nodes if component.controls else component.nodes[0]
@@ -226,3 +222,10 @@ def _components(graph: Graph, kept: BoolArray) -> IntArray:
     size = graph.nodes + 1
     matrix = coo_array((np.ones(int(kept.sum())), (i[kept], j[kept])), shape=(size, size))
     return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
+
+
+def _components_without(graph: Graph, active: BoolArray, left_out: Sequence[int]) -> IntArray:
+    """The same by the active observations but some."""
+    kept = active.copy()
+    kept[left_out] = False
+    return _components(graph, kept)
