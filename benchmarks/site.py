@@ -6,6 +6,8 @@
   within 1° and 0.15 m, or refused; how often the 95 % regions of poses and of pairs hold the truth;
   and the error at 30 m beside that of chaining pairs along the fewest links.
 - ``blunders``: one in each: a pole bumped, two files exchanged, a control point off by 0.1 m.
+- ``slides``: two or three LiDARs and two poles, one of which is pushed by 3 to 15 cm in the plane
+  of both: neither their angle nor their distance changes.
 - ``rings``: rings whose pairs have two hypotheses or more each.
 - ``survey``: four control points of 5 mm; poses in the world.
 - ``families``: sites of 3 to 5 LiDARs with 2 placements of 3 poles, each seed under the next of the
@@ -195,6 +197,19 @@ def run_blunder(seed: int) -> Row | None:
     return row
 
 
+def run_slide(seed: int) -> Row | None:
+    """Simulate two poles, one pushed such that the other does not show it; was it named?"""
+    rng = np.random.default_rng(seed)
+    kind, lidars = KINDS[seed % len(KINDS)], 2 + seed // len(KINDS) % 2
+    sim = simulate_site(
+        kind, rng, lidars=lidars, placements=1, poles=2, noise=FIELD, blunder="slide"
+    )
+    assert sim.blunder is not None
+    row = Row(seed, f"{kind} {lidars} × 1 × 2: slide, {sim.blunder.name}")
+    row.named = is_named(sim, timed(row, sim))
+    return row
+
+
 def is_named(sim: SimulatedSite, answer: SiteCalibration) -> bool:
     """Whether the reasons name the blunder: the very pole, recordings or point."""
     wrong = sim.blunder
@@ -336,6 +351,7 @@ def run_time(seed: int) -> Row | None:
 RUNS: dict[str, Callable[[int], Row | None]] = {
     "sites": run_site,
     "blunders": run_blunder,
+    "slides": run_slide,
     "rings": run_ring,
     "survey": run_survey,
     "families": run_family,
@@ -364,8 +380,10 @@ def report(rows: list[Row]) -> None:
         refused = sum(row.status == "refused" for row in found)
         print(f"  {code}: {len(found)}, {refused} of them refused")
     if any(row.named for row in rows):
-        for blunder in BLUNDERS:
+        for blunder in (*BLUNDERS, "slide"):
             some = [row for row in rows if f": {blunder}" in row.words]
+            if not some:
+                continue
             named = sum(row.named for row in some)
             absorbed = [row for row in some if row.status == "ok"]
             once = sum(row.seen_once for row in absorbed)

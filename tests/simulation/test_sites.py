@@ -14,7 +14,9 @@ from retropole import se3
 from retropole.cli.simulate import simulate
 from retropole.errors import UsageError
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
+from retropole.simulation.raycast import Cylinder
 from retropole.simulation.site_arrangement import closes_otherwise
+from retropole.simulation.site_blunders import disturbed
 from retropole.simulation.site_graph import are_linked, groups_of
 from tests.simulation.surfaces import distance_from
 
@@ -142,6 +144,28 @@ def test_exchanged_files_are_those_of_the_other_recording() -> None:
             surfaces = (*site.surroundings, *site.poles[true_p])
             for k, surface in enumerate(surfaces):
                 assert distance_from(surface, world[labels == k]).max(initial=0.0) < 1e-8
+
+
+def between(a: Cylinder, b: Cylinder) -> tuple[float, float]:
+    """Angle and distance of two axes."""
+    across = np.cross(a.axis, b.axis)
+    size = float(np.linalg.norm(across))
+    return float(np.arcsin(size)), abs(float((a.centre - b.centre) @ across)) / size
+
+
+def test_another_pole_does_not_show_one_that_slides() -> None:
+    for seed in range(4):
+        site = made("posts", seed, lidars=2, placements=1, poles=2, blunder="slide")
+        blunder = site.blunder
+        assert blunder is not None
+        assert blunder.moved is not None
+        assert blunder.kind == "pole"
+        pushed = blunder.moved[:3, 3]
+        assert 0.03 <= np.linalg.norm(pushed) <= 0.15
+        assert pushed[2] == 0.0
+        before = site.poles[0]
+        after = disturbed(before, blunder, blunder.lidars[0], 0)
+        assert between(*after) == pytest.approx(between(*before), abs=1e-9)
 
 
 def test_one_surveyed_point_is_off() -> None:

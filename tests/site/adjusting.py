@@ -65,9 +65,9 @@ class Steps:
     def sights(self) -> list[Sight]:
         return sights_of(self.scans, self.datum.poles)
 
-    def again(self, datum: Datum) -> Adjusted:
+    def again(self, datum: Datum, *, few: bool = False) -> Adjusted:
         """Adjust anew from another datum."""
-        return adjust(self.site, self.scans, datum, self.patches, self.scenes)
+        return adjust(self.site, self.scans, datum, self.patches, self.scenes, few=few)
 
 
 def steps_of(site: Site) -> Steps:

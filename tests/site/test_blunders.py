@@ -123,7 +123,7 @@ def test_what_nothing_explains_is_refused(steps: Steps) -> None:
     tests = tuple(replace(test, w=20.0, chi2=500.0) for test in steps.adjusted.tests)
     bad = replace(steps.adjusted, tests=tests)
     with pytest.raises(Refusal) as refused:
-        without_blunders(steps.site, bad, lambda datum: bad)
+        without_blunders(steps.site, bad, lambda datum, *, few=False: bad)
     assert refused.value.code == "site_inconsistent"
 
 
@@ -136,7 +136,7 @@ def test_refusals_of_what_is_left_are_no_answer(steps: Steps) -> None:
         replace(test, w=9.0, chi2=100.0) if test is worst else test for test in steps.adjusted.tests
     )
 
-    def adjust(datum: object) -> None:
+    def adjust(datum: object, *, few: bool = False) -> None:
         raise Refusal("degenerate_poles", "nothing is left")
 
     with pytest.raises(Refusal) as refused:

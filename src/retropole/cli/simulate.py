@@ -36,7 +36,7 @@ from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option, sh
 )
 @click.option(
     "--blunder",
-    type=click.Choice(["pole", "files", "control"]),
+    type=click.Choice(["pole", "slide", "files", "control"]),
     help="Bump a pole between two recordings, exchange two files, or put a surveyed point 0.1 m "
     "off (with --survey). truth.json says which.",
 )

@@ -14,9 +14,9 @@ from ..datatypes import Array
 from .raycast import Cylinder
 from .scenes import UP
 from .site_graph import Seen, are_linked
-from .site_survey import Surveyed
+from .site_survey import Surveyed, told_apart
 
-BLUNDERS = "pole", "files", "control"
+BLUNDERS = "pole", "slide", "files", "control"
 """What can go wrong."""
 
 BUMP_SHIFT = 0.03, 0.15
@@ -27,6 +27,12 @@ BUMP_TURN = float(np.radians(1.0)), float(np.radians(5.0))
 
 CONTROL_OFFSET = 0.1
 """By how much a surveyed point is off, metres."""
+
+TOLD_APART = 25.0
+"""χ² by which no other surveyed point explains it as well: 5 σ."""
+
+MAX_OFFSETS = 50
+"""Draws of what is off in a survey, until no other point explains it as well."""
 
 T = TypeVar("T")
 
@@ -54,7 +60,8 @@ class Blunder:
     offset
         (3,) by how much a surveyed point is off, metres; None for the others.
     checked
-        Whether poles link all LiDARs without what is wrong; for a survey nothing is said.
+        Whether poles link all LiDARs without what is wrong; of a survey, whether no other point
+        explains it as well.
     """
 
     kind: Literal["pole", "files", "control"]
@@ -82,12 +89,15 @@ def choose(
         return None
     if kind == "control":
         return Blunder("control", "")
-    return _bump(poles, seen, rng) if kind == "pole" else _exchange(seen, recorded, rng)
+    if kind == "files":
+        return _exchange(seen, recorded, rng)
+    return _bump(poles, seen, rng, slides=kind == "slide")
 
 
 def _bump(
-    poles: Sequence[Sequence[Cylinder]], seen: Seen, rng: np.random.Generator
+    poles: Sequence[Sequence[Cylinder]], seen: Seen, rng: np.random.Generator, *, slides: bool
 ) -> Blunder | None:
+    """Push or tilt a pole; one that slides, such that another one's angle and distance stay."""
     count = len(seen[0])
     both = [
         (p, k)
@@ -101,11 +111,19 @@ def _bump(
     # LiDARs record in their order; one that sees the pole is the first to see it elsewhere.
     first = who[int(rng.integers(1, len(who)))]
     pole = poles[p][k]
-    heading = rng.uniform(0, 2 * np.pi)
-    level = np.array([np.cos(heading), np.sin(heading), 0.0])
+    if slides:
+        other = poles[p][(k + int(rng.integers(1, len(poles[p])))) % len(poles[p])]
+        level = np.cross(np.cross(pole.axis, other.axis), UP)
+        level *= rng.choice([-1.0, 1.0]) / np.linalg.norm(level)
+    else:
+        heading = rng.uniform(0, 2 * np.pi)
+        level = np.array([np.cos(heading), np.sin(heading), 0.0])
     across = level - pole.axis * (level @ pole.axis)
     shift, turn = rng.uniform(*BUMP_SHIFT), rng.uniform(*BUMP_TURN)
-    if rng.uniform() < 0.5:
+    if slides:
+        moved = se3.from_rt(np.eye(3), shift * level)
+        how = f"pushed by {100 * shift:.1f} cm in the plane of another"
+    elif rng.uniform() < 0.5:
         moved = se3.from_rt(np.eye(3), shift * across / np.linalg.norm(across))
         how = f"pushed by {100 * shift:.1f} cm"
     else:
@@ -214,42 +232,59 @@ def exchanged(recordings: list[list[T]], wrong: Blunder) -> None:
     recordings[a][p], recordings[b][q] = recordings[b][q], recordings[a][p]
 
 
-def resurveyed(
-    stated: Surveyed, poles: Sequence[Sequence[Cylinder]], rng: np.random.Generator
-) -> tuple[Surveyed, Blunder]:
+def resurveyed(stated: Surveyed, rng: np.random.Generator) -> tuple[Surveyed, Blunder]:
     """Move one surveyed point by `CONTROL_OFFSET`; the end of a pole across its axis.
 
-    Along the axis nobody sees where a surveyed point lies on it.
+    Along the axis nobody sees where a surveyed point lies on it. Rather one is drawn that the
+    others tell apart: of four points nearly in one plane one number alone checks the heights.
     """
-    surveyed, points = list(stated[0]), list(stated[1])
-    which = int(rng.integers(2 * len(surveyed) + len(points)))
-    step = rng.normal(size=3)
-    if which >= 2 * len(surveyed):
-        k = which - 2 * len(surveyed)
+    ends = 2 * len(stated[0])
+    for _ in range(MAX_OFFSETS):
+        which = int(rng.integers(ends + len(stated[1])))
+        step = rng.normal(size=3)
+        if which < ends:
+            own = stated[0][which // 2]
+            assert own.foot is not None
+            assert own.top is not None
+            axis = (own.top - own.foot) / np.linalg.norm(own.top - own.foot)
+            step -= axis * (step @ axis)
         offset = CONTROL_OFFSET * step / np.linalg.norm(step)
+        checked = told_apart(stated, which, offset) > TOLD_APART
+        if checked:
+            break
+    return _moved(stated, which, offset, checked)
+
+
+def _moved(stated: Surveyed, which: int, offset: Array, checked: bool) -> tuple[Surveyed, Blunder]:
+    surveyed, points = list(stated[0]), list(stated[1])
+    k = which - 2 * len(surveyed)
+    if k >= 0:
         points[k] = replace(points[k], at=points[k].at + offset)
         blunder = Blunder(
-            "control", f"control point {points[k].name} off by 0.1 m", point=k, offset=offset
-        )
-    else:
-        k = which // 2
-        end: Literal["foot", "top"] = "top" if which % 2 else "foot"
-        own = surveyed[k]
-        foot, top = own.foot, own.top
-        assert foot is not None
-        assert top is not None
-        axis = (top - foot) / np.linalg.norm(top - foot)
-        step -= axis * (step @ axis)
-        offset = CONTROL_OFFSET * step / np.linalg.norm(step)
-        surveyed[k] = (
-            replace(own, foot=foot + offset) if end == "foot" else replace(own, top=top + offset)
-        )
-        blunder = Blunder(
             "control",
-            f"{end} of surveyed pole {own.name} off by 0.1 m",
-            placements=(own.placement,),
-            surveyed=k,
-            end=end,
+            f"control point {points[k].name} off by 0.1 m",
+            point=k,
             offset=offset,
+            checked=checked,
         )
+        return (tuple(surveyed), tuple(points)), blunder
+    k = which // 2
+    own = surveyed[k]
+    assert own.foot is not None
+    assert own.top is not None
+    end: Literal["foot", "top"] = "top" if which % 2 else "foot"
+    surveyed[k] = (
+        replace(own, foot=own.foot + offset)
+        if end == "foot"
+        else replace(own, top=own.top + offset)
+    )
+    blunder = Blunder(
+        "control",
+        f"{end} of surveyed pole {own.name} off by 0.1 m",
+        placements=(own.placement,),
+        surveyed=k,
+        end=end,
+        offset=offset,
+        checked=checked,
+    )
     return (tuple(surveyed), tuple(points)), blunder

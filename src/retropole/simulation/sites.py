@@ -162,7 +162,8 @@ def simulate_site(
         What is surveyed; None is nothing.
     blunder
         What goes wrong, one of `BLUNDERS`: ``pole``, a pole is bumped between two recordings of one
-        placement, and those that record later see it elsewhere; ``files``, two recordings are
+        placement, and those that record later see it elsewhere; ``slide``, it is pushed such that
+        its angle and distance to another do not change; ``files``, two recordings are
         exchanged; ``control``, a surveyed point is off by 0.1 m. Where it can be, it is one that
         the others check.
     frames
@@ -207,7 +208,7 @@ def simulate_site(
         exchanged(labels, wrong)
     true, stated = draw_survey(survey, at.place, at.poles, models, for_survey)
     if wrong is not None and wrong.kind == "control":
-        stated, wrong = resurveyed(stated, at.poles, for_blunder)
+        stated, wrong = resurveyed(stated, for_blunder)
     return SimulatedSite(
         kind=kind,
         names=tuple(f"{kind}-{k + 1}" for k in range(lidars)),

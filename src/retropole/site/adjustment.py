@@ -70,6 +70,8 @@ def adjust(
     datum: Datum,
     patches: Sequence[Patches | None],
     scenes: Sequence[ScenePair],
+    *,
+    few: bool = False,
 ) -> Adjusted:
     """Adjust all poses by poles, survey and scenes together.
 
@@ -81,6 +83,8 @@ def adjust(
         Poses to start from, shared poles and what is known of them.
     patches, scenes
         Surfaces of each LiDAR, and the pairs that may be compared.
+    few
+        Whether a part of the surfaces is enough, as it is to see whether it is worth while.
 
     Raises
     ------
@@ -105,7 +109,7 @@ def adjust(
     bands = bands_of(sights, [none if one is None else np.unique(one.bands) for one in patches])
     network = observe(climbed.point, sights, datum.poles, datum.surveyed, site, bands, datum.free)
     groups = network.unknowns.groups()
-    end = refine_site(network, scenes, groups, known_sigmas(groups, sizes, radius_sigma))
+    end = refine_site(network, scenes, groups, known_sigmas(groups, sizes, radius_sigma), few=few)
     parts = tuple(parts_of(network, end, groups))
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))

@@ -13,7 +13,7 @@ from ..errors import Reason, Refusal
 from ..scene.agreement import MAX_AXES_CHI2
 from .adjustment import Adjusted, without_observations
 from .answer import Test
-from .contradiction import MORE, coinciding, denied_poles
+from .contradiction import LEAST, Adjust, denied_poles, least_denied
 from .datum import Datum, without_poles, without_survey
 from .description import Site
 from .links import links
@@ -37,10 +37,6 @@ MOST_TRIED = 5
 TOLD_APART = 9.2
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
 than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
-
-AS_MUCH = 0.99
-"""As much of the surroundings coincides without one suspect as without another from this part on:
-without a pole of a sound site it was within 0.2 % of what it is with it."""
 
 TAKES_ALONG = {"pole": 1, "placement": 2}
 """How much goes with what is left out: a single point of the survey takes nothing else along."""
@@ -70,9 +66,7 @@ def significant(tests: Sequence[Test], above: float = SIGNIFICANT) -> list[Test]
     return [test for test in tests if test.w > above and test.chi2 > PER_FREEDOM * test.freedom]
 
 
-def without_blunders(
-    site: Site, first: Adjusted, adjust: Callable[[Datum], Adjusted]
-) -> tuple[Adjusted, list[Reason]]:
+def without_blunders(site: Site, first: Adjusted, adjust: Adjust) -> tuple[Adjusted, list[Reason]]:
     """Leave out what does not fit, one after the other, until the rest does.
 
     Parameters
@@ -98,10 +92,10 @@ def without_blunders(
     reasons: list[Reason] = []
     for _ in range(MOST_BLUNDERS):
         if worst_test(now.tests) is None:
-            denied = max(denied_poles(now, adjust), key=lambda each: each[2], default=None)
-            if denied is None:
+            denied = sorted(denied_poles(now, adjust), key=lambda each: -each[2])
+            if not denied:
                 return now, reasons
-            pole, rest, more = denied
+            pole, rest, more = denied[least_denied([rest.end for _, rest, _ in denied])]
             reasons.append(_denied(site, now.datum.poles[pole], more))
             now = rest
             continue
@@ -142,19 +136,17 @@ def _is_checked(adjusted: Adjusted) -> bool:
 def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:
     """Choose the suspect without which all else fits, and most of the surroundings coincides.
 
-    What is left of two poles or three fits easily, whichever goes; the surroundings tell. Of those
-    that leave as much of them the first is chosen. Where something else does not fit either, what
-    is left hardly tells: of those that leave about as little, the one that itself fits worst is.
+    What is left of two poles or three fits easily, whichever goes; the surroundings tell, and where
+    they do not the first is chosen. Where something else does not fit either, what is left hardly
+    tells: of those that leave about as little, the one that itself fits worst is.
     """
     least = min(chi2 for chi2, _, _ in tried)
     if least > 0.0:
         near = [each for each in tried if each[0] <= least + TOLD_APART]
         _, rest, suspect = max(near, key=lambda each: each[2].chi2)
         return rest, suspect
-    fitting = [(coinciding(rest.end), rest, suspect) for chi2, rest, suspect in tried if not chi2]
-    most = max(coincide for coincide, _, _ in fitting)
-    _, rest, suspect = next(each for each in fitting if each[0] >= AS_MUCH * most)
-    return rest, suspect
+    fitting = [(rest, suspect) for chi2, rest, suspect in tried if not chi2]
+    return fitting[least_denied([rest.end for rest, _ in fitting])]
 
 
 def _check_told_apart(clean: Sequence[Suspect]) -> None:
@@ -258,9 +250,9 @@ def _denied(site: Site, pole: SharedPole, more: float) -> Reason:
     return Reason(
         "pole_moved",
         f"{pole.name(site)} does not stand at one place for all that see it ({seen}): without it "
-        f"{more:.1f} times as much of their surroundings coincides, and it was left out: did it "
+        f"{more:.0f} more patches of their surroundings coincide, and it was left out: did it "
         "move between the recordings?",
-        {"more": more, "allowed": MORE, **place_of(site, pole)},
+        {"more": more, "allowed": LEAST, **place_of(site, pole)},
     )
 
 

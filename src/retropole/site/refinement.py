@@ -175,6 +175,8 @@ def refine_site(
     groups: Groups,
     known: Array,
     start: Array | None = None,
+    *,
+    few: bool = False,
 ) -> SiteEnd:
     """Descend to the poses that poles, survey and scenes agree on.
 
@@ -188,6 +190,8 @@ def refine_site(
         Errors, and 1 σ (G,) of each group as known beforehand.
     start
         (L, 4, 4) where to start; None takes the poses of the network.
+    few
+        Whether a part of the patches is enough.
     """
     information, vector = marginal(network)
     problem = _Problem(network, information, vector, groups, known)
@@ -195,8 +199,10 @@ def refine_site(
     alone = _solve(problem, T, (), known)
     searched = alone.inverse[: network.unknowns.poses, : network.unknowns.poses]
     begin = replace(alone, T=T, search=searched, sigma=known)
-    few = [(each.lidars, each.few) for each in pairs]
-    near = _descend(problem, few, begin, searched, FEW_STEP)
+    some = [(each.lidars, each.few) for each in pairs]
+    near = _descend(problem, some, begin, searched, FEW_STEP)
+    if few:
+        return near
     every = [(each.lidars, each.sets) for each in pairs]
     return _descend(problem, every, near, searched, STEP)
 
@@ -283,11 +289,13 @@ def _solve(problem: _Problem, T: Array, terms: Sequence[SceneTerm], sigma: Array
     working = working_sigma(problem.groups, sigma, poles_alone=not terms)
     precision = prior_precision(problem.groups, working)
     # The network counts from where it was expanded, the scene's terms from here.
-    kept = slice(unknowns.kept)
     here, by_step = steps_to(network, T)
-    here, by_step = here[kept], by_step[kept, kept]
-    information = by_step.T @ problem.information @ by_step
-    gradient = by_step.T @ (problem.vector - problem.information @ here)
+    moved, by_move = slice(poses), by_step[:poses, :poses]
+    information = problem.information.copy()
+    gradient = problem.vector - problem.information[:, moved] @ here[moved]
+    gradient[moved] = by_move.T @ gradient[moved]
+    information[moved] = by_move.T @ information[moved]
+    information[:, moved] = information[:, moved] @ by_move
     index = np.arange(poses, unknowns.kept)
     information[index, index] += precision
     for term in terms:
