@@ -12,6 +12,7 @@ from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.answer import SiteCalibration
 from retropole.site.blunders import (
+    ANOTHER,
     SIGNIFICANT,
     Suspect,
     _likeliest,
@@ -169,3 +170,22 @@ def test_where_nothing_alone_leaves_what_fits_the_worst_of_equals_is_it(steps: S
     tried = [(64.0, steps.adjusted, one), (66.0, steps.adjusted, other)]
     assert _likeliest([*tried, (107.0, steps.adjusted, third)])[1] is other
     assert _likeliest([*tried, (0.0, steps.adjusted, third)])[1] is third
+
+
+def test_poles_that_nothing_tells_apart_are_both_named(steps: Steps) -> None:
+    """Without either all fits, no surface coincides, and the poses are others."""
+    rest = replace(steps.adjusted, end=replace(steps.adjusted.end, scene=()))
+    step = np.zeros(6)
+    step[3] = 0.2
+    moved = np.stack([rest.end.T[0], *(se3.retract(T, step) for T in rest.end.T[1:])])
+    other = replace(rest, end=replace(rest.end, T=moved))
+    suspects = [
+        Suspect(Reason("pole_moved", name, {"pole": name}), lambda datum: datum, 50.0)
+        for name in ("pole 1", "pole 2")
+    ]
+    with pytest.raises(Refusal, match="pole 1 or pole 2 moved") as refused:
+        _likeliest([(0.0, rest, suspects[0]), (0.0, other, suspects[1])])
+    assert refused.value.code == "site_inconsistent"
+    assert float(refused.value.values["chi2"]) > ANOTHER
+    same = _likeliest([(0.0, rest, suspects[0]), (0.0, rest, suspects[1])])
+    assert same == (rest, suspects[0])

@@ -9,15 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from .. import se3
 from ..errors import Reason, Refusal
 from ..scene.agreement import MAX_AXES_CHI2
 from .adjustment import Adjusted, without_observations
 from .answer import Test
-from .contradiction import LEAST, Adjust, denied_poles, least_denied
+from .contradiction import LEAST, Adjust, denied_poles, least_denied, more_coincide
 from .datum import Datum, without_poles, without_survey
 from .description import Site
 from .links import links
 from .shared import SharedPole
+from .state import POSE
 
 SIGNIFICANT, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
 """Normalised residual (w) from which an observation is a blunder, and from which it is told that it
@@ -37,6 +41,9 @@ MOST_TRIED = 5
 TOLD_APART = 9.2
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
 than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
+
+ANOTHER = 22.5
+"""Poses are others where their χ² with 6 degrees of freedom is as large in one of a thousand."""
 
 TAKES_ALONG = {"pole": 1, "placement": 2}
 """How much goes with what is left out: a single point of the survey takes nothing else along."""
@@ -109,9 +116,9 @@ def without_blunders(site: Site, first: Adjusted, adjust: Adjust) -> tuple[Adjus
             tried.append((0.0 if worst is None else worst.chi2, rest, suspect))
             if worst is None and suspect.point is None and _is_checked(rest):
                 break
-        _check_told_apart([suspect for chi2, _, suspect in tried if chi2 == 0.0])
         if not tried:
             break
+        _check_points([suspect for chi2, _, suspect in tried if chi2 == 0.0])
         now, suspect = _likeliest(tried)
         reasons.append(suspect.reason)
     worst = worst_test(now.tests)
@@ -139,6 +146,12 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
     What is left of two poles or three fits easily, whichever goes; the surroundings tell, and where
     they do not the first is chosen. Where something else does not fit either, what is left hardly
     tells: of those that leave about as little, the one that itself fits worst is.
+
+    Raises
+    ------
+    Refusal
+        ``site_inconsistent`` where another pole may as well have moved, and the poses without it
+        are others.
     """
     least = min(chi2 for chi2, _, _ in tried)
     if least > 0.0:
@@ -146,10 +159,36 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
         _, rest, suspect = max(near, key=lambda each: each[2].chi2)
         return rest, suspect
     fitting = [(rest, suspect) for chi2, rest, suspect in tried if not chi2]
-    return fitting[least_denied([rest.end for rest, _ in fitting])]
+    rest, suspect = fitting[least_denied([rest.end for rest, _ in fitting])]
+    for other, rival in fitting:
+        if (
+            rival.reason.code == suspect.reason.code == "pole_moved"
+            and not more_coincide(other.end, rest.end) >= 1.0
+            and (apart := _apart(rest, other)) > ANOTHER
+        ):
+            names = f"{suspect.reason.values['pole']} or {rival.reason.values['pole']}"
+            raise Refusal(
+                "site_inconsistent",
+                f"{names} moved, and neither poles nor surroundings tell which: add a pole, or "
+                "record the placement again",
+                {"poles": names, "chi2": apart, "allowed": ANOTHER},
+            )
+    return rest, suspect
 
 
-def _check_told_apart(clean: Sequence[Suspect]) -> None:
+def _apart(a: Adjusted, b: Adjusted) -> float:
+    """χ² by which the poses of two answers differ at most, as sure as both are."""
+    found = 0.0
+    for i, (T, T_other) in enumerate(zip(a.end.T, b.end.T, strict=True)):
+        own = slice(POSE * i, POSE * (i + 1))
+        covariance = a.covariance[own, own] + b.covariance[own, own]
+        if covariance.any():
+            step = se3.local(T, T_other)
+            found = max(found, float(step @ np.linalg.solve(covariance, step)))
+    return found
+
+
+def _check_points(clean: Sequence[Suspect]) -> None:
     """Refuse where one surveyed point or another explains what does not fit nearly as well.
 
     With few points the tests of two go together, and the worse one need not be the wrong one.
@@ -194,6 +233,13 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
         elif test.kind != "pole":
             key = (test.kind, test.name)
         found.setdefault(key, test)
+    # Two poles alone fit each other as badly, whichever moved.
+    for link in links(now):
+        if not link.is_checked and any(("pole", k) in found for k in link.poles):
+            for k in link.poles:
+                own = [test for test in now.tests if test.kind == "pole" and test.pole == k]
+                if own:
+                    found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
     worst = list(found.values())[:MOST_TRIED]
     for test in sorted(worst, key=lambda test: TAKES_ALONG.get(test.kind, 0)):
         yield _suspect(site, now, test)
@@ -207,10 +253,11 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
         name, gone = pole.name(site), {test.pole}
         seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
         values |= place_of(site, pole)
+        misfit = f"w {test.w:.1f}" if test.w > SIGNIFICANT else "a pole that it checks does not fit"
         return Suspect(
             Reason(
                 "pole_moved",
-                f"{name} does not stand at one place for all that see it ({seen}; w {test.w:.1f}), "
+                f"{name} does not stand at one place for all that see it ({seen}; {misfit}), "
                 "and was left out: did it move between the recordings?",
                 values,
             ),
