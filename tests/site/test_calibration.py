@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,13 @@ from retropole.errors import Reason, Refusal
 from retropole.pipeline import calibrate
 from retropole.simulation.sites import SimulatedSite
 from retropole.site import calibration
-from retropole.site.adjustment import Adjusted
+from retropole.site.adjustment import Adjusted, adjust
 from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
+from retropole.site.datum import Datum
 from retropole.site.description import Site
 from retropole.site.relative import RelativePose
+from retropole.site.scans import SiteScans
 from retropole.uncertainty import predicted_error
 from tests.numeric import numeric_jacobian
 from tests.site.adjusting import between, made, off, poses_of, reordered, with_lidar
@@ -225,6 +228,29 @@ def test_steps_are_named_and_timed(found: SiteCalibration, pair_site: SimulatedS
     again = calibrate_site(pair_site.as_site(), progress=told.append)
     assert told == list(again.seconds)
     assert list(found.seconds) == told
+
+
+def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
+    found: SiteCalibration, pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under rough poses returns may lie beside their pole that do not under the adjusted ones."""
+    starts: list[Array] = []
+
+    def misfits_at_first(site: Site, scans: SiteScans, datum: Datum, **given: Any) -> Adjusted:
+        starts.append(datum.poses[1])
+        adjusted = adjust(site, scans, datum, **given)
+        if len(starts) > 1:
+            return adjusted
+        tests = tuple(replace(test, w=9.0, chi2=200.0) for test in adjusted.tests)
+        return replace(adjusted, tests=tests)
+
+    monkeypatch.setattr(calibration, "adjust", misfits_at_first)
+    again = calibrate_site(pair_site.as_site())
+    assert again.status == found.status
+    assert len(starts) == 2
+    T = poses_of(again)[1]
+    rough, better = (se3.difference(start, T).translation for start in starts)
+    assert better < 0.003 < rough
 
 
 def test_a_refusal_says_what_was_left_out_before_it(

@@ -86,7 +86,8 @@ SITE: dict[SiteCode, Explanation] = {
     ),
     "site_inconsistent": Explanation(
         "The recordings contradict each other",
-        "Without the observation that fits worst, the others still do not fit.",
+        "Without the observation that fits worst, the others still do not fit; or several may be "
+        "the wrong one, and nothing tells which: they are named.",
         (
             "Look at the tests in the report, the largest w first.",
             "Record the placements named again.",

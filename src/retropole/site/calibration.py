@@ -13,7 +13,7 @@ from ..pipeline import timed
 from ..uncertainty import predicted_error
 from .adjustment import Adjusted, adjust
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
-from .blunders import without_blunders
+from .blunders import without_blunders, worst_test
 from .certainty import budget_of
 from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
@@ -82,10 +82,11 @@ def calibrate_site(
                 scenes = scene_pairs(patches, groups[0])
                 adjust_from = partial(adjust, site, scans, patches=patches, scenes=scenes)
                 adjusted = adjust_from(datum)
-                # Rough poses may be off by more than poles of few returns lie apart.
+                # Rough poses may be off by more than poles of few returns lie apart, and returns
+                # that lie beside a pole under them pull no more.
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
-                if not same_poles(again, poles):
+                if not same_poles(again, poles) or worst_test(adjusted.tests) is not None:
                     adjusted = adjust_from(find_datum(site, scans.origins, poses, again))
             with step("test"):
                 adjusted, blunders = without_blunders(site, adjusted, adjust_from)
