@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from retropole import se3
 from retropole.datatypes import Array
@@ -45,6 +46,11 @@ def made(
     )
 
 
+def one_thread() -> threadpool_limits:
+    """Keep the threads of BLAS out of the way, as `calibrate_site` does."""
+    return threadpool_limits(1, user_api="blas")
+
+
 @dataclass(frozen=True, eq=False)
 class Steps:
     """What the steps of `calibrate_site` hand to each other."""
@@ -67,7 +73,8 @@ class Steps:
 
     def again(self, datum: Datum, *, few: bool = False) -> Adjusted:
         """Adjust anew from another datum."""
-        return adjust(self.site, self.scans, datum, self.patches, self.scenes, few=few)
+        with one_thread():
+            return adjust(self.site, self.scans, datum, self.patches, self.scenes, few=few)
 
 
 def steps_of(site: Site) -> Steps:
@@ -82,7 +89,8 @@ def steps_of(site: Site) -> Steps:
     datum = find_datum(site, scans.origins, choices.best.poses, poles)
     patches = patches_of(scans)
     scenes = scene_pairs(patches, range(count))
-    adjusted = adjust(site, scans, datum, patches, scenes)
+    with one_thread():
+        adjusted = adjust(site, scans, datum, patches, scenes)
     return Steps(site, scans, views, pairs, at, choices, poles, datum, patches, scenes, adjusted)
 
 
