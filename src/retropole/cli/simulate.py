@@ -37,8 +37,8 @@ from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option, sh
 @click.option(
     "--blunder",
     type=click.Choice(["pole", "slide", "files", "control"]),
-    help="Bump a pole between two recordings, exchange two files, or put a surveyed point 0.1 m "
-    "off (with --survey). truth.json says which.",
+    help="Bump a pole between two recordings, slide it where another does not show it, exchange "
+    "two files, or put a surveyed point 0.1 m off (with --survey). truth.json says which.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate_site(

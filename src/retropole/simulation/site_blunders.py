@@ -14,7 +14,7 @@ from ..datatypes import Array
 from .raycast import Cylinder
 from .scenes import UP
 from .site_graph import Seen, are_linked
-from .site_survey import Surveyed, told_apart
+from .site_survey import Surveyed, axis_of, told_apart
 
 BLUNDERS = "pole", "slide", "files", "control"
 """What can go wrong."""
@@ -243,10 +243,7 @@ def resurveyed(stated: Surveyed, rng: np.random.Generator) -> tuple[Surveyed, Bl
         which = int(rng.integers(ends + len(stated[1])))
         step = rng.normal(size=3)
         if which < ends:
-            own = stated[0][which // 2]
-            assert own.foot is not None
-            assert own.top is not None
-            axis = (own.top - own.foot) / np.linalg.norm(own.top - own.foot)
+            axis = axis_of(stated[0][which // 2])
             step -= axis * (step @ axis)
         offset = CONTROL_OFFSET * step / np.linalg.norm(step)
         checked = told_apart(stated, which, offset) > TOLD_APART

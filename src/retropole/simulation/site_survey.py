@@ -96,6 +96,14 @@ def draw_survey(
     return (true, points), (tuple(stated), tuple(seen))
 
 
+def axis_of(pole: SurveyedPole) -> Array:
+    """(3,) direction of a pole whose ends are both surveyed, from foot to top."""
+    assert pole.foot is not None
+    assert pole.top is not None
+    along = pole.top - pole.foot
+    return np.asarray(along / np.linalg.norm(along))
+
+
 def told_apart(stated: Surveyed, which: int, offset: Array) -> float:
     """χ² that an offset of one point leaves where any other point is taken for the one that is off.
 
@@ -113,10 +121,9 @@ def told_apart(stated: Surveyed, which: int, offset: Array) -> float:
     """
     at, weights = [], []
     for pole in stated[0]:
-        assert pole.foot is not None
-        assert pole.top is not None
-        axis = (pole.top - pole.foot) / np.linalg.norm(pole.top - pole.foot)
+        axis = axis_of(pole)
         for end in (pole.foot, pole.top):
+            assert end is not None
             at.append(end)
             # Along its axis nobody sees where an end is.
             weights.append((np.eye(3) - np.outer(axis, axis)) / pole.sigma**2)

@@ -84,7 +84,7 @@ def adjust(
     patches, scenes
         Surfaces of each LiDAR, and the pairs that may be compared.
     few
-        Whether a part of the surfaces is enough, as it is to see whether it is worth while.
+        Whether to adjust by a part of the surfaces alone, which is faster.
 
     Raises
     ------

@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from .. import se3
 from ..errors import Reason, Refusal
 from ..scene.agreement import MAX_AXES_CHI2
+from ..scene.starts import distance_sq
 from .adjustment import Adjusted, without_observations
 from .answer import Test
 from .contradiction import LEAST, Adjust, denied_poles, least_denied, more_coincide
@@ -163,8 +161,8 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
     for other, rival in fitting:
         if (
             rival.reason.code == suspect.reason.code == "pole_moved"
-            and not more_coincide(other.end, rest.end) >= 1.0
             and (apart := _apart(rest, other)) > ANOTHER
+            and more_coincide(other.end, rest.end) < 1.0
         ):
             names = f"{suspect.reason.values['pole']} or {rival.reason.values['pole']}"
             raise Refusal(
@@ -183,8 +181,7 @@ def _apart(a: Adjusted, b: Adjusted) -> float:
         own = slice(POSE * i, POSE * (i + 1))
         covariance = a.covariance[own, own] + b.covariance[own, own]
         if covariance.any():
-            step = se3.local(T, T_other)
-            found = max(found, float(step @ np.linalg.solve(covariance, step)))
+            found = max(found, distance_sq(covariance, T, T_other))
     return found
 
 

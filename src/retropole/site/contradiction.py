@@ -90,7 +90,10 @@ def _coinciding(
 
 def least_denied(ends: Sequence[SiteEnd]) -> int:
     """Find the answer that the surroundings deny least beside the others; of equals the first."""
-    against = [max(more_coincide(one, other) for other in ends) for one in ends]
+    against = [
+        max((more_coincide(one, other) for other in ends if other is not one), default=0.0)
+        for one in ends
+    ]
     # Less than a patch tells nothing.
     return int(np.argmin(np.floor(against)))
 
@@ -122,17 +125,21 @@ def denied_poles(adjusted: Adjusted, adjust: Adjust) -> Iterator[tuple[int, Adju
     weak = [link for link in links(adjusted) if len(link.poles) == 2]
     for k in sorted({k for link in weak for k in link.poles}):
         across = [link.near for link in weak if k in link.poles]
-        # A part of the patches is enough to see that nothing moved.
-        for few, least in ((True, LEAST / FEW), (False, LEAST)):
-            try:
-                rest = adjust(without_poles(adjusted.datum, {k}), few=few)
-            except Refusal:
-                # A part may hold too little where all of them hold enough.
-                if few:
-                    continue
-                break
-            more = max(more_coincide(adjusted.end, rest.end, near) for near in across)
-            if more < least:
-                break
-        else:
-            yield k, rest, more
+        # A part of the patches is enough to see that nothing moved, but may hold too little.
+        some = _without(k, adjusted, adjust, across, few=True)
+        if some is not None and some[1] < LEAST / FEW:
+            continue
+        every = _without(k, adjusted, adjust, across, few=False)
+        if every is not None and every[1] >= LEAST:
+            yield k, *every
+
+
+def _without(
+    pole: int, adjusted: Adjusted, adjust: Adjust, across: Sequence[frozenset[int]], *, few: bool
+) -> tuple[Adjusted, float] | None:
+    """Adjust without a pole, and count how many more patches coincide; None where it is refused."""
+    try:
+        rest = adjust(without_poles(adjusted.datum, {pole}), few=few)
+    except Refusal:
+        return None
+    return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)
