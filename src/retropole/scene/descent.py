@@ -15,17 +15,8 @@ from ..alignment.certainty import group_scales, prior_precision, working_sigma
 from ..alignment.factor import POSE, PoleFactor
 from ..datatypes import Array
 from ..systematic import Groups
-from .patch_pairs import PatchPairs, PatchSets, held_directions, pair_patches
-
-MIN_SIGMA = 1e-4
-"""Least scale of the residuals, in units of their own predicted standard deviation."""
-
-ROBUST_WIDTH = 2.0
-"""Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
-
-GEMAN_HALF, SCALE_TOLERANCE = 0.6120, 1e-13
-"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and how exactly the
-logarithm of a scale is found."""
+from .patch_pairs import PatchPairs, PatchSets, pair_patches
+from .weights import weigh
 
 MAX_REFINEMENT_ITERATIONS = 60
 STEP = 2e-7
@@ -55,8 +46,9 @@ class LinearProblem:
     ----------
     pairs, weights
         Patches that correspond, and the weights (P,) of their residuals, 1/m².
-    rows
-        (P, 6 + B) derivative of the residuals by the pose, held directions only, and the errors.
+    rows, residuals
+        (P, 6 + B) derivative of the residuals by the pose and the errors, and (P,) the residuals,
+        without what the surfaces do not hold.
     precision
         (B,) of the prior of the errors.
     step, errors
@@ -68,6 +60,7 @@ class LinearProblem:
     pairs: PatchPairs
     weights: Array
     rows: Array
+    residuals: Array
     precision: Array
     step: Array
     errors: Array
@@ -156,7 +149,7 @@ def _descend(
             return None
         working = working_sigma(problem.groups, sigma, poles_alone=False)
         precision = prior_precision(problem.groups, working)
-        linear = _solve(pairs, problem.factor, T, search, precision)
+        linear = _solve(pairs, problem.factor, T, search, covariance, precision)
         stride, before = _stride(linear, before)
         T = se3.retract(T, stride * linear.step)
         narrowed = NARROWING**iteration * covariance
@@ -183,32 +176,17 @@ def _stride(linear: LinearProblem, before: Array | None) -> tuple[float, Array |
     return 1.0 / (1.0 - min(max(ratio, 0.0), MAX_RATIO)), None
 
 
-def weigh(pairs: PatchPairs, covariance: Array) -> tuple[Array, Array]:
-    """Weigh the residuals, and find the directions of the pose that the surfaces hold.
-
-    What the pose may still be off by, `covariance`, is no reason to take a residual for an outlier:
-    a distant wall would be given up before the ground has let the pose turn towards it.
-
-    Returns
-    -------
-    weights, held
-        (P,) of the residuals, 1/m², and the projection (6, 6) of `held_directions`.
-    """
-    r = pairs.residuals
-    spread = np.sqrt(pairs.variance)
-    spread = spread * max(robust_scale(r / spread, pairs.agreement), MIN_SIGMA)
-    still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
-    outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
-    weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
-    return weights, held_directions(pairs, weights)
-
-
 def _solve(
-    pairs: PatchPairs, factor: PoleFactor, T: Array, covariance: Array, precision: Array
+    pairs: PatchPairs,
+    factor: PoleFactor,
+    T: Array,
+    search: Array,
+    alone: Array,
+    precision: Array,
 ) -> LinearProblem:
     """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior."""
-    weights, held = weigh(pairs, covariance)
-    rows = np.concatenate([pairs.jacobian @ held, pairs.by_error], axis=1)
+    weighed = weigh(pairs, search, alone)
+    weights, rows = weighed.weights, weighed.rows
     # As the square of one array: BLAS then computes one half of it.
     root = np.sqrt(weights)
     weighted = rows * root[:, None]
@@ -216,10 +194,12 @@ def _solve(
     index = np.arange(POSE, len(information))
     information[index, index] += precision
     here = np.r_[se3.local(factor.T_target_source, T), np.zeros(len(precision))]
-    gradient = weighted.T @ (root * pairs.residuals) + factor.information @ here - factor.vector
+    gradient = weighted.T @ (root * weighed.residuals) + factor.information @ here - factor.vector
     inverse = inverse_of(information)
     step = -inverse @ gradient
-    return LinearProblem(pairs, weights, rows, precision, step[:POSE], step[POSE:], inverse)
+    return LinearProblem(
+        pairs, weights, rows, weighed.residuals, precision, step[:POSE], step[POSE:], inverse
+    )
 
 
 def inverse_of(information: Array) -> Array:
@@ -230,26 +210,3 @@ def inverse_of(information: Array) -> Array:
     if failed or not np.isfinite(upper).all():
         return np.asarray(np.linalg.inv(information))
     return np.asarray(upper + np.triu(upper, 1).T)
-
-
-def robust_scale(values: Array, weights: Array) -> float:
-    """Estimate the standard deviation of values (N,) about 0, half of which may be outliers.
-
-    The s with ``Σ w x²/(x² + (cs)²) = ½ Σ w`` (an M-estimate of scale, Huber 1981, with the loss of
-    Geman and McClure); c makes it 1 for standard normal values. Unlike a median it has a derivative
-    everywhere: where it jumped, so would the pose.
-    """
-    from scipy.optimize import brentq
-
-    square = values**2
-    half = 0.5 * float(weights.sum())
-
-    def excess(log_square: float) -> float:
-        return float(weights @ (square / (square + np.exp(log_square)))) - half
-
-    low, high = np.log(1e-30), np.log(float(square.max()) + 1e-30)
-    if excess(low) <= 0:
-        # Half of the values or more are zero.
-        return float(np.exp(0.5 * low)) / GEMAN_HALF
-    found = brentq(excess, low, high + 1e-9, xtol=SCALE_TOLERANCE)
-    return float(np.exp(0.5 * found)) / GEMAN_HALF

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky, qr, solve_triangular, svd
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -18,7 +17,8 @@ from .. import se3
 from ..datatypes import Array, IntArray
 from ..se3 import lengths
 from ..systematic import DEVICE, RADIUS, Layout
-from .patches import PATCH_NEIGHBOURS, Patches, selected
+from .patches import Patches, selected
+from .robust import robust_scale
 
 MAX_NORMAL_ANGLE = np.radians(35.0)
 """Two patches lie on one surface only if their normals agree so far, rad."""
@@ -31,8 +31,9 @@ POSE_SIGMAS = 3.0
 """So many σ of the pose at a patch are added to the correspondence distance."""
 
 SPAN = 0.5
-"""Patches as far from each other along their surface may be one surface, metres; how well the one's
-normal predicts where the other lies is counted."""
+"""Patches as far from each other along their surface may be one surface, metres, or as far as the
+wider of them reaches to its side: where rings are far apart, so are the patches of both LiDARs. How
+well the one's normal predicts where the other lies is counted."""
 
 BLENDED = 4
 """Nearest patches of the target that make its surface; the next one beyond has no weight left."""
@@ -46,9 +47,8 @@ the beams' pointing, rad, and not at all from this on. Of a crane with five LiDA
 site.py, tuning seed 1) rotations were off by 0.034° in the middle, 4 σ; with 0.02, 0.04 and 0.08
 by 0.01°, 1.4 σ."""
 
-MIN_HOLD = 6.0
-"""A direction of the pose counts as held by the scene with so many times the information that the
-noise of the normals alone would imitate."""
+PLANAR = 1.2762
+"""`robust_scale` of lengths of normal vectors in the plane, half of whose squares have mean 1."""
 
 MIN_PATCHES = 30
 """With fewer pairs of patches the scene has nothing to say: five for each parameter of the pose."""
@@ -78,6 +78,8 @@ class PatchPairs:
         (P,) weight, 0 to 1: how far the limits of what corresponds allow the pair.
     cluster
         (P,) which residuals lie at one place.
+    adjoining
+        (C, C) 1 where two places are one or adjoin each other.
     at
         (P, 3) where the source's patch lies in the target's frame, metres.
     """
@@ -91,6 +93,7 @@ class PatchPairs:
     variance: Array
     agreement: Array
     cluster: IntArray
+    adjoining: csr_matrix
     at: Array
 
 
@@ -110,6 +113,8 @@ class PatchSets:
         For each LiDAR, (M, bands) share of a patch's points that lie in each band.
     clusters
         (M,) place of each patch of the source.
+    adjoining
+        (C, C) 1 where two places are one or adjoin each other.
     """
 
     target: Patches
@@ -118,6 +123,7 @@ class PatchSets:
     layout: Layout
     shares: tuple[csr_matrix, csr_matrix]
     clusters: IntArray
+    adjoining: csr_matrix
 
 
 def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSets:
@@ -126,9 +132,14 @@ def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSe
         _share_of_bands(patches.bands, layout.bands[lidar])
         for lidar, patches in enumerate((target, source))
     )
-    clusters = labels_of(np.floor(source.centres / CLUSTER_SIDE))
+    cells = np.floor(source.centres / CLUSTER_SIDE)
+    clusters = labels_of(cells)
+    places = cells[np.unique(clusters, return_index=True)[1]]
+    tree = cKDTree(places)
+    near = tree.sparse_distance_matrix(tree, 1.5, p=np.inf, output_type="coo_matrix")
+    adjoining = csr_matrix((np.ones(near.nnz), (near.row, near.col)), shape=near.shape)
     return PatchSets(
-        target, source, cKDTree(target.centres), layout, (shares[0], shares[1]), clusters
+        target, source, cKDTree(target.centres), layout, (shares[0], shares[1]), clusters, adjoining
     )
 
 
@@ -180,21 +191,21 @@ def pair_patches(
     limit = np.minimum(
         MIN_CORRESPONDENCE_DISTANCE + POSE_SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE
     )
-    span = np.maximum(limit, SPAN)
-    distance, near = sets.tree.query(
-        moved, k=BLENDED + 1, distance_upper_bound=float(span.max()) * 2.0
-    )
-    s = np.flatnonzero(distance[:, 0] < span)
-    if len(s) < MIN_PATCHES:
-        return None
-    distance, near = distance[s], near[s]
+    own = np.maximum(np.maximum(limit, SPAN), source.extent)
+    widest = max(float(own.max()), float(target.extent.max()))
+    distance, near = sets.tree.query(moved, k=BLENDED + 1, distance_upper_bound=2.0 * widest)
     outside = near >= len(target.centres)
     near = np.where(outside, 0, near)
+    span = np.maximum(own[:, None], target.extent.take(near))
+    s = np.flatnonzero((distance < span).any(axis=1))
+    if len(s) < MIN_PATCHES:
+        return None
+    distance, near, outside, span = distance[s], near[s], outside[s], span[s]
     # The next patch beyond those that are blended sets the width, so that it has no weight itself.
-    width = np.minimum(distance[:, -1], 2.0 * span[s])[:, None]
+    width = np.minimum(distance[:, -1], 2.0 * span[:, 0])[:, None]
     kernel = _smooth(distance[:, :-1] / width)
     kernel[outside[:, :-1]] = 0.0
-    near = near[:, :-1]
+    near, span = near[:, :-1], span[:, :-1]
     normal_source = source.normals[s] @ T[:3, :3].T
     cosine = np.einsum("mi,mki->mk", normal_source, target.normals.take(near, axis=0))
     sign = np.ones_like(cosine)
@@ -202,7 +213,7 @@ def pair_patches(
         sign, cosine = np.where(cosine < 0, -1.0, 1.0), np.abs(cosine)
     least = np.cos(MAX_NORMAL_ANGLE)
     same = np.maximum((cosine - least) / (1.0 - least), 0.0)
-    weight = kernel * np.minimum(2.0 * same, 1.0) * _smooth(distance[:, :-1] / span[s, None])
+    weight = kernel * np.minimum(2.0 * same, 1.0) * _smooth(distance[:, :-1] / span)
     total = weight.sum(axis=1)
     used = total > 1e-6 * kernel.sum(axis=1)
     if np.count_nonzero(used) < MIN_PATCHES:
@@ -216,9 +227,9 @@ def pair_patches(
     def blended(values: Array) -> Array:
         return np.asarray(np.einsum("mk,mk...->m...", weight, values.take(near, axis=0)))
 
-    normal = normal_source + np.einsum(
-        "mk,mki->mi", weight * sign, target.normals.take(near, axis=0)
-    )
+    normal_target = np.einsum("mk,mki->mi", weight * sign, target.normals.take(near, axis=0))
+    normal_target /= np.linalg.norm(normal_target, axis=1, keepdims=True)
+    normal = normal_source + normal_target
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     between = moved[s] - blended(target.centres)
     residuals = np.einsum("mi,mi->m", normal, between)
@@ -244,7 +255,10 @@ def pair_patches(
             by_error[:, sets.layout.rings(lidar, kind)] = dense * by[:, DEVICE + kind, None]
     by_error[:, RADIUS] = 0.0
     tilt = (source.tilt[s] + blended(target.tilt)) / 4
+    turned = lengths(normal_source - normal_target) / np.sqrt(8.0 * tilt)
+    tilt = tilt * max(robust_scale(turned, agreement) / PLANAR, 1.0) ** 2
     along = np.einsum("mi,mi->m", between, between)
+    places, cluster = np.unique(sets.clusters[s], return_inverse=True)
     return PatchPairs(
         residuals=residuals,
         jacobian=np.einsum("mi,mij->mj", normal, lever[s]),
@@ -252,10 +266,10 @@ def pair_patches(
         levers=lever[s],
         normal=normal,
         tilt=tilt,
-        variance=(source.thickness[s] + blended(target.thickness)) / PATCH_NEIGHBOURS
-        + tilt * along,
+        variance=source.variance[s] + blended(target.variance) + tilt * along,
         agreement=agreement,
-        cluster=np.unique(sets.clusters[s], return_inverse=True)[1].astype(np.int64),
+        cluster=cluster.astype(np.int64),
+        adjoining=sets.adjoining[places][:, places],
         at=moved[s],
     )
 
@@ -273,33 +287,6 @@ def _lean_apart(lean: Array, other: Array) -> Array:
 def _smooth(x: Array) -> Array:
     """1 at 0, and 0 from 1 on, with a derivative everywhere (Tukey's biweight)."""
     return np.asarray(np.maximum(1.0 - x**2, 0.0) ** 2)
-
-
-def held_directions(pairs: PatchPairs, weights: Array) -> Array:
-    """Projection (6, 6) onto the steps that the surfaces hold, and not the noise of their normals.
-
-    The normal of flat ground errs by a degree here and there, and thousands of such errors seem to
-    hold a pose along the ground: information of that kind is what ``H_n``, the sum over the two
-    tangents of each patch by the variance of its normal, says. Of the generalised eigenvectors of
-    ``H_s v = λ H_n v``, those with λ below `MIN_HOLD` are left to the poles, those far above it to
-    the scene, and what lies between to both, by ``λ²/(λ² + MIN_HOLD²)``.
-    """
-    tangents = pairs.levers - pairs.normal[:, :, None] * pairs.jacobian[:, None, :]
-    tangents *= np.sqrt(weights * pairs.tilt)[:, None, None]
-    rows = tangents.reshape(-1, 6)
-    noise = rows.T @ rows
-    scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
-    root = cholesky(noise * np.outer(scale, scale) + 1e-9 * np.eye(6), lower=True)
-    # Singular values of the rows: as eigenvalues of their squares, which span twenty powers of
-    # ten where few surfaces are seen, the small ones are lost in rounding.
-    scene = qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale, mode="r")[0][:6]
-    whitened = solve_triangular(root, scene.T, lower=True).T
-    _, singular, ways = svd(whitened)
-    kept = singular**4 / (singular**4 + MIN_HOLD**2)
-    # The ways are orthonormal where H_n is whitened to the identity.
-    back = solve_triangular(root, (ways.T * kept) @ ways, lower=True, trans="T")
-    projection = back @ root.T
-    return np.asarray(scale[:, None] * projection / scale[None, :])
 
 
 def labels_of(cells: Array) -> IntArray:

@@ -13,9 +13,10 @@ from ..se3 import lengths
 from ..systematic import DEVICE, band_of, by_error
 from .registration import voxel_downsample
 
-PATCH_VOXELS = (0.15, 0.3, 0.6)
+PATCH_VOXELS = (0.15, 0.3, 0.6, 1.2, 2.4)
 """Patches are fitted to clouds downsampled to one point per cube of these sides, metres: small ones
-where points are dense, wide ones that span the rings on ground seen at a slant."""
+where points are dense, wide ones that span the rings on ground seen at a slant. Rings of 16 and 32
+beams lie 1 to 4 m apart on the ground 8 to 20 m away."""
 
 PATCH_NEIGHBOURS = 16
 """Downsampled points that a patch is fitted to."""
@@ -37,6 +38,10 @@ MIN_THICKNESS = 0.001
 
 NO_THICKNESS = 1e-6
 """RMS thickness of a plane without noise, metres: rounding leaves less, or less than nothing."""
+
+UNUSUAL = 2.0
+"""A patch that is thicker than so many times the median, as variances, has a shape: noise makes one
+in a hundred as thick (χ² with 13 degrees of freedom)."""
 
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
@@ -63,8 +68,10 @@ class Patches:
         (M, 3) unit vectors from the beam origin to the centres.
     tilt
         (M,) variance of the normals, rad².
-    thickness
-        (M,) variance of the points across the patch, m².
+    variance
+        (M,) of the centre across the patch, m².
+    extent
+        (M,) half of its lesser width, metres: across the rings, where these are far apart.
     lean
         (M, 3) how far it leans towards the beams for the noise of their pointing: a slope, rad,
         along the surface away from the LiDAR.
@@ -79,7 +86,8 @@ class Patches:
     normals: Array
     rays: Array
     tilt: Array
-    thickness: Array
+    variance: Array
+    extent: Array
     lean: Array
     bands: IntArray
     by_error: Array
@@ -121,7 +129,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, PATCH_NEIGHBOURS), dtype=np.int64)
         return Patches(
-            none, none, none, nothing, nothing, none, bands, np.zeros((0, 3, DEVICE + 2))
+            none, none, none, nothing, nothing, nothing, none, bands, np.zeros((0, 3, DEVICE + 2))
         )
     tree = small_gicp.KdTree(points)
     index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
@@ -144,10 +152,11 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     cosine = np.einsum("mi,mi->m", normals, rays)
     # A plane goes through a point that lies apart from the others, whatever its error: a patch is
     # not taken for thinner than most are.
-    thickness = (
-        np.maximum(values[flat, 0], np.median(values[flat, 0])) if flat.any() else values[flat, 0]
-    )
-    tilt = thickness / (PATCH_NEIGHBOURS * values[flat, 1])
+    usual = np.median(values[flat, 0]) if flat.any() else 0.0
+    thickness = np.maximum(values[flat, 0], usual)
+    # Noise averages out over the points; the shape of what is not flat does not.
+    variance = thickness / PATCH_NEIGHBOURS + np.maximum(thickness - UNUSUAL * usual, 0.0)
+    tilt = variance / values[flat, 1]
     normals = np.where((cosine > 0)[:, None], -normals, normals)
     tangent = np.sqrt(1.0 - np.minimum(cosine**2, 1.0)) / np.maximum(np.abs(cosine), 1e-3)
     around = np.cross(axis, rays)
@@ -162,7 +171,9 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
         normals,
         rays,
         tilt,
-        np.maximum(thickness, MIN_THICKNESS**2),
+        np.maximum(variance, MIN_THICKNESS**2 / PATCH_NEIGHBOURS),
+        # A uniform strip is as wide to either side.
+        np.sqrt(3.0 * values[flat, 1]),
         lean,
         band[index[flat]],
         np.concatenate([device, ring], axis=2),

@@ -262,7 +262,7 @@ def _uncertainty(
     inverse, weights, cluster = linear.inverse, linear.weights, linear.pairs.cluster
     marginal = np.linalg.inv(inverse[:POSE, :POSE])
     J = linear.rows @ inverse[:, :POSE] @ marginal
-    residuals = linear.pairs.residuals + linear.rows[:, POSE:] @ linear.errors
+    residuals = linear.residuals + linear.rows[:, POSE:] @ linear.errors
     JW = J * weights[:, None]
     gradients = _summed(JW * residuals[:, None], cluster)
     outer = (JW[:, :, None] * J[:, None, :]).reshape(-1, POSE**2)

@@ -215,7 +215,7 @@ def residuals_of(term: SceneTerm, end: SiteEnd) -> Array:
     poses = len(end.search)
     errors = term.place >= poses
     return np.asarray(
-        term.pairs.residuals + term.rows[:, errors] @ end.errors[term.place[errors] - poses]
+        term.residuals + term.rows[:, errors] @ end.errors[term.place[errors] - poses]
     )
 
 

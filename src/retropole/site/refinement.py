@@ -25,7 +25,6 @@ from ..scene.descent import (
     MAX_REFINEMENT_ITERATIONS,
     NARROWING,
     inverse_of,
-    weigh,
 )
 from ..scene.patch_pairs import (
     MIN_PATCHES,
@@ -36,6 +35,7 @@ from ..scene.patch_pairs import (
     thinned,
 )
 from ..scene.patches import Patches, surface_patches
+from ..scene.weights import weigh
 from ..systematic import Groups, Layout
 from .network import Network, marginal, steps_to
 from .relative import joint_of, relative, relative_jacobian
@@ -71,8 +71,9 @@ class SceneTerm:
         Patches of both.
     pairs, weights
         Those that correspond, and the weights (P,) of their residuals, 1/m².
-    rows
-        (P, 12 + B) derivative of the residuals by the unknowns at `place`.
+    rows, residuals
+        (P, 12 + B) derivative of the residuals by the unknowns at `place`, and (P,) the residuals,
+        without what the surfaces do not hold.
     place
         (12 + B,) poses of both, and errors.
     """
@@ -82,6 +83,7 @@ class SceneTerm:
     pairs: PatchPairs
     weights: Array
     rows: Array
+    residuals: Array
     place: IntArray
 
     @cached_property
@@ -93,7 +95,7 @@ class SceneTerm:
     @cached_property
     def slope_without_errors(self) -> Array:
         """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
-        return -np.asarray((self.rows.T * self.weights) @ self.pairs.residuals)
+        return -np.asarray((self.rows.T * self.weights) @ self.residuals)
 
     def slope(self, values: Array, poses: int) -> Array:
         """(12 + B,) of the same at the poses it was taken at, under errors.
@@ -231,7 +233,7 @@ def _descend(
         terms = tuple(
             term
             for lidars, sets in scenes
-            if (term := _scene_term(lidars, sets, T, search, unknowns)) is not None
+            if (term := _scene_term(lidars, sets, T, search, covariance, unknowns)) is not None
         )
         end = _solve(problem, T, terms, sigma)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
@@ -267,7 +269,12 @@ def _moved(T: Array, step: Array) -> Array:
 
 
 def _scene_term(
-    lidars: tuple[int, int], sets: PatchSets, T: Array, search: Array, unknowns: Unknowns
+    lidars: tuple[int, int],
+    sets: PatchSets,
+    T: Array,
+    search: Array,
+    alone: Array,
+    unknowns: Unknowns,
 ) -> SceneTerm | None:
     """Pair the patches of two LiDARs under their poses; None where too few correspond."""
     i, j = lidars
@@ -275,11 +282,11 @@ def _scene_term(
     pairs = pair_patches(sets, T_ij, covariance, False)
     if pairs is None:
         return None
-    weights, held = weigh(pairs, covariance)
-    by_poses = pairs.jacobian @ held @ relative_jacobian(T[i], T[j])
+    weighed = weigh(pairs, covariance, relative(T[i], T[j], joint_of(alone, i, j))[1])
+    by_poses = weighed.rows[:, :POSE] @ relative_jacobian(T[i], T[j])
     place = np.r_[unknowns.pose(i), unknowns.pose(j), unknowns.of_layout(sets.layout, lidars)]
-    rows = np.concatenate([by_poses, pairs.by_error], axis=1)
-    return SceneTerm(lidars, sets, pairs, weights, rows, place)
+    rows = np.concatenate([by_poses, weighed.rows[:, POSE:]], axis=1)
+    return SceneTerm(lidars, sets, pairs, weighed.weights, rows, weighed.residuals, place)
 
 
 def _solve(problem: _Problem, T: Array, terms: Sequence[SceneTerm], sigma: Array) -> SiteEnd:

@@ -1,0 +1,135 @@
+"""How much each pair of patches says of the pose, and what the surfaces say nothing of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.linalg import cholesky, qr, solve_triangular, svd
+
+from ..datatypes import Array
+from .patch_pairs import PatchPairs
+from .robust import robust_scale
+
+MIN_SIGMA = 1e-4
+"""Least scale of the residuals, in units of their own predicted standard deviation."""
+
+ROBUST_WIDTH = 2.0
+"""Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
+
+
+TRACE = False
+COMMON = True
+MOST = .43
+"""Most that one place says of any direction, as a multiple of what all else says of it: 30 % of all
+there is."""
+
+MIN_HOLD = 6.0
+"""A direction of the pose counts as held by the scene with so many times the information that the
+noise of the normals alone would imitate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """Pairs of patches as the adjustment takes them.
+
+    Attributes
+    ----------
+    weights
+        (P,) of the residuals, 1/m².
+    rows, residuals
+        (P, 6 + B) derivative by the pose and the errors, and (P,) residuals, without what the
+        surfaces do not hold.
+    """
+
+    weights: Array
+    rows: Array
+    residuals: Array
+
+
+def weigh(pairs: PatchPairs, covariance: Array, alone: Array) -> Weighed:
+    """Weigh the residuals, and leave out the directions of the pose that the surfaces do not hold.
+
+    Parameters
+    ----------
+    pairs
+        Patches that correspond.
+    covariance
+        (6, 6) how far the pose may still be off. That is no reason to take a residual for an
+        outlier: a distant wall would be given up before the ground has let the pose turn towards
+        it.
+    alone
+        (6, 6) covariance of the pose without the scene.
+    """
+    r = pairs.residuals
+    spread = np.sqrt(pairs.variance)
+    spread = spread * max(robust_scale(r / spread, pairs.agreement), MIN_SIGMA)
+    still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
+    outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
+    weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
+    weights = weights * shared_by_places(pairs, weights) if COMMON else weights
+    root = np.sqrt(weights)
+    ways, kept = held_directions(pairs, weights)
+    table = np.column_stack([pairs.jacobian, pairs.by_error, r]) * root[:, None]
+    # A pair without weight has no part in the sums.
+    table -= (ways * (1.0 - kept)) @ (ways.T @ table)
+    table /= np.maximum(root, 1e-300)[:, None]
+    return Weighed(weights, table[:, :-1], table[:, -1])
+
+
+def shared_by_places(pairs: PatchPairs, weights: Array) -> Array:
+    """(P,) part of its weight that each residual keeps for what all of its place have in common.
+
+    Surfaces are not flat, edges are taken for surfaces, and another surface is hit than was meant:
+    such errors do not average out within a place. Their size σ is how far the means of places
+    scatter beyond what their own weights W allow; a place of many patches then counts ``1/(σ² +
+    1/W)``, not W.
+    """
+    count = len(pairs.adjoining.indptr) - 1
+    whole = np.bincount(pairs.cluster, weights, count)
+    mean = np.bincount(pairs.cluster, weights * pairs.residuals, count) / np.maximum(whole, 1e-300)
+    agreement = np.bincount(pairs.cluster, pairs.agreement, count)
+    own = 1.0 / np.maximum(whole, 1e-300)
+    say = np.minimum(agreement, 1.0)
+
+    def excess(variance: float) -> float:
+        return robust_scale(mean / np.sqrt(own + variance), say) - 1.0
+
+    most = float((mean**2).max()) + 1e-12
+    if excess(0.0) <= 0.0:
+        return np.ones_like(weights)
+    common = brentq(excess, 0.0, 100*most, xtol=1e-12) if excess(100*most) < 0 else most
+    if TRACE: print("common mm", 1e3*common**.5, "places", count)
+    return np.asarray(1.0 / (1.0 + common * whole))[pairs.cluster]
+
+
+def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
+    """Find which directions the surfaces hold, and which the noise of their normals imitates.
+
+    The normal of flat ground errs by a degree here and there, and thousands of such errors seem to
+    hold a pose along the ground: information of that kind is what ``H_n``, the sum over the two
+    tangents of each patch by the variance of its normal, says. Of the generalised eigenvectors v of
+    ``H_s v = λ H_n v``, those with λ below `MIN_HOLD` are left to the poles, those far above it to
+    the scene, and what lies between to both, by ``λ²/(λ² + MIN_HOLD²)``. What is left to the poles
+    is taken out of the residuals as well, as if the surfaces could slide along it: with the
+    derivative alone made smaller, the step would become larger.
+
+    Returns
+    -------
+    ways, kept
+        (P, 6) what a step along each v does to the residuals times the roots of their weights,
+        orthonormal, and (6,) the part of it to keep.
+    """
+    tangents = pairs.levers - pairs.normal[:, :, None] * pairs.jacobian[:, None, :]
+    tangents *= np.sqrt(weights * pairs.tilt)[:, None, None]
+    rows = tangents.reshape(-1, 6)
+    noise = rows.T @ rows
+    scale = 1.0 / np.sqrt(np.diag(noise) + 1e-300)
+    root = cholesky(noise * np.outer(scale, scale) + 1e-9 * np.eye(6), lower=True)
+    # Singular values of the rows: as eigenvalues of their squares, which span twenty powers of
+    # ten where few surfaces are seen, the small ones are lost in rounding.
+    basis, scene = qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale, mode="economic")
+    whitened = solve_triangular(root, scene.T, lower=True).T
+    left, singular, _ = svd(whitened)
+    return basis @ left, singular**4 / (singular**4 + MIN_HOLD**2)
