@@ -16,7 +16,7 @@ from retropole.sensors import (
 from retropole.simulation import simulate_pair
 
 NAMES = (
-    *("VLP-16", "HDL-32E", "VLS-128", "Pandar64", "PandarQT", "XT32", "RS-LiDAR-16"),
+    *("VLP-16", "VLP-32C", "HDL-32E", "VLS-128", "Pandar64", "PandarQT", "XT32", "RS-LiDAR-16"),
     *("RS-LiDAR-32", "C16", "C32", "OS0", "OS1", "Mid-360"),
 )
 

@@ -113,6 +113,13 @@ _RS32_DEG = np.concatenate(
         [7 / 3, 10 / 3, 14 / 3, 7.0, 10.333, 15.0],
     ]
 )
+_VLP32_DEG = np.concatenate(
+    [
+        [-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -14 / 3],
+        np.linspace(-4.0, 5 / 3, 18),
+        [7 / 3, 10 / 3, 14 / 3, 7.0, 10.333, 15.0],
+    ]
+)
 _PANDAR64_DEG = np.concatenate(
     [
         [-25.0, -19.0],
@@ -126,6 +133,12 @@ _ALL = (
     _spinning(
         "VLP-16", ("Puck",), np.linspace(-15, 15, 16), 0.2, 0.010, 3.0, (0.5, 100.0),
         (230.0, PAPER_SOURCE), "manufacturer's manual 63-9243: 16 rings 2° apart, ±3 cm",
+        accuracy=0.03,
+    ),
+    _spinning(
+        "VLP-32C", ("Ultra Puck",), _VLP32_DEG, 0.2, 0.010, 3.0, (0.5, 200.0),
+        (120.0, "manufacturer: diffuse targets end at 100, retro begins at 101"),
+        "manufacturer's manual 63-9325: 32 rings, 1/3° apart in the middle, ±3 cm",
         accuracy=0.03,
     ),
     _spinning(

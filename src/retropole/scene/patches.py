@@ -18,6 +18,7 @@ PATCH_VOXELS = (0.15, 0.3, 0.6, 1.2, 2.4)
 where points are dense, wide ones that span the rings on ground seen at a slant. Rings of 16 and 32
 beams lie 1 to 4 m apart on the ground 8 to 20 m away."""
 
+COUNTS = (16, 8)
 PATCH_NEIGHBOURS = 16
 """Downsampled points that a patch is fitted to."""
 
@@ -100,16 +101,17 @@ def surface_patches(cloud: PointCloud) -> Patches:
     that is cambered leans, and a plane through a corner is none.
     """
     parts: list[Patches] = []
-    points = cloud.xyz
-    for voxel in PATCH_VOXELS:
-        # From fine to coarse, each starts from the one before: there are fewer points then.
-        points = voxel_downsample(points, voxel)
-        at = points[:: 1 + len(points) // MAX_PATCHES]
-        finer = [part.centres for part in parts if len(part.centres)]
-        if finer:
-            tree = cKDTree(np.concatenate(finer))
-            at = at[np.isinf(tree.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
-        parts.append(_patches_of(points, at, cloud.origin, cloud.axis))
+    for count in COUNTS:
+        points = cloud.xyz
+        for voxel in PATCH_VOXELS:
+            # From fine to coarse, each starts from the one before: there are fewer points then.
+            points = voxel_downsample(points, voxel)
+            at = points[:: 1 + len(points) // MAX_PATCHES]
+            finer = [part.centres for part in parts if len(part.centres)]
+            if finer:
+                tree = cKDTree(np.concatenate(finer))
+                at = at[np.isinf(tree.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
+            parts.append(_patches_of(points, at, cloud.origin, cloud.axis, count))
     return Patches(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -123,21 +125,21 @@ def selected(patches: Patches, kept: BoolArray | slice) -> Patches:
     return Patches(*(getattr(patches, field.name)[kept] for field in fields(Patches)))
 
 
-def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches:
+def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int) -> Patches:
     """Fit patches about some (K, 3) of the points."""
-    if len(points) < PATCH_NEIGHBOURS or not len(at):
+    if len(points) < count or not len(at):
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, PATCH_NEIGHBOURS), dtype=np.int64)
         return Patches(
             none, none, none, nothing, nothing, nothing, none, bands, np.zeros((0, 3, DEVICE + 2))
         )
     tree = small_gicp.KdTree(points)
-    index, _ = tree.batch_knn_search(at, PATCH_NEIGHBOURS)
+    index, _ = tree.batch_knn_search(at, count)
     index = np.asarray(index, dtype=np.intp)
     neighbours = points.take(index, axis=0)
     centres = neighbours.mean(axis=1)
     centred = neighbours - centres[:, None]
-    spread = np.matmul(centred.transpose(0, 2, 1), centred) / PATCH_NEIGHBOURS
+    spread = np.matmul(centred.transpose(0, 2, 1), centred) / count
     values, vectors = np.linalg.eigh(spread)
     values = np.maximum(values, NO_THICKNESS**2)
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
@@ -155,7 +157,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
     usual = np.median(values[flat, 0]) if flat.any() else 0.0
     thickness = np.maximum(values[flat, 0], usual)
     # Noise averages out over the points; the shape of what is not flat does not.
-    variance = thickness / PATCH_NEIGHBOURS + np.maximum(thickness - UNUSUAL * usual, 0.0)
+    variance = thickness / count + np.maximum(thickness - UNUSUAL * usual, 0.0)
     tilt = variance / values[flat, 1]
     normals = np.where((cosine > 0)[:, None], -normals, normals)
     tangent = np.sqrt(1.0 - np.minimum(cosine**2, 1.0)) / np.maximum(np.abs(cosine), 1e-3)
@@ -171,11 +173,11 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array) -> Patches
         normals,
         rays,
         tilt,
-        np.maximum(variance, MIN_THICKNESS**2 / PATCH_NEIGHBOURS),
+        np.maximum(variance, MIN_THICKNESS**2 / count),
         # A uniform strip is as wide to either side.
         np.sqrt(3.0 * values[flat, 1]),
         lean,
-        band[index[flat]],
+        np.resize(band[index[flat]].T,(PATCH_NEIGHBOURS,int(flat.sum()))).T,
         np.concatenate([device, ring], axis=2),
     )
 

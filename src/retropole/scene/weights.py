@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.linalg import cholesky, qr, solve_triangular, svd
 
 from ..datatypes import Array
@@ -19,8 +18,6 @@ ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
 
 
-TRACE = False
-COMMON = True
 MOST = .43
 """Most that one place says of any direction, as a multiple of what all else says of it: 30 % of all
 there is."""
@@ -68,7 +65,6 @@ def weigh(pairs: PatchPairs, covariance: Array, alone: Array) -> Weighed:
     still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
-    weights = weights * shared_by_places(pairs, weights) if COMMON else weights
     root = np.sqrt(weights)
     ways, kept = held_directions(pairs, weights)
     table = np.column_stack([pairs.jacobian, pairs.by_error, r]) * root[:, None]
@@ -76,32 +72,6 @@ def weigh(pairs: PatchPairs, covariance: Array, alone: Array) -> Weighed:
     table -= (ways * (1.0 - kept)) @ (ways.T @ table)
     table /= np.maximum(root, 1e-300)[:, None]
     return Weighed(weights, table[:, :-1], table[:, -1])
-
-
-def shared_by_places(pairs: PatchPairs, weights: Array) -> Array:
-    """(P,) part of its weight that each residual keeps for what all of its place have in common.
-
-    Surfaces are not flat, edges are taken for surfaces, and another surface is hit than was meant:
-    such errors do not average out within a place. Their size σ is how far the means of places
-    scatter beyond what their own weights W allow; a place of many patches then counts ``1/(σ² +
-    1/W)``, not W.
-    """
-    count = len(pairs.adjoining.indptr) - 1
-    whole = np.bincount(pairs.cluster, weights, count)
-    mean = np.bincount(pairs.cluster, weights * pairs.residuals, count) / np.maximum(whole, 1e-300)
-    agreement = np.bincount(pairs.cluster, pairs.agreement, count)
-    own = 1.0 / np.maximum(whole, 1e-300)
-    say = np.minimum(agreement, 1.0)
-
-    def excess(variance: float) -> float:
-        return robust_scale(mean / np.sqrt(own + variance), say) - 1.0
-
-    most = float((mean**2).max()) + 1e-12
-    if excess(0.0) <= 0.0:
-        return np.ones_like(weights)
-    common = brentq(excess, 0.0, 100*most, xtol=1e-12) if excess(100*most) < 0 else most
-    if TRACE: print("common mm", 1e3*common**.5, "places", count)
-    return np.asarray(1.0 / (1.0 + common * whole))[pairs.cluster]
 
 
 def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:

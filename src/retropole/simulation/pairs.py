@@ -33,6 +33,9 @@ DEFAULT_SENSORS = {
     "street": ("Pandar64", "OS1"),
     "harbor": ("Pandar64", "HDL-32E"),
     "bare": ("Pandar64", "HDL-32E"),
+    "square": ("VLP-32C", "VLP-32C"),
+    "camber": ("VLP-32C", "VLP-16"),
+    "kerb": ("VLP-32C", "VLP-16"),
     "paper": ("VLP-16", "VLP-16"),
 }
 """Target and source sensor of each scene; the paper's are its own, the others chosen."""

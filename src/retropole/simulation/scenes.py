@@ -201,11 +201,87 @@ def bare(rng: np.random.Generator) -> Surroundings:
     return Surroundings([_ground(ASPHALT)], (6.0, 5.0))
 
 
+def square(rng: np.random.Generator) -> Surroundings:
+    """Draw an open square: little near, and one tall front far away that is seen along itself."""
+    surfaces: list[Surface] = [_ground(ASPHALT)]
+    bearing, aside = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1]) * rng.uniform(3, 9)
+    along = np.array([np.cos(bearing), np.sin(bearing), 0.0])
+    height, half = rng.uniform(15, 25), rng.uniform(6, 15)
+    front = (rng.uniform(55, 75) + half) * along + aside * np.cross(UP, along)
+    surfaces.append(_wall(front + 0.5 * height * UP, along, (half, height / 2), PLASTER))
+    for _ in range(rng.integers(4, 8)):
+        turned, distance = rng.uniform(0, 2 * np.pi), rng.uniform(9, 28)
+        place = distance * np.array([np.cos(turned), np.sin(turned)])
+        surfaces.append(_post(place, rng.uniform(3, 8), rng.uniform(0.1, 0.25), BARK))
+    for _ in range(rng.integers(2, 5)):
+        turned, distance = rng.uniform(0, 2 * np.pi), rng.uniform(10, 30)
+        half_sides = rng.uniform(0.3, 1.2, 3)
+        place = np.r_[distance * np.cos(turned), distance * np.sin(turned), half_sides[2]]
+        surfaces.append(_box(place, half_sides, rng.uniform(0, np.pi), METAL))
+    return Surroundings(surfaces, (6.0, 5.0))
+
+
+def _sloping(side: int, near: Array, far: Array, material: Material) -> Rectangle:
+    """A strip along x whose cross-section runs between two points (2,) of distance and height."""
+    across = far - near
+    width = float(np.linalg.norm(across))
+    middle = (near + far) / 2
+    return Rectangle(
+        np.array([0.0, side * middle[0], middle[1]]),
+        np.array([1.0, 0, 0]),
+        np.array([0.0, side * across[0], across[1]]) / width,
+        (120.0, width / 2),
+        material,
+    )
+
+
+def _roadside(rng: np.random.Generator, nearest: float) -> list[Surface]:
+    """Trunks, a parked car and a sign beside a road."""
+    found: list[Surface] = []
+    for side in (-1, 1):
+        for _ in range(rng.integers(2, 5)):
+            place = np.array([rng.uniform(-30, 30), side * (nearest + rng.uniform(0.5, 6))])
+            found.append(_post(place, rng.uniform(4, 8), rng.uniform(0.1, 0.3), BARK))
+    side = rng.choice([-1, 1])
+    car = np.array([rng.uniform(-20, 20), side * (nearest + 2.0)])
+    found += _car(car, rng.normal() * 0.05)
+    return found + _sign(np.array([rng.uniform(-15, 15), -side * nearest]), rng.uniform(0, np.pi))
+
+
+def camber(rng: np.random.Generator) -> Surroundings:
+    """Draw a country road: it falls to both sides, and verges fall on or rise."""
+    surfaces: list[Surface] = []
+    half, fall = rng.uniform(3.5, 6), rng.uniform(0.02, 0.04)
+    edge = np.array([half, -fall * half])
+    for side in (-1, 1):
+        surfaces.append(_sloping(side, np.zeros(2), edge, ASPHALT))
+        verge = edge + 50.0 * np.array([1.0, rng.uniform(-0.06, 0.06)])
+        surfaces.append(_sloping(side, edge, verge, BARK))
+    return Surroundings([*surfaces, *_roadside(rng, half + 1.0)], (6.0, 3.2))
+
+
+def kerb(rng: np.random.Generator) -> Surroundings:
+    """Draw a road between kerbs, and a front set back from it on one side."""
+    half, step = rng.uniform(3.5, 6), rng.uniform(0.08, 0.16)
+    surfaces: list[Surface] = []
+    for side in (-1, 1):
+        foot, top = np.array([half, 0.0]), np.array([half, step])
+        surfaces.append(_sloping(side, np.zeros(2), foot, ASPHALT))
+        surfaces.append(_sloping(side, foot, top, PLASTER))
+        surfaces.append(_sloping(side, top, np.array([60.0, step]), PLASTER))
+    front = np.array([rng.uniform(-10, 10), rng.choice([-1, 1]) * rng.uniform(14, 25), 4.0])
+    surfaces.append(_wall(front, np.array([1.0, 0, 0]), (rng.uniform(5, 15), 4.0), PLASTER))
+    return Surroundings([*surfaces, *_roadside(rng, half + 1.0)], (6.0, 3.2))
+
+
 SURROUNDINGS: dict[str, Callable[[np.random.Generator], Surroundings]] = {
     "corridor": corridor,
     "street": street,
     "harbor": harbor,
     "bare": bare,
+    "square": square,
+    "camber": camber,
+    "kerb": kerb,
 }
 
 
