@@ -150,7 +150,7 @@ def _descend(
         working = working_sigma(problem.groups, sigma, poles_alone=False)
         precision = prior_precision(problem.groups, working)
         linear = _solve(pairs, problem.factor, T, search, covariance, precision)
-        stride, before = _stride(linear, before)
+        stride, before = stride_of(linear.step, np.diag(linear.inverse)[:POSE], before)
         T = se3.retract(T, stride * linear.step)
         narrowed = NARROWING**iteration * covariance
         search = INFORMATION_SHARE * linear.inverse[:POSE, :POSE] + narrowed
@@ -163,17 +163,19 @@ def _descend(
     return end
 
 
-def _stride(linear: LinearProblem, before: Array | None) -> tuple[float, Array | None]:
+def stride_of(step: Array, variance: Array, before: Array | None) -> tuple[float, Array | None]:
     """How much of a step to go, and what of it to remember for the next (Aitken 1926).
 
     Weights and partners change with the pose, so that each step is followed by a smaller one in the
-    same direction. Of two steps the second tells the ratio, and thereby the sum of all to come.
+    same direction. Of two steps the second tells the ratio, and thereby the sum of all to come. A
+    step back along the one before it is shortened: half of it ends a walk to and fro.
     """
-    scaled = linear.step / np.sqrt(np.diag(linear.inverse)[:POSE])
+    free = variance > 0
+    scaled = step[free] / np.sqrt(variance[free])
     if before is None:
         return 1.0, scaled
-    ratio = float(scaled @ before / (before @ before))
-    return 1.0 / (1.0 - min(max(ratio, 0.0), MAX_RATIO)), None
+    ratio = float(scaled @ before / max(float(before @ before), 1e-300))
+    return 1.0 / (1.0 - min(max(ratio, -1.0), MAX_RATIO)), None
 
 
 def _solve(

@@ -192,17 +192,19 @@ def pair_patches(
         MIN_CORRESPONDENCE_DISTANCE + POSE_SIGMAS * spread, MAX_CORRESPONDENCE_DISTANCE
     )
     own = np.maximum(np.maximum(limit, SPAN), source.extent)
-    widest = max(float(own.max()), float(target.extent.max()))
-    distance, near = sets.tree.query(moved, k=BLENDED + 1, distance_upper_bound=2.0 * widest)
+    distance, near = sets.tree.query(
+        moved, k=BLENDED + 1, distance_upper_bound=2.0 * float(own.max())
+    )
     outside = near >= len(target.centres)
     near = np.where(outside, 0, near)
-    span = np.maximum(own[:, None], target.extent.take(near))
+    # No farther than the blend reaches below: a pair must fade before it ends.
+    span = np.clip(target.extent.take(near), own[:, None], 2.0 * own[:, None])
     s = np.flatnonzero((distance < span).any(axis=1))
     if len(s) < MIN_PATCHES:
         return None
     distance, near, outside, span = distance[s], near[s], outside[s], span[s]
     # The next patch beyond those that are blended sets the width, so that it has no weight itself.
-    width = np.minimum(distance[:, -1], 2.0 * span[:, 0])[:, None]
+    width = np.minimum(distance[:, -1], 2.0 * own[s])[:, None]
     kernel = _smooth(distance[:, :-1] / width)
     kernel[outside[:, :-1]] = 0.0
     near, span = near[:, :-1], span[:, :-1]

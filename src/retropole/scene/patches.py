@@ -51,6 +51,9 @@ POINTING_NOISE = float(np.radians(0.02))
 """1 σ of the direction of single beams, rad, where nothing is known of it: LiDARs' manuals name
 0.01 to 0.1° as angular accuracy."""
 
+SAME = 1e-4
+"""Patches whose centres are so near each other have the same points, metres."""
+
 MAX_PATCHES = 4000
 """Patches of each size and cloud: every n-th is taken so that about so many are left."""
 
@@ -112,15 +115,18 @@ def surface_patches(cloud: PointCloud) -> Patches:
                 tree = cKDTree(np.concatenate(finer))
                 at = at[np.isinf(tree.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
             parts.append(_patches_of(points, at, cloud.origin, cloud.axis, count))
-    return Patches(
+    every = Patches(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
             for field in fields(Patches)
         )
     )
+    # Where points are few, coarse neighbourhoods are those of finer ones again.
+    first = np.unique(np.round(every.centres / SAME), axis=0, return_index=True)[1]
+    return selected(every, np.sort(first))
 
 
-def selected(patches: Patches, kept: BoolArray | slice) -> Patches:
+def selected(patches: Patches, kept: BoolArray | IntArray | slice) -> Patches:
     """Give some of the patches."""
     return Patches(*(getattr(patches, field.name)[kept] for field in fields(Patches)))
 
@@ -177,7 +183,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int
         # A uniform strip is as wide to either side.
         np.sqrt(3.0 * values[flat, 1]),
         lean,
-        np.resize(band[index[flat]].T,(PATCH_NEIGHBOURS,int(flat.sum()))).T,
+        np.resize(band[index[flat]].T, (PATCH_NEIGHBOURS, int(flat.sum()))).T,
         np.concatenate([device, ring], axis=2),
     )
 

@@ -18,7 +18,7 @@ ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
 
 
-MOST = .43
+MOST = 0.43
 """Most that one place says of any direction, as a multiple of what all else says of it: 30 % of all
 there is."""
 

@@ -21,10 +21,10 @@ from ..scene.descent import (
     FEW,
     FEW_STEP,
     INFORMATION_SHARE,
-    MAX_RATIO,
     MAX_REFINEMENT_ITERATIONS,
     NARROWING,
     inverse_of,
+    stride_of,
 )
 from ..scene.patch_pairs import (
     MIN_PATCHES,
@@ -238,7 +238,7 @@ def _descend(
         end = _solve(problem, T, terms, sigma)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
         small = bool(np.abs(step).max() < tolerance)
-        stride, before = _stride(step, np.diag(end.inverse)[: len(step)], before)
+        stride, before = stride_of(step, np.diag(end.inverse)[: len(step)], before)
         # The last step is whole: the answer solves the problem that its covariance is of.
         T = end.T if small else _moved(T, stride * step)
         narrowed = NARROWING**iteration * covariance
@@ -248,19 +248,6 @@ def _descend(
         if small:
             break
     return end
-
-
-def _stride(step: Array, variance: Array, before: Array | None) -> tuple[float, Array | None]:
-    """How much of a step to go, as `scene.descent` has it for one pair (Aitken 1926).
-
-    A step back along the one before it is shortened: half of it ends a walk to and fro.
-    """
-    free = variance > 0
-    scaled = step[free] / np.sqrt(variance[free])
-    if before is None:
-        return 1.0, scaled
-    ratio = float(scaled @ before / max(float(before @ before), 1e-300))
-    return 1.0 / (1.0 - min(max(ratio, -1.0), MAX_RATIO)), None
 
 
 def _moved(T: Array, step: Array) -> Array:
