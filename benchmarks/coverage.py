@@ -62,6 +62,7 @@ STATING: Mapping[str, NoiseModel] = {
     "range scale 0.05 %": replace(TYPICAL, scale=5e-4),
     "slanted surfaces": replace(TYPICAL, slant=5e-4),
     "elevation of rings 0.03°": replace(TYPICAL, ring_elevation=0.03 * DEGREE),
+    "azimuth of rings 0.03°": replace(TYPICAL, ring_azimuth=0.03 * DEGREE),
     "wobble 0.01°": replace(TYPICAL, wobble=0.01 * DEGREE),
     "range offset on tape 10 mm": replace(TYPICAL, retro_bias=0.010),
     "noise grows with range": replace(TYPICAL, noise_growth=0.5),

@@ -7,11 +7,13 @@ returns are used, on poles and on surfaces. With measured range ρ, azimuth α a
 true return lies at
 
     range      ρ − zero − scale·ρ − slant·ρ·tan(incidence) − [tape] − ring_range(ring)
-    azimuth    α + encoder_c cos α + encoder_s sin α
+    azimuth    α + encoder_c cos α + encoder_s sin α + ring_azimuth(ring)
     elevation  ε + wobble_c cos α + wobble_s sin α + ring_elevation(ring),
 
 and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
-A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show.
+A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show. What
+the rings' own errors of it have in common is one too: it stays in, since with σ/√n for n rings it
+is as small as what no model names.
 """
 
 from __future__ import annotations
@@ -75,8 +77,9 @@ class Sizes:
         encoder, and of the elevation under a tilted axis of rotation, rad.
     tape
         Range offset of retro-reflective returns beside all others, metres.
-    ring_range, ring_elevation
-        Of each ring, metres and rad.
+    ring_range, ring_elevation, ring_azimuth
+        Of each ring, metres and rad: of the azimuth where each laser has an offset to the encoder
+        or a delay of its own.
     width
         Of the beam, as a part of it: of its logarithm.
     """
@@ -89,6 +92,7 @@ class Sizes:
     tape: float = 0.010
     ring_range: float = 0.004
     ring_elevation: float = float(np.radians(0.02))
+    ring_azimuth: float = float(np.radians(0.02))
     width: float = USUAL_WIDTH
 
 
@@ -127,9 +131,11 @@ DEVICE_KINDS = (
 RING_KINDS = (
     Kind("range of single rings", "ring_range", "m"),
     Kind("elevation of single rings", "ring_elevation", "rad"),
+    Kind("azimuth of single rings", "ring_azimuth", "rad"),
 )
-"""Of the parameters of each ring."""
+"""Of the parameters of each ring, in their order."""
 
+RING = len(RING_KINDS)
 DEVICE = len(DEVICE_KINDS)
 TAPE, WIDTH = DEVICE - 2, DEVICE - 1
 """Parameters of a whole LiDAR, and which of them only tape has, and only edges show."""
@@ -143,7 +149,7 @@ SHARED_ERRORS = RADIUS + 1
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Order of all errors: target's, source's, the radius, then range and elevation of each ring.
+    """Order of all errors: target's, source's, the radius, then each kind of error of each ring.
 
     Attributes
     ----------
@@ -156,15 +162,15 @@ class Layout:
     @property
     def size(self) -> int:
         """How many errors there are."""
-        return SHARED_ERRORS + 2 * (len(self.bands[0]) + len(self.bands[1]))
+        return SHARED_ERRORS + RING * (len(self.bands[0]) + len(self.bands[1]))
 
     def device(self, lidar: int) -> slice:
         """Where the errors of the whole target (0) or source (1) stand."""
         return slice(DEVICE * lidar, DEVICE * (lidar + 1))
 
     def rings(self, lidar: int, kind: int) -> slice:
-        """Where the range (0) or elevation (1) errors of the bands of a LiDAR stand."""
-        first = SHARED_ERRORS + 2 * len(self.bands[0]) * lidar + kind * len(self.bands[lidar])
+        """Where the errors of one of `RING_KINDS` of the bands of a LiDAR stand."""
+        first = SHARED_ERRORS + RING * len(self.bands[0]) * lidar + kind * len(self.bands[lidar])
         return slice(first, first + len(self.bands[lidar]))
 
     def places_in(self, other: Layout) -> IntArray:
@@ -172,7 +178,7 @@ class Layout:
         place = np.arange(self.size)
         for lidar in (0, 1):
             at = np.searchsorted(other.bands[lidar], self.bands[lidar])
-            for kind in (0, 1):
+            for kind in range(RING):
                 place[self.rings(lidar, kind)] = other.rings(lidar, kind).start + at
         return place
 
@@ -259,7 +265,7 @@ def by_error(
     Returns
     -------
     device, ring
-        (N, …, 9) by the errors of the whole LiDAR, (N, …, 2) by those of the return's ring.
+        (N, …, 9) by the errors of the whole LiDAR, (N, …, 3) by those of the return's ring.
     """
     # From where azimuths count makes no difference: their cosine and sine have one size.
     start = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
@@ -278,7 +284,7 @@ def by_error(
         *times(by_elevation, cosine, sine),
         *times(by_range, -one if tape else 0.0 * one, 0.0 * one),
     ]
-    return np.stack(device, axis=-1), np.stack([-by_range, by_elevation], axis=-1)
+    return np.stack(device, axis=-1), np.stack([-by_range, by_elevation, by_azimuth], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -301,5 +307,5 @@ class ErrorModel:
         return np.asarray(np.maximum(known, MIN_ERROR_SIGMA))
 
 
-NO_ERRORS = Sizes(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_ERRORS = Sizes(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a LiDAR without any."""

@@ -31,6 +31,7 @@ from retropole.systematic import (
     DEVICE,
     NO_ERRORS,
     RADIUS,
+    RING,
     TAPE,
     WIDTH,
     ErrorModel,
@@ -94,12 +95,12 @@ def corrected(
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     elevation = np.arcsin(directions[:, 2])
     zero, scale, _, encoder_c, encoder_s, wobble_c, wobble_s, tape, _ = b[layout.device(lidar)]
-    by_band = np.zeros((2, len(directions)))
-    for kind in (0, 1):
+    by_band = np.zeros((RING, len(directions)))
+    for kind in range(RING):
         for band, value in zip(layout.bands[lidar], b[layout.rings(lidar, kind)], strict=True):
             by_band[kind, band_of(directions, np.array([0.0, 0.0, 1.0])) == band] = value
     ranges = ranges - zero - scale * ranges - tape - by_band[0]
-    turned = azimuth + encoder_c * np.cos(azimuth) + encoder_s * np.sin(azimuth)
+    turned = azimuth + encoder_c * np.cos(azimuth) + encoder_s * np.sin(azimuth) + by_band[2]
     raised = elevation + wobble_c * np.cos(azimuth) + wobble_s * np.sin(azimuth) + by_band[1]
     level = np.cos(raised)
     new = np.stack([level * np.cos(turned), level * np.sin(turned), np.sin(raised)], axis=1)
@@ -213,7 +214,7 @@ def weighed(layout: Layout) -> Array:
 def test_errors_that_one_lidar_has_are_not_the_others(expansion: Expansion) -> None:
     layout = expansion.layout
     for lidar in (0, 1):
-        other = [layout.device(1 - lidar), *(layout.rings(1 - lidar, kind) for kind in (0, 1))]
+        other = [layout.device(1 - lidar), *(layout.rings(1 - lidar, kind) for kind in range(RING))]
         for part in other:
             moved = slice(POSE + part.start, POSE + part.stop)
             assert np.abs(expansion.information[lidar][moved]).max() == 0.0

@@ -8,6 +8,7 @@ from retropole.systematic import (
     DEVICE,
     MIN_ERROR_SIGMA,
     RADIUS,
+    RING,
     Layout,
     Sizes,
     groups_of,
@@ -20,7 +21,7 @@ UNKNOWNS = Unknowns(BANDS, axes=5, control=2)
 def test_every_unknown_has_one_place() -> None:
     places = [UNKNOWNS.pose(i) for i in range(3)]
     places += [UNKNOWNS.device(i) for i in range(3)]
-    places += [UNKNOWNS.rings(i, kind, BANDS[i]) for i in range(3) for kind in (0, 1)]
+    places += [UNKNOWNS.rings(i, kind, BANDS[i]) for i in range(3) for kind in range(RING)]
     places += [np.array([UNKNOWNS.radius]), UNKNOWNS.axis(np.arange(5))]
     places += [UNKNOWNS.control_point(q) for q in range(2)]
     np.testing.assert_array_equal(np.sort(np.concatenate(places)), np.arange(UNKNOWNS.size))
@@ -45,7 +46,7 @@ def test_a_pairs_errors_go_to_those_of_its_lidars(lidars: tuple[int | None, int]
             assert set(place[layout.device(side)]) == {-1}
             continue
         np.testing.assert_array_equal(place[layout.device(side)], UNKNOWNS.device(lidar))
-        for kind in (0, 1):
+        for kind in range(RING):
             np.testing.assert_array_equal(
                 place[layout.rings(side, kind)], UNKNOWNS.rings(lidar, kind, np.array([-3]))
             )

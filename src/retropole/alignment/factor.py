@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datatypes import Array, IntArray, PoseEstimate
-from ..systematic import DEVICE, RADIUS, TAPE, WIDTH, Layout, band_of, by_error
+from ..systematic import DEVICE, RADIUS, RING, TAPE, WIDTH, Layout, band_of, by_error
 from .likelihood import closest_approach
 from .observations import Beams
 from .posterior import SHARED, BeamGeometry, State, own_geometry
@@ -330,7 +330,7 @@ def _jacobian(
     # Beams that passed may lie in bands that no return is in.
     rows = np.flatnonzero(np.isin(bands, layout.bands[lidar]))
     band = np.searchsorted(layout.bands[lidar], bands)
-    for kind in (0, 1):
+    for kind in range(RING):
         column = POSE + layout.rings(lidar, kind).start + band[rows]
         J[rows, :2, column] = ring[rows, :, kind]
     return J

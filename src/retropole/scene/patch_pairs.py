@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from .. import se3
 from ..datatypes import Array, IntArray
 from ..se3 import lengths
-from ..systematic import DEVICE, RADIUS, Layout
+from ..systematic import DEVICE, RADIUS, RING, Layout
 from .patches import Patches, selected
 from .robust import robust_scale
 
@@ -253,7 +253,7 @@ def pair_patches(
     ):
         by_error[:, sets.layout.device(lidar)] = by[:, :DEVICE]
         dense = share.toarray()
-        for kind in (0, 1):
+        for kind in range(RING):
             by_error[:, sets.layout.rings(lidar, kind)] = dense * by[:, DEVICE + kind, None]
     by_error[:, RADIUS] = 0.0
     tilt = (source.tilt[s] + blended(target.tilt)) / 4

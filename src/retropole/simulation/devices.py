@@ -28,6 +28,8 @@ class Device:
         (B,) range error of each ring, metres; one for a sensor without rings.
     ring_elevation
         (B,) elevation error of each ring, rad.
+    ring_azimuth
+        (B,) azimuth error of each ring, rad.
     zero_offset
         Range error of all returns, metres.
     scale
@@ -44,6 +46,7 @@ class Device:
 
     ring_range: Array
     ring_elevation: Array
+    ring_azimuth: Array
     zero_offset: float
     scale: float
     slant: float
@@ -61,11 +64,13 @@ class Device:
         rings
             (N,) ring of each.
         """
-        if not (self.ring_elevation.any() or self.encoder.any() or self.wobble.any()):
+        turning = (self.ring_elevation, self.ring_azimuth, self.encoder, self.wobble)
+        if not any(each.any() for each in turning):
             return rays
         level = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), np.finfo(float).tiny)
         around = rays[:, :2] / level[:, None]
         azimuth = np.arctan2(rays[:, 1], rays[:, 0]) + around @ self.encoder
+        azimuth += self.ring_azimuth[rings]
         elevation = np.arctan2(rays[:, 2], level)
         elevation += self.ring_elevation[rings] + around @ self.wobble
         level = np.cos(elevation)
@@ -124,9 +129,12 @@ def draw_device(sensor: Sensor, noise: NoiseModel, rng: np.random.Generator) -> 
     per_ring = rng.normal(size=(2, count))
     zero_offset, scale, slant, tape_offset = rng.normal(size=4)
     encoder, wobble = rng.normal(size=(2, 2))
+    # Last, so that LiDARs drawn without it are those of the same generator before there was it.
+    ring_azimuth = rng.normal(size=count)
     return Device(
         ring_range=noise.ring_bias * per_ring[0],
         ring_elevation=noise.ring_elevation * per_ring[1],
+        ring_azimuth=noise.ring_azimuth * ring_azimuth,
         zero_offset=float(noise.zero_offset * zero_offset),
         scale=float(noise.scale * scale),
         slant=float(noise.slant * slant),

@@ -46,6 +46,8 @@ class NoiseModel:
         Systematic: range error as a part of range times tangent of incidence, rad.
     ring_elevation
         Systematic: error of each ring's elevation, rad.
+    ring_azimuth
+        Systematic: error of each ring's azimuth, rad.
     encoder
         Systematic: amplitude, in cosine and in sine, of an azimuth error of period 360°, rad.
     wobble
@@ -81,6 +83,7 @@ class NoiseModel:
     scale: float = 0.0
     slant: float = 0.0
     ring_elevation: float = 0.0
+    ring_azimuth: float = 0.0
     encoder: float = 0.0
     wobble: float = 0.0
     pointing_noise: float = 0.0

@@ -14,6 +14,7 @@ from ..systematic import (
     MIN_ERROR_SIGMA,
     RADIUS,
     RADIUS_KIND,
+    RING,
     RING_KINDS,
     Groups,
     Kind,
@@ -65,7 +66,7 @@ class Unknowns:
         return self.kept + 4 * self.axes + 3 * self.control
 
     def _of_lidar(self, lidar: int) -> int:
-        return DEVICE + 2 * len(self.bands[lidar])
+        return DEVICE + RING * len(self.bands[lidar])
 
     def pose(self, lidar: int) -> IntArray:
         """(6,) where a pose stands."""
@@ -77,7 +78,7 @@ class Unknowns:
         return np.asarray(first + np.arange(DEVICE))
 
     def rings(self, lidar: int, kind: int, bands: IntArray) -> IntArray:
-        """Where the range (0) or elevation (1) errors of some of a LiDAR's bands stand."""
+        """Where the errors of one of `RING_KINDS` of some of a LiDAR's bands stand."""
         first = int(self.device(lidar)[-1]) + 1 + kind * len(self.bands[lidar])
         return np.asarray(first + np.searchsorted(self.bands[lidar], bands))
 
@@ -101,7 +102,7 @@ class Unknowns:
             if lidar is None:
                 continue
             place[layout.device(side)] = self.device(lidar)
-            for kind in (0, 1):
+            for kind in range(RING):
                 bands = layout.bands[side]
                 place[layout.rings(side, kind)] = self.rings(lidar, kind, bands)
         place[RADIUS] = self.radius
@@ -114,7 +115,7 @@ class Unknowns:
         sensors: list[int | None] = []
         for lidar in range(self.lidars):
             places = [np.array([each]) for each in self.device(lidar)]
-            places += [self.rings(lidar, kind, self.bands[lidar]) for kind in (0, 1)]
+            places += [self.rings(lidar, kind, self.bands[lidar]) for kind in range(RING)]
             for place, kind in zip(places, (*DEVICE_KINDS, *RING_KINDS), strict=True):
                 if not (kinds and kinds[-1] == kind and sensors[-1] == lidar):
                     kinds.append(kind)
