@@ -188,10 +188,7 @@ def test_poles_and_scene_that_disagree_are_both_within_what_is_stated() -> None:
 
 
 def test_swapped_clouds_give_the_inverse_pose() -> None:
-    """Where few patches lie on the ground, it fits at two poses 0.6° apart, and poles are unlucky.
-
-    Only the order of the clouds decides which of them the search comes to first.
-    """
+    """Where the rings on the ground are far apart, and the poles are unlucky."""
     pair = simulate_pair(
         "street", np.random.default_rng(72), sensor_target="VLP-16", sensor_source="VLP-16"
     )
@@ -203,7 +200,6 @@ def test_swapped_clouds_give_the_inverse_pose() -> None:
         assert mahalanobis_sq(answer.refined, truth) < CHI2_6_95
         # Not because it would state that it knows nothing.
         assert np.sqrt(np.diag(covariance_of(answer.refined))).max() < 0.01
-        assert "several_minima" in [reason.code for reason in answer.reasons]
         found.append(answer.refined.T_target_source)
     apart = se3.difference(found[0] @ found[1], np.eye(4))
     assert apart.rotation < np.radians(0.05)
