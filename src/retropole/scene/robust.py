@@ -1,4 +1,4 @@
-"""The scale of values half of which may be outliers."""
+"""The scale of values half of which may be outliers, and what they scatter by beside it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from ..datatypes import Array
 GEMAN_HALF, SCALE_TOLERANCE = 0.6120, 1e-13
 """The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and how exactly the
 logarithm of a scale is found."""
+
+LEAST_COMMON = 1e-6
+"""Least that values are found to have in common, as a part of their mean predicted variance."""
 
 
 def robust_scale(values: Array, weights: Array) -> float:
@@ -32,3 +35,30 @@ def robust_scale(values: Array, weights: Array) -> float:
         return float(np.exp(0.5 * low)) / GEMAN_HALF
     found = brentq(excess, low, high + 1e-9, xtol=SCALE_TOLERANCE)
     return float(np.exp(0.5 * found)) / GEMAN_HALF
+
+
+def common_scatter(values: Array, variance: Array, weights: Array) -> float:
+    """Find the variance that values (N,) have in common beside that which is predicted of each.
+
+    The τ² with which ``x²/(v + τ²)`` has the same `robust_scale` among those of small predicted
+    variance v as among those of large v; zero where the small ones scatter no more as it is. Small
+    and large are weights, ``m/(m + v)`` and the rest, about the geometric mean m, so that τ² has a
+    derivative everywhere.
+    """
+    from scipy.optimize import brentq
+
+    middle = np.exp(np.average(np.log(variance), weights=weights))
+    sharp = middle / (middle + variance)
+    parts = weights * sharp, weights * (1.0 - sharp)
+
+    def difference(log_common: float) -> float:
+        scaled = values / np.sqrt(variance + np.exp(log_common))
+        one, other = (robust_scale(scaled, each) for each in parts)
+        return float(np.log(one / other))
+
+    low, high = np.log(LEAST_COMMON * middle), np.log(float(np.max(values**2)) + middle)
+    if difference(low) <= 0.0:
+        return 0.0
+    if difference(high) >= 0.0:
+        return float(np.exp(high))
+    return float(np.exp(brentq(difference, low, high, xtol=SCALE_TOLERANCE)))

@@ -9,7 +9,7 @@ from scipy.linalg import cholesky, qr, solve_triangular, svd
 
 from ..datatypes import Array
 from .patch_pairs import PatchPairs
-from .robust import robust_scale
+from .robust import common_scatter, robust_scale
 
 MIN_SIGMA = 1e-4
 """Least scale of the residuals, in units of their own predicted standard deviation."""
@@ -60,7 +60,7 @@ def weigh(pairs: PatchPairs, covariance: Array, alone: Array) -> Weighed:
         (6, 6) covariance of the pose without the scene.
     """
     r = pairs.residuals
-    spread = np.sqrt(pairs.variance)
+    spread = np.sqrt(pairs.variance + common_scatter(r, pairs.variance, pairs.agreement))
     spread = spread * max(robust_scale(r / spread, pairs.agreement), MIN_SIGMA)
     still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
