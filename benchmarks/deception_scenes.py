@@ -51,13 +51,8 @@ from deception_sites import (
 from retropole import se3
 from retropole.datatypes import DEFAULT_RADIUS, Array, PointCloud
 from retropole.simulation import Box, Cylinder
-from retropole.simulation.scenes import (
-    METAL,
-    SURROUNDINGS,
-    Surroundings,
-    rotated_by_180,
-    symmetric_poles,
-)
+from retropole.simulation.arrangement import rotated_by_180, symmetric_poles
+from retropole.simulation.scenes import METAL, SURROUNDINGS, Surroundings
 
 FEET_IN_METRES = 0.3048
 TWO, THREE = standing(2), standing(3)

@@ -26,7 +26,8 @@ from retropole.datatypes import Array, Calibration
 from retropole.pipeline import calibrate
 from retropole.sensors import find_sensor
 from retropole.simulation import Box, Cylinder, Material, Rectangle, Surface, scan
-from retropole.simulation.scenes import SURROUNDINGS, draw_lidar, draw_poles
+from retropole.simulation.arrangement import draw_lidar, draw_poles
+from retropole.simulation.scenes import SURROUNDINGS
 
 FIRST_STATED_SEED = 1000
 KINDS = ("wall", "vest", "plate", "few", "wall and few", "one pole missing")

@@ -17,9 +17,10 @@ from retropole import se3
 from retropole.datatypes import DEFAULT_RADIUS, Array
 from retropole.sensors import find_sensor
 from retropole.simulation import FIELD, Cylinder, Rectangle, SimulatedPair, Surface, draw_device
+from retropole.simulation.arrangement import LIDAR_HEIGHTS, draw_poles
 from retropole.simulation.pairs import LIDAR_SPACING, MAX_POLE_ANGLE, MIN_POLE_ANGLE
 from retropole.simulation.recording import Arrangement, Recorders, are_in_view, record
-from retropole.simulation.scenes import LIDAR_HEIGHTS, SURROUNDINGS, draw_poles
+from retropole.simulation.scenes import SURROUNDINGS
 
 PLACES = "corridor", "street", "harbor"
 SENSORS = (

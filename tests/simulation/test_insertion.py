@@ -25,9 +25,10 @@ from retropole.simulation import (
     scan,
     standing,
 )
+from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
 from retropole.simulation.recorded import levels, recorded_beams, sharpest_axis
 from retropole.simulation.recording import MIN_RINGS
-from retropole.simulation.scenes import FOOT_HEIGHT, POLE_SPACING, TAPE
+from retropole.simulation.scenes import TAPE
 from retropole.simulation.standing import CLEARANCE, MAX_LEAN, MIN_RETURNS, POLE_DISTANCES
 from tests.paths import SHARED
 

@@ -129,7 +129,9 @@ class _OrSite(click.Group):
 )
 @click.argument(
     "scene",
-    type=click.Choice(["corridor", "street", "harbor", "paper", "bare"]),
+    type=click.Choice(
+        ["corridor", "street", "harbor", "bare", "square", "camber", "kerb", "paper"]
+    ),
     required=False,
 )
 @click.option(

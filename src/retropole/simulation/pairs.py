@@ -9,6 +9,7 @@ from ..datatypes import Array
 from ..errors import UsageError
 from ..sensors import find_sensor
 from . import paper
+from .arrangement import draw_lidar, draw_poles, rotated_by_180, symmetric_poles
 from .devices import draw_device
 from .noise import TYPICAL, NoiseModel
 from .raycast import Cylinder
@@ -23,7 +24,7 @@ from .recording import (
     record,
     record_every_pole,
 )
-from .scenes import SURROUNDINGS, draw_lidar, draw_poles, rotated_by_180, symmetric_poles
+from .scenes import SURROUNDINGS
 
 SCENES = (*SURROUNDINGS, "paper")
 """Names of the scenes; ``paper`` is the set-up of Xue et al. 2019 without surroundings."""

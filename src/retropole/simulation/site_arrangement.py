@@ -10,10 +10,10 @@ import numpy as np
 
 from ..datatypes import Array
 from ..sensors import Sensor
+from .arrangement import draw_poles, symmetric_poles
 from .pairs import MAX_POLE_ANGLE, MIN_POLE_ANGLE
 from .raycast import Cylinder
 from .recording import SimulationError, poles_in_view
-from .scenes import draw_poles, symmetric_poles
 from .site_graph import Seen, groups_of
 from .site_places import PLACES, SitePlace, is_free, stands_free
 

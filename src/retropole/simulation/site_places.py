@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..datatypes import Array
+from .arrangement import TILT_SIGMA, UPSIDE_DOWN
 from .raycast import Box, Cylinder, Rectangle, Surface
-from .scenes import ASPHALT, BARK, METAL, PLASTER, TILT_SIGMA, UP, UPSIDE_DOWN, harbor, street
+from .scenes import ASPHALT, BARK, METAL, PLASTER, UP, harbor, street
 
 KEPT_FREE = 0.3
 """Least distance of a pole and of a LiDAR from any surface but the ground, metres (chosen)."""

@@ -9,11 +9,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..datatypes import Array
+from .arrangement import FOOT_HEIGHT, POLE_SPACING
 from .pairs import MIN_POLE_ANGLE
 from .raycast import Cylinder
 from .recorded import RecordedBeams, met_by
 from .recording import MIN_RINGS, SimulationError
-from .scenes import FOOT_HEIGHT, POLE_SPACING, TAPE
+from .scenes import TAPE
 
 MIN_RETURNS = 8
 """Returns of each LiDAR on each pole. Where rings are known, they lie on `MIN_RINGS` of them: a

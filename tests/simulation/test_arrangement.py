@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from retropole.simulation.raycast import Cylinder
-from retropole.simulation.scenes import (
+from retropole.simulation.arrangement import (
     LIDAR_HEIGHTS,
     MAX_LEAN,
     POLE_DISTANCES,
     POLE_SPACING,
-    SURROUNDINGS,
     draw_lidar,
     draw_poles,
     rotated_by_180,
     symmetric_poles,
 )
+from retropole.simulation.raycast import Cylinder
+from retropole.simulation.scenes import SURROUNDINGS
 from tests.simulation.surfaces import distance_from
 
 ANGLES = float(np.radians(15)), float(np.radians(60))
