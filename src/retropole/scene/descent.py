@@ -23,8 +23,9 @@ STEP = 2e-7
 """Stop where a step is below this, rad and m: steps shrink by half or more each time, so that ends
 from other starts agree within 1e-6."""
 
-MAX_RATIO = 0.75
-"""Most that a step may be of the one before it, to be taken for the tail of a geometric series."""
+MIN_RATIO, MAX_RATIO = -4.0, 0.75
+"""Least and most that a step may be of the one before it, to be taken for part of a geometric
+series: steps three times too long walk to and fro with −2."""
 
 FEW, FEW_STEP = 4, 3e-4
 """The approach takes every n-th patch of the source, until a step is below this, rad and m."""
@@ -167,15 +168,15 @@ def stride_of(step: Array, variance: Array, before: Array | None) -> tuple[float
     """How much of a step to go, and what of it to remember for the next (Aitken 1926).
 
     Weights and partners change with the pose, so that each step is followed by a smaller one in the
-    same direction. Of two steps the second tells the ratio, and thereby the sum of all to come. A
-    step back along the one before it is shortened: half of it ends a walk to and fro.
+    same direction, or back where it was too long. Of two steps the second tells the ratio, and
+    thereby the sum of all to come.
     """
     free = variance > 0
     scaled = step[free] / np.sqrt(variance[free])
     if before is None:
         return 1.0, scaled
     ratio = float(scaled @ before / max(float(before @ before), 1e-300))
-    return 1.0 / (1.0 - min(max(ratio, -1.0), MAX_RATIO)), None
+    return 1.0 / (1.0 - min(max(ratio, MIN_RATIO), MAX_RATIO)), None
 
 
 def _solve(
