@@ -9,7 +9,8 @@ they are put together and solved there is used here.
   the relative pose is from where patches were paired, composed by GTSAM, b the errors of both
   LiDARs, and J = [x × n, n] rebuilt from where the patch lies. P is the projection onto the steps
   that the surfaces hold: with it the rows are no longer the slope of the distance of a point from
-  a surface, so that the residual is taken as linear in ρ. The weights are those of the last step.
+  a surface, so that the residual is taken as linear in ρ; r and E are freed of the other steps as
+  well. The weights are those of the last step.
 - Survey: each residual written anew, and derived by differences. They are expanded where the
   returns are, as `network` does; `as_they_are` leaves them functions of pose, axis and point.
 - Errors have their prior. A pose that the datum holds has a constraint; of one that it holds in
@@ -176,8 +177,12 @@ def _surfaces(term: SceneTerm, end: SiteEnd, variables: Sequence[Variable]) -> g
     by_error = np.zeros((len(J), size))
     by_error[:, term.place[2 * POSE :]] = pairs.by_error
     others = [one for one in variables if by_error[:, one.place].any()]
-    blocks = [J @ held, *(by_error[:, one.place] for one in others)]
-    table = np.hstack([*blocks, pairs.residuals[:, None]]) * np.sqrt(term.weights)[:, None]
+    blocks = [J, *(by_error[:, one.place] for one in others)]
+    table = np.hstack([*blocks, pairs.residuals[:, None]])
+    root = np.sqrt(term.weights)[:, None]
+    # What a step would explain of each column, along what the surfaces do not hold, is taken out.
+    steps, *_ = np.linalg.lstsq(J * root, table * root)
+    table = (table - J @ (np.eye(POSE) - held) @ steps) * root
     # Thousands of rows say what as many rows as columns do.
     table = np.asarray(np.linalg.qr(table, mode="r"))
     stops = np.cumsum([block.shape[1] for block in blocks])
