@@ -22,7 +22,7 @@ from ..datatypes import Array, Match, Pole
 from ..errors import Refusal
 from ..quantities import counted
 from .distinct import distinct
-from .extension import EXTENSION_RMS, exact_part, extended, solved
+from .extension import EXTENSION_RMS, exact_part, extended, solved_each
 
 MIN_ANGLE = np.radians(5.0)
 """Pairs of poles nearer to parallel than this start no hypothesis: along their common direction a
@@ -38,9 +38,10 @@ of the axis of a 2 cm pole, towards itself."""
 MAX_PAIR_MATCHES = 200
 """How many pairs of pole pairs are tried, the most alike first."""
 
-MANY_PAIR_MATCHES = 72
-"""After so many a match of three poles or more is enough: twice what four poles have on each side.
-Beside a row of posts hundreds are alike, and the right one is among the first."""
+ENOUGH_PAIR_MATCHES = 72
+"""So many are tried at once, twice what four poles have on each side, and no more where one of
+them is of a match of three poles or more. Beside a row of posts hundreds are alike, and the right
+one is among the first."""
 
 MAX_HYPOTHESES = 16
 """How many hypotheses go on to be scored by the scene: most poles, least expected error first."""
@@ -111,19 +112,30 @@ def pair_starts(
     list of (T_target_source, order)
         ``order`` tells which source pole (0 or 1) goes to the first and to the second target pole.
     """
-    frame_target = line_pair(
+    frame = line_pair(
         target[0].point, target[0].direction, target[1].point, target[1].direction
     ).frame
-    starts = []
+    return [(frame @ way, order) for way, order in pair_ways(source)]
+
+
+def pair_ways(pair: tuple[Pole, Pole]) -> list[tuple[Array, tuple[int, int]]]:
+    """Express points in the frame of a pair of poles, in the eight ways of naming and directing it.
+
+    Returns
+    -------
+    list of (T_frame_lidar, order)
+        (4, 4), and which pole (0 or 1) is the first and which the second.
+    """
+    ways = []
     for order in ((0, 1), (1, 0)):
-        first, second = source[order[0]], source[order[1]]
+        first, second = pair[order[0]], pair[order[1]]
         for s1 in (1.0, -1.0):
             for s2 in (1.0, -1.0):
-                frame_source = line_pair(
+                frame = line_pair(
                     first.point, s1 * first.direction, second.point, s2 * second.direction
                 ).frame
-                starts.append((frame_target @ se3.inverse(frame_source), order))
-    return starts
+                ways.append((se3.inverse(frame), order))
+    return ways
 
 
 def direction_sigma(pole: Pole) -> float:
@@ -135,11 +147,12 @@ def direction_sigma(pole: Pole) -> float:
 class Pairs:
     """All P pairs of poles of one LiDAR that are far enough from parallel, and their shapes.
 
-    (P,) each: as `LinePair` has them, and 1 σ of the angle, rad, and how far the common
-    perpendicular is from the poles, metres.
+    (P, 4, 4) and (P,) each: as `LinePair` has them, and 1 σ of the angle, rad, and how far the
+    common perpendicular is from the poles, metres.
     """
 
     index: list[tuple[int, int]]
+    frame: list[Array]
     angle: Array
     distance: Array
     handedness: Array
@@ -149,7 +162,7 @@ class Pairs:
 
 def all_pairs(poles: Sequence[Pole]) -> Pairs:
     """Measure every pair of poles that are not nearly parallel."""
-    index, rows = [], []
+    index, frames, rows = [], [], []
     for i, j in combinations(range(len(poles)), 2):
         first, second = poles[i], poles[j]
         if _angle_between(first, second) < MIN_ANGLE:
@@ -160,8 +173,9 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
         # there an error of direction moves the feet by that lever.
         feet = np.linalg.norm(pair.frame[:3, 3] - np.stack([first.point, second.point]), axis=1)
         index.append((i, j))
+        frames.append(pair.frame)
         rows.append((pair.angle, pair.distance, pair.handedness, sigma, float(feet.max())))
-    return Pairs(index, *np.array(rows).reshape(-1, 5).T)
+    return Pairs(index, frames, *np.array(rows).reshape(-1, 5).T)
 
 
 def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
@@ -225,23 +239,15 @@ def match_poles(
         ``count`` of them.
     """
     _check_poles(target, source, count or 2)
-    two_and_two = len(target) == len(source) == 2
-    found: list[tuple[Match, Match]] = []
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)
-    for tried, (row, column) in enumerate(_alike(pairs_target, pairs_source)):
-        if tried >= MANY_PAIR_MATCHES and any(len(w.pairs) > 2 and w.exact for _, w in found):
+    alike = _alike(pairs_target, pairs_source)
+    found: list[tuple[Match, Match]] = []
+    for k in range(0, len(alike), ENOUGH_PAIR_MATCHES):
+        found += _matched(
+            target, source, alike[k : k + ENOUGH_PAIR_MATCHES], pairs_target, pairs_source
+        )
+        if any(len(whole.pairs) > 2 and whole.exact for _, whole in found):
             break
-        (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
-        for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):
-            to_i, to_j = (k, l) if order == (0, 1) else (l, k)
-            first = solved(target, source, ((i, to_i), (j, to_j)), T_start)
-            if two_and_two:
-                found.append((first, first))
-            elif first.exact:
-                T = first.T_target_source
-                pairs = extended(target, source, T, EXTENSION_RMS)
-                takes_in = len(pairs) > 2 and set(first.pairs) <= set(pairs)
-                found.append((first, solved(target, source, pairs, T) if takes_in else first))
     # Where none is exact, one of three or more may have moved: the others still agree.
     if part or not any(whole.exact for _, whole in found):
         matches = [exact_part(target, source, first, whole) for first, whole in found]
@@ -268,6 +274,46 @@ def match_poles(
             {"agreeing": agreeing, "asked": int(count or 0)},
         )
     return matches[:MAX_HYPOTHESES]
+
+
+def _matched(
+    target: Sequence[Pole],
+    source: Sequence[Pole],
+    alike: Sequence[tuple[int, int]],
+    pairs_target: Pairs,
+    pairs_source: Pairs,
+) -> list[tuple[Match, Match]]:
+    """Lay pairs of poles on each other in all ways, and take in the other poles that then fit.
+
+    Returns
+    -------
+    list of (Match, Match)
+        Of two poles, and of all that fall into place; of more than two and two only exact ones.
+    """
+    ways = {column: pair_ways(_both(source, pairs_source.index[column])) for _, column in alike}
+    pairs, starts = [], []
+    for row, column in alike:
+        (i, j), both = pairs_target.index[row], pairs_source.index[column]
+        for way, (first, second) in ways[column]:
+            pairs.append(((i, both[first]), (j, both[second])))
+            starts.append(pairs_target.frame[row] @ way)
+    twos = solved_each(target, source, pairs, starts)
+    if len(target) == len(source) == 2:
+        return [(two, two) for two in twos]
+    twos = [two for two in twos if two.exact]
+    wider = [extended(target, source, two.T_target_source, EXTENSION_RMS) for two in twos]
+    grown = [k for k, two in enumerate(twos) if {*two.pairs} < {*wider[k]}]
+    starts = [twos[k].T_target_source for k in grown]
+    wholes = list(twos)
+    for k, whole in zip(
+        grown, solved_each(target, source, [wider[k] for k in grown], starts), strict=True
+    ):
+        wholes[k] = whole
+    return list(zip(twos, wholes, strict=True))
+
+
+def _both(poles: Sequence[Pole], pair: tuple[int, int]) -> tuple[Pole, Pole]:
+    return poles[pair[0]], poles[pair[1]]
 
 
 def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) -> None:
