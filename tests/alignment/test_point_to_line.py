@@ -77,7 +77,8 @@ def test_many_sets_of_poles_at_once_are_aligned_as_each_alone() -> None:
         [p + 0.01 * rng.normal(size=p.shape) for p in points_on(own, se3.inverse(T))]
         for own, T in zip(lines, poses, strict=True)
     ]
-    filled = Lines(*np.ones((3, 3, 24, 3)), counts=np.zeros((3, 24)))
+    ones = np.ones((3, 24, 3))
+    filled = Lines(ones, ones.copy(), ones.copy(), np.zeros((3, 24)))
     for k, (own, xyz) in enumerate(zip(lines, points, strict=True)):
         n = 6 * len(own)
         filled.points[k, :n] = np.concatenate([equivalent_points(each) for each in xyz])
