@@ -1,5 +1,6 @@
 """The whole method: right where it can be, refused where it cannot."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -198,5 +199,20 @@ def test_an_empty_cloud_is_refused(corridor: SimulatedPair) -> None:
 def test_progress_names_the_steps(corridor: SimulatedPair) -> None:
     steps: list[str] = []
     answer = calibrate(corridor.target, corridor.source, progress=steps.append)
-    assert steps[:3] == ["extract", "match", "disambiguate"]
+    assert steps[:4] == ["extract", "check", "match", "disambiguate"]
     assert set(answer.seconds) == set(steps)
+
+
+@pytest.mark.parametrize("poles", [2, 1])
+def test_every_second_is_in_a_step(poles: int) -> None:
+    """Of an answer, and of a refusal after which doubtful poles were looked for."""
+    pair = simulate_pair("harbor", np.random.default_rng(3))
+    target = pair.target
+    if poles == 1:
+        first = calibrate(pair.target, pair.source).placements[0].target.poles[0]
+        target = target.select(np.setdiff1d(np.arange(len(target)), first.index))
+    start = time.perf_counter()
+    answer = calibrate(target, pair.source)
+    seconds = time.perf_counter() - start
+    assert (answer.status == "refused") == (poles == 1)
+    assert sum(answer.seconds.values()) == pytest.approx(seconds, rel=0.1)

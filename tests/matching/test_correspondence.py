@@ -8,7 +8,8 @@ from retropole.alignment.point_to_line import LineAlignment, Lines, align_each
 from retropole.datatypes import Array, Pole
 from retropole.errors import Refusal
 from retropole.matching import correspondence, extension
-from retropole.matching.correspondence import line_pair, match_poles, pair_starts, widest_angle
+from retropole.matching.correspondence import every_match, match_poles, widest_angle
+from retropole.matching.line_pairs import line_pair, pair_starts
 from tests.conftest import PoleMaker
 
 AXES = [
@@ -190,6 +191,22 @@ def test_a_row_of_posts_is_matched_in_bounded_time(
     np.testing.assert_allclose(matches[0].T_target_source, T, atol=1e-6)
     # Each pair of pairs is solved in eight ways, and again with the poles that it takes in.
     assert 8 * 20 < solved <= 16 * correspondence.ENOUGH_PAIR_MATCHES
+
+
+def test_only_the_best_of_many_matches_go_on(make_pole: PoleMaker) -> None:
+    """Of posts in a circle that lean alike hundreds of pairs are alike."""
+    turns = [
+        se3.from_rt(se3.exp_so3(np.array([0, 0, k * np.pi / 6])), np.zeros(3)) for k in range(12)
+    ]
+    ring = [make_pole((4.0, 0.0, 0.0), (0.2, 0.5, 1.0), T=T) for T in turns]
+    one = [*ring[:2], make_pole((0.5, 0.2, 0.0), (0.4, 0.0, 1.0))]
+    found = every_match(ring, one)
+    best = match_poles(ring, one)
+    assert len(found.matches) > len(best) == correspondence.MAX_HYPOTHESES
+    for match, one_by_one in zip(found.matches, best, strict=False):
+        assert match.pairs == one_by_one.pairs
+    assert found.pairs.tried <= correspondence.MAX_PAIR_MATCHES
+    assert found.pairs.found >= found.pairs.tried
 
 
 def test_poles_are_paired_as_one_by_one(make_pole: PoleMaker) -> None:
