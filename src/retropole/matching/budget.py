@@ -41,9 +41,9 @@ class Tried(NamedTuple):
 NOTHING = Tried()
 
 WORDS = {
-    "pairs": "of pairs of what may be poles the {0} most alike of {1} were laid on each other",
-    "ways": "of ways of laying what may be poles on each other the best {0} of {1} were tried",
-    "fitting": "of those that fit the best {0} of {1} were registered",
+    "pairs": "the {0} most alike of {1} pairs of possible poles were laid on each other",
+    "ways": "the best {0} of {1} ways of pairing possible poles were tried",
+    "fitting": "the best {0} of {1} that fit were registered",
 }
 VERBS = {"pairs": "laid", "ways": "tried", "fitting": "registered"}
 
