@@ -81,7 +81,7 @@ def test_many_sets_of_poles_at_once_are_aligned_as_each_alone() -> None:
     filled = Lines(ones, ones.copy(), ones.copy(), np.zeros((3, 24)))
     for k, (own, xyz) in enumerate(zip(lines, points, strict=True)):
         n = 6 * len(own)
-        filled.points[k, :n] = np.concatenate([equivalent_points(each) for each in xyz])
+        filled.on_poles[k, :n] = np.concatenate([equivalent_points(each) for each in xyz])
         filled.line_points[k, :n] = np.repeat([q for q, _ in own], 6, axis=0)
         filled.line_directions[k, :n] = np.repeat([n for _, n in own], 6, axis=0)
         filled.counts[k, :n] = np.repeat([len(each) / 6 for each in xyz], 6)

@@ -129,9 +129,9 @@ def test_many_problems_at_once_end_where_each_ends_alone(max_iterations: int) ->
             **settings,
             max_iterations=max_iterations,
         )
-        assert alone.converged == found.converged[k]
-        np.testing.assert_allclose(found.points[k], alone.point.x, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found.models.cost[k], alone.point.cost, rtol=1e-6, atol=1e-18)
+        assert alone.converged == found.came_to_rest[k]
+        np.testing.assert_allclose(found.ends[k], alone.point.x, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found.models.costs[k], alone.point.cost, rtol=1e-6, atol=1e-18)
 
 
 def test_gauss_newton_follows_a_problem_that_changes() -> None:

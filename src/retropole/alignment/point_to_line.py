@@ -113,7 +113,7 @@ class Lines(NamedTuple):
 
     Attributes
     ----------
-    points
+    on_poles
         (B, N, 3) source frame, metres.
     line_points, line_directions
         (B, N, 3) a point and the unit direction of each one's line, target frame.
@@ -121,7 +121,7 @@ class Lines(NamedTuple):
         (B, N) how many returns each stands for; none where a problem has fewer points than others.
     """
 
-    points: Array
+    on_poles: Array
     line_points: Array
     line_directions: Array
     counts: Array
@@ -183,9 +183,9 @@ def align_each(lines: Lines, starts: Array) -> list[LineAlignment]:
         min_damping=MIN_LINE_DAMPING,
         max_iterations=MAX_LINE_ITERATIONS,
     )
-    _check_rank(found.models.curvature)
-    rms = np.sqrt(found.models.cost / lines.counts.sum(axis=1))
-    each = zip(found.points, rms, found.converged, found.models.curvature, strict=True)
+    _check_rank(found.models.curvatures)
+    rms = np.sqrt(found.models.costs / lines.counts.sum(axis=1))
+    each = zip(found.ends, rms, found.came_to_rest, found.models.curvatures, strict=True)
     return [LineAlignment(T, float(s), bool(rests), H) for T, s, rests, H in each]
 
 

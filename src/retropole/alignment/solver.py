@@ -149,17 +149,17 @@ def levenberg_marquardt(
 class Quadratics(NamedTuple):
     """Costs (B,) of B problems, their gradients (B, P), and positive curvatures (B, P, P)."""
 
-    cost: Array
-    gradient: Array
-    curvature: Array
+    costs: Array
+    gradients: Array
+    curvatures: Array
 
 
 class Solutions(NamedTuple):
-    """Where B problems ended: the points (B, …), the models there, and which came to rest (B,)."""
+    """Where B problems ended: (B, …) points, the models there, and which came to rest (B,)."""
 
-    points: Array
+    ends: Array
     models: Quadratics
-    converged: BoolArray
+    came_to_rest: BoolArray
 
 
 def levenberg_marquardt_each(
@@ -197,13 +197,13 @@ def levenberg_marquardt_each(
         if len(left) == 0:
             break
         now = Quadratics(*(each[left] for each in models))
-        scale = np.sqrt(np.einsum("bii->bi", now.curvature)) + 1e-12
-        damped = now.curvature / (scale[:, :, None] * scale[:, None, :])
+        scale = np.sqrt(np.einsum("bii->bi", now.curvatures)) + 1e-12
+        damped = now.curvatures / (scale[:, :, None] * scale[:, None, :])
         damped += dampings[left, None, None] * np.eye(scale.shape[1])
-        scaled = -np.linalg.solve(damped, (now.gradient / scale)[:, :, None])[:, :, 0]
+        scaled = -np.linalg.solve(damped, (now.gradients / scale)[:, :, None])[:, :, 0]
         moved = move(points[left], scaled / scale)
         new = model_at(moved, left)
-        better = now.cost - new.cost >= 0
+        better = now.costs - new.costs >= 0
         taken = left[better]
         points[taken] = moved[better]
         for kept, found in zip(models, new, strict=True):

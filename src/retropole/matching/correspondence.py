@@ -107,7 +107,7 @@ def widest_angle(poles: Sequence[Pole]) -> float:
     return max((_angle_between(a, b) for a, b in combinations(poles, 2)), default=0.0)
 
 
-class Found(NamedTuple):
+class EveryMatch(NamedTuple):
     """Matches, the best first, and how many of the pairs of poles that are alike were tried."""
 
     matches: list[Match]
@@ -129,7 +129,7 @@ def match_poles(
 
 def every_match(
     target: Sequence[Pole], source: Sequence[Pole], count: int | None = None, part: bool = False
-) -> Found:
+) -> EveryMatch:
     """Find every rigid match of the source poles onto the target poles.
 
     With two poles on each side these are the eight local optima of the paper, the exact ones
@@ -149,7 +149,7 @@ def every_match(
 
     Returns
     -------
-    Found
+    EveryMatch
         Exact ones, most poles, least expected error first.
 
     Raises
@@ -197,7 +197,7 @@ def every_match(
             "with 'retropole detect', and cover or remove what is no pole",
             {"agreeing": agreeing, "asked": int(count or 0)},
         )
-    return Found(matches, laid)
+    return EveryMatch(matches, laid)
 
 
 def _matched(
