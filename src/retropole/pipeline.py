@@ -125,8 +125,7 @@ def calibrate(
 
     with ExitStack() as limits:
         with step("extract"):
-            # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the
-            # way.
+            # Matrices here are small: threads of BLAS, which wait by spinning, only get in the way.
             limits.enter_context(threadpool_limits(1, user_api="blas"))
             found = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
             origins = beam_origins(found)
@@ -222,27 +221,27 @@ def choose(
 
 
 def choose_settled(chosen: Chosen, step: Callable[[str], AbstractContextManager[None]]) -> Chosen:
-    """Let the scene move the hypotheses of a choice, and choose once more where it moves them to.
-
-    What matched nothing stays as it is.
-    """
+    """Let the scene move the hypotheses of a choice, if it has any, and choose once more."""
     if not chosen.scored:
         return chosen
-    with step("settle"):
-        settled = [settle(each) for each in chosen.scored]
-        return choose_best([score_hypotheses(each) for each in settled])
+    try:
+        with step("settle"):
+            settled = [settle(each) for each in chosen.scored]
+            return choose_best([score_hypotheses(each) for each in settled])
+    except Refusal as refusal:
+        return Chosen((), (), refusal)
 
 
 def match_poles(
     placement: Placement, count: int | None, prior: RotationPrior | None
 ) -> PlacementMatches:
     """Find the ways of laying the source poles on the target poles that the prior allows."""
-    found, pairs = correspondence.every_match(
+    found, laid = correspondence.every_match(
         placement.target.poles, placement.source.poles, count, part=counts_doubtful(placement)
     )
     allowed = agreeing_with_prior(found, prior)
     best = allowed[: correspondence.MAX_HYPOTHESES]
-    return PlacementMatches(placement, best, Tried(pairs, Share(len(best), len(allowed))))
+    return PlacementMatches(placement, best, Tried(laid, Share(len(best), len(allowed))))
 
 
 def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:

@@ -205,8 +205,8 @@ def test_only_the_best_of_many_matches_go_on(make_pole: PoleMaker) -> None:
     assert len(found.matches) > len(best) == correspondence.MAX_HYPOTHESES
     for match, one_by_one in zip(found.matches, best, strict=False):
         assert match.pairs == one_by_one.pairs
-    assert found.pairs.tried <= correspondence.MAX_PAIR_MATCHES
-    assert found.pairs.found >= found.pairs.tried
+    assert found.laid.tried <= correspondence.MAX_PAIR_MATCHES
+    assert found.laid.found >= found.laid.tried
 
 
 def test_poles_are_paired_as_one_by_one(make_pole: PoleMaker) -> None:

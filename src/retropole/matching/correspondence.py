@@ -111,7 +111,7 @@ class EveryMatch(NamedTuple):
     """Matches, the best first, and how many of the pairs of poles that are alike were tried."""
 
     matches: list[Match]
-    pairs: Share
+    laid: Share
 
 
 def match_poles(
