@@ -1,5 +1,7 @@
 """The whole method: right where it can be, refused where it cannot."""
 
+import time
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +9,11 @@ import pytest
 
 from retropole import se3
 from retropole.datatypes import Array, Calibration, PointCloud
-from retropole.pipeline import calibrate
+from retropole.errors import Refusal
+from retropole.matching.confirmation import Chosen
+from retropole.matching.placements import PlacementHypotheses
+from retropole.pipeline import calibrate, choose_settled
+from retropole.scene import settling
 from retropole.simulation import SimulatedPair, simulate_pair
 
 
@@ -198,5 +204,36 @@ def test_an_empty_cloud_is_refused(corridor: SimulatedPair) -> None:
 def test_progress_names_the_steps(corridor: SimulatedPair) -> None:
     steps: list[str] = []
     answer = calibrate(corridor.target, corridor.source, progress=steps.append)
-    assert steps[:3] == ["extract", "match", "disambiguate"]
+    assert steps[:4] == ["extract", "check", "match", "disambiguate"]
     assert set(answer.seconds) == set(steps)
+
+
+def test_a_registration_that_fails_is_no_choice(
+    corridor: SimulatedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*arguments: object, **options: object) -> None:
+        raise Refusal("registration_failed", "left the finite numbers", {})
+
+    monkeypatch.setattr(settling, "register", fails)
+    answer = calibrate(corridor.target, corridor.source)
+    scored = PlacementHypotheses(answer.placements[0], answer.hypotheses)
+    chosen = Chosen(answer.hypotheses, (), scored=(scored,))
+    settled = choose_settled(chosen, lambda step: nullcontext())
+    assert settled.refusal is not None
+    assert settled.refusal.code == "registration_failed"
+    assert not settled.paired
+
+
+@pytest.mark.parametrize("poles", [2, 1])
+def test_every_second_is_in_a_step(poles: int) -> None:
+    """Of an answer, and of a refusal after which doubtful poles were looked for."""
+    pair = simulate_pair("harbor", np.random.default_rng(3))
+    target = pair.target
+    if poles == 1:
+        first = calibrate(pair.target, pair.source).placements[0].target.poles[0]
+        target = target.select(np.setdiff1d(np.arange(len(target)), first.index))
+    start = time.perf_counter()
+    answer = calibrate(target, pair.source)
+    seconds = time.perf_counter() - start
+    assert (answer.status == "refused") == (poles == 1)
+    assert sum(answer.seconds.values()) == pytest.approx(seconds, rel=0.1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -28,21 +28,19 @@ from .extraction.extent import located
 from .extraction.poles import extract_poles
 from .fitness import judged
 from .matching import correspondence
+from .matching.budget import Share, Tried
 from .matching.confirmation import Chosen, choose_with_doubtful, counts_doubtful
 from .matching.placements import (
-    Choice,
     PairedPlacement,
     PlacementHypotheses,
     PlacementMatches,
     leave_one_out,
     merged,
-    rank_joint_hypotheses,
-    recurring,
 )
 from .matching.prior import RotationPrior, agreeing_with_prior
 from .scene import disambiguation, settling
 from .scene.agreement import align_consistent, check_contradiction
-from .scene.choice import as_listed, check_choice, check_paired, margin_of, taken_by_hand
+from .scene.choice import as_listed, choose_best, margin_of, taken_by_hand
 from .scene.confirmation import check_confirmation, confirm
 from .scene.copies import check_recordings, without_copies
 from .scene.refinement import Refinement, refine
@@ -125,16 +123,19 @@ def calibrate(
     hypotheses: tuple[Hypothesis, ...] = ()
     confirmation: Confirmation | None = None
 
-    # Matrices here are small: the threads of BLAS, which wait by spinning, only get in the way.
-    with threadpool_limits(1, user_api="blas"):
+    with ExitStack() as limits:
         with step("extract"):
+            # Matrices here are small: threads of BLAS, which wait by spinning, only get in the way.
+            limits.enter_context(threadpool_limits(1, user_api="blas"))
             found = tuple(Placement(find_target(t), find_source(s)) for t, s in clouds)
             origins = beam_origins(found)
             placements = origins.about(found)
         try:
-            check_poles(placements)
+            with step("check"):
+                check_poles(placements)
             choose_from = partial(choose, count=poles, prior=prior, step=step)
-            chosen = choose_with_doubtful(choose_from, placements, radius)
+            settle_from = partial(choose_settled, step=step)
+            chosen = choose_with_doubtful(choose_from, settle_from, placements, radius, step)
             chosen = taken_by_hand(chosen, by_hand)
             hypotheses = chosen.hypotheses
             if chosen.refusal is not None:
@@ -160,11 +161,14 @@ def calibrate(
         except Refusal as refusal:
             with step("explain"):
                 cause = explained(refusal, placements, hypotheses, (find_target, find_source))
-            answer = refused(cause, placements, hypotheses, seconds, confirmation)
-            return origins.moved_back(as_listed(answer, chosen, by_hand))
-    answer = answered(paired, placements, hypotheses, aligned, refined, confirmation, seconds)
-    # Ranges count from where the beams start.
-    return origins.moved_back(judged(as_listed(answer, chosen, by_hand), need))
+                answer = refused(cause, placements, hypotheses, seconds, confirmation)
+                return origins.moved_back(as_listed(answer, chosen, by_hand))
+        with step("judge"):
+            answer = answered(
+                paired, placements, hypotheses, aligned, refined, confirmation, seconds
+            )
+            # Ranges count from where the beams start.
+            return origins.moved_back(judged(as_listed(answer, chosen, by_hand), need))
 
 
 def find_poles(
@@ -202,56 +206,58 @@ def check_poles(placements: Sequence[Placement]) -> None:
 
 def choose(
     placements: Sequence[Placement],
-    settled: bool,
     count: int | None,
     prior: RotationPrior | None,
     step: Callable[[str], AbstractContextManager[None]],
 ) -> Chosen:
-    """Match the poles of every placement and let the scene choose; a refusal is kept.
-
-    The scene scores hypotheses as the poles have them, or, settled, where it moves them to.
-    """
-    hypotheses: tuple[Hypothesis, ...] = ()
-    choices: Sequence[Choice] = ()
+    """Match the poles of every placement and let the scene choose; a refusal is kept."""
     try:
         with step("match"):
             matched = [match_poles(placement, count, prior) for placement in placements]
         with step("disambiguate"):
-            scored = [score_hypotheses(each) for each in matched]
-            if settled:
-                scored = [score_hypotheses(settle(each)) for each in scored]
-            hypotheses = scored[0].hypotheses
-            choices = recurring(scored)
-            hypotheses = rank_joint_hypotheses(choices, scored)
-            check_choice(hypotheses)
-            check_paired(choices[0].paired)
+            return choose_best([score_hypotheses(each) for each in matched])
     except Refusal as refusal:
-        return Chosen(hypotheses, (), refusal, tuple(choices))
-    return Chosen(hypotheses, choices[0].paired, None, tuple(choices))
+        return Chosen((), (), refusal)
+
+
+def choose_settled(chosen: Chosen, step: Callable[[str], AbstractContextManager[None]]) -> Chosen:
+    """Let the scene move the hypotheses of a choice, if it has any, and choose once more."""
+    if not chosen.scored:
+        return chosen
+    try:
+        with step("settle"):
+            settled = [settle(each) for each in chosen.scored]
+            return choose_best([score_hypotheses(each) for each in settled])
+    except Refusal as refusal:
+        return Chosen((), (), refusal)
 
 
 def match_poles(
     placement: Placement, count: int | None, prior: RotationPrior | None
 ) -> PlacementMatches:
-    """Find every way of laying the source poles on the target poles that the prior allows."""
-    found = correspondence.match_poles(
+    """Find the ways of laying the source poles on the target poles that the prior allows."""
+    found, laid = correspondence.every_match(
         placement.target.poles, placement.source.poles, count, part=counts_doubtful(placement)
     )
-    return PlacementMatches(placement, agreeing_with_prior(found, prior))
+    allowed = agreeing_with_prior(found, prior)
+    best = allowed[: correspondence.MAX_HYPOTHESES]
+    return PlacementMatches(placement, best, Tried(laid, Share(len(best), len(allowed))))
 
 
 def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
     """Score every match of a placement by the scene."""
     target, source = matched.placement.target.cloud, matched.placement.source.cloud
     hypotheses = disambiguation.score_hypotheses(target, source, matched.matches)
-    return PlacementHypotheses(matched.placement, hypotheses)
+    return PlacementHypotheses(matched.placement, hypotheses, matched.tried)
 
 
 def settle(scored: PlacementHypotheses) -> PlacementMatches:
     """Let the scene move the hypotheses of a placement as far as their poles allow."""
     target, source = scored.placement.target, scored.placement.source
     matches = settling.settle(target.cloud, source.cloud, scored.hypotheses, source.poles)
-    return PlacementMatches(scored.placement, matches)
+    exact = sum(each.match.exact for each in scored.hypotheses)
+    fitting = Share(min(exact, settling.SETTLED_AT_MOST), exact)
+    return PlacementMatches(scored.placement, matches, scored.tried._replace(fitting=fitting))
 
 
 def align(
@@ -331,8 +337,10 @@ def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
 
 @contextmanager
 def timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
-    """Name a step that starts, and note how long it took."""
+    """Name a step that starts, and note how long it took, also where it ends in a refusal."""
     progress(name)
     start = time.perf_counter()
-    yield
-    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
+    try:
+        yield
+    finally:
+        seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start

@@ -23,17 +23,18 @@ FARTHEST = 1e8
 
 
 def from_rt(rotation: Array, translation: Array) -> Array:
-    """Build a 4×4 transform from a (3, 3) rotation and a (3,) translation in metres."""
-    T = np.eye(4)
-    T[:3, :3] = rotation
-    T[:3, 3] = translation
+    """Build transforms (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3), metres."""
+    T = np.zeros((*rotation.shape[:-2], 4, 4))
+    T[..., :3, :3] = rotation
+    T[..., :3, 3] = translation
+    T[..., 3, 3] = 1.0
     return T
 
 
 def inverse(T: Array) -> Array:
-    """Invert a 4×4 rigid transform: ``inverse(T_a_b)`` is ``T_b_a``."""
-    R = T[:3, :3]
-    return from_rt(R.T, -R.T @ T[:3, 3])
+    """Invert rigid transforms (..., 4, 4): ``inverse(T_a_b)`` is ``T_b_a``."""
+    back = np.swapaxes(T[..., :3, :3], -1, -2)
+    return from_rt(back, -(back @ T[..., :3, 3:])[..., 0])
 
 
 def apply(T: Array, xyz: Array) -> Array:
@@ -87,7 +88,7 @@ def _rotation() -> Any:
 
 
 def exp_so3(phi: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,) in radians."""
+    """Rotation matrix (3, 3) of a rotation vector (3,) in radians; (N, 3, 3) of (N, 3)."""
     return np.asarray(_rotation().from_rotvec(phi).as_matrix())
 
 
@@ -115,8 +116,9 @@ def hat(v: Array) -> Array:
 
 
 def retract(T: Array, step: Array) -> Array:
-    """Move a transform by a step ``[φ, δ]`` (6,): ``Exp(φ) R`` and ``t + δ``."""
-    return from_rt(exp_so3(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+    """Move transforms (..., 4, 4) by steps ``[φ, δ]`` (..., 6): ``Exp(φ) R`` and ``t + δ``."""
+    turned = exp_so3(step[..., :3]) @ T[..., :3, :3]
+    return from_rt(turned, T[..., :3, 3] + step[..., 3:])
 
 
 def local(T: Array, T_other: Array) -> Array:

@@ -4,7 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retropole import se3
-from retropole.alignment.point_to_line import align_poles, equivalent_points, point_line_residuals
+from retropole.alignment.point_to_line import (
+    Lines,
+    align_each,
+    align_poles,
+    equivalent_points,
+    point_line_residuals,
+)
 from retropole.datatypes import Array
 from retropole.errors import Refusal
 
@@ -60,6 +66,32 @@ def test_the_order_of_points_and_poles_does_not_matter() -> None:
     one = align_poles(lines, points, T_true)
     other = align_poles(lines[::-1], [rng.permutation(p) for p in points[::-1]], T_true)
     np.testing.assert_allclose(one.T_target_source, other.T_target_source, atol=1e-9)
+
+
+def test_many_sets_of_poles_at_once_are_aligned_as_each_alone() -> None:
+    """Of unlike numbers of poles: what a set has fewer than another stands for no return."""
+    rng = np.random.default_rng(12)
+    lines = [skew_lines(rng, count) for count in (2, 4, 3)]
+    poses = [se3.random(rng) for _ in lines]
+    points = [
+        [p + 0.01 * rng.normal(size=p.shape) for p in points_on(own, se3.inverse(T))]
+        for own, T in zip(lines, poses, strict=True)
+    ]
+    ones = np.ones((3, 24, 3))
+    filled = Lines(ones, ones.copy(), ones.copy(), np.zeros((3, 24)))
+    for k, (own, xyz) in enumerate(zip(lines, points, strict=True)):
+        n = 6 * len(own)
+        filled.on_poles[k, :n] = np.concatenate([equivalent_points(each) for each in xyz])
+        filled.line_points[k, :n] = np.repeat([q for q, _ in own], 6, axis=0)
+        filled.line_directions[k, :n] = np.repeat([n for _, n in own], 6, axis=0)
+        filled.counts[k, :n] = np.repeat([len(each) / 6 for each in xyz], 6)
+    found = align_each(filled, np.stack(poses))
+    for fit, own, xyz, T in zip(found, lines, points, poses, strict=True):
+        alone = align_poles(own, xyz, T)
+        assert fit.converged == alone.converged
+        np.testing.assert_allclose(fit.T_target_source, alone.T_target_source, atol=1e-9)
+        np.testing.assert_allclose(fit.information, alone.information, rtol=1e-6, atol=1e-6)
+        assert fit.rms == pytest.approx(alone.rms, rel=1e-9)
 
 
 def test_moving_either_side_moves_the_answer_along() -> None:

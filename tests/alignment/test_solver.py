@@ -5,8 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from retropole.alignment.solver import Solution, Step, gauss_newton, levenberg_marquardt
-from retropole.datatypes import Array
+from retropole.alignment.solver import (
+    Quadratics,
+    Solution,
+    Step,
+    gauss_newton,
+    levenberg_marquardt,
+    levenberg_marquardt_each,
+)
+from retropole.datatypes import Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +101,37 @@ def test_a_derivative_that_leads_uphill_is_no_convergence() -> None:
         max_iterations=50,
     )
     assert not found.converged
+
+
+@pytest.mark.parametrize("max_iterations", [1, 4, 12, 100])
+def test_many_problems_at_once_end_where_each_ends_alone(max_iterations: int) -> None:
+    """Also those that run out of steps, beside others that came to rest long before."""
+    starts = np.array([[-1.2, 1.0], [1.0, 1.0], [3.0, -4.0], [0.9, 0.8], [-50.0, 20.0]])
+    one = np.ones(2)
+
+    def models(x: Array, which: IntArray) -> Quadratics:
+        points = [rosenbrock(each, one) for each in x]
+        return Quadratics(
+            np.array([p.cost for p in points]),
+            np.array([p.gradient for p in points]),
+            np.array([p.curvature for p in points]),
+        )
+
+    settings = {"tolerance": 1e-9, "damping": 1e-3, "min_damping": 1e-12}
+    found = levenberg_marquardt_each(
+        starts, models, np.add, **settings, max_iterations=max_iterations
+    )
+    for k, start in enumerate(starts):
+        alone = levenberg_marquardt(
+            rosenbrock(start, one),
+            lambda now, step, damping: rosenbrock(now.x + step, one),
+            lambda step: float(np.linalg.norm(step.step)) < settings["tolerance"],
+            **settings,
+            max_iterations=max_iterations,
+        )
+        assert alone.converged == found.came_to_rest[k]
+        np.testing.assert_allclose(found.ends[k], alone.point.x, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found.models.costs[k], alone.point.cost, rtol=1e-6, atol=1e-18)
 
 
 def test_gauss_newton_follows_a_problem_that_changes() -> None:

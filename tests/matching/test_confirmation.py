@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Array, Calibration, Hypothesis, Placement, PointCloud
+from retropole.datatypes import Array, Calibration, Hypothesis, Placement, PointCloud, Scan
 from retropole.errors import Refusal
 from retropole.matching import scene_support
+from retropole.matching.budget import Share, Tried
 from retropole.matching.confirmation import (
     Chosen,
     choose_with_doubtful,
@@ -20,7 +23,7 @@ from retropole.matching.confirmation import (
     doubtful_reasons,
     is_confirmed,
 )
-from retropole.matching.placements import PairedPlacement
+from retropole.matching.placements import PairedPlacement, PlacementHypotheses
 from retropole.pipeline import calibrate
 from retropole.sensors import find_sensor
 from retropole.simulation import Box, Rectangle, Surface, scan
@@ -155,6 +158,10 @@ def test_every_witness_is_needed(confirmed: Confirmed) -> None:
         assert is_confirmed(again, answer.hypotheses, 0.02) is holds
 
 
+def untimed(step: str) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
 def settled(hypothesis: Hypothesis, **changes: Any) -> Hypothesis:
     return replace(hypothesis, match=replace(hypothesis.match, settled=True, **changes))
 
@@ -190,25 +197,76 @@ def test_hypotheses_settle_only_where_nothing_else_is_confirmed(confirmed: Confi
     nothing = Chosen((), (), refusal)
     right = Chosen(answer.hypotheses, paired)
     for answers, asked in (
-        ([right], [False]),
-        ([nothing, right], [False, False]),
-        ([nothing, nothing, right], [False, False, True]),
-        ([nothing, nothing, nothing], [False, False, True]),
+        ([right], "match"),
+        ([nothing, right], "match match"),
+        ([nothing, nothing, right], "match match settle"),
+        ([nothing, nothing, nothing], "match match settle"),
     ):
-        told: list[bool] = []
+        told: list[str] = []
         left = iter(answers)
 
-        def choose(
-            placements: object,
-            is_settled: bool,
-            told: list[bool] = told,
-            left: Iterator[Chosen] = left,
+        def ask(
+            of: object, what: str, told: list[str] = told, left: Iterator[Chosen] = left
         ) -> Chosen:
-            told.append(is_settled)
+            told.append(what)
             return next(left)
 
-        assert choose_with_doubtful(choose, answer.placements, 0.02) is answers[-1]
-        assert told == asked
+        chosen = choose_with_doubtful(
+            partial(ask, what="match"),
+            partial(ask, what="settle"),
+            answer.placements,
+            0.02,
+            untimed,
+        )
+        assert chosen.refusal is answers[-1].refusal
+        assert chosen.paired == answers[-1].paired
+        assert " ".join(told) == asked
+
+
+def nothing_bright(of: Scan) -> Scan:
+    """Take what passes the threshold out of a recording; lower ones are not tried."""
+    assert of.detection is not None
+    assert of.cloud.intensity is not None
+    cloud = of.cloud.select(of.cloud.intensity < of.detection.threshold)
+    detection = replace(of.detection, poles=(), doubtful=(), threshold_source="given")
+    return replace(of, cloud=cloud, detection=detection)
+
+
+def test_without_doubtful_poles_what_was_matched_settles(confirmed: Confirmed) -> None:
+    """Nothing is matched twice."""
+    answer, _ = confirmed
+    (placement,) = answer.placements
+    target, source = (nothing_bright(scan_) for scan_ in (placement.target, placement.source))
+    nothing = Chosen((), (), Refusal("too_few_poles", "", {}))
+    settled: list[Chosen] = []
+
+    def settle(chosen: Chosen) -> Chosen:
+        settled.append(chosen)
+        return chosen
+
+    answers = iter([nothing])
+    choose_with_doubtful(
+        lambda placements: next(answers), settle, [Placement(target, source)], 0.02, untimed
+    )
+    assert settled == [nothing]
+
+
+def test_a_refusal_says_what_was_not_tried(confirmed: Confirmed) -> None:
+    answer, _ = confirmed
+    tried = Tried(ways=Share(16, 310))
+    scored = PlacementHypotheses(answer.placements[0], answer.hypotheses, tried)
+    refusal = Refusal("ambiguous", "two are alike", {"rivals": 1})
+    chosen = choose_with_doubtful(
+        lambda placements: Chosen((), (), refusal, scored=(scored,)),
+        lambda chosen: chosen,
+        answer.placements,
+        0.02,
+        untimed,
+    )
+    assert chosen.refusal is not None
+    assert chosen.refusal.code == "ambiguous"
+    assert "16 of 310" in chosen.refusal.message
+    assert chosen.refusal.values == {"rivals": 1, "ways": 310, "ways_tried": 16}
 
 
 @pytest.mark.parametrize("is_third", [True, False])
@@ -223,7 +281,7 @@ def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
     loose = replace(best, match=replace(best.match, pairs=pairs, pole_rms=0.1))
     asked: list[int] = []
 
-    def choose(placements: Sequence[Placement], is_settled: bool) -> Chosen:
+    def choose(placements: Sequence[Placement]) -> Chosen:
         detection = placements[0].target.detection
         assert detection is not None
         asked.append(len(detection.doubtful))
@@ -233,9 +291,9 @@ def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
             return Chosen((loose,), (PairedPlacement(placements[0], loose),))
         return right
 
-    chosen = choose_with_doubtful(choose, answer.placements, 0.02)
+    chosen = choose_with_doubtful(choose, lambda chosen: chosen, answer.placements, 0.02, untimed)
     assert (chosen is right) == is_third
-    assert asked == ([1, 1, 1, 0] if is_third else [1, 1, 1])
+    assert asked == ([1, 1, 0] if is_third else [1, 1])
 
 
 @pytest.mark.parametrize(("turn", "shift"), [(0.15, 0.0), (0.0, 1.5)])

@@ -1,15 +1,15 @@
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from retropole import se3
-from retropole.datatypes import Array, Match, Pole
+from retropole.alignment.point_to_line import LineAlignment, Lines, align_each
+from retropole.datatypes import Array, Pole
 from retropole.errors import Refusal
 from retropole.matching import correspondence, extension
-from retropole.matching.correspondence import line_pair, match_poles, pair_starts, widest_angle
+from retropole.matching.correspondence import every_match, match_poles, widest_angle
+from retropole.matching.line_pairs import line_pair, pair_starts
 from tests.conftest import PoleMaker
 
 AXES = [
@@ -177,12 +177,12 @@ def test_a_row_of_posts_is_matched_in_bounded_time(
 ) -> None:
     solved = 0
 
-    def counted(*arguments: Any) -> Match:
+    def counted(lines: Lines, starts: Array) -> list[LineAlignment]:
         nonlocal solved
-        solved += 1
-        return extension.solved(*arguments)
+        solved += len(starts)
+        return align_each(lines, starts)
 
-    monkeypatch.setattr(correspondence, "solved", counted)
+    monkeypatch.setattr(extension, "align_each", counted)
     T = se3.random(np.random.default_rng(4))
     target = row_beside_two_poles(make_pole)
     source = row_beside_two_poles(make_pole, se3.inverse(T))
@@ -190,7 +190,23 @@ def test_a_row_of_posts_is_matched_in_bounded_time(
     assert len(matches[0].pairs) == 13
     np.testing.assert_allclose(matches[0].T_target_source, T, atol=1e-6)
     # Each pair of pairs is solved in eight ways, and again with the poles that it takes in.
-    assert 8 * 20 < solved <= 16 * correspondence.MANY_PAIR_MATCHES
+    assert 8 * 20 < solved <= 16 * correspondence.ENOUGH_PAIR_MATCHES
+
+
+def test_only_the_best_of_many_matches_go_on(make_pole: PoleMaker) -> None:
+    """Of posts in a circle that lean alike hundreds of pairs are alike."""
+    turns = [
+        se3.from_rt(se3.exp_so3(np.array([0, 0, k * np.pi / 6])), np.zeros(3)) for k in range(12)
+    ]
+    ring = [make_pole((4.0, 0.0, 0.0), (0.2, 0.5, 1.0), T=T) for T in turns]
+    one = [*ring[:2], make_pole((0.5, 0.2, 0.0), (0.4, 0.0, 1.0))]
+    found = every_match(ring, one)
+    best = match_poles(ring, one)
+    assert len(found.matches) > len(best) == correspondence.MAX_HYPOTHESES
+    for match, one_by_one in zip(found.matches, best, strict=False):
+        assert match.pairs == one_by_one.pairs
+    assert found.laid.tried <= correspondence.MAX_PAIR_MATCHES
+    assert found.laid.found >= found.laid.tried
 
 
 def test_poles_are_paired_as_one_by_one(make_pole: PoleMaker) -> None:

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Match
+from retropole.datatypes import Detection, Match, Placement, PointCloud, Scan
 from retropole.errors import Refusal, UsageError
+from retropole.matching.correspondence import MAX_HYPOTHESES, every_match
 from retropole.matching.prior import RotationPrior, agreeing_with_prior, rotation_prior
-from retropole.pipeline import calibrate
+from retropole.pipeline import calibrate, match_poles
 from retropole.simulation import simulate_pair
+from tests.conftest import PoleMaker
 
 
 def match(phi: list[float]) -> Match:
@@ -52,6 +54,27 @@ def test_only_hypotheses_that_fit_the_poles_count_as_agreeing() -> None:
     with pytest.raises(Refusal, match="of 1 hypothesis that") as refusal:
         agreeing_with_prior([far, near], prior)
     assert float(refusal.value.values["sigmas"]) > float(refusal.value.values["allowed"])
+
+
+def test_it_speaks_before_the_best_of_many_are_taken(make_pole: PoleMaker) -> None:
+    """What the prior allows is tried, however many better matches it denies."""
+    turns = [np.array([0, 0, k * np.pi / 6]) for k in range(12)]
+    ring = [
+        make_pole((4.0, 0.0, 0.0), (0.2, 0.5, 1.0), T=se3.from_rt(se3.exp_so3(t), np.zeros(3)))
+        for t in turns
+    ]
+    few = [*ring[:2], make_pole((0.5, 0.2, 0.0), (0.4, 0.0, 1.0))]
+    cloud = PointCloud(np.zeros((1, 3)))
+    target, source = (
+        Scan(cloud, None, Detection(tuple(poles), (), 0.0, "given", 0)) for poles in (ring, few)
+    )
+    every = every_match(ring, few).matches
+    last = [match for match in every if match.exact][-1]
+    assert len(every) > MAX_HYPOTHESES
+    prior = RotationPrior(last.T_target_source[:3, :3], np.radians(0.1))
+    kept = match_poles(Placement(target, source), None, prior)
+    assert any(match.pairs == last.pairs for match in kept.matches)
+    assert kept.tried.ways.tried == kept.tried.ways.found < len(every)
 
 
 @pytest.mark.slow

@@ -112,7 +112,7 @@ def poles_of(pair: SimulatedPair) -> BeamAlignment:
         find_poles(cloud, sensor=sensor, threshold=None, radius=0.02)
         for cloud, sensor in zip((pair.target, pair.source), sensors, strict=True)
     )
-    chosen = choose([Placement(target, source)], False, None, None, lambda name: nullcontext())
+    chosen = choose([Placement(target, source)], None, None, lambda name: nullcontext())
     T = chosen.hypotheses[0].match.T_target_source
     return align(chosen.paired, T, radius=0.02, radius_sigma=0.0)
 

@@ -13,6 +13,7 @@ from retropole.datatypes import Array, Hypothesis, Match, Pole, Scan
 from retropole.matching.correspondence import match_poles
 from retropole.matching.extension import EXACT_RMS
 from retropole.pipeline import find_poles
+from retropole.scene import settling
 from retropole.scene.settling import SETTLED_AT_MOST, rms_after, settle
 from retropole.simulation import simulate_pair
 
@@ -58,6 +59,19 @@ def test_a_hypothesis_settles_where_its_poles_allow_it(recorded: Recorded) -> No
     apart = se3.difference(recorded.truth, found.T_target_source)
     assert apart.rotation < np.radians(0.3)
     assert apart.translation < 0.05
+
+
+def test_what_is_out_of_reach_hardly_counts(
+    recorded: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    match = turned(recorded.right, recorded.truth, 0.02)
+    (found,) = settled(recorded, match)
+    monkeypatch.setattr(settling, "SETTLING_REACH", np.inf)
+    (by_all,) = settled(recorded, match)
+    apart = se3.difference(found.T_target_source, by_all.T_target_source)
+    # A registration ends where a step is shorter than this.
+    assert apart.rotation < np.radians(0.1)
+    assert apart.translation < 1e-3
 
 
 def test_poles_that_are_sure_of_their_pose_hold_it(recorded: Recorded) -> None:

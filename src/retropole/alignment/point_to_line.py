@@ -2,7 +2,7 @@
 
 Xue et al. 2019, eq. 1–2: ``R*, t* = argmin Σ_n Σ_k π_nk ‖d(R p_n + t, line_k)‖²`` with lines from
 the target LiDAR and points from the source LiDAR. It is fast and needs no model of the sensor, so
-every hypothesis is solved with it.
+every hypothesis is solved with it, all of them at once.
 
 Its limit is a bias, not noise: returns lie on the side of a pole that faces the sensor, on average
 π r/4 in front of its axis, and each LiDAR errs towards itself. `adjustment` is free of it.
@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import se3
-from ..datatypes import Array
+from ..datatypes import Array, IntArray
 from ..errors import Refusal
-from .solver import Solution, Step, levenberg_marquardt
+from .solver import Quadratics, levenberg_marquardt_each
 
 MAX_LINE_ITERATIONS = 60
 """Most starts need 5 to 15."""
@@ -64,9 +64,9 @@ class PointLineResiduals(NamedTuple):
     Attributes
     ----------
     residuals
-        (N, 3) ``(I − n nᵀ)(R p + t − q)``, metres.
+        (..., N, 3) ``(I − n nᵀ)(R p + t − q)``, metres.
     jacobian
-        (N, 3, 6) derivative with respect to ``[φ, δ]`` of `se3.retract`.
+        (..., N, 3, 6) derivative with respect to ``[φ, δ]`` of `se3.retract`.
     """
 
     residuals: Array
@@ -81,16 +81,17 @@ def point_line_residuals(
     Parameters
     ----------
     T
-        (4, 4) pose, target from source.
+        (..., 4, 4) poses, target from source.
     points
-        (N, 3) points in the source frame.
+        (..., N, 3) points in the source frame.
     line_points, line_directions
-        (N, 3) a point and the unit direction of each point's line, in the target frame.
+        (..., N, 3) a point and the unit direction of each point's line, in the target frame.
     """
-    rotated = points @ T[:3, :3].T
-    across = np.eye(3) - line_directions[:, :, None] * line_directions[:, None, :]
-    residuals = np.einsum("nij,nj->ni", across, rotated + T[:3, 3] - line_points)
-    jacobian = np.concatenate([across @ -se3.hat(rotated), across], axis=2)
+    rotated = points @ np.swapaxes(T[..., :3, :3], -1, -2)
+    across = np.eye(3) - line_directions[..., :, None] * line_directions[..., None, :]
+    off = rotated + T[..., None, :3, 3] - line_points
+    residuals = (across @ off[..., None])[..., 0]
+    jacobian = np.concatenate([across @ -se3.hat(rotated), across], axis=-1)
     return PointLineResiduals(residuals, jacobian)
 
 
@@ -105,6 +106,25 @@ def equivalent_points(xyz: Array) -> Array:
     arms = np.zeros((3, 3))
     arms[: len(sizes)] = np.sqrt(3.0 / len(xyz)) * sizes[:, None] * axes
     return np.concatenate([mean + arms, mean - arms])
+
+
+class Lines(NamedTuple):
+    """Points of the source, and the lines of the target that they belong to, of B problems.
+
+    Attributes
+    ----------
+    on_poles
+        (B, N, 3) source frame, metres.
+    line_points, line_directions
+        (B, N, 3) a point and the unit direction of each one's line, target frame.
+    counts
+        (B, N) how many returns each stands for; none where a problem has fewer points than others.
+    """
+
+    on_poles: Array
+    line_points: Array
+    line_directions: Array
+    counts: Array
 
 
 def align_poles(
@@ -131,53 +151,49 @@ def align_poles(
         single pole), with the ratio of the singular values.
     """
     points = np.concatenate([equivalent_points(xyz) for xyz in source_points])
-    counts = np.array([len(xyz) for xyz in source_points])
-    root = np.sqrt(np.repeat(counts, 6) / 6.0)
+    counts = np.repeat([len(xyz) / 6.0 for xyz in source_points], 6)
     q, n = (np.repeat([line[part] for line in target_lines], 6, axis=0) for part in (0, 1))
+    return align_each(Lines(points[None], q[None], n[None], counts[None]), T_start[None])[0]
 
-    def at(T: Array) -> _SquaredDistances:
-        residuals, J = point_line_residuals(T, points, q, n)
-        r, J = root[:, None] * residuals, root[:, None, None] * J
-        return _SquaredDistances(
-            T,
-            float(np.sum(r**2)),
-            np.einsum("nij,ni->j", J, r),
-            np.einsum("nij,nik->jk", J, J),
-        )
 
-    def small(step: Step) -> bool:
-        return float(np.linalg.norm(step.step)) < LINE_STEP_TOLERANCE
+def align_each(lines: Lines, starts: Array) -> list[LineAlignment]:
+    """Minimise the squared distances of B problems at once, each from its start (B, 4, 4).
 
-    found: Solution[_SquaredDistances] = levenberg_marquardt(
-        at(T_start),
-        lambda now, step, damping: at(se3.retract(now.T, step)),
-        small,
+    Raises
+    ------
+    Refusal
+        ``degenerate_poles`` where the lines of one leave a direction of its pose free.
+    """
+    roots = np.sqrt(lines.counts)[:, :, None]
+
+    def squared_distances(T: Array, which: IntArray) -> Quadratics:
+        own = (each[which] for each in lines[:3])
+        residuals, jacobian = point_line_residuals(T, *own)
+        r = (roots[which] * residuals).reshape(len(T), -1, 1)
+        J = (roots[which, :, :, None] * jacobian).reshape(len(T), -1, 6)
+        transposed = np.swapaxes(J, 1, 2)
+        return Quadratics(np.sum(r**2, axis=(1, 2)), (transposed @ r)[:, :, 0], transposed @ J)
+
+    found = levenberg_marquardt_each(
+        starts,
+        squared_distances,
+        se3.retract,
         tolerance=LINE_STEP_TOLERANCE,
         damping=LINE_DAMPING,
         min_damping=MIN_LINE_DAMPING,
         max_iterations=MAX_LINE_ITERATIONS,
     )
-    end = found.point
-    _check_rank(end.curvature)
-    rms = float(np.sqrt(end.cost / counts.sum()))
-    return LineAlignment(end.T, rms, found.converged, end.curvature)
-
-
-@dataclass(frozen=True, eq=False)
-class _SquaredDistances:
-    """Sum of squared distances at a pose, m², half its gradient, and its Gauss–Newton matrix."""
-
-    T: Array
-    cost: float
-    gradient: Array
-    curvature: Array
+    _check_rank(found.models.curvatures)
+    rms = np.sqrt(found.models.costs / lines.counts.sum(axis=1))
+    each = zip(found.ends, rms, found.came_to_rest, found.models.curvatures, strict=True)
+    return [LineAlignment(T, float(s), bool(rests), H) for T, s, rests, H in each]
 
 
 def _check_rank(H: Array) -> None:
-    """Refuse a pose that the poles leave free in some direction."""
-    scale = np.sqrt(np.diag(H) + 1e-300)
-    eigenvalues = np.linalg.eigvalsh(H / np.outer(scale, scale))
-    ratio = float(eigenvalues[0] / eigenvalues[-1])
+    """Refuse where poles leave one of B poses free in some direction; H is (B, 6, 6)."""
+    scale = np.sqrt(np.einsum("bii->bi", H) + 1e-300)
+    eigenvalues = np.linalg.eigvalsh(H / (scale[:, :, None] * scale[:, None, :]))
+    ratio = float(np.min(eigenvalues[:, 0] / eigenvalues[:, -1], initial=1.0))
     if not np.isfinite(ratio) or ratio < MIN_EIGENVALUE_RATIO:
         raise Refusal(
             "degenerate_poles",

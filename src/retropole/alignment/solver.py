@@ -1,6 +1,9 @@
 """Least squares, once for all: damped steps for a fixed problem, plain steps for a changing one.
 
-Both say whether they converged and after how many iterations; a caller that ignores `converged`
+Damped steps also for many small problems at once: each takes the steps that it takes alone, and
+what a call costs is paid once for all.
+
+All say whether they converged and after how many iterations; a caller that ignores `converged`
 is in error.
 """
 
@@ -8,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from ..datatypes import Array
+from ..datatypes import Array, BoolArray, IntArray
 
 MAX_DAMPING = 1e8
 """Damping beyond which no step of any use is left."""
@@ -141,6 +144,77 @@ def levenberg_marquardt(
             if damping > MAX_DAMPING:
                 return Solution(now, False, iteration, damping)
     return Solution(now, False, max_iterations, damping)
+
+
+class Quadratics(NamedTuple):
+    """Costs (B,) of B problems, their gradients (B, P), and positive curvatures (B, P, P)."""
+
+    costs: Array
+    gradients: Array
+    curvatures: Array
+
+
+class Solutions(NamedTuple):
+    """Where B problems ended: (B, …) points, the models there, and which came to rest (B,)."""
+
+    ends: Array
+    models: Quadratics
+    came_to_rest: BoolArray
+
+
+def levenberg_marquardt_each(
+    starts: Array,
+    model_at: Callable[[Array, IntArray], Quadratics],
+    move: Callable[[Array, Array], Array],
+    *,
+    tolerance: float,
+    damping: float,
+    min_damping: float,
+    max_iterations: int,
+) -> Solutions:
+    """Minimise the costs of many small problems, each as `levenberg_marquardt` does it alone.
+
+    Parameters
+    ----------
+    starts
+        (B, …) a point for each problem.
+    model_at
+        From points (M, …) and the numbers (M,) of their problems to the models there.
+    move
+        From points (M, …) and steps (M, P) to the next points.
+    tolerance
+        A problem ends where its step, in the units of the parameters, is shorter.
+    damping, min_damping
+        At the start, and at least.
+    max_iterations
+        Steps at most, for each.
+    """
+    points, left = starts.copy(), np.arange(len(starts))
+    models = Quadratics(*(each.copy() for each in model_at(points, left)))
+    converged = np.zeros(len(starts), dtype=bool)
+    dampings = np.full(len(starts), damping)
+    for _ in range(max_iterations):
+        if len(left) == 0:
+            break
+        now = Quadratics(*(each[left] for each in models))
+        scale = np.sqrt(np.einsum("bii->bi", now.curvatures)) + 1e-12
+        damped = now.curvatures / (scale[:, :, None] * scale[:, None, :])
+        damped += dampings[left, None, None] * np.eye(scale.shape[1])
+        scaled = -np.linalg.solve(damped, (now.gradients / scale)[:, :, None])[:, :, 0]
+        moved = move(points[left], scaled / scale)
+        new = model_at(moved, left)
+        better = now.costs - new.costs >= 0
+        taken = left[better]
+        points[taken] = moved[better]
+        for kept, found in zip(models, new, strict=True):
+            kept[taken] = found[better]
+        dampings[taken] = np.maximum(dampings[taken] / 10.0, min_damping)
+        rests = np.linalg.norm(scaled / scale, axis=1) < tolerance
+        rests = np.where(better, rests, np.abs(scaled).max(axis=1) < STALLED * tolerance)
+        converged[left[rests]] = True
+        dampings[left[~better & ~rests]] *= 10.0
+        left = left[~rests & (dampings[left] <= MAX_DAMPING)]
+    return Solutions(points, models, converged)
 
 
 def gauss_newton(

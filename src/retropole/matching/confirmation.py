@@ -8,6 +8,7 @@ nearly as well: that does not happen by chance (docs/detection.md, Doubtful pole
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,9 @@ from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
 from ..extraction.dimmer import with_dimmer
 from ..extraction.doubtful import with_doubtful
 from ..sensors import Sensor
-from .correspondence import direction_sigma, line_pair
-from .placements import Choice, PairedPlacement
+from .budget import with_what_was_tried
+from .line_pairs import direction_sigma, line_pair
+from .placements import Choice, PairedPlacement, PlacementHypotheses
 from .scene_support import lead_needed, scene_agrees
 
 FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
@@ -59,6 +61,8 @@ class Chosen:
         Every placement, its poles paired by the one that was taken; or why none was.
     choices, place
         All that could be taken, the best first, and the place of the one that was.
+    scored
+        Every placement with its hypotheses, as the scene scored them; empty where none match.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -66,12 +70,15 @@ class Chosen:
     refusal: Refusal | None = None
     choices: tuple[Choice, ...] = ()
     place: int = 0
+    scored: tuple[PlacementHypotheses, ...] = ()
 
 
 def choose_with_doubtful(
-    choose: Callable[[Sequence[Placement], bool], Chosen],
+    choose: Callable[[Sequence[Placement]], Chosen],
+    settle: Callable[[Chosen], Chosen],
     placements: Sequence[Placement],
     radius: float,
+    step: Callable[[str], AbstractContextManager[None]],
 ) -> Chosen:
     """Choose by the sure poles; where they give nothing, by the doubtful ones too.
 
@@ -80,46 +87,66 @@ def choose_with_doubtful(
     Parameters
     ----------
     choose
-        Matches the poles of some placements, lets the hypotheses settle if told so, and lets the
-        scene choose.
+        Matches the poles of some placements, and lets the scene choose.
+    settle
+        Lets the hypotheses of a choice settle, and the scene choose once more.
     placements
         With what was found in each of their clouds.
     radius
         Of the poles, metres.
+    step
+        Names a step that starts, and times it.
 
     Returns
     -------
     Chosen
-        With the first refusal where the doubtful poles are not confirmed.
+        With the first refusal where the doubtful poles are not confirmed, and with what was not
+        tried.
     """
-    chosen = choose(placements, False)
-    if chosen.refusal is None or chosen.refusal.code not in RESCUED:
-        return chosen
-    # Without any doubtful pole the sure ones may still settle.
+    first = choose(placements)
+    attempts = [first]
+    if first.refusal is not None and first.refusal.code in RESCUED:
+        for attempt in _attempts(first, choose, settle, placements, radius, step):
+            attempts.append(attempt)
+            if attempt.refusal is None and is_confirmed(attempt.paired, attempt.hypotheses, radius):
+                return attempt
+    if first.refusal is None:
+        return first
+    tried = [placement.tried for attempt in attempts for placement in attempt.scored]
+    return replace(first, refusal=with_what_was_tried(first.refusal, tried))
+
+
+def _attempts(
+    first: Chosen,
+    choose: Callable[[Sequence[Placement]], Chosen],
+    settle: Callable[[Chosen], Chosen],
+    placements: Sequence[Placement],
+    radius: float,
+    step: Callable[[str], AbstractContextManager[None]],
+) -> Iterator[Chosen]:
+    """Choose by the doubtful poles too, in one way after the other."""
     tried = -1
     for look in (with_doubtful, _with_dimmer_where_few):
-        found = [
-            replace(
-                each,
-                target=_looked_at(each.target, radius, look),
-                source=_looked_at(each.source, radius, look),
-            )
-            for each in placements
-        ]
+        with step("doubtful"):
+            found = [
+                replace(
+                    each,
+                    target=_looked_at(each.target, radius, look),
+                    source=_looked_at(each.source, radius, look),
+                )
+                for each in placements
+            ]
         placements, before, tried = found, tried, _doubtful_returns(found)
         if tried == before:
             continue
-        counting = [_counting_doubtful(each) for each in placements]
-        for settled in (False, True):
-            wider = choose(counting, settled)
-            if wider.refusal is None and is_confirmed(wider.paired, wider.hypotheses, radius):
-                return wider
+        # Without any doubtful pole the sure ones may still settle.
+        wider = choose([_counting_doubtful(each) for each in placements]) if tried else first
+        yield wider
+        settled = settle(wider)
+        yield settled
         # A third line that fits by chance turns the pose of two poles, and keeps it from settling.
-        for fewer in _without_one(placements, wider.paired):
-            other = choose([_counting_doubtful(each) for each in fewer], True)
-            if other.refusal is None and is_confirmed(other.paired, other.hypotheses, radius):
-                return other
-    return chosen
+        for fewer in _without_one(placements, settled.paired):
+            yield settle(choose([_counting_doubtful(each) for each in fewer]))
 
 
 def _without_one(

@@ -1,12 +1,7 @@
 """Which pole is which, and which way round: every rigid match of two sets of lines.
 
-A line has no direction and two poles have no names, so a pair of poles fits another in 2 × 4 ways
-(Xue et al. 2019, Fig. 4). Each way has a start in closed form: the bisectors and the common
-perpendicular of two skew lines make a frame, the middle of the common perpendicular its origin,
-and frame is laid on frame. Of the eight, four are exact: the lines' own symmetry group is the
-identity and the half turns about the common perpendicular and about the two bisectors (the Klein
-four-group). The other four pair an angle with its supplement, so they are exact only where the
-poles are perpendicular and cross.
+Pairs of poles of one shape are laid on each other in all ways (`line_pairs`), all at once; of what
+fits exactly, every other pole that falls into place is taken in, and solved with them together.
 """
 
 from __future__ import annotations
@@ -14,15 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
 from ..datatypes import Array, Match, Pole
 from ..errors import Refusal
 from ..quantities import counted
+from .budget import Share
 from .distinct import distinct
-from .extension import EXTENSION_RMS, exact_part, extended, solved
+from .extension import EXTENSION_RMS, exact_part, extended, solved_each
+from .line_pairs import direction_sigma, line_pair, pair_ways
 
 MIN_ANGLE = np.radians(5.0)
 """Pairs of poles nearer to parallel than this start no hypothesis: along their common direction a
@@ -38,108 +35,25 @@ of the axis of a 2 cm pole, towards itself."""
 MAX_PAIR_MATCHES = 200
 """How many pairs of pole pairs are tried, the most alike first."""
 
-MANY_PAIR_MATCHES = 72
-"""After so many a match of three poles or more is enough: twice what four poles have on each side.
-Beside a row of posts hundreds are alike, and the right one is among the first."""
+ENOUGH_PAIR_MATCHES = 72
+"""So many are tried at once, twice what four poles have on each side, and no more where one of
+them is of a match of three poles or more. Beside a row of posts hundreds are alike, and the right
+one is among the first."""
 
 MAX_HYPOTHESES = 16
 """How many hypotheses go on to be scored by the scene: most poles, least expected error first."""
 
 
 @dataclass(frozen=True, eq=False)
-class LinePair:
-    """The geometry of two skew lines that no rigid motion changes, and the frame that one moves.
-
-    Attributes
-    ----------
-    angle
-        Between the lines, in (0, π/2], radians.
-    distance
-        Along the common perpendicular, metres.
-    handedness
-        Sign of the screw from one line to the other, times `distance`: no proper motion changes it.
-    frame
-        (4, 4) bisector, other bisector, common perpendicular; origin midway between the lines.
-    """
-
-    angle: float
-    distance: float
-    handedness: float
-    frame: Array
-
-
-def line_pair(p1: Array, n1: Array, p2: Array, n2: Array) -> LinePair:
-    """Measure two lines, with ``n1`` and ``n2`` taken as directed the way they are given.
-
-    Parameters
-    ----------
-    p1, n1, p2, n2
-        (3,) a point and the unit direction of each line.
-
-    Raises
-    ------
-    Refusal
-        ``parallel_poles`` where the lines have no common perpendicular of their own.
-    """
-    cross = np.cross(n1, n2)
-    sine = float(np.linalg.norm(cross))
-    if sine < 1e-6:
-        raise Refusal(
-            "parallel_poles",
-            "two poles are parallel; lean one by 15° or more against the other",
-            {"angle_deg": float(np.degrees(np.arcsin(sine)))},
-        )
-    e1 = (n1 + n2) / np.linalg.norm(n1 + n2)
-    e3 = cross / sine
-    frame = np.eye(4)
-    frame[:3, 0], frame[:3, 1], frame[:3, 2] = e1, np.cross(e3, e1), e3
-    # Feet of the common perpendicular: solve p1 + a n1 + h e3 = p2 + b n2.
-    a, b, h = np.linalg.solve(np.stack([n1, -n2, e3], axis=1), p2 - p1)
-    frame[:3, 3] = (p1 + a * n1 + p2 + b * n2) / 2
-    cosine = float(n1 @ n2)
-    angle = float(np.arctan2(sine, abs(cosine)))
-    return LinePair(angle, abs(float(h)), float(h) * (1.0 if cosine >= 0 else -1.0), frame)
-
-
-def pair_starts(
-    target: tuple[Pole, Pole], source: tuple[Pole, Pole]
-) -> list[tuple[Array, tuple[int, int]]]:
-    """Lay one pair of poles on another in the paper's eight ways, in closed form.
-
-    Returns
-    -------
-    list of (T_target_source, order)
-        ``order`` tells which source pole (0 or 1) goes to the first and to the second target pole.
-    """
-    frame_target = line_pair(
-        target[0].point, target[0].direction, target[1].point, target[1].direction
-    ).frame
-    starts = []
-    for order in ((0, 1), (1, 0)):
-        first, second = source[order[0]], source[order[1]]
-        for s1 in (1.0, -1.0):
-            for s2 in (1.0, -1.0):
-                frame_source = line_pair(
-                    first.point, s1 * first.direction, second.point, s2 * second.direction
-                ).frame
-                starts.append((frame_target @ se3.inverse(frame_source), order))
-    return starts
-
-
-def direction_sigma(pole: Pole) -> float:
-    """Roughly how well the points of a pole fix its direction, 1 σ in radians."""
-    return float(pole.rms * np.sqrt(12.0 / len(pole.xyz)) / max(pole.length, 1e-3))
-
-
-@dataclass(frozen=True, eq=False)
 class Pairs:
     """All P pairs of poles of one LiDAR that are far enough from parallel, and their shapes.
 
-    (P,) each: as `LinePair` has them, and 1 σ of the angle, rad, and how far the common
-    perpendicular is from the poles, metres.
+    (P, 4, 4) and (P,) each: as `LinePair` has them, and 1 σ of the angle, rad, and how far the
+    common perpendicular is from the poles, metres.
     """
 
     index: list[tuple[int, int]]
+    frame: list[Array]
     angle: Array
     distance: Array
     handedness: Array
@@ -149,7 +63,7 @@ class Pairs:
 
 def all_pairs(poles: Sequence[Pole]) -> Pairs:
     """Measure every pair of poles that are not nearly parallel."""
-    index, rows = [], []
+    index, frames, rows = [], [], []
     for i, j in combinations(range(len(poles)), 2):
         first, second = poles[i], poles[j]
         if _angle_between(first, second) < MIN_ANGLE:
@@ -160,12 +74,13 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
         # there an error of direction moves the feet by that lever.
         feet = np.linalg.norm(pair.frame[:3, 3] - np.stack([first.point, second.point]), axis=1)
         index.append((i, j))
+        frames.append(pair.frame)
         rows.append((pair.angle, pair.distance, pair.handedness, sigma, float(feet.max())))
-    return Pairs(index, *np.array(rows).reshape(-1, 5).T)
+    return Pairs(index, frames, *np.array(rows).reshape(-1, 5).T)
 
 
 def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
-    """Rows of the pairs that have the same angle, distance and hand, within their noise."""
+    """Rows of the pairs that agree in angle, distance and hand, within noise; most alike first."""
     sigma = np.hypot(target.sigma[:, None], source.sigma[None])
     angle_gap = np.abs(target.angle[:, None] - source.angle[None])
     angle_room = ANGLE_TOLERANCE + 3 * sigma
@@ -178,7 +93,7 @@ def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
     fits &= right_angle | (hand_gap <= 2 * room)
     rows, columns = np.nonzero(fits)
     misfit = (angle_gap / angle_room + distance_gap / room)[rows, columns]
-    best = np.argsort(misfit, kind="stable")[:MAX_PAIR_MATCHES]
+    best = np.argsort(misfit, kind="stable")
     return [(int(rows[k]), int(columns[k])) for k in best]
 
 
@@ -192,9 +107,29 @@ def widest_angle(poles: Sequence[Pole]) -> float:
     return max((_angle_between(a, b) for a, b in combinations(poles, 2)), default=0.0)
 
 
+class EveryMatch(NamedTuple):
+    """Matches, the best first, and how many of the pairs of poles that are alike were tried."""
+
+    matches: list[Match]
+    laid: Share
+
+
 def match_poles(
     target: Sequence[Pole], source: Sequence[Pole], count: int | None = None, part: bool = False
 ) -> list[Match]:
+    """Find the rigid matches of the source poles onto the target poles, as `every_match` does.
+
+    Returns
+    -------
+    list of Match
+        Exact ones, most poles, least expected error first; at most `MAX_HYPOTHESES`.
+    """
+    return every_match(target, source, count, part).matches[:MAX_HYPOTHESES]
+
+
+def every_match(
+    target: Sequence[Pole], source: Sequence[Pole], count: int | None = None, part: bool = False
+) -> EveryMatch:
     """Find every rigid match of the source poles onto the target poles.
 
     With two poles on each side these are the eight local optima of the paper, the exact ones
@@ -214,8 +149,8 @@ def match_poles(
 
     Returns
     -------
-    list of Match
-        Exact ones, most poles, least expected error first; at most `MAX_HYPOTHESES`.
+    EveryMatch
+        Exact ones, most poles, least expected error first.
 
     Raises
     ------
@@ -225,23 +160,18 @@ def match_poles(
         ``count`` of them.
     """
     _check_poles(target, source, count or 2)
-    two_and_two = len(target) == len(source) == 2
-    found: list[tuple[Match, Match]] = []
     pairs_target, pairs_source = all_pairs(target), all_pairs(source)
-    for tried, (row, column) in enumerate(_alike(pairs_target, pairs_source)):
-        if tried >= MANY_PAIR_MATCHES and any(len(w.pairs) > 2 and w.exact for _, w in found):
+    every = _alike(pairs_target, pairs_source)
+    alike = every[:MAX_PAIR_MATCHES]
+    laid = Share(len(alike), len(every))
+    found: list[tuple[Match, Match]] = []
+    for k in range(0, len(alike), ENOUGH_PAIR_MATCHES):
+        found += _matched(
+            target, source, alike[k : k + ENOUGH_PAIR_MATCHES], pairs_target, pairs_source
+        )
+        if any(len(whole.pairs) > 2 and whole.exact for _, whole in found):
+            laid = Share(len(every), len(every))  # the others are not needed
             break
-        (i, j), (k, l) = pairs_target.index[row], pairs_source.index[column]
-        for T_start, order in pair_starts((target[i], target[j]), (source[k], source[l])):
-            to_i, to_j = (k, l) if order == (0, 1) else (l, k)
-            first = solved(target, source, ((i, to_i), (j, to_j)), T_start)
-            if two_and_two:
-                found.append((first, first))
-            elif first.exact:
-                T = first.T_target_source
-                pairs = extended(target, source, T, EXTENSION_RMS)
-                takes_in = len(pairs) > 2 and set(first.pairs) <= set(pairs)
-                found.append((first, solved(target, source, pairs, T) if takes_in else first))
     # Where none is exact, one of three or more may have moved: the others still agree.
     if part or not any(whole.exact for _, whole in found):
         matches = [exact_part(target, source, first, whole) for first, whole in found]
@@ -267,7 +197,47 @@ def match_poles(
             "with 'retropole detect', and cover or remove what is no pole",
             {"agreeing": agreeing, "asked": int(count or 0)},
         )
-    return matches[:MAX_HYPOTHESES]
+    return EveryMatch(matches, laid)
+
+
+def _matched(
+    target: Sequence[Pole],
+    source: Sequence[Pole],
+    alike: Sequence[tuple[int, int]],
+    pairs_target: Pairs,
+    pairs_source: Pairs,
+) -> list[tuple[Match, Match]]:
+    """Lay pairs of poles on each other in all ways, and take in the other poles that then fit.
+
+    Returns
+    -------
+    list of (Match, Match)
+        Of two poles, and of all that fall into place; of more than two and two only exact ones.
+    """
+    ways = {column: pair_ways(_both(source, pairs_source.index[column])) for _, column in alike}
+    pairs, starts = [], []
+    for row, column in alike:
+        (i, j), both = pairs_target.index[row], pairs_source.index[column]
+        for way, (first, second) in ways[column]:
+            pairs.append(((i, both[first]), (j, both[second])))
+            starts.append(pairs_target.frame[row] @ way)
+    twos = solved_each(target, source, pairs, starts)
+    if len(target) == len(source) == 2:
+        return [(two, two) for two in twos]
+    twos = [two for two in twos if two.exact]
+    wider = [extended(target, source, two.T_target_source, EXTENSION_RMS) for two in twos]
+    grown = [k for k, two in enumerate(twos) if {*two.pairs} < {*wider[k]}]
+    starts = [twos[k].T_target_source for k in grown]
+    wholes = list(twos)
+    for k, whole in zip(
+        grown, solved_each(target, source, [wider[k] for k in grown], starts), strict=True
+    ):
+        wholes[k] = whole
+    return list(zip(twos, wholes, strict=True))
+
+
+def _both(poles: Sequence[Pole], pair: tuple[int, int]) -> tuple[Pole, Pole]:
+    return poles[pair[0]], poles[pair[1]]
 
 
 def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) -> None:

@@ -25,15 +25,16 @@ def distinct(matches: list[Match], source_points: Array) -> list[Match]:
     other poles.
     """
     kept: list[Match] = []
-    # Hundreds of matches are half a turn apart; only those of nearly the same rotation are compared
-    # in full. 1 + 2 cos is the trace of R₁ᵀ R₂, the sum of the products of their entries.
-    least = 1 + 2 * np.cos(1.01 * SAME_POSE_ANGLE)
+    # 1 + 2 cos is the trace of R₁ᵀ R₂, the sum of the products of their entries.
+    least = 1 + 2 * np.cos(SAME_POSE_ANGLE)
     rotations = np.zeros((len(matches), 9))
+    places = np.zeros((len(matches), len(source_points), 3))
     for match in sorted(matches, key=lambda m: (not m.exact, -len(m.pairs), _expected_error(m))):
-        own = match.T_target_source[:3, :3].reshape(-1)
-        near = np.flatnonzero(rotations[: len(kept)] @ own > least)
-        if not any(same_pose(match, kept[k], source_points) for k in near):
-            rotations[len(kept)] = own
+        k, T = len(kept), match.T_target_source
+        rotations[k], places[k] = T[:3, :3].reshape(-1), se3.apply(T, source_points)
+        alike = np.flatnonzero(rotations[:k] @ rotations[k] > least)
+        apart = np.linalg.norm(places[alike] - places[k], axis=2).max(axis=1)
+        if not np.any(apart < SAME_POSE_DISTANCE):
             kept.append(match)
     return kept
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .. import se3
-from ..alignment.point_to_line import align_poles
+from ..alignment.point_to_line import Lines, align_each, equivalent_points
 from ..datatypes import Array, Match, Pole
 
 EXACT_RMS = 0.05
@@ -25,21 +25,38 @@ MAX_MATCH_LEAN, MAX_MATCH_GAP = np.radians(10.0), 1.0
 between them along the line, metres: two lines far apart along themselves are two posts."""
 
 
-def solved(
+def solved_each(
     target: Sequence[Pole],
     source: Sequence[Pole],
-    pairs: tuple[tuple[int, int], ...],
-    T_start: Array,
-) -> Match:
-    """Lay the paired poles on each other by least squares, from a start (4, 4)."""
-    fit = align_poles(
-        [(target[i].point, target[i].direction) for i, _ in pairs],
-        [source[j].xyz for _, j in pairs],
-        T_start,
+    pairs: Sequence[tuple[tuple[int, int], ...]],
+    starts: Sequence[Array],
+) -> list[Match]:
+    """Lay paired poles on each other by least squares, each set of pairs from its start (4, 4)."""
+    if len(pairs) == 0:
+        return []
+    most = max(len(each) for each in pairs)
+    # A set with fewer pairs than the largest has its first one again, with no weight.
+    index = np.array([[*each, *(each[:1] * (most - len(each)))] for each in pairs])
+    counts = np.array([len(pole.xyz) for pole in source]) / 6.0
+    weights = counts[index[:, :, 1]] * (np.arange(most) < [[len(each)] for each in pairs])
+    points = np.stack([equivalent_points(pole.xyz) for pole in source])[index[:, :, 1]]
+    on = np.stack([pole.point for pole in target])[index[:, :, 0]]
+    along = np.stack([pole.direction for pole in target])[index[:, :, 0]]
+    fits = align_each(
+        Lines(
+            points.reshape(len(pairs), -1, 3),
+            np.repeat(on, 6, axis=1),
+            np.repeat(along, 6, axis=1),
+            np.repeat(weights, 6, axis=1),
+        ),
+        np.stack(starts),
     )
-    return Match(
-        pairs, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.converged, fit.information
-    )
+    return [
+        Match(
+            own, fit.T_target_source, fit.rms, fit.rms <= EXACT_RMS, fit.converged, fit.information
+        )
+        for own, fit in zip(pairs, fits, strict=True)
+    ]
 
 
 def extended(
@@ -72,12 +89,12 @@ def extended(
 def exact_part(target: Sequence[Pole], source: Sequence[Pole], first: Match, whole: Match) -> Match:
     """Leave out of an inexact match, one by one, the pairs without which the others fit best."""
     while not whole.exact and len(whole.pairs) > len(first.pairs) + 1:
-        rest = (
+        rest = [
             tuple(pair for pair in whole.pairs if pair != other)
             for other in whole.pairs
             if other not in first.pairs
-        )
-        fits = [solved(target, source, pairs, first.T_target_source) for pairs in rest]
+        ]
+        fits = solved_each(target, source, rest, [first.T_target_source] * len(rest))
         whole = min(fits, key=lambda match: match.pole_rms)
     return whole if whole.exact else first
 

@@ -15,6 +15,7 @@ from .. import se3
 from ..alignment.adjustment import BeamAlignment
 from ..datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..errors import Refusal
+from .budget import NOTHING, Tried
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4
 """Poses of two placements are one if they differ by less, rad, and metres where the poles stand.
@@ -23,18 +24,20 @@ Right ones differ by what the poles of one placement leave open, wrong ones by h
 
 @dataclass(frozen=True, eq=False)
 class PlacementMatches:
-    """A placement and the matches of its poles."""
+    """A placement, the matches of its poles, and how much was tried to find them."""
 
     placement: Placement
     matches: list[Match]
+    tried: Tried = NOTHING
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementHypotheses:
-    """A placement and all its hypotheses, the best score first."""
+    """A placement, all its hypotheses, the best score first, and how much was tried for them."""
 
     placement: Placement
     hypotheses: tuple[Hypothesis, ...]
+    tried: Tried = NOTHING
 
 
 @dataclass(frozen=True, eq=False)

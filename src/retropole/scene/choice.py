@@ -16,7 +16,13 @@ from .. import se3
 from ..datatypes import Array, Calibration, Hypothesis, Placement
 from ..errors import Reason, Refusal, UsageError
 from ..matching.confirmation import Chosen, counts_doubtful
-from ..matching.placements import PairedPlacement
+from ..matching.placements import (
+    Choice,
+    PairedPlacement,
+    PlacementHypotheses,
+    rank_joint_hypotheses,
+    recurring,
+)
 from .consistency import ground_normal
 from .static import check_static
 
@@ -62,6 +68,20 @@ def margin_of(hypotheses: Sequence[Hypothesis]) -> float | None:
     if len(hypotheses) < 2:
         return None
     return hypotheses[0].score - max(h.score for h in hypotheses[1:])
+
+
+def choose_best(scored: Sequence[PlacementHypotheses]) -> Chosen:
+    """Take the hypothesis that the scenes of all placements agree on; a refusal is kept."""
+    hypotheses: tuple[Hypothesis, ...] = scored[0].hypotheses
+    choices: Sequence[Choice] = ()
+    try:
+        choices = recurring(scored)
+        hypotheses = rank_joint_hypotheses(choices, scored)
+        check_choice(hypotheses)
+        check_paired(choices[0].paired)
+    except Refusal as refusal:
+        return Chosen(hypotheses, (), refusal, tuple(choices), scored=tuple(scored))
+    return Chosen(hypotheses, choices[0].paired, None, tuple(choices), scored=tuple(scored))
 
 
 def check_choice(hypotheses: Sequence[Hypothesis]) -> None:

@@ -17,7 +17,8 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Hypothesis, Placement
 from ..errors import Reason, Refusal
-from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, line_pair
+from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE
+from ..matching.line_pairs import line_pair
 from ..matching.placements import PairedPlacement
 from ..quantities import counted
 from ..uncertainty import Confirmation

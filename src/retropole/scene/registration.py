@@ -114,6 +114,11 @@ def prepare(xyz: Array, voxel: float, *, threads: int = 1) -> Surface:
             f"{MIN_CLOUD_POINTS} are needed; record a scene with more in it",
             {"points": len(points), "needed": MIN_CLOUD_POINTS},
         )
+    return surface_of(points, threads=threads)
+
+
+def surface_of(points: Array, *, threads: int = 1) -> Surface:
+    """Estimate the local surfaces of points (M, 3) that are downsampled already."""
     surface = as_surface(points, threads=threads)
     small_gicp.estimate_normals_covariances(
         surface.cloud, surface.tree, num_neighbors=NORMAL_NEIGHBOURS, num_threads=threads

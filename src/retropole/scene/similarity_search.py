@@ -10,7 +10,8 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Placement, PointCloud, Pole
 from ..errors import Refusal
-from ..matching.correspondence import match_poles, pair_starts
+from ..matching.correspondence import match_poles
+from ..matching.line_pairs import pair_starts
 from ..matching.similar import Change, changed_cloud, changed_pole, factors_of
 from ..uncertainty import Confirmation
 from .confirmation import MIN_TOTAL

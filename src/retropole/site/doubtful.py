@@ -7,14 +7,14 @@ distance, under a pose at which the scenes coincide and at no other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 
 from ..datatypes import Placement, Pole, Scan
 from ..extraction.doubtful import with_doubtful
 from ..matching.confirmation import ENOUGH_SURE, Chosen, choose_with_doubtful
-from ..pipeline import choose
+from ..pipeline import choose, choose_settled
 from .choice import linked_groups
 from .pairs import Pair, PairHypothesis
 from .scans import SiteScans
@@ -111,11 +111,16 @@ def _linked(
     for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
         if target is None or source is None:
             continue
-        ask = partial(choose, count=None, prior=None, step=lambda name: nullcontext())
-        chosen = choose_with_doubtful(ask, [Placement(target, source)], radius)
+        ask = partial(choose, count=None, prior=None, step=_untimed)
+        settle = partial(choose_settled, step=_untimed)
+        chosen = choose_with_doubtful(ask, settle, [Placement(target, source)], radius, _untimed)
         if chosen.refusal is None:
             return _with_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
     return None
+
+
+def _untimed(name: str) -> AbstractContextManager[None]:
+    return nullcontext()
 
 
 def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:

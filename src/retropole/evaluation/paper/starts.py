@@ -11,7 +11,7 @@ from ... import se3
 from ...alignment.point_to_line import align_poles
 from ...datatypes import Array, Pole
 from ...extraction.poles import extract_poles
-from ...matching.correspondence import pair_starts
+from ...matching.line_pairs import pair_starts
 from ...report.figures import BLUE, GREY, ORANGE
 from ...simulation import simulate_pair
 from .choosing import EXAMPLE_SEED
