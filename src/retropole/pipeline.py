@@ -68,6 +68,7 @@ def calibrate(
     prior: RotationPrior | None = None,
     by_hand: str | None = None,
     trust_poles: bool = False,
+    doubtful: bool = True,
     need: Need | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
@@ -97,6 +98,9 @@ def calibrate(
         than ``warn``.
     trust_poles
         Whether to take the poles' word where the scene has too little to confirm it.
+    doubtful
+        Whether to try the doubtful poles where the sure ones give no answer: where there is none,
+        that takes most of the time.
     need
         How accurate the answer must be, which the verdict answers; None only asks for usable.
     progress
@@ -134,7 +138,11 @@ def calibrate(
         try:
             check_poles(placements)
             choose_from = partial(choose, count=poles, prior=prior, step=step)
-            chosen = choose_with_doubtful(choose_from, placements, radius)
+            chosen = (
+                choose_with_doubtful(choose_from, placements, radius)
+                if doubtful
+                else choose_from(placements, False)
+            )
             chosen = taken_by_hand(chosen, by_hand)
             hypotheses = chosen.hypotheses
             if chosen.refusal is not None:
