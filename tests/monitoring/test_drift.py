@@ -9,7 +9,7 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Array, Calibration, PointCloud, PoseEstimate
 from retropole.errors import UsageError
-from retropole.monitoring import drift
+from retropole.monitoring import new_pose
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
 from retropole.scene.confirmation import DENIED
@@ -117,7 +117,7 @@ def test_several_minima_cannot_tell(
         return found and replace(found, other_minima=(SMALL_TRANSLATION,))
 
     again = record_again(street, np.random.default_rng(20), poles=False)
-    monkeypatch.setattr(drift, "refine", two_ends)
+    monkeypatch.setattr(new_pose, "refine", two_ends)
     answer = check(stored, again.target, again.source)
     assert answer.status == "cannot_tell"
     assert "several_minima" in [reason.code for reason in answer.reasons]
@@ -133,7 +133,7 @@ def test_a_pose_that_fits_no_better_than_the_stored_one_is_no_movement(
         return replace(found, pose=replace(found.pose, T_target_source=T))
 
     again = record_again(street, np.random.default_rng(21), poles=False)
-    monkeypatch.setattr(drift, "refine", elsewhere)
+    monkeypatch.setattr(new_pose, "refine", elsewhere)
     answer = check(stored, again.target, again.source)
     assert answer.p_value is not None
     assert answer.p_value < 1e-6
