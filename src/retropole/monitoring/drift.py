@@ -7,6 +7,7 @@ new pose is the stored one is tested by `movement`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -15,7 +16,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from .. import se3
-from ..datatypes import DEFAULT_RADIUS, PointCloud, PoseEstimate
+from ..datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
 from ..errors import Reason, Refusal, UsageError
 from ..pipeline import calibrate
 from ..scene.confirmation import DENIED, count, is_denied, scenes_of
@@ -89,16 +90,29 @@ def check(
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
     question = _Question(stored, uncertainty, tolerance, sensors)
-    # Surfaces about the stored pose tell more than doubtful poles, in a thirtieth of the time.
     calibrate_again = partial(
         calibrate,
         radius=radius,
         radius_sigma=radius_sigma,
         sensors=sensors,
         thresholds=thresholds,
-        doubtful=False,
     )
+    # Surfaces about the stored pose tell more than doubtful poles, in a thirtieth of the time.
+    answer = _answered(question, target, source, partial(calibrate_again, doubtful=False))
+    if not _is_astray(answer):
+        return answer
+    return _answered(question, target, source, calibrate_again)
+
+
+def _answered(
+    question: _Question,
+    target: PointCloud,
+    source: PointCloud,
+    calibrate_again: Callable[..., Calibration],
+) -> CheckResult:
+    """Calibrate the new recordings, and hold what comes of it against the stored pose."""
     again = calibrate_again(target, source)
+    sensors, T_stored = question.sensors, question.stored.T_target_source
     for reason in again.reasons:
         swapped = (
             swapped_sensors(again.placements[0], sensors) if reason.code == "wrong_sensor" else None
@@ -108,16 +122,27 @@ def check(
         if reason.code in NO_RECORDINGS:
             raise Refusal(reason.code, reason.message, reason.values)
     clouds = Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
-    new = by_poles(stored, clouds, again, calibrate_again)
+    new = by_poles(question.stored, clouds, again, calibrate_again)
     answer = _tested(question, clouds, new)
     scenes = scenes_of(again.placements, np.random.default_rng(0))
-    found = count(scenes, stored.T_target_source)
+    found = count(scenes, T_stored)
     T_poles = answer.T_target_source if answer.used == "poles" else None
-    told = (stored.T_target_source, T_poles, scenes, found)
+    told = (T_stored, T_poles, scenes, found)
     swapped = None if answer.status == "same" else swapped_clouds(*told)
     if swapped is not None:
         return CheckResult("cannot_tell", (swapped,), confirmation=found)
     return _held_against_scene(replace(answer, confirmation=found), found)
+
+
+def _is_astray(answer: CheckResult) -> bool:
+    """Whether nothing fits about the stored pose: a LiDAR stands elsewhere, if not swapped.
+
+    Then poles alone may say where.
+    """
+    codes = [reason.code for reason in answer.reasons]
+    if answer.status != "cannot_tell" or "swapped" in codes or answer.confirmation is None:
+        return False
+    return answer.T_target_source is None or is_denied(answer.confirmation)
 
 
 def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
