@@ -99,8 +99,7 @@ def calibrate(
     trust_poles
         Whether to take the poles' word where the scene has too little to confirm it.
     doubtful
-        Whether to try the doubtful poles where the sure ones give no answer: where there is none,
-        that takes most of the time.
+        Whether to try the doubtful poles where the sure ones give no answer.
     need
         How accurate the answer must be, which the verdict answers; None only asks for usable.
     progress
