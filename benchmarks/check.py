@@ -4,8 +4,9 @@ Each simulated site is calibrated once, then recorded again by the same devices:
 by 0.3° about a random axis, translated by 3 cm in a random direction, rotated by 40°, or with the
 LiDARs exchanged; with the poles where they were, elsewhere, and without. With `--data`, the same of
 PandaSet's standing vehicle, from one recording to another of its own, with poles ray-cast into
-them, and of surroundings alone. Prints Markdown tables. Seeds below 1000 are for tuning, those from
-1000 on for figures to state.
+them, and of surroundings alone, and how long a check without poles takes on every pair of
+recordings that there is. Prints Markdown tables. Seeds below 1000 are for tuning, those from 1000
+on for figures to state.
 
     python benchmarks/check.py --sites 100 --first 1000 --data DATA
 """
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -28,7 +30,10 @@ import numpy as np
 
 from retropole import se3
 from retropole.datatypes import Array, PointCloud, PoseEstimate
-from retropole.monitoring.drift import SEARCH_ROTATION, SEARCH_TRANSLATION, check
+from retropole.monitoring.drift import check
+from retropole.monitoring.movement import CheckResult
+from retropole.monitoring.new_pose import search_covariance
+from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
 from retropole.pipeline import calibrate
 from retropole.scene.refinement import refine
 from retropole.sensors import Sensor
@@ -42,7 +47,7 @@ from retropole.simulation import (
 )
 from retropole.systematic import ErrorModel, sizes_of
 from retropole.uncertainty import Uncertainty
-from semireal import Loaded, load
+from semireal import PAIRS, Loaded, load
 
 SCENES = ("corridor", "street", "harbor")
 SMALL = ("unmoved", "rotated 0.3°", "translated 3 cm")
@@ -58,6 +63,16 @@ MOVED = {"rotated 0.3°": (np.radians(0.3), 0.0), "rotated 40°": (np.radians(40
 MOVED["translated 3 cm"] = (0.0, 0.03)
 
 
+class Answer(NamedTuple):
+    """What came of a check: of *same* what it was said within, rad and m, and CPU seconds."""
+
+    status: str
+    chi2: float = np.nan
+    codes: tuple[str, ...] = ()
+    within: Tolerance | None = None
+    cpu: float = np.nan
+
+
 class Row(NamedTuple):
     """An answer: where, what was done, how the poles stood, what came of it."""
 
@@ -65,9 +80,12 @@ class Row(NamedTuple):
     seed: int
     kind: str
     poles: str
-    status: str
-    chi2: float = np.nan
-    codes: tuple[str, ...] = ()
+    answer: Answer
+
+    @property
+    def moved(self) -> tuple[float, float]:
+        """How far it was moved, rad and m."""
+        return MOVED.get(self.kind, (0.0, 0.0))
 
 
 class Site(NamedTuple):
@@ -84,6 +102,13 @@ class Simulated(NamedTuple):
     noise: str
     scene: str
     seed: int
+
+
+class Alone(NamedTuple):
+    """A pair of recordings, stored and checked by its scene alone, for the time that it takes."""
+
+    data: Path
+    name: str
 
 
 class Real(NamedTuple):
@@ -113,15 +138,27 @@ def calibrated(
     return Site(pose, answer.uncertainty, sensors)
 
 
-def answered(site: Site, clouds: Iterable[PointCloud]) -> tuple[str, float, tuple[str, ...]]:
+def answered(site: Site, clouds: Iterable[PointCloud]) -> Answer:
     target, source = clouds
+    begun = time.process_time()
     found = check(site.pose, target, source, uncertainty=site.uncertainty, sensors=site.sensors)
+    cpu = time.process_time() - begun
     chi2 = np.nan if found.chi2 is None else found.chi2
-    return found.status, chi2, tuple(reason.code for reason in found.reasons)
+    codes = tuple(reason.code for reason in found.reasons)
+    return Answer(found.status, chi2, codes, named(found), cpu)
 
 
-def run(job: Simulated | Real) -> list[Row]:
-    return list(simulated(job) if isinstance(job, Simulated) else real(job))
+def named(found: CheckResult) -> Tolerance | None:
+    return found.tolerance if found.status == "same" else None
+
+
+REFUSED = Answer("refused")
+
+
+def run(job: Simulated | Real | Alone) -> list[Row]:
+    if isinstance(job, Simulated):
+        return list(simulated(job))
+    return list(real(job) if isinstance(job, Real) else alone(job))
 
 
 def simulated(job: Simulated) -> Iterator[Row]:
@@ -130,7 +167,7 @@ def simulated(job: Simulated) -> Iterator[Row]:
     where = f"{job.noise} {job.scene}"
     site = calibrated(pair.target, pair.source, pair.sensors)
     if site is None:
-        yield Row(where, job.seed, "no calibration", "there", "refused")
+        yield Row(where, job.seed, "no calibration", "there", REFUSED)
         return
     for kind in (*SMALL, *(GROSS if job.seed % GROSS_EVERY == 0 else ())):
         for poles in POLES:
@@ -143,7 +180,7 @@ def simulated(job: Simulated) -> Iterator[Row]:
             again = record_again(at, rng, moved=step(kind, rng), poles=poles != "gone")
             clouds = again.target, again.source
             turned = clouds[::-1] if kind == "exchanged" else clouds
-            yield Row(where, job.seed, kind, poles, *answered(site, turned))
+            yield Row(where, job.seed, kind, poles, answered(site, turned))
 
 
 def real(job: Real) -> Iterator[Row]:
@@ -176,18 +213,23 @@ def real(job: Real) -> Iterator[Row]:
             back = se3.inverse(se3.retract(T, moved)) @ T
             there = clouds[0], replace(clouds[1], xyz=se3.apply(back, clouds[1].xyz))
             for name, site in sites.items():
-                if site is None:
-                    yield Row(f"{where}, stored with {name}", job.seed, kind, poles, "refused")
-                    continue
-                row = answered(site, there)
-                yield Row(f"{where}, stored with {name}", job.seed, kind, poles, *row)
+                answer = REFUSED if site is None else answered(site, there)
+                yield Row(f"{where}, stored with {name}", job.seed, kind, poles, answer)
+
+
+def alone(job: Alone) -> Iterator[Row]:
+    """Check a pair of recordings against what their scene itself gives."""
+    pair = load(job.name, job.data)
+    site = by_scene(pair)
+    if site is not None:
+        answer = answered(site, (pair.target, pair.source))
+        yield Row(f"itself, {job.name}", 0, "itself", "gone", answer)
 
 
 def by_scene(pair: Loaded) -> Site | None:
     """Let the scene alone say what is stored, from about the reference."""
-    spread = np.repeat([SEARCH_ROTATION, SEARCH_TRANSLATION], 3) ** 2
     model = ErrorModel(sizes_of(pair.sensors[0]), sizes_of(pair.sensors[1]))
-    start = PoseEstimate(pair.T, np.diag(spread), 0.0)
+    start = PoseEstimate(pair.T, search_covariance(), 0.0)
     found = refine(pair.target, pair.source, start, model=model)
     return None if found is None else Site(found.pose, found.uncertainty, pair.sensors)
 
@@ -204,45 +246,92 @@ def consensus(data: Path) -> Array:
     return np.asarray(se3.retract(pairs[0].T, np.mean(steps, axis=0)))
 
 
-def table(rows: list[Row], wheres: list[str]) -> None:
-    print("\n| recorded again | poles | where | runs | same | moved | cannot tell |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
+def groups_of(rows: list[Row], wheres: list[str]) -> Iterator[tuple[str, str, str, list[Row]]]:
+    """Give what was done, how the poles stood and where, with the checks of it, if any."""
     for kind in (*SMALL, *GROSS):
         for poles in POLES:
             for where in wheres:
                 group = [
-                    r
-                    for r in rows
-                    if (r.kind, r.poles) == (kind, poles)
-                    and r.where.startswith(where)
-                    and r.status != "refused"
+                    row
+                    for row in rows
+                    if (row.kind, row.poles) == (kind, poles)
+                    and row.where.startswith(where)
+                    and row.answer.status != "refused"
                 ]
-                if not group:
-                    continue
-                count = Counter(r.status for r in group)
-                print(
-                    f"| {kind} | {poles} | {where} | {len(group)} | "
-                    f"{count['same']} | {count['moved']} | {count['cannot_tell']} |"
-                )
+                if group:
+                    yield kind, poles, where, group
 
 
-def chi2_of_unmoved(rows: list[Row], where: str) -> None:
-    for poles in POLES:
-        chi2 = np.array(
-            [
-                r.chi2
-                for r in rows
-                if (r.kind, r.poles) == ("unmoved", poles)
-                and r.where.startswith(where)
-                and np.isfinite(r.chi2)
-            ]
+def table(rows: list[Row], wheres: list[str]) -> None:
+    print(
+        "\n| recorded again | poles | where | runs | same | within more than 0.3°, 3 cm | ", end=""
+    )
+    print("moved | cannot tell | χ²: median, 95 %, largest |\n" + "| --- " * 9 + "|")
+    for kind, poles, where, group in groups_of(rows, wheres):
+        answers = [row.answer for row in group]
+        count = Counter(one.status for one in answers)
+        wide = sum(one.within is not None and one.within != DEFAULT_TOLERANCE for one in answers)
+        chi2 = np.array([one.chi2 for one in answers if np.isfinite(one.chi2)])
+        words = ""
+        if kind == "unmoved" and len(chi2):
+            words = f"{np.median(chi2):.1f}, {np.quantile(chi2, 0.95):.1f}, {chi2.max():.1f}"
+        print(
+            f"| {kind} | {poles} | {where} | {len(group)} | {count['same']} | {wide} | "
+            f"{count['moved']} | {count['cannot_tell']} | {words} |"
         )
-        if len(chi2):
-            print(
-                f"\nχ² of the unmoved, {where}, poles {poles}: median {np.median(chi2):.1f}, 95 % "
-                f"{np.quantile(chi2, 0.95):.1f}, largest {chi2.max():.1f} (χ² with 6 degrees of "
-                "freedom: 5.3, 12.6)"
-            )
+
+
+def tolerances(rows: list[Row], wheres: list[str]) -> None:
+    """Print what *same* was said within of what had not moved, median and largest."""
+    print("\n| unmoved, poles | where | runs | same | within °: median | largest | ", end="")
+    print("within cm: median | largest |\n" + "| --- " * 8 + "|")
+    for kind, poles, where, group in groups_of(rows, wheres):
+        within = [row.answer.within for row in group if row.answer.within is not None]
+        if kind != "unmoved" or not within:
+            continue
+        degrees = np.degrees([one.rotation for one in within])
+        centimetres = 100 * np.array([one.translation for one in within])
+        print(
+            f"| {poles} | {where} | {len(group)} | {len(within)} | {np.median(degrees):.2f} | "
+            f"{degrees.max():.2f} | {np.median(centimetres):.1f} | {centimetres.max():.1f} |"
+        )
+
+
+def summary(rows: list[Row], wheres: list[str]) -> None:
+    """Print the shares that count, and how long a check takes."""
+    for where in wheres:
+        own = [r for r in rows if r.where.startswith(where) and r.answer.status != "refused"]
+        still = [r.answer.status for r in own if r.kind == "unmoved"]
+        poles = [r.answer.status for r in own if r.kind == "unmoved" and r.poles != "gone"]
+        turned = [r.answer.status for r in own if r.kind == "rotated 0.3°"]
+        moved = [r for r in own if any(r.moved)]
+        less = [
+            r
+            for r in moved
+            if r.answer.within is not None
+            and (r.moved[0] > r.answer.within.rotation or r.moved[1] > r.answer.within.translation)
+        ]
+        if not still:
+            continue
+        print(
+            f"\n{where}: unmoved with poles, same: {poles.count('same')} of {len(poles)}; unmoved, "
+            f"called moved: {still.count('moved')} of {len(still)}; rotated by 0.3°, found: "
+            f"{turned.count('moved')} of {len(turned)}; moved by more than *same* was said within: "
+            f"{len(less)} of {len(moved)}"
+        )
+    print("\n| CPU seconds of a check | runs | median | largest |\n| --- | --- | --- | --- |")
+    for where in (*wheres, "itself"):
+        for words, gone in (("with poles", False), ("without", True)):
+            cpu = [
+                r.answer.cpu
+                for r in rows
+                if r.where.startswith(where)
+                and (r.poles == "gone") == gone
+                and np.isfinite(r.answer.cpu)
+                and r.kind not in GROSS
+            ]
+            if cpu:
+                print(f"| {where}, {words} | {len(cpu)} | {np.median(cpu):.1f} | {max(cpu):.1f} |")
 
 
 def main() -> None:
@@ -258,7 +347,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.sites)
-    jobs: list[Simulated | Real] = [
+    jobs: list[Simulated | Real | Alone] = [
         Simulated(noise, SCENES[seed % 3], seed) for noise in arguments.noise for seed in seeds
     ]
     if arguments.data is not None:
@@ -268,26 +357,29 @@ def main() -> None:
             for draw in draws
             for frames in permutations(FRAMES, 2)
         ]
+        jobs += [Alone(arguments.data, pair.name) for pair in PAIRS]
     rows: list[Row] = []
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         for done, found in enumerate(pool.map(run, jobs), start=1):
             rows += found
             for row in found:
                 right = "same" if row.kind == "unmoved" else "moved"
-                if arguments.verbose and row.status != right:
+                if arguments.verbose and row.answer.status != right:
                     print(*row, flush=True)
-            unmoved = Counter(r.status for r in rows if r.kind == "unmoved")
+            unmoved = Counter(r.answer.status for r in rows if r.kind == "unmoved")
             print(f"{done} of {len(jobs)}, unmoved: {dict(unmoved)}", file=sys.stderr, flush=True)
 
-    refused = Counter(r.where for r in rows if r.status == "refused")
+    refused = Counter(r.where for r in rows if r.answer.status == "refused")
     print("not calibrated in the first place:", dict(refused))
     groups = [*arguments.noise, "pandaset, stored with poles", "pandaset, stored with no poles"]
     wheres = [f"{noise} {scene}" for noise in arguments.noise for scene in SCENES]
     table(rows, groups)
     table(rows, wheres)
-    for group in groups:
-        chi2_of_unmoved(rows, group)
-    codes = Counter(code for r in rows if r.status == "cannot_tell" for code in r.codes)
+    tolerances(rows, groups)
+    summary(rows, groups)
+    codes = Counter(
+        code for r in rows if r.answer.status == "cannot_tell" for code in r.answer.codes
+    )
     print("\ncannot tell:", ", ".join(f"{code} {n}" for code, n in codes.most_common()))
 
 

@@ -107,6 +107,7 @@ def test_bounds_in_words() -> None:
     assert at_most(0.0201) == "21 mm"
     assert at_most(0.02) == "20 mm"
     assert at_most(0.244) == "0.25 m"
+    assert at_most(0.00524, "rad") == "0.31°"
 
 
 @given(st.integers(0, 10**9))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -48,6 +47,7 @@ from .scene.similarity import check_similarity, explained
 from .scene.static import check_static, check_still, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
+from .timing import timed
 from .uncertainty import Confirmation, predicted_error, weakest_direction
 from .uncertainty.purpose import Need
 from .verdict import refused, weaknesses
@@ -66,6 +66,7 @@ def calibrate(
     prior: RotationPrior | None = None,
     by_hand: str | None = None,
     trust_poles: bool = False,
+    doubtful: bool = True,
     need: Need | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
@@ -95,6 +96,8 @@ def calibrate(
         than ``warn``.
     trust_poles
         Whether to take the poles' word where the scene has too little to confirm it.
+    doubtful
+        Whether to try the doubtful poles where the sure ones give no answer.
     need
         How accurate the answer must be, which the verdict answers; None only asks for usable.
     progress
@@ -135,7 +138,11 @@ def calibrate(
                 check_poles(placements)
             choose_from = partial(choose, count=poles, prior=prior, step=step)
             settle_from = partial(choose_settled, step=step)
-            chosen = choose_with_doubtful(choose_from, settle_from, placements, radius, step)
+            chosen = (
+                choose_with_doubtful(choose_from, settle_from, placements, radius, step)
+                if doubtful
+                else choose_from(placements)
+            )
             chosen = taken_by_hand(chosen, by_hand)
             hypotheses = chosen.hypotheses
             if chosen.refusal is not None:
@@ -333,14 +340,3 @@ def answered(
 
 def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
     return [clouds] if isinstance(clouds, PointCloud) else clouds
-
-
-@contextmanager
-def timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
-    """Name a step that starts, and note how long it took, also where it ends in a refusal."""
-    progress(name)
-    start = time.perf_counter()
-    try:
-        yield
-    finally:
-        seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start

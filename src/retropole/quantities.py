@@ -37,18 +37,20 @@ def error(sigma: float | None, unit: Unit = "m") -> str:
     return _fixed(sigma * scale, _decimals(sigma * scale)) + symbol
 
 
-def at_most(bound: float) -> str:
-    """Write a bound on a length as `error` does, rounded up: 20.1 mm are not within ``20 mm``.
+def at_most(bound: float, unit: Unit = "m") -> str:
+    """Write a bound as `error` does, rounded up: 20.1 mm are not within ``20 mm``.
 
     Parameters
     ----------
     bound
-        Metres, above 0.
+        In SI units, above 0.
+    unit
+        As in `error`.
     """
-    scale, _ = _scale(bound, "m")
+    scale, _ = _scale(bound, unit)
     digit = 10.0 ** -_decimals(bound * scale)
     # What is as good as a whole digit stays one.
-    return error(math.ceil(bound * scale / digit - 1e-9) * digit / scale)
+    return error(math.ceil(bound * scale / digit - 1e-9) * digit / scale, unit)
 
 
 def value(number: float | None, sigma: float, unit: Unit = "m") -> str:

@@ -36,7 +36,7 @@ def run(site: Path, result: str, recording: str, *words: str) -> tuple[int, str]
 def test_exit_codes_and_words(site: Path) -> None:
     code, text = run(site, "r", "same")
     assert code == 0, text
-    assert text.startswith("verdict: same\n")
+    assert text.startswith("verdict: same within 0.30° and 30 mm\n")
     assert "what stands in the scene, under the stored pose: " in text
     code, text = run(site, "r/result.json", "moved")
     assert code == 4, text
@@ -61,6 +61,32 @@ def test_json_is_one_line(site: Path, recording: str, status: str) -> None:
     assert answer["sigma_deg"] > 0
     assert answer["sigma_m"] > 0
     assert answer["moved_deg"] == pytest.approx(0.3 if status == "moved" else 0.0, abs=0.05)
+    within = (None, None) if status == "moved" else (pytest.approx(0.3), 0.03)
+    assert (answer["tolerance_deg"], answer["tolerance_m"]) == within
+    assert answer["power"] > 0.95
+
+
+def test_a_tolerance_that_was_asked_for_is_held_to(site: Path) -> None:
+    weak = ("r.json", "same", "--sigma-deg", "0.02", "--sigma-m", "0.02")
+    words = ("--to", "json", "--out", "r.json")
+    assert retropole_here("export", "r", *words, cwd=site).returncode == 0
+    code, text = run(site, *weak, "--json")
+    answer = json.loads(text)
+    assert (code, answer["status"]) == (0, "same")
+    assert "wider_tolerance" in [reason["code"] for reason in answer["reasons"]]
+    told = answer["tolerance_m"]
+    assert 0.03 < told < 0.1
+    assert answer["power"] < 0.95
+    code, text = run(site, *weak)
+    assert text.startswith("verdict: same within 0.30° and ")
+    assert "wider_tolerance: the same within 0.30° and " in text
+    code, text = run(site, *weak, "--tolerance-m", "0.03", "--json")
+    answer = json.loads(text)
+    assert (code, answer["status"], answer["tolerance_m"]) == (3, "cannot_tell", told)
+    assert "too_weak" in [reason["code"] for reason in answer["reasons"]]
+    code, text = run(site, *weak, "--tolerance-m", "0.09", "--json")
+    answer = json.loads(text)
+    assert (code, answer["status"], answer["tolerance_m"]) == (0, "same", 0.09)
 
 
 def test_a_transform_without_covariance_needs_its_sigmas(site: Path) -> None:

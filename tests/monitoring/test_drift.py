@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole import pipeline, se3
 from retropole.datatypes import Array, Calibration, PointCloud, PoseEstimate
 from retropole.errors import UsageError
-from retropole.monitoring import drift
+from retropole.monitoring import new_pose
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
 from retropole.scene.confirmation import DENIED
@@ -78,6 +78,24 @@ def test_clouds_without_intensity_are_checked_by_the_scene(
     assert "poles_no_intensity" in [reason.code for reason in answer.reasons]
 
 
+def test_doubtful_poles_are_left_alone_where_the_stored_pose_fits(
+    street: SimulatedPair, stored: PoseEstimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class TriedError(Exception):
+        pass
+
+    def tried(*args: Any) -> None:
+        raise TriedError
+
+    monkeypatch.setattr(pipeline, "choose_with_doubtful", tried)
+    bare = record_again(street, np.random.default_rng(22), poles=False)
+    assert check(stored, bare.target, bare.source).status == "same"
+    turned = np.r_[np.radians(40.0) * street.T_world_target[2, :3], 0, 0, 0]
+    astray = record_again(street, np.random.default_rng(22), moved=turned, poles=False)
+    with pytest.raises(TriedError):
+        check(stored, astray.target, astray.source)
+
+
 def test_errors_of_the_same_devices_cancel(
     street: SimulatedPair, stored: PoseEstimate, calibration: Calibration
 ) -> None:
@@ -117,7 +135,7 @@ def test_several_minima_cannot_tell(
         return found and replace(found, other_minima=(SMALL_TRANSLATION,))
 
     again = record_again(street, np.random.default_rng(20), poles=False)
-    monkeypatch.setattr(drift, "refine", two_ends)
+    monkeypatch.setattr(new_pose, "refine", two_ends)
     answer = check(stored, again.target, again.source)
     assert answer.status == "cannot_tell"
     assert "several_minima" in [reason.code for reason in answer.reasons]
@@ -133,7 +151,7 @@ def test_a_pose_that_fits_no_better_than_the_stored_one_is_no_movement(
         return replace(found, pose=replace(found.pose, T_target_source=T))
 
     again = record_again(street, np.random.default_rng(21), poles=False)
-    monkeypatch.setattr(drift, "refine", elsewhere)
+    monkeypatch.setattr(new_pose, "refine", elsewhere)
     answer = check(stored, again.target, again.source)
     assert answer.p_value is not None
     assert answer.p_value < 1e-6

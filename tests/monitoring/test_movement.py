@@ -6,15 +6,17 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Array, PoseEstimate
 from retropole.export.transform import Transform, inverted
-from retropole.monitoring.movement import (
+from retropole.monitoring.certainty import (
+    CONFIDENCE,
     FALSE_ALARM,
-    MIN_POWER,
-    CheckResult,
-    compare_poses,
+    ROTATION,
+    TRANSLATION,
     detection_power,
+    upper_limit,
 )
+from retropole.monitoring.movement import CheckResult, compare_poses
 from retropole.monitoring.repeated import REPEATED
-from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
+from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE, Asked
 from retropole.uncertainty import Uncertainty
 
 
@@ -53,9 +55,7 @@ def test_the_false_alarm_rate_holds_for_errors_that_repeat() -> None:
             PoseEstimate(se3.retract(T, repeated + own), parts.covariance, 0.0)
             for own in rng.multivariate_normal(nothing, random + (1 - REPEATED) * systematic, 2)
         )
-        answer = compare_poses(
-            one, other, "poles", Tolerance(1e-9, 1e-9), uncertainties=(parts, parts)
-        )
+        answer = compare_poses(one, other, "poles", Asked(1e-9, 1e-9), uncertainties=(parts, parts))
         assert answer.chi2 is not None
         squares.append(answer.chi2)
         alarms += answer.status == "moved"
@@ -117,7 +117,7 @@ def test_the_false_alarm_rate_is_as_stated() -> None:
     runs = 2000
     # Of a tolerance of nothing, no movement is below it.
     alarms = sum(
-        compare_poses(drawn(T, C, rng), drawn(T, D, rng), "poles", Tolerance(1e-9, 1e-9)).status
+        compare_poses(drawn(T, C, rng), drawn(T, D, rng), "poles", Asked(1e-9, 1e-9)).status
         == "moved"
         for _ in range(runs)
     )
@@ -160,7 +160,81 @@ def test_the_power_has_its_limits() -> None:
     assert powers == sorted(powers, reverse=True)
 
 
-def test_a_test_that_could_not_see_a_movement_does_not_say_same() -> None:
+@pytest.mark.parametrize("part", [ROTATION, TRANSLATION])
+def test_a_movement_is_above_its_upper_limit_as_rarely_as_stated(part: slice) -> None:
+    rng = np.random.default_rng(10 + part.start)
+    spread = covariance(rng)
+    values, vectors = np.linalg.eigh(spread[part, part])
+    size = 8.0 * np.sqrt(values[-1])
+    for direction, missed in ((vectors[:, -1], 1 - CONFIDENCE), (vectors[:, 0], 0.0)):
+        movement = np.zeros(6)
+        movement[part] = size * direction
+        runs = 4000
+        seen = rng.multivariate_normal(movement, spread, runs)
+        limits = [upper_limit(step, spread) for step in seen]
+        below = np.mean([(lim.rotation, lim.translation)[part.start // 3] < size for lim in limits])
+        assert below < 1 - CONFIDENCE + 4 * np.sqrt(0.05 / runs)
+        assert below >= missed / 3
+
+
+def test_same_is_said_within_as_little_as_the_data_tell() -> None:
+    rng = np.random.default_rng(7)
+    T, spread = se3.random(rng), covariance(rng, 2e-4, 8e-3)
+    for seed in range(40):
+        own = np.random.default_rng(seed)
+        one, other = drawn(T, spread, own), drawn(T, spread, own)
+        answer = compare_poses(one, other, "poles")
+        if answer.status == "moved":
+            continue
+        assert answer.step is not None
+        assert answer.covariance is not None
+        limit = upper_limit(answer.step, answer.covariance)
+        assert answer.tolerance == DEFAULT_TOLERANCE.or_wider(limit)
+        codes = [r.code for r in answer.reasons]
+        if limit.is_within(DEFAULT_TOLERANCE):
+            assert (answer.status, codes) == ("same", [])
+        elif limit.is_within(WIDEST_TOLERANCE):
+            assert (answer.status, codes) == ("same", ["wider_tolerance"])
+            assert answer.tolerance.in_words in answer.reasons[0].message
+        else:
+            assert (answer.status, codes) == ("cannot_tell", ["too_weak"])
+        # Of what is asked for, the same data confirm all that is no narrower than that.
+        for factor in (0.9, 1.1):
+            asked = Asked(factor * limit.rotation, factor * limit.translation)
+            held = compare_poses(one, other, "poles", asked)
+            assert held.status == ("same" if factor > 1 else "cannot_tell")
+            assert [r.code for r in held.reasons] == ([] if factor > 1 else ["too_weak"])
+            assert held.tolerance == asked.least.or_wider(limit)
+
+
+def test_each_part_of_the_tolerance_is_held_to_by_itself() -> None:
+    rng = np.random.default_rng(8)
+    T, weak = se3.random(rng), covariance(rng, 1e-4, 1e-2)
+    pose = PoseEstimate(T, weak, 0.0)
+    assert compare_poses(pose, pose, "poles", Asked(rotation=np.radians(0.3))).status == "same"
+    assert compare_poses(pose, pose, "poles", Asked(translation=0.01)).status == "cannot_tell"
+
+
+def test_what_no_surface_holds_is_not_confirmed_by_the_search_for_it() -> None:
+    rng = np.random.default_rng(9)
+    T, spread = se3.random(rng), covariance(rng)
+    along = spread + np.diag([0, 0, 0, WIDEST_TOLERANCE.translation**2, 0, 0])
+    one, other = PoseEstimate(T, spread, 0.0), PoseEstimate(T, along, 0.0)
+    for asked in (Asked(), Asked(1.0, 1.0)):
+        answer = compare_poses(one, other, "scene", asked)
+        assert (answer.status, [r.code for r in answer.reasons]) == ("cannot_tell", ["too_weak"])
+    assert compare_poses(one, other, "poles", Asked(1.0, 1.0)).status == "same"
+
+
+def test_what_was_taken_back_confirms_nothing() -> None:
+    T, spread = se3.random(np.random.default_rng(0)), covariance(np.random.default_rng(1))
+    answer = compare_poses(PoseEstimate(T, spread, 0.0), PoseEstimate(T, spread, 0.0), "poles")
+    assert answer.status == "same"
+    back = answer.untold()
+    assert (back.status, back.tolerance, back.chi2) == ("cannot_tell", None, answer.chi2)
+
+
+def test_the_weaker_of_both_poses_is_named() -> None:
     rng = np.random.default_rng(7)
     T = se3.random(rng)
     certain, uncertain = (
@@ -170,15 +244,11 @@ def test_a_test_that_could_not_see_a_movement_does_not_say_same() -> None:
     for stored, new, blamed in ((certain, uncertain, "new"), (uncertain, certain, "stored")):
         answer = compare_poses(stored, new, "poles")
         assert answer.status == "cannot_tell"
-        assert answer.power is not None
-        assert answer.power < MIN_POWER
         assert [r.code for r in answer.reasons] == ["too_weak"]
         assert f"the {blamed} " in answer.reasons[0].message
-    # A wider tolerance asks for less; a movement that sticks out is one all the same.
-    assert compare_poses(certain, uncertain, "poles", Tolerance(0.3, 1.0)).status == "same"
     far = PoseEstimate(se3.retract(T, np.r_[0, 0, 0, 1.0, 0, 0]), uncertain.covariance, 0.0)
     answer = compare_poses(certain, far, "poles")
-    assert answer.status == "moved"
+    assert (answer.status, answer.tolerance) == ("moved", None)
     assert [r.code for r in answer.reasons] == ["size_unsure"]
 
 
@@ -192,7 +262,7 @@ def test_a_movement_below_the_tolerance_is_told_as_such() -> None:
     assert answer.p_value is not None
     assert answer.p_value < FALSE_ALARM
     assert (
-        compare_poses(PoseEstimate(T, spread, 0.0), near, "poles", Tolerance(1e-5, 1e-3)).status
+        compare_poses(PoseEstimate(T, spread, 0.0), near, "poles", Asked(1e-5, 1e-3)).status
         == "moved"
     )
 

@@ -17,7 +17,7 @@ from ..io import sha256_of, topics_of
 from ..monitoring.drift import check
 from ..monitoring.movement import CheckResult
 from ..monitoring.swapped import swap
-from ..monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
+from ..monitoring.tolerance import NOT_ASKED, Asked
 from ..reasons import prefixed
 from ..result import DEFAULT_CONFIG, RunConfig, uncertainty_of
 from ..result.decoding import decode
@@ -83,7 +83,7 @@ def read_stored(path: Path, sigma: tuple[float, float] | None = None) -> Stored:
 
 
 def checked(
-    stored: Stored, target: Input, source: Input, tolerance: Tolerance = DEFAULT_TOLERANCE
+    stored: Stored, target: Input, source: Input, tolerance: Asked = NOT_ASKED
 ) -> CheckResult:
     """Check new recordings against a stored result, with the options of its run.
 

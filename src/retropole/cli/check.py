@@ -10,7 +10,7 @@ import click
 from msgspec import to_builtins
 
 from ..io.units import Unit
-from ..monitoring.tolerance import DEFAULT_TOLERANCE
+from ..monitoring.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc, confirmation_document
 from .common import (
     CLOUD,
@@ -36,6 +36,17 @@ EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 NOISE_SIGMAS = 2.0
 """A movement of fewer σ than this has no direction worth naming."""
 
+TOLERANCE_DEG_HELP = (
+    "A rotation that must not be missed: where it could be, the answer is not 'same'.  "
+    f"[default: {math.degrees(DEFAULT_TOLERANCE.rotation):g}, or as little more as the data tell, "
+    f"up to {math.degrees(WIDEST_TOLERANCE.rotation):g}]"
+)
+TOLERANCE_M_HELP = (
+    "The same of a translation.  "
+    f"[default: {DEFAULT_TOLERANCE.translation:g}, or as little more as the data tell, up to "
+    f"{WIDEST_TOLERANCE.translation:g}]"
+)
+
 MOSTLY_ALONG = math.cos(math.radians(30.0))
 """A direction within 30° of an axis goes by its name."""
 
@@ -56,20 +67,8 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
     help="Unit of the new recordings' coordinates.  [default: that of RESULT]",
 )
 @click.option("--unit-source", type=click.Choice(get_args(Unit)), help="The same for SOURCE alone.")
-@click.option(
-    "--tolerance-deg",
-    type=DEGREES,
-    default=math.degrees(DEFAULT_TOLERANCE.rotation),
-    show_default=True,
-    help="A rotation that must not be missed: where it could be, the answer is not 'same'.",
-)
-@click.option(
-    "--tolerance-m",
-    type=METRES,
-    default=DEFAULT_TOLERANCE.translation,
-    show_default=True,
-    help="A translation that must not be missed.",
-)
+@click.option("--tolerance-deg", type=DEGREES, help=TOLERANCE_DEG_HELP)
+@click.option("--tolerance-m", type=METRES, help=TOLERANCE_M_HELP)
 @click.option(
     "--sigma-deg",
     type=DEGREES,
@@ -86,8 +85,8 @@ def check(
     source_topic: str | None,
     unit: Unit | None,
     unit_source: Unit | None,
-    tolerance_deg: float,
-    tolerance_m: float,
+    tolerance_deg: float | None,
+    tolerance_m: float | None,
     sigma_deg: float | None,
     sigma_m: float | None,
     as_json: bool,
@@ -120,7 +119,7 @@ def check(
     from ..api.checking import checked, read_stored, topic_for
     from ..errors import Reason, Refusal
     from ..monitoring.movement import CheckResult
-    from ..monitoring.tolerance import Tolerance
+    from ..monitoring.tolerance import Asked
     from ..reasons import prefixed
 
     if (sigma_deg is None) != (sigma_m is None):
@@ -156,8 +155,8 @@ def check(
                 progress=progress,
             )
             progress("check")
-            tolerance = Tolerance(float(np.radians(tolerance_deg)), tolerance_m)
-            answer = checked(stored, of_target, of_source, tolerance)
+            angle = None if tolerance_deg is None else math.radians(tolerance_deg)
+            answer = checked(stored, of_target, of_source, Asked(angle, tolerance_m))
     if as_json:
         show(json_line(answer))
     elif not quiet:
@@ -171,9 +170,10 @@ def json_line(answer: CheckResult) -> str:
 
     import numpy as np
 
-    from ..monitoring.movement import FALSE_ALARM
+    from ..monitoring.certainty import FALSE_ALARM
 
     rotation, translation = answer.rotation, answer.translation
+    tolerance = answer.tolerance
     return json.dumps(
         {
             "status": answer.status,
@@ -186,6 +186,8 @@ def json_line(answer: CheckResult) -> str:
             "p_value": answer.p_value,
             "false_alarm": FALSE_ALARM,
             "power": answer.power,
+            "tolerance_deg": tolerance and math.degrees(tolerance.rotation),
+            "tolerance_m": tolerance and tolerance.translation,
             "confirmation": to_builtins(confirmation_document(answer.confirmation)),
             "T_target_source": None
             if answer.T_target_source is None
@@ -201,12 +203,15 @@ def json_line(answer: CheckResult) -> str:
 def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
     from ..errors import printable
-    from ..monitoring.movement import FALSE_ALARM
+    from ..monitoring.certainty import FALSE_ALARM
     from ..quantities import value_and_error
     from ..report.layout import wrapped
     from ..report.text import reason_lines
 
-    lines = [f"verdict: {answer.status.replace('_', ' ')}"]
+    verdict = answer.status.replace("_", " ")
+    if answer.status == "same" and answer.tolerance is not None:
+        verdict += f" within {answer.tolerance.in_words}"
+    lines = [f"verdict: {verdict}"]
     rotation, translation = answer.rotation, answer.translation
     if answer.step is not None and rotation is not None and translation is not None:
         how = "poles and scene" if answer.used == "poles" else "the scene alone"
@@ -218,7 +223,6 @@ def in_words(answer: CheckResult) -> str:
             "  (the source against the target; which of them moved, two LiDARs cannot tell)",
             f"  χ² {answer.chi2:.1f} with 6 degrees of freedom; as much where nothing moved: "
             f"{answer.p_value:.2g} (called moved below {FALSE_ALARM:g})",
-            f"  a movement of the tolerance is found with probability {answer.power:.0%} at least",
             f"  found by {how}",
         ]
     if answer.confirmation is not None:

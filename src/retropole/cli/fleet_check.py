@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..monitoring.tolerance import DEFAULT_TOLERANCE
-from .check import EXIT_MOVED
+from .check import EXIT_MOVED, TOLERANCE_DEG_HELP, TOLERANCE_M_HELP
 from .cluster import check_cluster, cluster_options
 from .common import (
     CONTEXT,
@@ -42,20 +41,8 @@ SCHEMA = "retropole/fleet-check/1"
     help="Of 'retropole fleet calibrate': holds the stored results, by the ids of the sites.",
 )
 @cluster_options
-@click.option(
-    "--tolerance-deg",
-    type=DEGREES,
-    default=math.degrees(DEFAULT_TOLERANCE.rotation),
-    show_default=True,
-    help="As for 'retropole check'.",
-)
-@click.option(
-    "--tolerance-m",
-    type=METRES,
-    default=DEFAULT_TOLERANCE.translation,
-    show_default=True,
-    help="As for 'retropole check'.",
-)
+@click.option("--tolerance-deg", type=DEGREES, help=TOLERANCE_DEG_HELP)
+@click.option("--tolerance-m", type=METRES, help=TOLERANCE_M_HELP)
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def fleet_check(
@@ -65,8 +52,8 @@ def fleet_check(
     scheduler: str | None,
     workers: int | None,
     time_limit: float,
-    tolerance_deg: float,
-    tolerance_m: float,
+    tolerance_deg: float | None,
+    tolerance_m: float | None,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -101,20 +88,21 @@ def fleet_check(
     from ..fleet.engine import connected, outcomes
     from ..fleet.history.run import check_fleet
     from ..fleet.sites import find_sites
-    from ..monitoring.tolerance import Tolerance
+    from ..monitoring.tolerance import Asked
 
     check_cluster(scheduler, workers)
     with progress_on_terminal(quiet or as_json) as progress:
         progress("find the sites")
         sites_found = find_sites(sites)
         progress("start the workers")
+        angle = None if tolerance_deg is None else math.radians(tolerance_deg)
         with connected(scheduler, workers) as client:
             found = check_fleet(
                 sites_found,
                 history,
                 lambda tasks: outcomes(client, tasks),
                 answers=answers,
-                tolerance=Tolerance(math.radians(tolerance_deg), tolerance_m),
+                tolerance=Asked(angle, tolerance_m),
                 time_limit=time_limit,
                 progress=progress,
             )

@@ -9,59 +9,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from scipy.special import chdtri
 
 from .. import se3
-from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud, PoseEstimate
+from ..datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
 from ..errors import Reason, Refusal, UsageError
-from ..matching.prior import RotationPrior
 from ..pipeline import calibrate
-from ..quantities import error
-from ..reasons import prefixed
-from ..scene.choice import MIN_OVERLAP
 from ..scene.confirmation import DENIED, count, is_denied, scenes_of
-from ..scene.disambiguation import SCORING_VOXEL
-from ..scene.refinement import refine
-from ..scene.registration import MIN_CLOUD_POINTS
-from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
 from ..sensors import Sensor
 from ..systematic import ErrorModel, sizes_of
 from ..uncertainty import Confirmation, Uncertainty
+from .certainty import FALSE_ALARM
 from .fit import preferences
-from .movement import (
-    ROTATION,
-    TRANSLATION,
-    CheckResult,
-    Method,
-    compare_poses,
-)
+from .movement import CheckResult, Method, compare_poses
+from .new_pose import Clouds, NewPose, by_poles, by_scene, search_covariance
 from .swapped import swapped_clouds, swapped_sensors
-from .tolerance import DEFAULT_TOLERANCE, Tolerance
-
-PARTS = ROTATION, TRANSLATION
-
-NOT_TRUSTED = ("poles_and_scene_disagree", "several_minima")
-"""Warnings of a new calibration by poles that leave the scene alone to answer."""
+from .tolerance import NOT_ASKED, Asked
 
 NO_RECORDINGS = ("far_from_lidar", "same_recording", "wrong_unit", "wrong_sensor")
 """Refusals of a new calibration that leave the scene nothing to answer by either."""
-
-SEARCH_ROTATION, SEARCH_TRANSLATION = float(np.radians(1.0)), 0.1
-"""1 σ about the stored pose from which the scene starts, rad and m: wide beside whatever the scene
-holds, so that the answer is not drawn back to the stored pose, and too wide for *same* in what it
-does not hold. Surfaces correspond over three times as much, and more."""
-
-NEAR_STORED_ROTATION = float(np.radians(10.0))
-"""1 σ of the rotation that decides between hypotheses where the surroundings do not, rad."""
-
-MAX_FREE_SPACE_VIOLATION = 0.05
-"""Share of the points that may stand, under the new pose, where the other LiDAR looked through. The
-right pose has up to 0.02 of them, at the edges of objects; wrong ones that cling to the ground have
-0.02 and more, but are then as uncertain as the search was wide (benchmarks/check.py)."""
-
 
 PREFERRED = 2.0
 """So many σ better the surfaces must fit under the new pose than under the stored one before it has
@@ -71,29 +41,13 @@ more, corridors of few places least (seeds 0 to 12)."""
 
 
 @dataclass(frozen=True, eq=False)
-class _NewPose:
-    """A pose found again, or None, and what there is to say of it.
+class _Question:
+    """What is stored, by which devices, and how small a movement must be told."""
 
-    `unsure` says that it must not be taken for a movement, nor for none.
-    """
-
-    pose: PoseEstimate | None
-    uncertainty: Uncertainty | None = None
-    reasons: tuple[Reason, ...] = ()
-    unsure: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class _Clouds:
-    """The new recordings, without what moved, and both views where they are asked for."""
-
-    target: PointCloud
-    source: PointCloud
-
-    @cached_property
-    def views(self) -> tuple[View, View]:
-        """Both clouds, prepared to be compared."""
-        return view_of(self.target, SCORING_VOXEL), view_of(self.source, SCORING_VOXEL)
+    stored: PoseEstimate
+    uncertainty: Uncertainty | None
+    tolerance: Asked
+    sensors: tuple[Sensor | None, Sensor | None]
 
 
 def check(
@@ -102,7 +56,7 @@ def check(
     source: PointCloud,
     *,
     uncertainty: Uncertainty | None = None,
-    tolerance: Tolerance = DEFAULT_TOLERANCE,
+    tolerance: Asked = NOT_ASKED,
     radius: float = DEFAULT_RADIUS,
     radius_sigma: float = 0.0,
     sensors: tuple[Sensor | None, Sensor | None] = (None, None),
@@ -122,7 +76,7 @@ def check(
         The stored covariance in its two kinds, where these LiDARs were calibrated by this program;
         None, as of a pose from elsewhere, shares no errors with the new one.
     tolerance
-        The movement that matters.
+        The movement that matters, or as small a one as these data can tell.
     radius, radius_sigma, sensors, thresholds
         As for `pipeline.calibrate`.
 
@@ -135,6 +89,7 @@ def check(
     """
     if stored.covariance is None:
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
+    question = _Question(stored, uncertainty, tolerance, sensors)
     calibrate_again = partial(
         calibrate,
         radius=radius,
@@ -142,7 +97,22 @@ def check(
         sensors=sensors,
         thresholds=thresholds,
     )
+    # Surfaces about the stored pose tell more than doubtful poles, in a thirtieth of the time.
+    answer = _answered(question, target, source, partial(calibrate_again, doubtful=False))
+    if not _is_astray(answer):
+        return answer
+    return _answered(question, target, source, calibrate_again)
+
+
+def _answered(
+    question: _Question,
+    target: PointCloud,
+    source: PointCloud,
+    calibrate_again: Callable[..., Calibration],
+) -> CheckResult:
+    """Calibrate the new recordings, and hold what comes of it against the stored pose."""
     again = calibrate_again(target, source)
+    sensors, T_stored = question.sensors, question.stored.T_target_source
     for reason in again.reasons:
         swapped = (
             swapped_sensors(again.placements[0], sensors) if reason.code == "wrong_sensor" else None
@@ -151,45 +121,55 @@ def check(
             return CheckResult("cannot_tell", (swapped,))
         if reason.code in NO_RECORDINGS:
             raise Refusal(reason.code, reason.message, reason.values)
-    clouds = _Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
-    by_poles = _by_poles(stored, clouds, again, calibrate_again)
-    answer = _tested(stored, uncertainty, clouds, by_poles, tolerance, sensors)
+    clouds = Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
+    new = by_poles(question.stored, clouds, again, calibrate_again)
+    answer = _tested(question, clouds, new)
     scenes = scenes_of(again.placements, np.random.default_rng(0))
-    found = count(scenes, stored.T_target_source)
+    found = count(scenes, T_stored)
     T_poles = answer.T_target_source if answer.used == "poles" else None
-    told = (stored.T_target_source, T_poles, scenes, found)
+    told = (T_stored, T_poles, scenes, found)
     swapped = None if answer.status == "same" else swapped_clouds(*told)
     if swapped is not None:
         return CheckResult("cannot_tell", (swapped,), confirmation=found)
     return _held_against_scene(replace(answer, confirmation=found), found)
 
 
-def _tested(
-    stored: PoseEstimate,
-    uncertainty: Uncertainty | None,
-    clouds: _Clouds,
-    by_poles: _NewPose,
-    tolerance: Tolerance,
-    sensors: tuple[Sensor | None, Sensor | None],
-) -> CheckResult:
+def _is_astray(answer: CheckResult) -> bool:
+    """Whether nothing fits about the stored pose: a LiDAR stands elsewhere, if not swapped.
+
+    Then poles alone may say where.
+    """
+    codes = [reason.code for reason in answer.reasons]
+    if answer.status != "cannot_tell" or "swapped" in codes or answer.confirmation is None:
+        return False
+    return answer.T_target_source is None or is_denied(answer.confirmation)
+
+
+def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
     """Test the pose that the poles give, or else the scene, against the stored one."""
-    reasons = by_poles.reasons
-    if by_poles.pose is not None:
-        answer = _compared(stored, uncertainty, by_poles, "poles", tolerance, reasons)
-        denied = _denied_by_surfaces(stored, clouds, answer)
-        if denied is None:
-            return answer
-        reasons = (Reason("poles_not_trusted", denied.message, denied.values),)
+    stored, sensors = question.stored, question.sensors
     model = ErrorModel(sizes_of(sensors[0]), sizes_of(sensors[1]))
-    by_scene = _by_scene(stored, clouds, model)
-    reasons += by_scene.reasons
-    if by_scene.pose is None:
+    reasons = new.reasons
+    found: NewPose | None = None
+    if new.pose is not None:
+        answer = _compared(question, new, "poles", reasons)
+        doubt = _doubt(stored, clouds, answer)
+        if doubt is None:
+            return answer
+        found = by_scene(stored, clouds, model)
+        if not (doubt.seen or _is_denied_by(found, new.pose)):
+            return answer
+        reasons = (Reason("poles_not_trusted", doubt.reason.message, doubt.reason.values),)
+    if found is None:
+        found = by_scene(stored, clouds, model)
+    reasons += found.reasons
+    if found.pose is None:
         return CheckResult("cannot_tell", reasons)
-    answer = _compared(stored, uncertainty, by_scene, "scene", tolerance, reasons)
-    denied = _denied_by_surfaces(stored, clouds, answer)
-    if denied is not None:
-        return replace(answer, status="cannot_tell", reasons=(*answer.reasons, denied))
-    return replace(answer, status="cannot_tell") if by_scene.unsure else answer
+    answer = _compared(question, found, "scene", reasons)
+    doubt = _doubt(stored, clouds, answer)
+    if doubt is not None:
+        return answer.untold(doubt.reason)
+    return answer.untold() if found.unsure else answer
 
 
 def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
@@ -209,100 +189,28 @@ def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult
             "allowed": DENIED,
         },
     )
-    return replace(answer, status="cannot_tell", reasons=(*answer.reasons, denied))
+    return answer.untold(denied)
 
 
 def _compared(
-    stored: PoseEstimate,
-    uncertainty: Uncertainty | None,
-    new: _NewPose,
-    used: Method,
-    tolerance: Tolerance,
-    reasons: tuple[Reason, ...],
+    question: _Question, new: NewPose, used: Method, reasons: tuple[Reason, ...]
 ) -> CheckResult:
     assert new.pose is not None
-    both = uncertainty, new.uncertainty
-    return compare_poses(stored, new.pose, used, tolerance, reasons, both)
+    both = question.uncertainty, new.uncertainty
+    return compare_poses(question.stored, new.pose, used, question.tolerance, reasons, both)
 
 
-def _by_poles(
-    stored: PoseEstimate,
-    clouds: _Clouds,
-    again: Calibration,
-    calibrate_again: Callable[..., Calibration],
-) -> _NewPose:
-    """Calibrate again, from all hypotheses: a LiDAR that was turned round must not seem unmoved.
+class _Doubt(NamedTuple):
+    """Why a movement that was found may be none, and whether the surfaces could see it at all."""
 
-    Only where the surroundings do not decide between them, those near the stored pose are
-    preferred: no LiDAR comes loose to end up half a turn away in a place of that symmetry.
-    """
-    answer = again
-    if [reason.code for reason in answer.reasons] == ["ambiguous"]:
-        near = RotationPrior(stored.T_target_source[:3, :3], NEAR_STORED_ROTATION)
-        answer = calibrate_again(clouds.target, clouds.source, prior=near)
-    pose = answer.refined or answer.poles
-    if pose is None or pose.covariance is None or answer.T_target_source is None:
-        reasons = (Reason(prefixed("poles", r.code), r.message, r.values) for r in answer.reasons)
-        return _NewPose(None, reasons=tuple(reasons))
-    misfit = _misfit(clouds, pose.T_target_source)
-    wrong = [misfit] if misfit is not None else []
-    wrong += [r for r in answer.reasons if r.code in NOT_TRUSTED]
-    if wrong:
-        reasons = (Reason("poles_not_trusted", r.message, r.values) for r in wrong)
-        return _NewPose(None, reasons=tuple(reasons))
-    said = tuple(r for r in answer.reasons if r.code == "not_converged")
-    return _NewPose(pose, answer.uncertainty, said)
+    reason: Reason
+    seen: bool
 
 
-def _by_scene(stored: PoseEstimate, clouds: _Clouds, model: ErrorModel) -> _NewPose:
-    """Lay the surfaces of both clouds on each other, from about the stored pose."""
-    spread = np.r_[np.full(3, SEARCH_ROTATION), np.full(3, SEARCH_TRANSLATION)] ** 2
-    start = PoseEstimate(stored.T_target_source, np.diag(spread), stored.rms)
-    with threadpool_limits(1, user_api="blas"):
-        refined = refine(clouds.target, clouds.source, start, model=model)
-    if refined is None:
-        reason = Reason(
-            "no_common_surfaces",
-            "near the stored pose the clouds have no surfaces in common: a LiDAR was moved by more "
-            "than a few degrees or decimetres, these are other LiDARs (or the other way round), or "
-            "the place has none; calibrate again",
-            {},
-        )
-        return _NewPose(None, reasons=(reason,))
-    misfit = _misfit(clouds, refined.pose.T_target_source)
-    if misfit is not None:
-        return _NewPose(None, reasons=(misfit,))
-    reasons: list[Reason] = []
-    if not refined.converged:
-        reasons.append(
-            Reason(
-                "not_converged",
-                f"the registration of the scene still moved after {refined.iterations} iterations",
-                {"stage": "scene", "iterations": refined.iterations},
-            )
-        )
-    if refined.other_minima:
-        furthest = max(refined.other_minima, key=lambda one: float(np.linalg.norm(one[3:])))
-        radians, metres = (float(np.linalg.norm(furthest[part])) for part in PARTS)
-        reasons.append(
-            Reason(
-                "several_minima",
-                "the surfaces of the new clouds fit each other at more than one pose near the "
-                f"stored one, {error(metres)} and {error(radians, 'rad')} apart; set up the poles",
-                {"apart_m": metres, "apart_rad": radians, "starts": 1 + len(refined.other_minima)},
-            )
-        )
-    return _NewPose(refined.pose, refined.uncertainty, tuple(reasons), bool(refined.other_minima))
+def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt | None:
+    """Doubt a movement under which the surfaces fit no better; None where there is nothing to.
 
-
-def _denied_by_surfaces(
-    stored: PoseEstimate, clouds: _Clouds, answer: CheckResult
-) -> Reason | None:
-    """Say that the surfaces speak against a movement that was found; None where they do not.
-
-    They speak against one that makes them fit no better than the stored pose does, if they can see
-    such a movement at all: one of the same size the other way makes them fit worse. Where they
-    cannot, poles may know better.
+    They could have seen it where one of the same size the other way makes them fit worse.
     """
     if answer.status != "moved" or answer.T_target_source is None or answer.step is None:
         return None
@@ -311,33 +219,28 @@ def _denied_by_surfaces(
     by_new, by_beyond = preferences(
         clouds.target, clouds.source, T, (stored.T_target_source, beyond)
     )
-    seen = answer.used == "scene" or by_beyond >= PREFERRED or by_new <= -PREFERRED
-    if by_new >= PREFERRED or not seen:
+    if by_new >= PREFERRED:
         return None
-    return Reason(
+    reason = Reason(
         "stored_fits_as_well",
         "the new clouds fit each other under the stored pose as well as under the one that was "
         f"found, within their noise: the latter is better by {by_new:.1f} σ ({PREFERRED:g} are "
         "needed)",
         {"better_sigmas": by_new, "needed": PREFERRED},
     )
+    return _Doubt(reason, by_beyond >= PREFERRED or by_new <= -PREFERRED)
 
 
-def _misfit(clouds: _Clouds, T: Array) -> Reason | None:
-    """Say how far the clouds are from fitting together under a pose; None where they fit."""
-    views = clouds.views
-    sizes = {"target": views[0].size, "source": views[1].size}
-    if min(sizes.values()) < MIN_CLOUD_POINTS:
-        return Reason("too_few_points", "a cloud has too few points to compare", sizes)
-    found = compare_views(*views, T, within=OVERLAP_DISTANCE)
-    if found.overlap >= MIN_OVERLAP and found.free_space_violation <= MAX_FREE_SPACE_VIOLATION:
-        return None
-    return Reason(
-        "clouds_do_not_fit",
-        "the clouds do not fit together at or near the stored pose: "
-        f"{found.overlap:.0%} of the points have a neighbour in the other cloud "
-        f"({MIN_OVERLAP:.0%} are needed), {found.free_space_violation:.1%} stand where the other "
-        f"LiDAR looked through ({MAX_FREE_SPACE_VIOLATION:.0%} are allowed): a LiDAR was moved "
-        "far, these are other LiDARs, or they recorded at different times; calibrate again",
-        {"overlap": found.overlap, "contradiction": found.free_space_violation},
-    )
+def _is_denied_by(found: NewPose, pose: PoseEstimate) -> bool:
+    """Whether the surfaces alone, found from about the stored pose, deny a pose of the poles.
+
+    Poles that were carried alike between the recordings draw the surfaces along, into a minimum
+    that is none without them. What the search alone would hold is no denial.
+    """
+    if found.pose is None or found.unsure:
+        return False
+    assert found.pose.covariance is not None
+    held = np.linalg.inv(found.pose.covariance) - np.linalg.inv(search_covariance())
+    values, vectors = np.linalg.eigh(held)
+    apart = vectors.T @ se3.local(found.pose.T_target_source, pose.T_target_source)
+    return bool(np.maximum(values, 0.0) @ apart**2 > chdtri(6, FALSE_ALARM))

@@ -1,17 +1,87 @@
-"""The movement that matters: what a check must find, and its command line offers as a default."""
+"""The movement that matters: what a check must tell, and its command line offers as a default."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import radians
 
+from ..quantities import at_most
+
 
 @dataclass(frozen=True)
 class Tolerance:
     """The movement that matters: of the rotation, rad, and of the translation, m."""
 
-    rotation: float = radians(0.3)
-    translation: float = 0.03
+    rotation: float
+    translation: float
+
+    def or_wider(self, other: Tolerance) -> Tolerance:
+        """Take the wider of both in each part."""
+        return Tolerance(
+            max(self.rotation, other.rotation), max(self.translation, other.translation)
+        )
+
+    def or_narrower(self, other: Tolerance) -> Tolerance:
+        """Take the narrower of both in each part."""
+        return Tolerance(
+            min(self.rotation, other.rotation), min(self.translation, other.translation)
+        )
+
+    def is_within(self, other: Tolerance) -> bool:
+        """Whether it is no wider than another in either part."""
+        return self.or_wider(other) == other
+
+    @property
+    def rotation_in_words(self) -> str:
+        """The rotation, rounded up: ``0.30°``."""
+        return at_most(self.rotation, "rad")
+
+    @property
+    def translation_in_words(self) -> str:
+        """The translation, rounded up: ``30 mm``."""
+        return at_most(self.translation)
+
+    @property
+    def in_words(self) -> str:
+        """Both parts."""
+        return f"{self.rotation_in_words} and {self.translation_in_words}"
 
 
-DEFAULT_TOLERANCE = Tolerance()
+DEFAULT_TOLERANCE = Tolerance(radians(0.3), 0.03)
+
+WIDEST_TOLERANCE = Tolerance(radians(1.0), 0.1)
+"""The widest that is confirmed where none was asked for, and by the scene alone whatever was asked
+for: 1 σ of where `new_pose` searches it about the stored pose. What no surface holds stays as
+unsure as that, and is not within it with `CONFIDENCE`."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The tolerance that a user asked for, rad and m; None where he leaves a part to the data.
+
+    What was asked for is held to. A part that was not is the default, or else the least beyond it
+    that the data tell, up to the widest.
+    """
+
+    rotation: float | None = None
+    translation: float | None = None
+
+    @property
+    def least(self) -> Tolerance:
+        """What is to be confirmed where the data can."""
+        return self._or(DEFAULT_TOLERANCE)
+
+    @property
+    def widest(self) -> Tolerance:
+        """What is to be confirmed at least."""
+        return self._or(WIDEST_TOLERANCE)
+
+    def _or(self, other: Tolerance) -> Tolerance:
+        return Tolerance(
+            other.rotation if self.rotation is None else self.rotation,
+            other.translation if self.translation is None else self.translation,
+        )
+
+
+NOT_ASKED = Asked()
+"""All is left to the data."""

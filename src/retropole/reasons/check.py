@@ -13,6 +13,7 @@ CheckCode = Literal[
     "no_common_surfaces",
     "clouds_do_not_fit",
     "too_weak",
+    "wider_tolerance",
     "within_tolerance",
     "size_unsure",
     "stored_fits_as_well",
@@ -51,11 +52,21 @@ CHECK: dict[CheckCode, Explanation] = {
     ),
     "too_weak": Explanation(
         "A movement might have been missed",
-        "No movement was found, but one of the tolerance might have been missed.",
+        "No movement was found, but these data tell a larger one only than they must: than the "
+        "tolerance asked for, or than the widest that is of any use.",
         (
-            "The message says whether the stored calibration or the new recordings are weak. "
-            "Calibrate with the scene, add poles, record more frames, or widen `--tolerance-deg` "
-            "and `--tolerance-m`.",
+            "The message says what they tell, and whether the stored calibration or the new "
+            "recordings are weak. Calibrate with the scene, add poles, record more frames, or "
+            "widen `--tolerance-deg` and `--tolerance-m`.",
+        ),
+    ),
+    "wider_tolerance": Explanation(
+        "The same, within more than the default tolerance",
+        "No movement was found, and by more than the tolerance that the message names there was "
+        "none. A smaller one, of the default, might have been missed. The answer is *same*.",
+        (
+            "Nothing, where that is enough. Otherwise give `--tolerance-deg` and `--tolerance-m`, "
+            "which are held to, and see in the message what is weak.",
         ),
     ),
     "within_tolerance": Explanation(

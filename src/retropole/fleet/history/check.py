@@ -16,7 +16,7 @@ from ...errors import ReadError, Refusal, quoting
 from ...export import read_transform
 from ...export.documents import RESULT_FILE, result_file
 from ...files import LARGEST_DOCUMENT, read_document
-from ...monitoring.tolerance import Tolerance
+from ...monitoring.tolerance import Asked
 from ...result import RunConfig
 from ..dataset import Row
 from ..local import LocalFiles
@@ -169,7 +169,7 @@ def _checked(
             topic=topic_for(source, None, config.source_topic),
             unit=config.source_unit,
         ),
-        Tolerance(*check.tolerance),
+        Asked(*check.tolerance),
     )
     words = [reason.message for reason in answer.reasons]
     return replace(

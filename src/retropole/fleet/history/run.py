@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from ...errors import UsageError
-from ...monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
+from ...monitoring.tolerance import NOT_ASKED, Asked
 from ...quantities import counted, duration
 from .. import TIME_LIMIT
 from ..batch import Doing
@@ -78,7 +78,7 @@ def check_fleet(
     doing: Doing,
     *,
     answers: str | None = None,
-    tolerance: Tolerance = DEFAULT_TOLERANCE,
+    tolerance: Asked = NOT_ASKED,
     time_limit: float = TIME_LIMIT,
     now: datetime | None = None,
     progress: Callable[[str], None] = lambda step: None,

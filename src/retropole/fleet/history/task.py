@@ -13,7 +13,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     tolerance
-        Movement that matters, rad and m.
+        Movement that matters, rad and m; None for as little as the data tell.
     tried
         When the run began: the time of a site whose recordings tell none.
     document
@@ -24,7 +24,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
         Keys of the checks that the history has: these are not done again.
     """
 
-    tolerance: tuple[float, float]
+    tolerance: tuple[float | None, float | None]
     tried: datetime
     document: str | None = None
     lidars: tuple[str, str] | None = None
