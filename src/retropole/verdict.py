@@ -15,7 +15,7 @@ from .matching.confirmation import doubtful_reasons
 from .matching.correspondence import widest_angle
 from .matching.extension import left_out
 from .matching.placements import PairedPlacement
-from .scene.agreement import check_agreement, check_minima, check_radius
+from .scene.agreement import check_agreement, check_decisive, check_minima, check_radius
 from .scene.choice import WARN_MARGIN, margin_of
 from .scene.confirmation import unconfirmed
 from .scene.refinement import Refinement
@@ -81,6 +81,7 @@ def weaknesses(
         *check_radius(aligned),
         *check_agreement(refined),
         *check_minima(refined),
+        *check_decisive(refined),
         *_not_converged(aligned, refined),
     ]
 

@@ -193,6 +193,12 @@ def stated(
     return Uncertainty(random, np.asarray(total - random), tuple(budget))
 
 
+def excess(covariance: Array, other: Array) -> Array:
+    """Give by how much a covariance is more than another, in the directions where it is."""
+    more, way = np.linalg.eigh(covariance - other)
+    return np.asarray((way * np.maximum(more, 0.0)) @ way.T)
+
+
 def floor() -> Array:
     """(6, 6) of what no model names."""
     return np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)

@@ -24,6 +24,7 @@ WarningCode = Literal[
     "poles_and_scene_disagree",
     "radius_differs",
     "several_minima",
+    "one_place_decides",
     "not_fit_for_purpose",
 ]
 
@@ -196,6 +197,20 @@ WARNINGS: dict[WarningCode, Explanation] = {
             "Better poles leave one: stand them nearer, lean them more, or add a placement, "
             "[`--placement`](placing.md#one-placement-is-weak-make-more).",
             "Compare with `--no-refine`, which keeps to the poles.",
+        ),
+    ),
+    "one_place_decides": Explanation(
+        "One place decides a direction of the pose",
+        "More than 30 % of what is known of the pose along one direction comes from one place of "
+        "2 m, or of more where it is far away. If it moved, or is not the same to both LiDARs, "
+        "nothing else denies it. The pose was sought again without it, and the stated uncertainty "
+        "is that of the rest, with the distance between both answers. The view of the report "
+        "marks the place.",
+        (
+            "Look at the marked place in the [report](report.md): it must be solid, at rest, and "
+            "seen by both LiDARs.",
+            "Better poles hold the direction themselves: stand them nearer, lean them more, or add "
+            "a placement, [`--placement`](placing.md#one-placement-is-weak-make-more).",
         ),
     ),
     "not_fit_for_purpose": Explanation(

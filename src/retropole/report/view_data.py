@@ -76,12 +76,16 @@ class EllipsoidView(msgspec.Struct, frozen=True):
 
 
 class PageView(msgspec.Struct, frozen=True):
-    """All that the page's own code is given."""
+    """All that the page's own code is given.
+
+    `places` alone decide a direction of the pose, in the target's frame.
+    """
 
     status: str
     placements: list[PlacementView]
     poses: list[PoseView]
     ellipsoid: EllipsoidView | None
+    places: list[MarkView]
 
 
 def page_view(
@@ -114,7 +118,7 @@ def page_view(
         contradicting = _contradicting(placement, poses, MAX_CONTRADICTING // len(placements), rng)
         files = names[2 * k : 2 * k + 2]
         views.append(_placement(placement, poles, contradicting, files, max_points))
-    return PageView(result.status, views, poses, _ellipsoid(result))
+    return PageView(result.status, views, poses, _ellipsoid(result), _places(result))
 
 
 def embed_json(value: object) -> str:
@@ -176,6 +180,15 @@ def _marks(scan: Scan) -> list[MarkView]:
         return []
     rejected = scan.detection.rejected
     return [MarkView(cluster.centre.tolist(), str(k)) for k, cluster in enumerate(rejected)]
+
+
+def _places(result: ResultDoc) -> list[MarkView]:
+    """Places that alone decide a direction of the pose, each with the share that it holds."""
+    return [
+        MarkView([float(r.values[f"{axis}_m"]) for axis in "xyz"], f"{r.values['share']:.0%}")
+        for r in result.reasons
+        if r.code == "one_place_decides"
+    ]
 
 
 def _poses(result: ResultDoc) -> list[PoseView]:

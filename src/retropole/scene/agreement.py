@@ -171,6 +171,29 @@ def check_minima(refined: Refinement | None) -> Iterator[Reason]:
         )
 
 
+def check_decisive(refined: Refinement | None) -> Iterator[Reason]:
+    """Warn where one place alone decides a direction of the pose."""
+    for place in () if refined is None else refined.decisive:
+        radians, metres = (float(np.linalg.norm(part)) for part in np.split(place.apart, 2))
+        x, y, z = (float(v) for v in place.at)
+        yield Reason(
+            "one_place_decides",
+            f"one place {np.linalg.norm(place.at):.0f} m away, at ({x:.1f}, {y:.1f}, {z:.1f}) m of "
+            f"the target, holds {place.share:.0%} of what is known of the pose along one "
+            f"direction; without it the pose lies {error(metres, 'm')} and {error(radians, 'rad')} "
+            "elsewhere. What is stated is that of the rest: add a placement of the poles, or "
+            "record where more stands around",
+            {
+                "share": place.share,
+                "x_m": x,
+                "y_m": y,
+                "z_m": z,
+                "apart_m": metres,
+                "apart_rad": radians,
+            },
+        )
+
+
 def check_agreement(refined: Refinement | None) -> list[Reason]:
     """Warn where the scene moves the pose further away than the poles' uncertainty allows."""
     if refined is None or refined.mahalanobis_sq <= WARN_MAHALANOBIS_SQ:

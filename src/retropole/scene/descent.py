@@ -150,7 +150,7 @@ def _descend(
             return None
         working = working_sigma(problem.groups, sigma, poles_alone=False)
         precision = prior_precision(problem.groups, working)
-        linear = _solve(pairs, problem.factor, T, search, covariance, precision)
+        linear = _solve(pairs, problem.factor, T, search, precision)
         stride, before = stride_of(linear.step, np.diag(linear.inverse)[:POSE], before)
         T = se3.retract(T, stride * linear.step)
         narrowed = NARROWING**iteration * covariance
@@ -184,11 +184,10 @@ def _solve(
     factor: PoleFactor,
     T: Array,
     search: Array,
-    alone: Array,
     precision: Array,
 ) -> LinearProblem:
     """Weigh the residuals, keep to what the surfaces hold, add the poles and the errors' prior."""
-    weighed = weigh(pairs, search, alone)
+    weighed = weigh(pairs, search)
     weights, rows = weighed.weights, weighed.rows
     # As the square of one array: BLAS then computes one half of it.
     root = np.sqrt(weights)

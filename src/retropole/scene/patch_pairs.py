@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from .. import se3
-from ..datatypes import Array, IntArray
+from ..datatypes import Array, BoolArray, IntArray
 from ..se3 import lengths
 from ..systematic import DEVICE, RADIUS, RING, Layout
 from .patches import Patches, selected
@@ -38,8 +38,10 @@ well the one's normal predicts where the other lies is counted."""
 BLENDED = 4
 """Nearest patches of the target that make its surface; the next one beyond has no weight left."""
 
-CLUSTER_SIDE = 2.0
-"""Residuals of patches within a cube of this side, metres, are counted as correlated."""
+CLUSTER_SIDE, CLUSTER_RANGE = 2.0, 40.0
+"""Residuals of patches within a cube of this side, metres, are counted as correlated, up to this
+range, metres. From there on twice the side, four times from twice the range: what lies so far away
+is seen by rings and in patches that are as much further apart."""
 
 MAX_LEAN = 0.02
 """Patches that LiDARs see from different sides count the less the more they lean for the noise of
@@ -78,8 +80,8 @@ class PatchPairs:
         (P,) weight, 0 to 1: how far the limits of what corresponds allow the pair.
     cluster
         (P,) which residuals lie at one place.
-    adjoining
-        (C, C) 1 where two places are one or adjoin each other.
+    places
+        (C,) which of the places of `PatchSets` each is.
     at
         (P, 3) where the source's patch lies in the target's frame, metres.
     """
@@ -93,7 +95,7 @@ class PatchPairs:
     variance: Array
     agreement: Array
     cluster: IntArray
-    adjoining: csr_matrix
+    places: IntArray
     at: Array
 
 
@@ -113,8 +115,6 @@ class PatchSets:
         For each LiDAR, (M, bands) share of a patch's points that lie in each band.
     clusters
         (M,) place of each patch of the source.
-    adjoining
-        (C, C) 1 where two places are one or adjoin each other.
     """
 
     target: Patches
@@ -123,7 +123,6 @@ class PatchSets:
     layout: Layout
     shares: tuple[csr_matrix, csr_matrix]
     clusters: IntArray
-    adjoining: csr_matrix
 
 
 def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSets:
@@ -132,20 +131,22 @@ def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSe
         _share_of_bands(patches.bands, layout.bands[lidar])
         for lidar, patches in enumerate((target, source))
     )
-    cells = np.floor(source.centres / CLUSTER_SIDE)
-    clusters = labels_of(cells)
-    places = cells[np.unique(clusters, return_index=True)[1]]
-    tree = cKDTree(places)
-    near = tree.sparse_distance_matrix(tree, 1.5, p=np.inf, output_type="coo_matrix")
-    adjoining = csr_matrix((np.ones(near.nnz), (near.row, near.col)), shape=near.shape)
+    beyond = np.maximum(lengths(source.centres) / CLUSTER_RANGE, 1.0)
+    level = np.ceil(np.log2(beyond))[:, None]
+    cells = np.floor(source.centres / (CLUSTER_SIDE * 2.0**level))
+    clusters = labels_of(np.hstack([level, cells]))
     return PatchSets(
-        target, source, cKDTree(target.centres), layout, (shares[0], shares[1]), clusters, adjoining
+        target, source, cKDTree(target.centres), layout, (shares[0], shares[1]), clusters
     )
 
 
 def thinned(sets: PatchSets, every: int, first: int = 0) -> PatchSets:
     """Give the same with every n-th patch of the source only, from the first on."""
-    some = slice(first, None, every)
+    return part_of(sets, slice(first, None, every))
+
+
+def part_of(sets: PatchSets, some: slice | BoolArray) -> PatchSets:
+    """Give the same with some patches of the source only."""
     return replace(
         sets,
         source=selected(sets.source, some),
@@ -271,7 +272,7 @@ def pair_patches(
         variance=source.variance[s] + blended(target.variance) + tilt * along,
         agreement=agreement,
         cluster=cluster.astype(np.int64),
-        adjoining=sets.adjoining[places][:, places],
+        places=places,
         at=moved[s],
     )
 

@@ -21,11 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import se3
-from ..alignment.certainty import Scatter, stated
+from ..alignment.certainty import Scatter, excess, stated
 from ..alignment.factor import POSE, PoleFactor, gaussian_factor
-from ..datatypes import Array, IntArray, PointCloud, PoseEstimate
+from ..datatypes import Array, PointCloud, PoseEstimate
 from ..systematic import DEVICE_KINDS, ErrorModel, Layout, groups_of, joined
 from ..uncertainty import Uncertainty
+from .decisive import Decisive, places_of, without_decisive
 from .descent import FEW, End, RefinementProblem, approach, settle, support_of
 from .patch_pairs import MIN_PATCHES, prepare_patches, thinned
 from .patches import surface_patches
@@ -81,6 +82,8 @@ class Refinement:
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
         the error of its ranges' scale; None where nothing tells.
+    decisive
+        Places that alone decide a direction of the pose, the most decisive first; empty mostly.
     """
 
     pose: PoseEstimate
@@ -92,6 +95,7 @@ class Refinement:
     converged: bool
     iterations: int
     scale: tuple[float, float] | None = None
+    decisive: tuple[Decisive, ...] = ()
 
 
 def refine(
@@ -167,13 +171,20 @@ def refine(
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T)
         mahalanobis_sq = max(mahalanobis_sq, moved)
     uncertainty = own = _uncertainty(best, problem, ())
+    others: list[tuple[str, Array]] = []
+    decisive = []
+    for place, without, rest in without_decisive(problem, best, poles.covariance):
+        decisive.append(place)
+        less = excess(_uncertainty(rest, without, ()).covariance, own.covariance)
+        others.append(("one place that decides", less + np.outer(place.apart, place.apart)))
     if disagree:
         # Which of both is not known: what is stated reaches from one to the other, and as far
         # beyond as the poles alone are unsure. Of 17 poses drawn from the poles' uncertainty under
         # a scene that denied them none was within what the scene and the line between them state.
         e = se3.local(poles.T_target_source, best.T)
-        apart = ("poles and scene disagree", np.outer(e, e) + poles.covariance)
-        uncertainty = _uncertainty(best, problem, (apart,))
+        others.append(("poles and scene disagree", np.outer(e, e) + poles.covariance))
+    if others:
+        uncertainty = _uncertainty(best, problem, others)
     pairs, weights = best.linear.pairs, best.linear.weights
     rms = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     minima = [
@@ -191,6 +202,7 @@ def refine(
         best.converged,
         best.iterations,
         _scale_wanted(best, problem),
+        tuple(decisive),
     )
 
 
@@ -250,7 +262,7 @@ def _scale_wanted(end: End, problem: RefinementProblem) -> tuple[float, float] |
 
 
 def _uncertainty(
-    end: End, problem: RefinementProblem, other: tuple[tuple[str, Array], ...]
+    end: End, problem: RefinementProblem, other: Sequence[tuple[str, Array]]
 ) -> Uncertainty:
     """State the uncertainty of the minimum, of residuals that are far from independent.
 
@@ -258,19 +270,12 @@ def _uncertainty(
     one place, which may be correlated in any way (the jackknife over clusters, Bell and McCaffrey
     2002), with the errors b eliminated from S and g.
     """
-    linear = end.linear
-    inverse, weights, cluster = linear.inverse, linear.weights, linear.pairs.cluster
-    marginal = np.linalg.inv(inverse[:POSE, :POSE])
-    J = linear.rows @ inverse[:, :POSE] @ marginal
-    residuals = linear.residuals + linear.rows[:, POSE:] @ linear.errors
-    JW = J * weights[:, None]
-    gradients = _summed(JW * residuals[:, None], cluster)
-    outer = (JW[:, :, None] * J[:, None, :]).reshape(-1, POSE**2)
-    without = marginal - _summed(outer, cluster).reshape(-1, POSE, POSE)
-    moves = np.linalg.solve(without, gradients[:, :, None])[:, :, 0]
-    size = np.sum(moves * (moves @ marginal), axis=1)
+    linear, inverse = end.linear, end.linear.inverse
+    places = places_of(linear)
+    without = places.marginal - places.information
+    moves = np.linalg.solve(without, places.gradients[:, :, None])[:, :, 0]
+    size = np.sum(moves * (moves @ places.marginal), axis=1)
     freedom = float(size.sum() ** 2 / max(float(np.sum(size**2)), 1e-300))
-    places = _summed(JW, cluster) @ inverse[:POSE, :POSE]
     information = problem.factor.information
     from_poles = inverse[:POSE] @ information @ inverse[:POSE].T
     return stated(
@@ -283,10 +288,5 @@ def _uncertainty(
             Scatter("scatter of the surfaces", moves.T @ moves, freedom),
             Scatter("scatter of the poles' returns", from_poles, problem.factor.redundancy),
         ),
-        (("surfaces that are not flat", places.T @ places * PLACE_BIAS**2), *other),
+        (("surfaces that are not flat", places.moves.T @ places.moves * PLACE_BIAS**2), *other),
     )
-
-
-def _summed(rows: Array, label: IntArray) -> Array:
-    """Sums of rows (P, D) over each label."""
-    return np.stack([np.bincount(label, column) for column in rows.T], axis=1)

@@ -18,10 +18,6 @@ ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
 
 
-MOST = 0.43
-"""Most that one place says of any direction, as a multiple of what all else says of it: 30 % of all
-there is."""
-
 MIN_HOLD = 6.0
 """A direction of the pose counts as held by the scene with so many times the information that the
 noise of the normals alone would imitate."""
@@ -45,7 +41,7 @@ class Weighed:
     residuals: Array
 
 
-def weigh(pairs: PatchPairs, covariance: Array, alone: Array) -> Weighed:
+def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     """Weigh the residuals, and leave out the directions of the pose that the surfaces do not hold.
 
     Parameters
@@ -56,8 +52,6 @@ def weigh(pairs: PatchPairs, covariance: Array, alone: Array) -> Weighed:
         (6, 6) how far the pose may still be off. That is no reason to take a residual for an
         outlier: a distant wall would be given up before the ground has let the pose turn towards
         it.
-    alone
-        (6, 6) covariance of the pose without the scene.
     """
     r = pairs.residuals
     spread = np.sqrt(pairs.variance + common_scatter(r, pairs.variance, pairs.agreement))

@@ -230,8 +230,8 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
         elif test.kind != "pole":
             key = (test.kind, test.name)
         found.setdefault(key, test)
-    # Two poles alone fit each other as badly, whichever moved; where they fit each other and not the
-    # surroundings, the test of a LiDAR is all that shows it.
+    # Two poles alone fit each other as badly, whichever moved; where they fit each other and not
+    # the surroundings, the test of a LiDAR is all that shows it.
     only_lidars = not found
     for link in links(now):
         if not link.is_checked and (only_lidars or any(("pole", k) in found for k in link.poles)):

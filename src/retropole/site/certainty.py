@@ -204,12 +204,6 @@ def moved_by_places(
     return moves.T * np.sqrt(few_freedom(freedom)), covariance @ flat.T * PLACE_BIAS
 
 
-def excess(covariance: Array, other: Array) -> Array:
-    """Give by how much a covariance is more than another, in the directions where it is."""
-    more, way = np.linalg.eigh(covariance - other)
-    return np.asarray((way * np.maximum(more, 0.0)) @ way.T)
-
-
 def residuals_of(term: SceneTerm, end: SiteEnd) -> Array:
     """(P,) of a pair's patches, freed of the errors as they were estimated."""
     poses = len(end.search)

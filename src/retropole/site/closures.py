@@ -17,10 +17,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from .. import se3
-from ..alignment.certainty import floor
+from ..alignment.certainty import excess, floor
 from ..datatypes import Array, IntArray
 from .answer import LoopClosure
-from .certainty import excess, moved_by_places, places_of
+from .certainty import moved_by_places, places_of
 from .network import Observation
 from .refinement import SceneTerm, SiteEnd
 from .solved import Solved

@@ -233,7 +233,7 @@ def _descend(
         terms = tuple(
             term
             for lidars, sets in scenes
-            if (term := _scene_term(lidars, sets, T, search, covariance, unknowns)) is not None
+            if (term := _scene_term(lidars, sets, T, search, unknowns)) is not None
         )
         end = _solve(problem, T, terms, sigma)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
@@ -260,7 +260,6 @@ def _scene_term(
     sets: PatchSets,
     T: Array,
     search: Array,
-    alone: Array,
     unknowns: Unknowns,
 ) -> SceneTerm | None:
     """Pair the patches of two LiDARs under their poses; None where too few correspond."""
@@ -269,7 +268,7 @@ def _scene_term(
     pairs = pair_patches(sets, T_ij, covariance, False)
     if pairs is None:
         return None
-    weighed = weigh(pairs, covariance, relative(T[i], T[j], joint_of(alone, i, j))[1])
+    weighed = weigh(pairs, covariance)
     by_poses = weighed.rows[:, :POSE] @ relative_jacobian(T[i], T[j])
     place = np.r_[unknowns.pose(i), unknowns.pose(j), unknowns.of_layout(sets.layout, lidars)]
     rows = np.concatenate([by_poses, weighed.rows[:, POSE:]], axis=1)

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, erfcinv
 
+from ..alignment.certainty import excess
 from ..datatypes import Array
 from .answer import Test
-from .certainty import excess
 from .description import Site
 from .own_errors import (
     OwnError,

@@ -427,6 +427,19 @@ function drawMarks(context, pane, lens, scene, style) {
         if (seen && !style.plain) label(pole.label, [seen[0] + (k === 0 ? -8 : 8), seen[1] - 10], colour, k === 0 ? "right" : "left", 13);
       }
     }
+    for (const place of k === 0 && !style.plain ? scene.places : []) {
+      // A place that alone decides a direction of the pose: a circle, and what share it holds.
+      const c = spot(to(place.at));
+      if (!c) continue;
+      for (const [width, stroke] of [[4, halo], [2, style.denied]]) {
+        context.beginPath();
+        context.arc(c[0], c[1], 11, 0, 2 * Math.PI);
+        context.lineWidth = width;
+        context.strokeStyle = stroke;
+        context.stroke();
+      }
+      label(`decides ${place.label}`, [c[0], c[1] - 16], style.denied, "center", 12);
+    }
     if (style.layers.contradicting && pane.contradicting) {
       const spots = pane.contradicting[k].map((p) => spot(to(p))).filter(Boolean);
       for (const [side, fill] of style.plain ? [[2, style.denied]] : [[6, halo], [4, style.denied]]) {
