@@ -6,6 +6,8 @@ at once. Half of the families may set constants (`TUNING`), and state no figure;
 
     python benchmarks/coverage.py --families tuning --runs 40
     python benchmarks/coverage.py --families stating --runs 300 --first 1000
+    python benchmarks/coverage.py --families stating --only field --scenes square --runs 100 \
+        --first 1000
 """
 
 from __future__ import annotations
@@ -103,10 +105,12 @@ class Outcome:
     e_rt: tuple[float, float]
 
 
-def run(job: tuple[str, NoiseModel, int]) -> Outcome:
-    family, noise, seed = job
-    scene = SCENES[seed % len(SCENES)]
+def run(job: tuple[str, NoiseModel, int, tuple[str, ...]]) -> Outcome:
+    family, noise, seed, scenes = job
+    scene = scenes[seed % len(scenes)]
     target, source = SENSORS[(seed // len(SCENES)) % len(SENSORS)]
+    if scene not in SCENES:
+        target = source = None
     nothing = (np.nan, np.nan)
     try:
         pair = simulate_pair(
@@ -148,6 +152,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--families", choices=["tuning", "stating"], default="tuning")
     parser.add_argument("--only", nargs="+", help="names of families, or parts of them")
+    parser.add_argument("--scenes", nargs="+", default=SCENES, help="of retropole simulate")
     parser.add_argument("--runs", type=int, default=40, help="of each family")
     parser.add_argument("--first", type=int, default=0, help="first seed; from 1000 up to state")
     parser.add_argument("--processes", type=int, default=2)
@@ -155,7 +160,7 @@ def main() -> None:
     arguments = parser.parse_args()
     families = TUNING if arguments.families == "tuning" else STATING
     jobs = [
-        (name, noise, arguments.first + k)
+        (name, noise, arguments.first + k, tuple(arguments.scenes))
         for name, noise in families.items()
         if not arguments.only or any(part in name for part in arguments.only)
         for k in range(arguments.runs)
