@@ -42,6 +42,7 @@ from .scene.agreement import align_consistent, check_contradiction
 from .scene.choice import as_listed, choose_best, margin_of, taken_by_hand
 from .scene.confirmation import check_confirmation, confirm
 from .scene.copies import check_recordings, without_copies
+from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine
 from .scene.similarity import check_similarity, explained
 from .scene.static import check_static, check_still, remove_dynamic_points
@@ -158,6 +159,7 @@ def calibrate(
             with step("refine"):
                 refined = refine_poles(aligned)
                 check_contradiction(refined)
+                check_near_poles(placements, aligned, refined)
             with step("confirm"):
                 pose = (aligned if refined is None else refined).pose.T_target_source
                 # The same recordings give the same answer.

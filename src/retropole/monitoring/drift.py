@@ -20,11 +20,11 @@ from ..datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
 from ..errors import Reason, Refusal, UsageError
 from ..pipeline import calibrate
 from ..scene.confirmation import DENIED, count, is_denied, scenes_of
+from ..scene.preference import preferences
 from ..sensors import Sensor
 from ..systematic import ErrorModel, sizes_of
 from ..uncertainty import Confirmation, Uncertainty
 from .certainty import FALSE_ALARM
-from .fit import preferences
 from .movement import CheckResult, Method, compare_poses
 from .new_pose import Clouds, NewPose, by_poles, by_scene, search_covariance
 from .swapped import swapped_clouds, swapped_sensors

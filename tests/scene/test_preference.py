@@ -5,7 +5,7 @@ import pytest
 
 from retropole import se3
 from retropole.datatypes import Array, PointCloud
-from retropole.monitoring.fit import preferences
+from retropole.scene.preference import preferences
 from retropole.simulation import SimulatedPair, simulate_pair
 
 TILT = np.r_[np.radians(0.3), 0.0, 0, 0, 0, 0]
