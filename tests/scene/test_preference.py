@@ -1,11 +1,17 @@
 """Which of two poses the surfaces prefer."""
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
 from retropole import se3
-from retropole.datatypes import Array, PointCloud
-from retropole.scene.preference import preferences
+from retropole.alignment.adjustment import BeamAlignment
+from retropole.datatypes import Array, Placement, PointCloud, PoseEstimate, Scan
+from retropole.errors import Refusal
+from retropole.scene.preference import check_near_poles, preferences
+from retropole.scene.refinement import Refinement
 from retropole.simulation import SimulatedPair, simulate_pair
 
 TILT = np.r_[np.radians(0.3), 0.0, 0, 0, 0, 0]
@@ -38,3 +44,30 @@ def test_what_is_below_the_noise_is_not_preferred(street: SimulatedPair) -> None
 def test_clouds_without_surfaces_do_not_tell() -> None:
     cloud = PointCloud(np.random.default_rng(0).normal(size=(8, 3)))
     assert preferences(cloud, cloud, np.eye(4), (se3.retract(np.eye(4), LIFT),)) == (0.0,)
+
+
+def answers(
+    T: Array, T_poles: Array, pair: SimulatedPair
+) -> tuple[tuple[Placement, ...], BeamAlignment, Refinement]:
+    """What `check_near_poles` asks of an answer: both poses, and where the poles stand."""
+    placements = (Placement(Scan(pair.target), Scan(pair.source)),)
+    centres = np.array([pole.centre for pole in pair.poles])
+    poles = se3.apply(se3.inverse(pair.T_world_target), centres)
+    aligned = SimpleNamespace(pose=PoseEstimate(T_poles, None, 0.0), axis_points=poles)
+    refined = SimpleNamespace(pose=PoseEstimate(T, None, 0.0))
+    return placements, cast(BeamAlignment, aligned), cast(Refinement, refined)
+
+
+@pytest.mark.parametrize("scene", ["street", "square", "kerb"])
+def test_surfaces_near_the_poles_deny_a_pose_that_lifts_them(scene: str) -> None:
+    pair = simulate_pair(scene, np.random.default_rng(1))
+    T = pair.T_target_source
+    off = se3.retract(T, np.array([0.008, 0.006, 0.0, 0.0, 0.0, 0.06]))
+    slightly = se3.retract(T, np.array([0.0002, 0.0002, 0.0, 0.0, 0.0, 0.002]))
+    with pytest.raises(Refusal) as refused:
+        check_near_poles(*answers(off, slightly, pair))
+    assert refused.value.code == "scene_contradicts"
+    assert float(refused.value.values["sigmas"]) > 3
+    check_near_poles(*answers(T, off, pair))
+    check_near_poles(*answers(slightly, T, pair))
+    check_near_poles(answers(T, T, pair)[0], answers(T, T, pair)[1], None)

@@ -269,7 +269,8 @@ REFUSED: dict[RefusedCode, Explanation] = {
     "scene_contradicts": Explanation(
         "The scene denies what the poles say",
         "Under the pose that the poles give, much of what stands in the scene is where the other "
-        "LiDAR looked through. The poles fit each other, but not the place. "
+        "LiDAR looked through. The poles fit each other, but not the place. Or far surfaces lead "
+        "the pose away from the poles, and ground and walls near them lie further apart there. "
         "[How it is told](certainty.md#what-stands-in-the-scene).",
         (
             "Both LiDARs must record the same poles in the same place: check that the two files "
