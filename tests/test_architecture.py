@@ -12,7 +12,7 @@ from tests.paths import PACKAGE
 
 LAYERS = (
     # Ground: what all share.
-    *("reasons", "errors", "se3", "files", "sensors", "quantities", "timing"),
+    *("reasons", "errors", "se3", "files", "sensors", "quantities"),
     *("uncertainty", "systematic", "datatypes"),
     # The steps: a match is solved by alignment, and the scene scores matches.
     *("io", "extraction", "alignment", "matching", "scene"),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -41,14 +42,13 @@ from .scene import disambiguation, settling
 from .scene.agreement import align_consistent, check_contradiction
 from .scene.choice import as_listed, choose_best, margin_of, taken_by_hand
 from .scene.confirmation import check_confirmation, confirm
-from .scene.copies import check_recordings, without_copies
+from .scene.copies import without_copies
 from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine
 from .scene.similarity import check_similarity, explained
-from .scene.static import check_static, check_still, remove_dynamic_points
+from .scene.static import check_poles, remove_dynamic_points
 from .sensors import Sensor
 from .systematic import ErrorModel, sizes_of
-from .timing import timed
 from .uncertainty import Confirmation, predicted_error, weakest_direction
 from .uncertainty.purpose import Need
 from .verdict import refused, weaknesses
@@ -196,23 +196,6 @@ def find_poles(
     return Scan(cloud, sensor, detection)
 
 
-def check_poles(placements: Sequence[Placement]) -> None:
-    """Refuse a recording given twice, clouds that could not be searched, and what moved meanwhile.
-
-    Raises
-    ------
-    Refusal
-        ``same_recording``, ``no_intensity``, ``moving_lidar``, ``moving_pole`` and others.
-    """
-    check_recordings(placements)
-    for placement in placements:
-        for name, scan in (("target", placement.target), ("source", placement.source)):
-            if scan.refusal is not None:
-                raise scan.refusal
-            check_still(name, scan.cloud)
-            check_static(name, scan.cloud, scan.poles)
-
-
 def choose(
     placements: Sequence[Placement],
     count: int | None,
@@ -342,3 +325,14 @@ def answered(
 
 def _each(clouds: PointCloud | Sequence[PointCloud]) -> Sequence[PointCloud]:
     return [clouds] if isinstance(clouds, PointCloud) else clouds
+
+
+@contextmanager
+def timed(seconds: dict[str, float], progress: Callable[[str], None], name: str) -> Iterator[None]:
+    """Name a step that starts, and note how long it took, also where it ends in a refusal."""
+    progress(name)
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import se3
-from ..datatypes import Array, IntArray, PointCloud, Pole
+from ..datatypes import Array, IntArray, Placement, PointCloud, Pole
 from ..errors import Refusal
+from .copies import check_recordings
 from .registration import prepare, register
 from .visibility import Cells, cells_of, nearest_around, range_margin
 
@@ -153,6 +154,23 @@ def pole_drift(pole: Pole, frame: IntArray) -> Drift:
     worst = int(np.argmax(apart))
     sigma = np.sqrt(MEDIAN_VARIANCE / sizes[worst]) * pole.rms
     return Drift(float(apart[worst]), float(sigma))
+
+
+def check_poles(placements: Sequence[Placement]) -> None:
+    """Refuse a recording given twice, clouds that could not be searched, and what moved meanwhile.
+
+    Raises
+    ------
+    Refusal
+        ``same_recording``, ``no_intensity``, ``moving_lidar``, ``moving_pole`` and others.
+    """
+    check_recordings(placements)
+    for placement in placements:
+        for name, scan in (("target", placement.target), ("source", placement.source)):
+            if scan.refusal is not None:
+                raise scan.refusal
+            check_still(name, scan.cloud)
+            check_static(name, scan.cloud, scan.poles)
 
 
 def check_static(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from ..datatypes import Array
 from ..errors import Reason, Refusal
-from ..timing import timed
+from ..pipeline import timed
 from ..uncertainty import predicted_error
 from .adjustment import Adjusted, adjust
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole

@@ -19,8 +19,9 @@ from scipy.special import ndtri
 from ..alignment.origins import beam_origins
 from ..datatypes import Placement, Pole, Scan
 from ..errors import Reason, Refusal
-from ..pipeline import check_poles, find_poles
+from ..pipeline import find_poles
 from ..quantities import counted
+from ..scene.static import check_poles
 from .axes import OwnAxes, find_axes
 from .correspondence import Correspondence, correspond
 from .description import Site
