@@ -231,10 +231,10 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
             key = (test.kind, test.name)
         found.setdefault(key, test)
     # Two poles alone fit each other as badly, whichever moved; where they fit each other and not
-    # the surroundings, the test of a LiDAR is all that shows it.
-    only_lidars = not found
+    # the surroundings, only the tests of LiDARs and recordings show it.
+    no_pole = not any(key[0] == "pole" for key in found)
     for link in links(now):
-        if not link.is_checked and (only_lidars or any(("pole", k) in found for k in link.poles)):
+        if not link.is_checked and (no_pole or any(("pole", k) in found for k in link.poles)):
             for k in link.poles:
                 own = [test for test in now.tests if test.kind == "pole" and test.pole == k]
                 if own:
