@@ -17,6 +17,7 @@ REMEDIES: Mapping[str, str] = {
     "surfaces that are not flat": "record a wider scene, with walls on more sides that both LiDARs "
     "see",
     "slanted surfaces": "record a wider scene, with walls that both LiDARs meet head on",
+    "one place that decides": "add a placement of the poles, or record where more stands around",
     "poles and scene disagree": "find out first why poles and scene disagree",
     "range offset on tape": "stand poles on different sides of the LiDARs, or use other tape",
     "radius of the poles": "measure the radius with a calliper, and give it with --radius and "

@@ -171,12 +171,12 @@ def refine(
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T)
         mahalanobis_sq = max(mahalanobis_sq, moved)
     uncertainty = own = _uncertainty(best, problem, ())
-    others: list[tuple[str, Array]] = []
-    decisive = []
+    decisive, by_places = [], np.zeros((POSE, POSE))
     for place, without, rest in without_decisive(problem, best, poles.covariance):
         decisive.append(place)
         less = excess(_uncertainty(rest, without, ()).covariance, own.covariance)
-        others.append(("one place that decides", less + np.outer(place.apart, place.apart)))
+        by_places += less + np.outer(place.apart, place.apart)
+    others = [("one place that decides", by_places)] if decisive else []
     if disagree:
         # Which of both is not known: what is stated reaches from one to the other, and as far
         # beyond as the poles alone are unsure. Of 17 poses drawn from the poles' uncertainty under
