@@ -445,13 +445,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("what", choices=list(RUNS))
-    parser.add_argument("--seeds", default="2000:2010", help="first and one after the last")
+    parser.add_argument("--seeds", default="2000:2010", help="first, one after the last, step")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
-    first, last = (int(each) for each in options.seeds.split(":"))
+    seeds = range(*(int(each) for each in options.seeds.split(":")))
     rows: list[Row] = []
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        running = [pool.submit(run, options.what, seed) for seed in range(first, last)]
+        running = [pool.submit(run, options.what, seed) for seed in seeds]
         for each in running:
             row = each.result()
             if row is None:
