@@ -312,3 +312,22 @@ def test_surfaces_without_noise_are_never_thinner_than_nothing() -> None:
     assert len(found.centres) > 20
     assert found.tilt.min() > 0
     assert found.tilt.max() < 1e-9
+
+
+@pytest.mark.parametrize("scene", ["square", "camber", "kerb"])
+def test_sparse_ground_leads_nowhere(scene: str) -> None:
+    """Little stands near, and rings on the ground lie metres apart."""
+    squares = []
+    for seed in (1, 2, 5):
+        pair = simulate_pair(scene, np.random.default_rng(seed), noise=FIELD)
+        answer = calibrate(pair.target, pair.source, sensors=pair.sensors)
+        if answer.refined is None:
+            continue
+        squares.append(mahalanobis_sq(answer.refined, pair.T_target_source))
+        off = se3.difference(answer.refined.T_target_source, pair.T_target_source)
+        assert off.rotation < np.radians(0.25)
+        assert off.translation < 0.08
+    # Neither beyond what is stated, nor stated far too wide.
+    assert len(squares) >= 2
+    assert max(squares) < CHI2_6_95 * 1.5
+    assert max(squares) > 0.3
