@@ -10,7 +10,7 @@ from retropole import se3
 from retropole.alignment.adjustment import BeamAlignment
 from retropole.datatypes import Array, Placement, PointCloud, PoseEstimate, Scan
 from retropole.errors import Refusal
-from retropole.scene.preference import check_near_poles, preferences
+from retropole.scene.preference import SURELY, check_near_poles, preferences
 from retropole.scene.refinement import Refinement
 from retropole.simulation import SimulatedPair, simulate_pair
 
@@ -67,7 +67,7 @@ def test_surfaces_near_the_poles_deny_a_pose_that_lifts_them(scene: str) -> None
     with pytest.raises(Refusal) as refused:
         check_near_poles(*answers(off, slightly, pair))
     assert refused.value.code == "scene_contradicts"
-    assert float(refused.value.values["sigmas"]) > 3
+    assert float(refused.value.values["sigmas"]) > SURELY
     check_near_poles(*answers(T, off, pair))
     check_near_poles(*answers(slightly, T, pair))
     check_near_poles(answers(T, T, pair)[0], answers(T, T, pair)[1], None)

@@ -28,10 +28,11 @@ NEAR_POLES = 10.0
 """Surfaces so near to a pole count for `check_near_poles`, metres: what poles say of the pose is
 most certain there."""
 
-MAX_WORSE, SURELY = 0.05, 3.0
+MAX_WORSE, SURELY = 0.05, 2.0
 """Surfaces near the poles deny a refined pose where they lie further apart under it than under that
-of the poles: by this mean difference of their losses, and so many times its own 1 σ. Chance reaches
-the second once in 700 recordings, the first then hardly ever."""
+of the poles: by this mean difference of their losses, and so many times its own 1 σ. In 45 honest
+recordings of the simulator's field (six scenes, seeds 0 to 7) the mean difference was 0.0007 at
+most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
 
 
 def check_near_poles(
