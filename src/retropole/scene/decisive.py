@@ -15,8 +15,8 @@ import numpy as np
 from .. import se3
 from ..alignment.factor import POSE
 from ..datatypes import Array, IntArray
-from .descent import FEW, End, LinearProblem, RefinementProblem, settle
-from .patch_pairs import part_of, thinned
+from .descent import End, LinearProblem, RefinementProblem, settle
+from .patch_pairs import part_of
 
 MAX_SHARE = 0.3
 """Most of the information along any direction that one place may hold without a word."""
@@ -108,8 +108,8 @@ def without_decisive(
     Yields
     ------
     Decisive, RefinementProblem, End
-        The place, and problem and answer without it; places without which the rest of the scene
-        says nothing are left out.
+        The place, and problem (but for its `few`) and answer without it; places without which the
+        rest of the scene says nothing are left out.
     """
     pairs = end.linear.pairs
     shares = leverage(places_of(end.linear))
@@ -117,8 +117,7 @@ def without_decisive(
         if shares[c] <= MAX_SHARE:
             return
         kept = problem.sets.clusters != pairs.places[c]
-        sets = part_of(problem.sets, kept)
-        rest = replace(problem, sets=sets, few=thinned(sets, FEW))
+        rest = replace(problem, sets=part_of(problem.sets, kept))
         found = settle(rest, end, covariance)
         if found is not None:
             own = pairs.cluster == c
