@@ -35,6 +35,7 @@ from retropole.scene.confirmation import (
     check_confirmation,
     unconfirmed,
 )
+from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import Refinement
 from retropole.se3 import PoseDifference
 from retropole.sensors import SENSORS
@@ -58,6 +59,9 @@ def hypothesis(
 
 
 AXES = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.8]])
+
+
+NO_PATCHES = surface_patches(PointCloud(np.ones((1, 3))))
 
 
 def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.01) -> BeamAlignment:
@@ -89,6 +93,7 @@ def a_refinement(
         other_minima=tuple(minima),
         converged=converged,
         iterations=40,
+        surfaces=(NO_PATCHES, NO_PATCHES),
     )
 
 

@@ -159,7 +159,7 @@ def calibrate(
             with step("refine"):
                 refined = refine_poles(aligned)
                 check_contradiction(refined)
-                check_near_poles(placements, aligned, refined)
+                check_near_poles(aligned, refined)
             with step("confirm"):
                 pose = (aligned if refined is None else refined).pose.T_target_source
                 # The same recordings give the same answer.

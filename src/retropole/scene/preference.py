@@ -9,9 +9,8 @@ from scipy.spatial import cKDTree
 
 from .. import se3
 from ..alignment.adjustment import BeamAlignment
-from ..datatypes import Array, IntArray, Placement, PointCloud
+from ..datatypes import Array, IntArray, PointCloud
 from ..errors import Refusal
-from ..matching.placements import merged
 from ..quantities import error
 from .patch_pairs import CLUSTER_SIDE, MAX_NORMAL_ANGLE, labels_of
 from .patches import Patches, selected, surface_patches
@@ -35,9 +34,7 @@ recordings of the simulator's field (six scenes, seeds 0 to 7) the mean differen
 most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
 
 
-def check_near_poles(
-    placements: Sequence[Placement], aligned: BeamAlignment, refined: Refinement | None
-) -> None:
+def check_near_poles(aligned: BeamAlignment, refined: Refinement | None) -> None:
     """Refuse a refined pose under which ground and walls near the poles lie further apart.
 
     Far surfaces may lead the refinement away; near the poles their own pose is hardly off, and what
@@ -45,8 +42,6 @@ def check_near_poles(
 
     Parameters
     ----------
-    placements
-        What was recorded.
     aligned, refined
         The poles' pose, and the refined one; None where the scene had nothing to say.
 
@@ -59,12 +54,7 @@ def check_near_poles(
         return
     T, T_poles = refined.pose.T_target_source, aligned.pose.T_target_source
     tree = cKDTree(aligned.axis_points)
-    patches = (
-        surface_patches(merged([placement.target.cloud for placement in placements])),
-        surface_patches(merged([placement.source.cloud for placement in placements])),
-    )
-    if min(len(one.centres) for one in patches) == 0:
-        return
+    patches = refined.surfaces
     near = np.isfinite(
         tree.query(se3.apply(T_poles, patches[1].centres), distance_upper_bound=NEAR_POLES)[0]
     )

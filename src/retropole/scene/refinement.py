@@ -29,7 +29,7 @@ from ..uncertainty import Uncertainty
 from .decisive import Decisive, places_of, without_decisive
 from .descent import FEW, End, RefinementProblem, approach, settle, support_of
 from .patch_pairs import MIN_PATCHES, prepare_patches, thinned
-from .patches import surface_patches
+from .patches import Patches, surface_patches
 from .starts import SEVERAL, approaches_from_afar, approaches_of_parts, distance_sq, elsewhere
 
 PLACE_BIAS = 0.0005
@@ -79,6 +79,8 @@ class Refinement:
         that is another pose; empty mostly.
     converged, iterations
         Whether the last step was below its tolerance, and how many were taken.
+    surfaces
+        Patches of the target and the source, each in its own frame.
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
         the error of its ranges' scale; None where nothing tells.
@@ -94,6 +96,7 @@ class Refinement:
     other_minima: tuple[Array, ...]
     converged: bool
     iterations: int
+    surfaces: tuple[Patches, Patches]
     scale: tuple[float, float] | None = None
     decisive: tuple[Decisive, ...] = ()
 
@@ -201,6 +204,7 @@ def refine(
         tuple(minima),
         best.converged,
         best.iterations,
+        patches,
         _scale_wanted(best, problem),
         tuple(decisive),
     )
