@@ -66,6 +66,7 @@ STATING: Mapping[str, NoiseModel] = {
     "elevation of rings 0.03°": replace(TYPICAL, ring_elevation=0.03 * DEGREE),
     "azimuth of rings 0.03°": replace(TYPICAL, ring_azimuth=0.03 * DEGREE),
     "wobble 0.01°": replace(TYPICAL, wobble=0.01 * DEGREE),
+    "bent scan lines 0.02°": replace(TYPICAL, bend=0.02 * DEGREE),
     "range offset on tape 10 mm": replace(TYPICAL, retro_bias=0.010),
     "noise grows with range": replace(TYPICAL, noise_growth=0.5),
     "blooming 0.4°": replace(TYPICAL, blooming=0.4 * DEGREE),
@@ -105,8 +106,8 @@ class Outcome:
     e_rt: tuple[float, float]
 
 
-def run(job: tuple[str, NoiseModel, int, tuple[str, ...]]) -> Outcome:
-    family, noise, seed, scenes = job
+def run(job: tuple[str, NoiseModel, int, tuple[str, ...], bool]) -> Outcome:
+    family, noise, seed, scenes, unknown = job
     scene = scenes[seed % len(scenes)]
     target, source = SENSORS[(seed // len(SCENES)) % len(SENSORS)]
     if scene not in SCENES:
@@ -122,7 +123,8 @@ def run(job: tuple[str, NoiseModel, int, tuple[str, ...]]) -> Outcome:
         )
     except SimulationError:
         return Outcome(family, scene, seed, "no scene", (), nothing, nothing, nothing, nothing)
-    answer = calibrate(pair.target, pair.source, sensors=pair.sensors)
+    sensors = (None, None) if unknown else pair.sensors
+    answer = calibrate(pair.target, pair.source, sensors=sensors)
     codes = tuple(reason.code for reason in answer.reasons)
     if answer.poles is None:
         return Outcome(
@@ -156,11 +158,12 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=40, help="of each family")
     parser.add_argument("--first", type=int, default=0, help="first seed; from 1000 up to state")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--unknown", action="store_true", help="do not name the sensors")
     parser.add_argument("--verbose", action="store_true", help="print the runs outside the region")
     arguments = parser.parse_args()
     families = TUNING if arguments.families == "tuning" else STATING
     jobs = [
-        (name, noise, arguments.first + k, tuple(arguments.scenes))
+        (name, noise, arguments.first + k, tuple(arguments.scenes), arguments.unknown)
         for name, noise in families.items()
         if not arguments.only or any(part in name for part in arguments.only)
         for k in range(arguments.runs)

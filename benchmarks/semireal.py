@@ -211,7 +211,8 @@ def load(name: str, data: Path) -> Loaded:
     return Loaded(clouds[0], clouds[1], T, up, sensors)
 
 
-def insert(name: str, seed: int, data: Path) -> InsertedPair:
+def insert(name: str, seed: int, data: Path, device: int | None = None) -> InsertedPair:
+    """Put poles into a pair; LiDARs of one `device` seed have the same errors on all poles."""
     given = load(name, data)
     return insert_poles(
         given.target,
@@ -220,6 +221,7 @@ def insert(name: str, seed: int, data: Path) -> InsertedPair:
         np.random.default_rng(seed),
         sensors=given.sensors,
         up=given.up,
+        devices=None if device is None else np.random.default_rng(device),
     )
 
 

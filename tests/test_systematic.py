@@ -19,6 +19,7 @@ from retropole.systematic import (
     RANGE_TO_OFFSET,
     RING,
     SHARED_ERRORS,
+    SPINNING_BEND,
     STATED_WIDTH,
     ErrorModel,
     Layout,
@@ -83,12 +84,12 @@ def test_groups_have_one_kind_of_one_lidar() -> None:
             assert groups.kinds[group[0]].field == field
             assert groups.sensors[group[0]] == lidar
     assert groups.sensors[groups.label[RADIUS]] is None
-    # Cosine and sine of one error have one size; nothing else of a LiDAR shares one.
-    assert len(groups.kinds) == 2 * (DEVICE - 2 + RING) + 1
+    # Cosines and sines of one error have one size; nothing else of a LiDAR shares one.
+    assert len(groups.kinds) == 2 * (len({kind.field for kind in DEVICE_KINDS}) + RING) + 1
 
 
 def test_sigmas_are_those_of_their_lidar() -> None:
-    sizes = [Sizes(*(scale * (k + 1) for k in range(DEVICE + 1))) for scale in (1.0, 100.0)]
+    sizes = [Sizes(*(scale * (k + 1) for k in range(len(fields(Sizes))))) for scale in (1.0, 100.0)]
     groups = groups_of(OTHER)
     sigma = ErrorModel(sizes[0], sizes[1], 7.5).sigmas(groups)
     for kind, lidar, value in zip(groups.kinds, groups.sensors, sigma, strict=True):
@@ -108,8 +109,10 @@ def test_sizes_follow_the_manufacturer() -> None:
         sizes = sizes_of(sensor)
         assert sizes.width == STATED_WIDTH < Sizes().width
         assert sizes.zero >= MIN_ZERO
+        spinning = sensor.pattern == "spinning"
+        assert sizes.bend == (SPINNING_BEND if spinning else Sizes().bend)
         if sensor.range_accuracy is None:
-            assert sizes == replace(Sizes(), width=STATED_WIDTH)
+            assert sizes == replace(Sizes(), width=STATED_WIDTH, bend=sizes.bend)
         else:
             stated = sensor.range_accuracy / RANGE_TO_OFFSET
             assert sizes.zero == pytest.approx(max(stated, MIN_ZERO))
@@ -143,13 +146,16 @@ def test_derivative_by_the_errors(tape: bool) -> None:
 
     def true_return(b: Array) -> Array:
         # The width of the beam moves no return.
-        zero, scale, slant, encoder_c, encoder_s, wobble_c, wobble_s, on_tape, _ = b[:DEVICE]
+        zero, scale, slant, encoder_c, encoder_s, wobble_c, wobble_s = b[:7]
+        c2, s2, c3, s3, on_tape, _ = b[7:DEVICE]
         ring_range, ring_elevation, ring_azimuth = b[DEVICE:]
         rho = ranges - zero - scale * ranges - slant * ranges * np.minimum(tangent, MAX_TANGENT)
         rho = rho - (on_tape if tape else 0.0) - ring_range
         turned = azimuth + encoder_c * np.cos(azimuth) + encoder_s * np.sin(azimuth)
         turned = turned + ring_azimuth
         raised = elevation + wobble_c * np.cos(azimuth) + wobble_s * np.sin(azimuth)
+        raised += c2 * np.cos(2 * azimuth) + s2 * np.sin(2 * azimuth)
+        raised += c3 * np.cos(3 * azimuth) + s3 * np.sin(3 * azimuth)
         return np.asarray(rho[:, None] * ray(turned, raised + ring_elevation))
 
     def along(direction: Array) -> Array:

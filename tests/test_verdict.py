@@ -94,6 +94,7 @@ def a_refinement(
         converged=converged,
         iterations=40,
         surfaces=(NO_PATCHES, NO_PATCHES),
+        corrected=(NO_PATCHES, NO_PATCHES),
     )
 
 

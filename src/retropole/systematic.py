@@ -8,7 +8,8 @@ true return lies at
 
     range      ρ − zero − scale·ρ − slant·ρ·tan(incidence) − [tape] − ring_range(ring)
     azimuth    α + encoder_c cos α + encoder_s sin α + ring_azimuth(ring)
-    elevation  ε + wobble_c cos α + wobble_s sin α + ring_elevation(ring),
+    elevation  ε + wobble_c cos α + wobble_s sin α + Σ_k (bend_kc cos kα + bend_ks sin kα)
+               + ring_elevation(ring),    k = 2, 3,
 
 and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
 A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show. What
@@ -18,7 +19,7 @@ is as small as what no model names.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -46,6 +47,14 @@ USUAL_WIDTH, STATED_WIDTH = 0.5, 0.2
 """1 σ of the logarithm of the width of a beam: of a LiDAR that is not known, since manufacturers'
 figures range from 1.5 to 8 mrad, and of one that is, since some state the width at half of the
 power and others that at an eighth, 1.7 times as much."""
+
+SPINNING_BEND = float(np.radians(0.002))
+"""1 σ of how scan lines bend where a LiDAR turns about one axis, rad: then only its bearing bends
+them. Mirrors that turn about two axes, and lenses, distort a whole field of view."""
+
+HARMONICS = (2, 3)
+"""Periods over a turn of what bends scan lines: a parabola and a cubic over the field of view of a
+LiDAR that looks one way."""
 
 MIN_ZERO = 0.005
 """Least 1 σ of the range offset, metres, whatever the manufacturer says."""
@@ -75,6 +84,9 @@ class Sizes:
     encoder, wobble
         Of each of the cosine and the sine over the azimuth: error of the azimuth of an eccentric
         encoder, and of the elevation under a tilted axis of rotation, rad.
+    bend
+        Of each of the cosines and sines of `HARMONICS`: error of the elevation where scan lines are
+        bent, rad. What is assumed of a LiDAR that is not known is what is assumed of its rings.
     tape
         Range offset of retro-reflective returns beside all others, metres.
     ring_range, ring_elevation, ring_azimuth
@@ -89,6 +101,7 @@ class Sizes:
     slant: float = 3e-4
     encoder: float = float(np.radians(0.02))
     wobble: float = float(np.radians(0.006))
+    bend: float = float(np.radians(0.02))
     tape: float = 0.010
     ring_range: float = 0.004
     ring_elevation: float = float(np.radians(0.02))
@@ -100,11 +113,12 @@ def sizes_of(sensor: Sensor | None) -> Sizes:
     """Give the sizes of the errors of a sensor; the defaults where nothing is stated of it."""
     if sensor is None:
         return Sizes()
+    bend = SPINNING_BEND if sensor.pattern == "spinning" else Sizes().bend
     if sensor.range_accuracy is None:
-        return replace(Sizes(), width=STATED_WIDTH)
+        return replace(Sizes(), bend=bend, width=STATED_WIDTH)
     zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
     tape = USUAL_TAPE if sensor.retro_accuracy is None else sensor.retro_accuracy / RANGE_TO_OFFSET
-    return replace(Sizes(), zero=zero, tape=tape, width=STATED_WIDTH)
+    return replace(Sizes(), zero=zero, bend=bend, tape=tape, width=STATED_WIDTH)
 
 
 class Kind(NamedTuple):
@@ -123,6 +137,7 @@ DEVICE_KINDS = (
     Kind("encoder", "encoder", "rad"),
     Kind("wobble of the axis", "wobble", "rad"),
     Kind("wobble of the axis", "wobble", "rad"),
+    *(2 * len(HARMONICS) * (Kind("bent scan lines", "bend", "rad"),)),
     Kind("range offset on tape", "tape", "m"),
     Kind("width of the beam", "width", "1"),
 )
@@ -265,12 +280,13 @@ def by_error(
     Returns
     -------
     device, ring
-        (N, …, 9) by the errors of the whole LiDAR, (N, …, 3) by those of the return's ring.
+        (N, …, 13) by the errors of the whole LiDAR, (N, …, 3) by those of the return's ring.
     """
     # From where azimuths count makes no difference: their cosine and sine have one size.
     start = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
     level = np.stack([rays @ start, rays @ np.cross(axis, start)], axis=1)
     cosine, sine = (level / np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None]).T
+    turned = [(cosine + 1j * sine) ** k for k in HARMONICS]
     one = np.ones_like(ranges)
     stretch = ranges * np.minimum(tangent, MAX_TANGENT)
 
@@ -281,7 +297,7 @@ def by_error(
     device = [
         *times(by_range, -one, -ranges, -stretch),
         *times(by_azimuth, cosine, sine),
-        *times(by_elevation, cosine, sine),
+        *times(by_elevation, cosine, sine, *(x for z in turned for x in (z.real, z.imag))),
         *times(by_range, -one if tape else 0.0 * one, 0.0 * one),
     ]
     return np.stack(device, axis=-1), np.stack([-by_range, by_elevation, by_azimuth], axis=-1)
@@ -307,5 +323,5 @@ class ErrorModel:
         return np.asarray(np.maximum(known, MIN_ERROR_SIGMA))
 
 
-NO_ERRORS = Sizes(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_ERRORS = Sizes(*(0.0 for _ in fields(Sizes)))
 """Of a LiDAR without any."""

@@ -88,13 +88,25 @@ def state_near(pair: SimulatedPair) -> State:
     )
 
 
+def bent(azimuth: Array, b: Array) -> Array:
+    """How far scan lines are bent up, of periods 180° and 120°."""
+    c2, s2, c3, s3 = b
+    return np.asarray(
+        c2 * np.cos(2 * azimuth)
+        + s2 * np.sin(2 * azimuth)
+        + c3 * np.cos(3 * azimuth)
+        + s3 * np.sin(3 * azimuth)
+    )
+
+
 def corrected(
     directions: Array, ranges: Array, b: Array, lidar: int, layout: Layout
 ) -> tuple[Array, Array]:
     """Directions and ranges without the errors b, as the head of `systematic` defines them."""
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     elevation = np.arcsin(directions[:, 2])
-    zero, scale, _, encoder_c, encoder_s, wobble_c, wobble_s, tape, _ = b[layout.device(lidar)]
+    own = b[layout.device(lidar)]
+    (zero, scale, _, encoder_c, encoder_s, wobble_c, wobble_s), (tape, _) = own[:7], own[-2:]
     by_band = np.zeros((RING, len(directions)))
     for kind in range(RING):
         for band, value in zip(layout.bands[lidar], b[layout.rings(lidar, kind)], strict=True):
@@ -102,6 +114,7 @@ def corrected(
     ranges = ranges - zero - scale * ranges - tape - by_band[0]
     turned = azimuth + encoder_c * np.cos(azimuth) + encoder_s * np.sin(azimuth) + by_band[2]
     raised = elevation + wobble_c * np.cos(azimuth) + wobble_s * np.sin(azimuth) + by_band[1]
+    raised += bent(azimuth, own[7:-2])
     level = np.cos(raised)
     new = np.stack([level * np.cos(turned), level * np.sin(turned), np.sin(raised)], axis=1)
     return new, ranges

@@ -1,5 +1,6 @@
 """Which of two poses the surfaces prefer."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,7 +11,7 @@ from retropole import se3
 from retropole.alignment.adjustment import BeamAlignment
 from retropole.datatypes import Array, PointCloud, PoseEstimate
 from retropole.errors import Refusal
-from retropole.scene.patches import surface_patches
+from retropole.scene.patches import Patches, surface_patches
 from retropole.scene.preference import SURELY, check_near_poles, preferences
 from retropole.scene.refinement import Refinement
 from retropole.simulation import SimulatedPair, simulate_pair
@@ -47,13 +48,20 @@ def test_clouds_without_surfaces_do_not_tell() -> None:
     assert preferences(cloud, cloud, np.eye(4), (se3.retract(np.eye(4), LIFT),)) == (0.0,)
 
 
-def answers(T: Array, T_poles: Array, pair: SimulatedPair) -> tuple[BeamAlignment, Refinement]:
+def answers(
+    T: Array,
+    T_poles: Array,
+    pair: SimulatedPair,
+    corrected: tuple[Patches, Patches] | None = None,
+) -> tuple[BeamAlignment, Refinement]:
     """What `check_near_poles` asks of an answer: both poses, and where the poles stand."""
     centres = np.array([pole.centre for pole in pair.poles])
     poles = se3.apply(se3.inverse(pair.T_world_target), centres)
     aligned = SimpleNamespace(pose=PoseEstimate(T_poles, None, 0.0), axis_points=poles)
     surfaces = surface_patches(pair.target), surface_patches(pair.source)
-    refined = SimpleNamespace(pose=PoseEstimate(T, None, 0.0), surfaces=surfaces)
+    refined = SimpleNamespace(
+        pose=PoseEstimate(T, None, 0.0), surfaces=surfaces, corrected=corrected or surfaces
+    )
     return cast(BeamAlignment, aligned), cast(Refinement, refined)
 
 
@@ -70,3 +78,8 @@ def test_surfaces_near_the_poles_deny_a_pose_that_lifts_them(scene: str) -> None
     check_near_poles(*answers(T, off, pair))
     check_near_poles(*answers(slightly, T, pair))
     check_near_poles(answers(T, T, pair)[0], None)
+    # What the errors of the LiDARs explain denies nothing.
+    target, source = surface_patches(pair.target), surface_patches(pair.source)
+    lowered = se3.apply(se3.inverse(off), se3.apply(slightly, source.centres))
+    explained = target, replace(source, centres=lowered)
+    check_near_poles(*answers(off, slightly, pair, explained))

@@ -33,6 +33,7 @@ OF_FAMILY = {
     "ring_azimuth": "ring_azimuth",
     "encoder": "encoder",
     "wobble": "wobble",
+    "bend": "bend",
 }
 """What each family of `NoiseModel` disturbs in a `Device`."""
 
@@ -56,7 +57,7 @@ def angles(rays: Array) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize(("family", "own"), OF_FAMILY.items())
 def test_the_errors_of_a_family_are_of_its_size_and_of_no_other(family: str, own: str) -> None:
-    # The field has no errors of the azimuth of rings.
+    # The field has no errors of the azimuth of rings, nor bent scan lines.
     size = getattr(FIELD, family) or 3e-4
     noise = only(**{family: size})
     drawn = [device_of(noise, seed) for seed in range(400)]
@@ -110,7 +111,16 @@ def test_wobble_and_rings_raise_beams() -> None:
     np.testing.assert_allclose(same, azimuth, atol=1e-12)
 
 
-@pytest.mark.parametrize("family", ["ring_elevation", "ring_azimuth", "encoder", "wobble"])
+def test_bent_scan_lines_have_periods_of_180_and_120_degrees() -> None:
+    device = device_of(replace(EXACT, bend=2e-3))
+    azimuth = np.linspace(-np.pi, np.pi, 361)[:-1]
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
+    _, raised = angles(device.directions(rays, np.zeros(360, dtype=np.int64)))
+    waves = [f(k * azimuth) for k in (2, 3) for f in (np.cos, np.sin)]
+    np.testing.assert_allclose(raised, device.bend @ waves, atol=1e-12)
+
+
+@pytest.mark.parametrize("family", ["ring_elevation", "ring_azimuth", "encoder", "wobble", "bend"])
 def test_beams_go_astray_and_points_lie_where_the_lidar_believes(family: str) -> None:
     noise = only(**{family: 5e-3})
     device, cloud = device_of(noise), scan_room(EXACT).cloud

@@ -162,6 +162,20 @@ def _share_of_bands(bands: IntArray, known: IntArray) -> csr_matrix:
     return csr_matrix((share, (rows, columns)), shape=(len(bands), len(known)))
 
 
+def without_errors(sets: PatchSets, errors: Array) -> tuple[Patches, Patches]:
+    """Give the patches of both clouds where they lie without the errors (B,) of their LiDARs."""
+    found = []
+    for lidar, patches in enumerate((sets.target, sets.source)):
+        rings = [
+            sets.shares[lidar] @ errors[sets.layout.rings(lidar, kind)] for kind in range(RING)
+        ]
+        devices = np.broadcast_to(errors[sets.layout.device(lidar)], (len(rings[0]), DEVICE))
+        own = np.column_stack([devices, *rings])
+        off = np.einsum("mij,mj->mi", patches.by_error, own)
+        found.append(replace(patches, centres=patches.centres + off))
+    return found[0], found[1]
+
+
 def pair_patches(
     sets: PatchSets, T: Array, covariance: Array, origins_known: bool
 ) -> PatchPairs | None:

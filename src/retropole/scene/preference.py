@@ -38,7 +38,8 @@ def check_near_poles(aligned: BeamAlignment, refined: Refinement | None) -> None
     """Refuse a refined pose under which ground and walls near the poles lie further apart.
 
     Far surfaces may lead the refinement away; near the poles their own pose is hardly off, and what
-    stands there must lie together under the refined one at least as well.
+    stands there must lie together under the refined one at least as well: the poles' pose with what
+    was recorded, the refined one without the errors of the LiDARs that were found along with it.
 
     Parameters
     ----------
@@ -54,16 +55,15 @@ def check_near_poles(aligned: BeamAlignment, refined: Refinement | None) -> None
         return
     T, T_poles = refined.pose.T_target_source, aligned.pose.T_target_source
     tree = cKDTree(aligned.axis_points)
-    patches = refined.surfaces
-    near = np.isfinite(
-        tree.query(se3.apply(T_poles, patches[1].centres), distance_upper_bound=NEAR_POLES)[0]
-    )
+    source = refined.surfaces[1].centres
+    near = np.isfinite(tree.query(se3.apply(T_poles, source), distance_upper_bound=NEAR_POLES)[0])
     if not near.any():
         return
-    source_near = selected(patches[1], near)
-    surface = cKDTree(patches[0].centres)
-    places = labels_of(np.floor(source_near.centres / CLUSTER_SIDE))
-    own, by_poles = (_losses(patches[0], surface, source_near, each) for each in (T, T_poles))
+    places = labels_of(np.floor(source[near] / CLUSTER_SIDE))
+    own, by_poles = (
+        _losses(patches[0], cKDTree(patches[0].centres), selected(patches[1], near), each)
+        for patches, each in ((refined.corrected, T), (refined.surfaces, T_poles))
+    )
     worse, sigmas = float(np.mean(own - by_poles)), _studentised(own - by_poles, places)
     if worse <= MAX_WORSE or sigmas <= SURELY:
         return

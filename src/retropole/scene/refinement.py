@@ -28,7 +28,7 @@ from ..systematic import DEVICE_KINDS, ErrorModel, Layout, groups_of, joined
 from ..uncertainty import Uncertainty
 from .decisive import Decisive, places_of, without_decisive
 from .descent import FEW, End, RefinementProblem, approach, settle, support_of
-from .patch_pairs import MIN_PATCHES, prepare_patches, thinned
+from .patch_pairs import MIN_PATCHES, prepare_patches, thinned, without_errors
 from .patches import Patches, surface_patches
 from .starts import SEVERAL, approaches_from_afar, approaches_of_parts, distance_sq, elsewhere
 
@@ -81,6 +81,8 @@ class Refinement:
         Whether the last step was below its tolerance, and how many were taken.
     surfaces
         Patches of the target and the source, each in its own frame.
+    corrected
+        The same without the errors that were found of the LiDARs.
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
         the error of its ranges' scale; None where nothing tells.
@@ -97,6 +99,7 @@ class Refinement:
     converged: bool
     iterations: int
     surfaces: tuple[Patches, Patches]
+    corrected: tuple[Patches, Patches]
     scale: tuple[float, float] | None = None
     decisive: tuple[Decisive, ...] = ()
 
@@ -205,6 +208,7 @@ def refine(
         best.converged,
         best.iterations,
         patches,
+        without_errors(sets, best.linear.errors),
         _scale_wanted(best, problem),
         tuple(decisive),
     )

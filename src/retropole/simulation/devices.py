@@ -40,6 +40,8 @@ class Device:
         (2,) azimuth error, rad: these times cosine and sine of the azimuth.
     wobble
         (2,) elevation error, rad: the same.
+    bend
+        (4,) elevation error, rad: these times cosine and sine of twice and three times the azimuth.
     tape_offset
         Range error of retro-reflective returns, metres.
     """
@@ -52,6 +54,7 @@ class Device:
     slant: float
     encoder: Array
     wobble: Array
+    bend: Array
     tape_offset: float
 
     def directions(self, rays: Array, rings: IntArray) -> Array:
@@ -64,7 +67,7 @@ class Device:
         rings
             (N,) ring of each.
         """
-        turning = (self.ring_elevation, self.ring_azimuth, self.encoder, self.wobble)
+        turning = (self.ring_elevation, self.ring_azimuth, self.encoder, self.wobble, self.bend)
         if not any(each.any() for each in turning):
             return rays
         level = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), np.finfo(float).tiny)
@@ -73,6 +76,8 @@ class Device:
         azimuth += self.ring_azimuth[rings]
         elevation = np.arctan2(rays[:, 2], level)
         elevation += self.ring_elevation[rings] + around @ self.wobble
+        twice, thrice = (around @ np.array([1.0, 1.0j])) ** np.array([[2], [3]])
+        elevation += np.stack([twice.real, twice.imag, thrice.real, thrice.imag], 1) @ self.bend
         level = np.cos(elevation)
         return np.stack(
             [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
@@ -131,6 +136,7 @@ def draw_device(sensor: Sensor, noise: NoiseModel, rng: np.random.Generator) -> 
     encoder, wobble = rng.normal(size=(2, 2))
     # Last, so that LiDARs drawn without it are those of the same generator before there was it.
     ring_azimuth = rng.normal(size=count)
+    bend = rng.normal(size=4)
     return Device(
         ring_range=noise.ring_bias * per_ring[0],
         ring_elevation=noise.ring_elevation * per_ring[1],
@@ -140,5 +146,6 @@ def draw_device(sensor: Sensor, noise: NoiseModel, rng: np.random.Generator) -> 
         slant=float(noise.slant * slant),
         encoder=noise.encoder * encoder,
         wobble=noise.wobble * wobble,
+        bend=noise.bend * bend,
         tape_offset=float(noise.retro_bias * tape_offset),
     )

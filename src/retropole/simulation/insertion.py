@@ -121,6 +121,7 @@ def insert_poles(
     up: Array = UP,
     tape_offset: float = TAPE_OFFSET,
     ring_bias: float = RING_BIAS,
+    devices: np.random.Generator | None = None,
 ) -> InsertedPair:
     """Put taped poles into two recordings.
 
@@ -145,6 +146,9 @@ def insert_poles(
     tape_offset, ring_bias
         1 σ of the errors of ranges that all returns of one LiDAR on tape share, and all of one
         ring, metres.
+    devices
+        Source of these errors: equal generators give equal LiDARs, wherever the poles stand; None
+        draws them from `rng`.
 
     Raises
     ------
@@ -161,6 +165,7 @@ def insert_poles(
         up=up,
         tape_offset=tape_offset,
         ring_bias=ring_bias,
+        devices=devices,
     )
     return InsertedPair(
         target=made.clouds[0][0],
@@ -184,6 +189,7 @@ def insert_into_site(
     up: Array = UP,
     tape_offset: float = TAPE_OFFSET,
     ring_bias: float = RING_BIAS,
+    devices: np.random.Generator | None = None,
 ) -> InsertedSite:
     """Put taped poles into recordings of several LiDARs of one place.
 
@@ -205,7 +211,7 @@ def insert_into_site(
         each placement, in the first LiDAR's frame, wherever they are.
     placements
         How often poles are drawn.
-    radius, up, tape_offset, ring_bias
+    radius, up, tape_offset, ring_bias, devices
         As in `insert_poles`; `up` in the first LiDAR's frame.
 
     Raises
@@ -228,9 +234,12 @@ def insert_into_site(
     else:
         standing = [list(each) for each in poles]
     made = []
-    for cloud, beam, T, width, sensor in zip(clouds, beams, poses, widths, sensors, strict=True):
-        biases = np.r_[ring_bias * rng.normal(size=max(int(beam.rings.max()), 0) + 1), 0.0]
-        biases += tape_offset * rng.normal()
+    own = [rng] * len(clouds) if devices is None else devices.spawn(len(clouds))
+    for cloud, beam, T, width, sensor, device in zip(
+        clouds, beams, poses, widths, sensors, own, strict=True
+    ):
+        rings = ring_bias * device.normal(size=max(int(beam.rings.max()), 0) + 1)
+        biases = np.r_[rings, 0.0] + tape_offset * device.normal()
         made.append(
             [
                 _with_poles(cloud, beam, _moved(each, T), width, sensor, rng, biases)

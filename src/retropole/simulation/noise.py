@@ -52,6 +52,8 @@ class NoiseModel:
         Systematic: amplitude, in cosine and in sine, of an azimuth error of period 360°, rad.
     wobble
         Systematic: the same of an elevation error, rad.
+    bend
+        Systematic: the same of elevation errors of periods 180° and 120°, rad.
     pointing_noise
         1 σ of the direction of each shot in each of two directions across it, rad.
     noise_growth
@@ -86,6 +88,7 @@ class NoiseModel:
     ring_azimuth: float = 0.0
     encoder: float = 0.0
     wobble: float = 0.0
+    bend: float = 0.0
     pointing_noise: float = 0.0
     noise_growth: float = 0.0
     footprint: Footprint = "centre"
