@@ -10,7 +10,7 @@ Prints Markdown tables:
   lands, what was stated of that, answers to ``--need-cm`` that are untrue by more than the
   reference's own error, and the Mahalanobis distance.
 - Three frames of one standing vehicle, poles elsewhere in each, the same LiDARs: how far the
-  answers are from each other in units of what their random parts state.
+  answers are from each other in units of what their random parts state, and both parts.
 
 Pairs of pandar_0001 and pjlab_0003 tune, all others state figures; seeds of planted poles below
 1000 tune, those from 1000 on state.
@@ -180,24 +180,29 @@ def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:
 
 
 def compare_frames(answers: Answers) -> None:
-    """Print how far frames of the standing vehicle are apart, in units of their random parts."""
+    """Print how far frames of the standing vehicle are apart, in units of what is stated."""
     frames = [each for each in answers.items() if each[0][0].startswith("pandaset")]
-    apart = []
-    for ((name, seed), a), ((other, other_seed), b) in combinations(frames, 2):
-        if name == other or seed == other_seed or (seed - other_seed) % DEVICES:
-            continue
-        assert a.T_target_source is not None
-        assert b.T_target_source is not None
-        assert a.uncertainty is not None
-        assert b.uncertainty is not None
-        off = se3.local(a.T_target_source, b.T_target_source)
-        apart.append(mahalanobis(off, a.uncertainty.random + b.uncertainty.random))
-    if apart:
-        print(
-            f"\nFrames of the standing vehicle, {len(apart)} pairs of answers: apart by "
-            f"{np.median(apart):.1f} of what their random parts state in the median, "
-            f"{max(apart):.1f} at most."
-        )
+    print("\n| poles stand | pairs of answers | apart, by the random parts | largest | by both |")
+    print("| --- " * 5 + "|")
+    for where, elsewhere in (("in the same places", False), ("elsewhere", True)):
+        random, whole = [], []
+        for ((name, seed), a), ((other, other_seed), b) in combinations(frames, 2):
+            of_one_device = (seed - other_seed) % DEVICES == 0
+            if name == other or (seed != other_seed) != elsewhere or not of_one_device:
+                continue
+            assert a.T_target_source is not None
+            assert b.T_target_source is not None
+            off = se3.local(a.T_target_source, b.T_target_source)
+            parts = [each.uncertainty for each in (a, b) if each.uncertainty is not None]
+            random.append(mahalanobis(off, sum_of([one.random for one in parts])))
+            whole.append(mahalanobis(off, sum_of([one.covariance for one in parts])))
+        if random:
+            cells = [where, str(len(random)), f"{np.median(random):.1f}", f"{max(random):.1f}"]
+            print("| " + " | ".join([*cells, f"{np.median(whole):.1f}"]) + " |")
+
+
+def sum_of(parts: Sequence[Array]) -> Array:
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def main() -> None:
