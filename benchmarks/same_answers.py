@@ -80,14 +80,16 @@ def cloud_of(plain: Plain | None) -> PointCloud | None:
 def plain(thing: Any) -> Any:
     """A data class of what was surveyed as names and values."""
     if is_dataclass(thing):
-        return type(thing).__name__, {f.name: plain(getattr(thing, f.name)) for f in fields(thing)}
+        own = {field.name: plain(getattr(thing, field.name)) for field in fields(thing)}
+        return {"class": type(thing).__name__, **own}
     return tuple(plain(each) for each in thing) if isinstance(thing, tuple) else thing
 
 
 def made(thing: Any) -> Any:
     """The same back."""
-    if isinstance(thing, tuple) and len(thing) == 2 and thing[0] in MAKERS:
-        return MAKERS[thing[0]](**{name: made(value) for name, value in thing[1].items()})
+    if isinstance(thing, dict):
+        own = {name: made(value) for name, value in thing.items() if name != "class"}
+        return MAKERS[thing["class"]](**own)
     return tuple(made(each) for each in thing) if isinstance(thing, tuple) else thing
 
 
