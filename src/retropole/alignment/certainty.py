@@ -44,9 +44,12 @@ tell the width from it: estimated, it came out at 0.2 to 0.7 of what was simulat
 SCALE_WEIGHT = 4.0
 """So many errors of the size that is known beforehand count beside those that the data show."""
 
-MIN_MEMBERS = 4
-"""Errors that a size is estimated from: one error does not tell its own size, and given the freedom
-it grows with the pose that it pulls along."""
+MIN_MEMBERS = 5
+"""Errors that a size is estimated from: those of a whole LiDAR, one to four of a kind, do not tell
+their own size, and given the freedom it grows with the pose that they pull along. With that of bent
+scan lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
+were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
+missed so."""
 
 MAX_SCALE = 3.0
 """Most that errors may be found larger than they are known to be: beyond, it is not the LiDAR."""
