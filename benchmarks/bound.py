@@ -23,9 +23,11 @@ Where poles are so nearly parallel that the beam model refuses, its error counts
 from __future__ import annotations
 
 import argparse
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -38,7 +40,11 @@ from retropole.alignment.posterior import SHARED, State, beam_geometry
 from retropole.datatypes import Array
 from retropole.errors import Refusal
 from retropole.evaluation.metrics import e_rt
-from retropole.evaluation.paper.estimator import (
+from retropole.simulation import SimulatedPair
+from retropole.systematic import sizes_of
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from studies.paper.estimator import (
     NOISE_KINDS,
     PAPER_SIGMA,
     NoiseKind,
@@ -47,9 +53,7 @@ from retropole.evaluation.paper.estimator import (
     poles_of,
     solve,
 )
-from retropole.evaluation.paper.trials import set_up
-from retropole.simulation import SimulatedPair
-from retropole.systematic import sizes_of
+from studies.paper.trials import set_up
 
 POLE_LENGTHS = (2.0, 6.0)
 """Poles that a person can carry, and such as end outside of the field of view, metres."""

@@ -8,17 +8,21 @@ Simulates scenes with two poles at least 15° apart and both seen, and prints a 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 
 from retropole import se3
-from retropole.evaluation.paper.choosing import RULES, is_right
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from studies.paper.choosing import RULES, is_right
 
 WRONG_DEG, WRONG_M = 5.0, 0.5
 """An answer further than either from the truth is of a wrong hypothesis: the pose of the right one

@@ -67,6 +67,17 @@ def test_every_folder_has_a_layer() -> None:
     assert {name[0] for name in MODULES} == set(LAYERS)
 
 
+def test_the_package_stands_alone() -> None:
+    """What stands beside it in a clone is in no wheel."""
+    beside = {"benchmarks", "docs", "examples", "studies", "tests"}
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and not node.level and node.module:
+                names = [node.module]
+            assert beside.isdisjoint(name.partition(".")[0] for name in names), path
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_modules_stay_small(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= 350

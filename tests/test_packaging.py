@@ -188,7 +188,7 @@ def test_the_archives_hold_what_they_should(archives: dict[str, Path]) -> None:
     with tarfile.open(archives["sdist"]) as source:
         inside = {name.partition("/")[2] for name in source.getnames()}
     tops = {name.partition("/")[0] for name in inside}
-    needed = {"src", "tests", "docs", "examples", "benchmarks", "recipe", "Dockerfile"}
+    needed = {"src", "tests", "docs", "examples", "benchmarks", "studies", "recipe", "Dockerfile"}
     assert needed | {"LICENSE", "README.md", "CITATION.cff", "PKG-INFO"} <= tops
     assert not {top for top in tops if top.startswith(".") and top != ".gitignore"} - {
         ".dockerignore"

@@ -128,7 +128,7 @@ def test_gradient_of_the_posterior() -> None:
 
 
 def test_more_accurate_than_lines_at_the_papers_set_up() -> None:
-    from retropole.alignment.point_to_line import align_poles
+    from studies.paper.estimator import align_poles
 
     ours, theirs = [], []
     for seed in range(12):

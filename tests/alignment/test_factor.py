@@ -24,7 +24,6 @@ from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import State, beam_geometry
 from retropole.alignment.views import View, exact_view
 from retropole.datatypes import Array, Pole, PoseEstimate
-from retropole.evaluation.paper.estimator import as_beams, poles_of
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from retropole.simulation.recording import Arrangement, Recorders, record
 from retropole.systematic import (
@@ -40,6 +39,7 @@ from retropole.systematic import (
     groups_of,
     joined,
 )
+from studies.paper.estimator import as_beams, poles_of
 from tests.numeric import numeric_jacobian
 
 SKEW = (2, 4)

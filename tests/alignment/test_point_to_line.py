@@ -7,12 +7,12 @@ from retropole import se3
 from retropole.alignment.point_to_line import (
     Lines,
     align_each,
-    align_poles,
     equivalent_points,
     point_line_residuals,
 )
 from retropole.datatypes import Array
 from retropole.errors import Refusal
+from studies.paper.estimator import align_poles
 
 Line = tuple[Array, Array]
 

@@ -73,7 +73,7 @@ def test_a_number_beyond_its_bounds_is_bad_usage(
     assert option in done.stderr
 
 
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "paper"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_worked_examples(command: str) -> None:
     done = retropole_here(command, "--help")
     assert done.returncode == 0

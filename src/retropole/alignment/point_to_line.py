@@ -10,7 +10,6 @@ Its limit is a bias, not noise: returns lie on the side of a pole that faces the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -125,35 +124,6 @@ class Lines(NamedTuple):
     line_points: Array
     line_directions: Array
     counts: Array
-
-
-def align_poles(
-    target_lines: Sequence[tuple[Array, Array]], source_points: Sequence[Array], T_start: Array
-) -> LineAlignment:
-    """Minimise the squared distances of source points from target lines (eq. 1–2).
-
-    Levenberg–Marquardt from ``T_start``; the minimum found is the local one of that start, as each
-    hypothesis needs.
-
-    Parameters
-    ----------
-    target_lines
-        A point on each target pole and its unit direction, target frame.
-    source_points
-        (N_k, 3) the points on each source pole, paired by their order (π_nk of the paper).
-    T_start
-        (4, 4) start, target from source.
-
-    Raises
-    ------
-    Refusal
-        ``degenerate_poles`` where the lines leave a direction of the pose free (parallel poles, a
-        single pole), with the ratio of the singular values.
-    """
-    points = np.concatenate([equivalent_points(xyz) for xyz in source_points])
-    counts = np.repeat([len(xyz) / 6.0 for xyz in source_points], 6)
-    q, n = (np.repeat([line[part] for line in target_lines], 6, axis=0) for part in (0, 1))
-    return align_each(Lines(points[None], q[None], n[None], counts[None]), T_start[None])[0]
 
 
 def align_each(lines: Lines, starts: Array) -> list[LineAlignment]:

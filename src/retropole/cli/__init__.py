@@ -25,7 +25,6 @@ COMMANDS = (
     "export",
     "fleet",
     "info",
-    "paper",
     "report",
     "simulate",
     "site",

@@ -1,1 +1,1 @@
-"""How good a transform is, other methods on the same clouds, and the paper's tables reproduced."""
+"""How good a transform is, and other methods on the same clouds."""

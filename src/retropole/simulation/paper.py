@@ -21,7 +21,7 @@ PAPER_NOISE = replace(EXACT, isotropic_noise=0.006)
 PAPER_POLE_LENGTH = 6.0
 """Centred on z = 0, metres. The paper states none. With poles of 2 m, which a person can carry, its
 estimator ends with the error that was measured at its set-up; with 6 m the error is a tenth
-smaller, with 1 m half as large again (`retropole paper`)."""
+smaller, with 1 m half as large again (`python -m studies.paper`)."""
 
 PAPER_DISTANCES = 2.0, 3.0
 """Least and greatest ‖p‖ of the axis points, metres."""

@@ -1,0 +1,1 @@
+"""Studies made with retropole, each a folder and a command of a clone; no part of the package."""
