@@ -8,17 +8,17 @@ differs from run to run, times and machines, lies beside it in ``runs/part-3f.pa
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from ..errors import MissingExtraError, ReadError
+from ..errors import ReadError
 from ..result import BudgetEntryDoc, ErrorAtRange
+from .parquet import arrow, opened, parquet_of
 from .sites import Kind
-from .storage import below, names_in, read_bytes, remove, write_bytes
+from .storage import below, names_in, remove, write_bytes
 
 FLEET_SCHEMA = "retropole/fleet/1"
 ANSWERS, RUNS = "answers", "runs"
@@ -195,7 +195,7 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
     ):
         place = below(below(out, folder), partition)
         if each:
-            write_bytes(place, _parquet(each, schema))
+            write_bytes(place, parquet_of(map(msgspec.to_builtins, each), schema))
         elif partition in names_in(below(out, folder)):
             remove(place)
 
@@ -206,38 +206,18 @@ def _is_there(out: str, folder: str, partition: str) -> bool:
 
 def _table(place: str, columns: Sequence[str]) -> list[dict[str, Any]]:
     """Read some columns of a file, as rows."""
-    try:
-        from pyarrow import ArrowException
-        from pyarrow import parquet as pq
-    except ImportError:
-        raise MissingExtraError("fleet", "a fleet") from None
-    data = read_bytes(place, LARGEST_PARTITION)
-    try:
-        file = pq.ParquetFile(io.BytesIO(data))
+    with opened(place, f"damaged ({{}}){AGAIN}", LARGEST_PARTITION) as file:
         schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
         if schema != FLEET_SCHEMA:
             raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{AGAIN}")
         rows: list[dict[str, Any]] = file.read(columns=list(columns)).to_pylist()
-    except (ArrowException, OSError) as error:
-        raise ReadError(f"{place}: damaged ({error}){AGAIN}") from None
     return rows
-
-
-def _parquet(rows: Sequence[Row] | Sequence[Run], schema: Any) -> bytes:
-    """Write rows as one Parquet file; the same rows give the same bytes."""
-    import pyarrow as pa
-    from pyarrow import parquet as pq
-
-    buffer = io.BytesIO()
-    table = pa.Table.from_pylist([msgspec.to_builtins(row) for row in rows], schema=schema)
-    pq.write_table(table, buffer, compression="zstd")
-    return buffer.getvalue()
 
 
 @cache
 def _schemas() -> tuple[Any, Any]:
     """Give the columns of the answers, and of the runs."""
-    import pyarrow as pa
+    pa, _ = arrow()
 
     def field(name: str, kind: Any, null: bool = False) -> Any:
         return pa.field(name, kind, nullable=null)

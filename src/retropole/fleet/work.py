@@ -20,11 +20,12 @@ import msgspec
 from .. import __version__
 from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
 from ..files import LARGEST_DOCUMENT
+from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
 from .answers import answered, document_of
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
 from .history.task import Check
 from .local import LocalFiles, hash_of
-from .sites import FleetSite
+from .sites import ROLES, FleetSite
 from .storage import below, exists, is_url, read_bytes, write_bytes
 
 if TYPE_CHECKING:
@@ -150,10 +151,9 @@ def failed(
     site: FleetSite, status: Status, code: str, message: str, hashed: Hashed | None = None
 ) -> Row:
     """Make the row of a site without an answer."""
-    places = [site.target, site.source] if site.kind == "pair" else []
+    roles = ROLES if site.kind == "pair" else ()
     inputs = [
-        InputEntry(lidar=role, placement="1", path=printable(place))
-        for role, place in zip(("target", "source"), places, strict=False)
+        InputEntry(lidar=role, placement="1", path=printable(getattr(site, role))) for role in roles
     ]
     return Row(
         id=site.id,
@@ -270,7 +270,7 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
 
 def _is_reported(folder: str, site: FleetSite, inputs: Sequence[InputEntry]) -> bool:
     """Whether a folder has the result of these inputs."""
-    for name in ("result.json", "site-result.json"):
+    for name in (RESULT_FILE, SITE_RESULT_FILE):
         place = below(folder, name)
         if not exists(place):
             continue

@@ -8,16 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ... import __version__
-from ...datatypes import PoseEstimate
 from ...errors import ReadError, Refusal, quoting
-from ...export import read_transform
-from ...export.documents import RESULT_FILE, result_file
 from ...files import LARGEST_DOCUMENT, read_document
-from ...monitoring.tolerance import Asked
-from ...result import RunConfig
+from ...result.folder import RESULT_FILE, result_file
 from ..dataset import Row
 from ..local import LocalFiles
 from ..sites import FleetSite
@@ -25,9 +21,6 @@ from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, w
 from ..work import Hashed, code_of
 from .rows import CheckRow, plain
 from .task import Check
-
-if TYPE_CHECKING:
-    from ...api.checking import Stored
 
 
 def check_site(
@@ -144,33 +137,13 @@ def _hashed(
 def _checked(
     site: FleetSite, check: Check, local: LocalFiles, result: Path, tried: CheckRow
 ) -> CheckRow:
-    from ...api.checking import checked, read_stored, topic_for
-    from ...api.inputs import read_input
+    from ...api.checking import check_recordings, read_stored
 
-    if check.lidars is None:
-        stored = read_stored(result)
-    else:
-        stored = _of_site(result, check.lidars, site.config)
-    config = stored.config
-    target, source = local.pair
-    answer = checked(
-        stored,
-        read_input(
-            target,
-            sensor=config.sensor_target,
-            threshold=config.threshold_target,
-            topic=topic_for(target, None, config.target_topic),
-            unit=config.unit,
-        ),
-        read_input(
-            source,
-            sensor=config.sensor_source,
-            threshold=config.threshold_source,
-            topic=topic_for(source, None, config.source_topic),
-            unit=config.source_unit,
-        ),
-        Asked(*check.tolerance),
-    )
+    stored = read_stored(result, lidars=check.lidars)
+    if check.lidars is not None:
+        stored = stored._replace(config=site.config)
+    rotation, translation = check.tolerance
+    answer = check_recordings(stored, *local.pair, rotation=rotation, translation=translation)
     words = [reason.message for reason in answer.reasons]
     return replace(
         tried,
@@ -184,17 +157,3 @@ def _checked(
         chi2=answer.chi2,
         power=answer.power,
     )
-
-
-def _of_site(result: Path, lidars: tuple[str, str], config: RunConfig) -> Stored:
-    """Take the pose between two LiDARs of a site; what both have in common cancels in it.
-
-    How much of it errs alike in both recordings is not stored of a site: all of it counts.
-    """
-    from ...api.checking import Stored
-
-    target, source = lidars
-    transform = read_transform(result, parent=target, child=source)
-    if transform.covariance is None:
-        raise Refusal("no_covariance", f"{result} does not say how certain {source} is to {target}")
-    return Stored(PoseEstimate(transform.T_parent_child, transform.covariance, 0.0), config, ())

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...datatypes import Array
+from ...api import Array
 from .model import LEVEL, SLOPE, State
 
 CLEAR = 6.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...datatypes import Array, BoolArray, IntArray
+from ...api import Array, BoolArray, IntArray
 from .components import Component
 from .elimination import Blocks, Factor, Pattern, factorise, find_pattern, solve
 from .residuals import Model, Whitened, moved

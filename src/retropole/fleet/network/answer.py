@@ -6,13 +6,12 @@ the network; its `kind` says which.
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Iterator
 from typing import Any
 
-from ...datatypes import Array
-from ...errors import MissingExtraError
+from ...api import Array
+from ..parquet import arrow, parquet_of
 from ..storage import absolute, write_bytes
 from .dataset import FleetNetwork
 from .network import Kind, LeftOut, NetworkAdjustment
@@ -39,11 +38,7 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
     OSError
         Where it cannot be written.
     """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet as pq
-    except ImportError:
-        raise MissingExtraError("fleet", "a network of a fleet") from None
+    pa, _ = arrow()
     text, real, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
     columns = {
         **{"kind": text, "node": text, "other": text, "site": text},
@@ -54,10 +49,7 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
     }
     metadata = {"schema": NETWORK_SCHEMA, "unit_variance": repr(found.unit_variance)}
     schema = pa.schema(list(columns.items()), metadata=metadata)
-    buffer = io.BytesIO()
-    table = pa.Table.from_pylist(list(_lines(of, found)), schema=schema)
-    pq.write_table(table, buffer, compression="zstd")
-    write_bytes(absolute(place), buffer.getvalue())
+    write_bytes(absolute(place), parquet_of(_lines(of, found), schema))
 
 
 def name_of(of: FleetNetwork, kind: Kind, index: int) -> str:

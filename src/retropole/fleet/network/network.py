@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ...datatypes import Array, BoolArray
+from ...api import Array, BoolArray
 from .adjustment import find_layout
 from .components import Component
 from .doubtful import hanging, inseparable

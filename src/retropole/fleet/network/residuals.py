@@ -11,8 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array
+from ...api import Array, se3
 from .graph import Graph
 
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array
+from ...api import Array, se3
 from .adjustment import Layout, added, step
 from .components import Component, find_components
 from .elimination import Blocks, factorise, solve

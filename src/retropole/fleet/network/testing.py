@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
 
-from ...datatypes import Array, BoolArray, IntArray
+from ...api import Array, BoolArray, IntArray
 from .adjustment import AdjustedNetwork, Layout, held_nodes
 from .components import Component
 from .elimination import Blocks
