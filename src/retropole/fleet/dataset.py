@@ -10,7 +10,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Sequence
 from functools import cache
-from typing import Any, Literal, TypeVar
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -189,14 +190,14 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
     OSError
         Where it cannot be written.
     """
-    for folder, schema, each in (
-        (RUNS, _schemas()[1], sorted(runs, key=lambda run: run.id)),
-        (ANSWERS, _schemas()[0], sorted(rows, key=lambda row: row.id)),
+    for folder, of, each in (
+        (RUNS, Run, sorted(runs, key=lambda run: run.id)),
+        (ANSWERS, Row, sorted(rows, key=lambda row: row.id)),
     ):
         place = below(below(out, folder), partition)
         if each:
-            write_bytes(place, parquet_of(map(msgspec.to_builtins, each), schema))
-        elif partition in names_in(below(out, folder)):
+            write_bytes(place, parquet_of(map(msgspec.to_builtins, each), _schema(of)))
+        elif _is_there(out, folder, partition):
             remove(place)
 
 
@@ -215,60 +216,28 @@ def _table(place: str, columns: Sequence[str]) -> list[dict[str, Any]]:
 
 
 @cache
-def _schemas() -> tuple[Any, Any]:
-    """Give the columns of the answers, and of the runs."""
+def _schema(of: type[msgspec.Struct]) -> Any:
+    """Give the columns of the rows that a data class is of."""
     pa, _ = arrow()
+    return pa.schema(_columns(of), metadata={"schema": FLEET_SCHEMA})
 
-    def field(name: str, kind: Any, null: bool = False) -> Any:
-        return pa.field(name, kind, nullable=null)
 
-    text, real, whole = pa.string(), pa.float64(), pa.int64()
-    numbers, texts = pa.list_(field("item", real)), pa.list_(field("item", text))
+def _columns(of: type[msgspec.Struct]) -> list[Any]:
+    """Give the fields of a data class as columns, in its order; null is what may be None."""
+    pa, _ = arrow()
+    columns = []
+    for name, kind in get_type_hints(of).items():
+        options = set(get_args(kind)) if get_origin(kind) in (Union, UnionType) else {kind}
+        (one,) = options - {NoneType}
+        columns.append(pa.field(name, _column(one), nullable=NoneType in options))
+    return columns
 
-    def several(*fields: Any) -> Any:
-        return pa.list_(pa.field("item", pa.struct(fields), nullable=False))
 
-    inputs = several(
-        field("lidar", text),
-        field("placement", text),
-        field("path", text),
-        field("sha256", text, True),
-        field("sensor", text, True),
-        field("points", whole, True),
-    )
-    budget = several(
-        field("name", text),
-        field("sensor", text, True),
-        field("sigma", real),
-        field("unit", text),
-        field("estimated", real, True),
-        field("share_at_30m", real),
-    )
-    lidars = several(
-        field("name", text),
-        field("sensor", text),
-        field("T", numbers),
-        field("covariance", numbers),
-        field("predicted_error", several(field("range_m", real), field("sigma_m", real))),
-        field("budget", budget),
-    )
-    answers = (
-        *(field("id", text), field("kind", text), field("status", text)),
-        *(field("codes", texts), field("messages", texts)),
-        *(field("site_file", text, True), field("site_sha256", text, True)),
-        field("inputs", inputs),
-        *(field("latitude_rad", real, True), field("longitude_rad", real, True)),
-        *(field("frame", text, True), field("lidars", lidars)),
-        *(field("sigma_30m_m", real, True), field("document", text, True)),
-        *(field("key", text, True), field("version", text), field("libraries", text)),
-    )
-    runs = (
-        *(field("id", text), field("key", text, True), field("started", text)),
-        *(
-            field("seconds", real),
-            field("steps", several(field("name", text), field("seconds", real))),
-        ),
-        *(field("host", text), field("memory_bytes", whole), field("attempts", whole)),
-    )
-    metadata = {"schema": FLEET_SCHEMA}
-    return pa.schema(answers, metadata=metadata), pa.schema(runs, metadata=metadata)
+def _column(kind: Any) -> Any:
+    """Give the type of a column: of lists, of data classes, of numbers; all else is text."""
+    pa, _ = arrow()
+    if get_origin(kind) is list:
+        return pa.list_(pa.field("item", _column(*get_args(kind)), nullable=False))
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return pa.struct(_columns(kind))
+    return {float: pa.float64(), int: pa.int64()}.get(kind, pa.string())

@@ -274,7 +274,7 @@ def _round_values(low: float, high: float) -> list[float]:
 
 def _plain_length(metres: float) -> str:
     """Write a round length without more digits than it has: ``5 mm``, ``0.2 m``."""
-    return f"{1000 * metres:.3g} mm" if metres < 0.0995 else f"{metres:.3g} m"
+    return f"{1000 * metres:.3g} mm" if metres < quantities.MILLIMETRES_BELOW else f"{metres:.3g} m"
 
 
 def _between(low: float, high: float) -> str:

@@ -104,7 +104,7 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
     Outcome
         With a row, whatever happens.
     """
-    started, start = datetime.now(UTC), time.perf_counter()
+    start = time.perf_counter()
     hashed: list[Hashed] = []
 
     def note(found: Hashed) -> None:
@@ -126,16 +126,8 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
         row = failed(task.site, "refused", error.code, error.message, *hashed)
     except Exception as error:
         row = failed(task.site, "error", *code_of(error), *hashed)
-    run = Run(
-        id=task.site.id,
-        key=row.key,
-        started=started.isoformat(timespec="milliseconds"),
-        seconds=time.perf_counter() - start,
-        steps=[Step(name, value) for name, value in seconds.items()],
-        host=socket.gethostname(),
-        memory_bytes=_memory(),
-    )
-    return Outcome(task.site.id, row, run)
+    steps = [Step(name, value) for name, value in seconds.items()]
+    return Outcome(task.site.id, row, _run(row, time.perf_counter() - start, steps, _memory()))
 
 
 def code_of(error: Exception) -> tuple[str, str]:
@@ -183,17 +175,24 @@ def lost(
 ) -> Outcome:
     """Make the outcome of a site whose process or worker never answered."""
     row = failed(site, "error", code, message, hashed)
+    return Outcome(site.id, row, _run(row, seconds, attempts=attempts))
+
+
+def _run(
+    row: Row, seconds: float, steps: Sequence[Step] = (), memory: int = 0, attempts: int = 1
+) -> Run:
+    """Say how a row came about that is done now."""
     started = datetime.now(UTC) - timedelta(seconds=seconds)
-    run = Run(
-        id=site.id,
+    return Run(
+        id=row.id,
         key=row.key,
         started=started.isoformat(timespec="milliseconds"),
         seconds=seconds,
+        steps=list(steps),
         host=socket.gethostname(),
-        memory_bytes=0,
+        memory_bytes=memory,
         attempts=attempts,
     )
-    return Outcome(site.id, row, run)
 
 
 def _calibrated(

@@ -44,8 +44,7 @@ def check_site(
         Columns of the row, whatever happens; None where the history has it without an error: the
         same recordings and stored result, at the same time.
     """
-    time = datetime.fromisoformat(site.time) if site.time else check.tried
-    tried = CheckRow(site.id, time, "cannot_tell", version=__version__)
+    tried = _tried(site, check)
     with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
         try:
             local = LocalFiles(site, Path(folder))
@@ -81,17 +80,21 @@ def _named(words: str, site: FleetSite, check: Check, folder: Path) -> str:
 def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
     """Make the row of a check whose process or worker never answered, of what is known of it."""
     hashes = [each.sha256 or "" for each in row.inputs] or ["", ""]
-    return CheckRow(
-        site.id,
-        datetime.fromisoformat(site.time) if site.time else check.tried,
-        "error",
+    return replace(
+        _tried(site, check),
+        status="error",
         codes=tuple(row.codes),
         message=row.messages[0] if row.messages else None,
         stored_sha256=row.site_sha256 or "",
         target_sha256=hashes[0],
         source_sha256=hashes[-1],
-        version=__version__,
     )
+
+
+def _tried(site: FleetSite, check: Check) -> CheckRow:
+    """Begin the row of a check that has not told anything yet."""
+    time = datetime.fromisoformat(site.time) if site.time else check.tried
+    return CheckRow(site.id, time, "cannot_tell", version=__version__)
 
 
 def _stored(site: FleetSite, check: Check, folder: Path) -> Path:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from ...api import Array
@@ -63,11 +64,7 @@ def name_of(of: FleetNetwork, kind: Kind, index: int) -> str:
 
 def reason_of(of: FleetNetwork, one: LeftOut) -> str:
     """Say what does not fit, and what may be wrong in its stead."""
-    words = f"{name_of(of, one.kind, one.index)}: w {one.w:.1f} against all others"
-    if one.rivals:
-        others = ", ".join(name_of(of, *rival) for rival in one.rivals)
-        words += f"; {others} may be wrong in its stead"
-    return words
+    return one.reason_of(partial(name_of, of))
 
 
 def _lines(of: FleetNetwork, found: NetworkAdjustment) -> Iterator[dict[str, Any]]:

@@ -94,14 +94,6 @@ class Model:
         return np.concatenate([np.sum(one.residual**2, axis=1) for one in self.at(T)])
 
 
-def moved(T: Array, steps: Array) -> Array:
-    """Move poses (N, 4, 4) by steps (N, 6)."""
-    out = T.copy()
-    out[:, :3, :3] = se3.exp_so3(steps[:, :3]) @ T[:, :3, :3]
-    out[:, :3, 3] += steps[:, 3:]
-    return out
-
-
 def _log(R: Array) -> Array:
     return se3.log_so3(R) if len(R) else np.zeros((0, 3))
 
