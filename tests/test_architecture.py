@@ -44,10 +44,15 @@ def imports_of(path: Path) -> set[tuple[str, ...]]:
     package = path.relative_to(PACKAGE).parent.parts
     found: set[tuple[str, ...]] = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if not isinstance(node, ast.ImportFrom) or not node.level:
+        if not isinstance(node, ast.ImportFrom):
             continue
-        base = package[: len(package) - (node.level - 1)]
-        base += tuple(node.module.split(".")) if node.module else ()
+        named = tuple(node.module.split(".")) if node.module else ()
+        if node.level:
+            base = package[: len(package) - (node.level - 1)] + named
+        elif named[0] == PACKAGE.name:
+            base = named[1:]
+        else:
+            continue
         for alias in node.names:
             whole = (*base, alias.name)
             found.add(whole if whole in MODULES else base)
