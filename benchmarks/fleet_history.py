@@ -36,7 +36,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from retropole.alignment.certainty import floor
+from retropole.api import floor
 from retropole.datatypes import Array, PoseEstimate
 from retropole.fleet.history.events import Watched
 from retropole.fleet.history.model import YEAR, Observed

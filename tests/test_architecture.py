@@ -24,6 +24,9 @@ LAYERS = (
 )
 """Modules and folders of the package; each imports only what stands before it."""
 
+PUBLIC = {"api", "result", "errors", "files"}
+"""What others may build on, and `fleet` builds on alone."""
+
 FILES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
 
 
@@ -41,10 +44,15 @@ def imports_of(path: Path) -> set[tuple[str, ...]]:
     package = path.relative_to(PACKAGE).parent.parts
     found: set[tuple[str, ...]] = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if not isinstance(node, ast.ImportFrom) or not node.level:
+        if not isinstance(node, ast.ImportFrom):
             continue
-        base = package[: len(package) - (node.level - 1)]
-        base += tuple(node.module.split(".")) if node.module else ()
+        named = tuple(node.module.split(".")) if node.module else ()
+        if node.level:
+            base = package[: len(package) - (node.level - 1)] + named
+        elif named[0] == PACKAGE.name:
+            base = named[1:]
+        else:
+            continue
         for alias in node.names:
             whole = (*base, alias.name)
             found.add(whole if whole in MODULES else base)
@@ -56,6 +64,14 @@ def test_imports_point_one_way(path: Path) -> None:
     own = module_of(path)[0]
     for name in imports_of(path):
         assert LAYERS.index(name[0]) <= LAYERS.index(own), f"{own} imports {'.'.join(name)}"
+
+
+@pytest.mark.parametrize(
+    "path", sorted((PACKAGE / "fleet").rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE))
+)
+def test_a_fleet_stands_on_what_is_public(path: Path) -> None:
+    rooms = {name[0] for name in imports_of(path)}
+    assert rooms <= {"fleet", *PUBLIC}, f"{path} imports {rooms - {'fleet', *PUBLIC}}"
 
 
 def test_no_import_cycle() -> None:

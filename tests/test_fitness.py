@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.alignment.certainty import FLOOR, floor
+from retropole.alignment.certainty import FLOOR
 from retropole.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
 from retropole.errors import Reason
 from retropole.fitness import DOUBTS, judged
 from retropole.reasons.sources import REMEDIES, SPREAD_OUT, remedy
 from retropole.sensors import SENSORS
 from retropole.systematic import RADIUS_KIND
-from retropole.uncertainty import BudgetEntry, Confirmation, Uncertainty, predicted_error
+from retropole.uncertainty import BudgetEntry, Confirmation, Uncertainty, floor, predicted_error
 from retropole.uncertainty.purpose import USABLE, Need, displacement_bound
 
 GOOD = np.diag(np.square([1e-4] * 3 + [2e-3] * 3))

@@ -12,7 +12,9 @@ from retropole.quantities import (
     counted,
     duration,
     error,
+    large,
     percent,
+    round_below,
     value,
     value_and_error,
 )
@@ -115,3 +117,15 @@ def test_counts_are_good_english(number: int) -> None:
     plain, other = counted(number, "pole"), counted(number, "place agrees", "places agree")
     assert plain.endswith(" pole") is other.endswith(" place agrees") is (number == 1)
     assert int(plain.split()[0].replace(",", "")) == number
+
+
+@pytest.mark.parametrize(
+    ("number", "rounded"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (4.9, 2.0), (730.0, 500.0)]
+)
+def test_lengths_are_rounded_down_to_one_two_or_five(number: float, rounded: float) -> None:
+    assert round_below(number) == pytest.approx(rounded)
+    assert round_below(number / 1000) == pytest.approx(rounded / 1000)
+
+
+def test_round_numbers_have_no_exponent() -> None:
+    assert [large(v) for v in (0.5, 1.0, 2000.0, 1e6)] == ["0.5", "1", "2,000", "1,000,000"]

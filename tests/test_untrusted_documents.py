@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole.api.result import REPORT_FILE
 from retropole.cli import run
 from retropole.errors import ReadError, Refusal
 from retropole.export import FORMATS, read_transform
 from retropole.report import render_report
 from retropole.result import encode
 from retropole.result.decoding import decode
+from retropole.result.folder import REPORT_FILE
 from tests.report.made_up import Run, made_up
 
 NASTY: tuple[Any, ...] = (

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from . import quantities
-from .alignment.certainty import BUDGET_RANGE, FLOOR, floor
+from .alignment.certainty import BUDGET_RANGE, FLOOR
 from .datatypes import Calibration
 from .errors import Reason
 from .reasons.sources import remedy
-from .uncertainty import source_words
+from .uncertainty import floor, source_words
 from .uncertainty.purpose import (
     USABLE,
     Fitness,

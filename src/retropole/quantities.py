@@ -93,6 +93,17 @@ def counted(number: int, noun: str, plural: str = "") -> str:
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
+def round_below(number: float) -> float:
+    """Round down to 1, 2 or 5 times a power of ten; the number is above 0."""
+    power = 10.0 ** math.floor(math.log10(number) + 1e-9)
+    return max(step for step in (1.0, 2.0, 5.0) if step <= number / power * (1 + 1e-9)) * power
+
+
+def large(number: float) -> str:
+    """Write a round number without an exponent: ``1,000``, ``0.5``."""
+    return f"{number:,.0f}" if number >= 1 else f"{number:g}"
+
+
 def step_of(name: str, k: int, count: int) -> str:
     """Name the step under way and its share of all: ``kiss, 3 of 7``; k counts from 1."""
     return f"{name}, {k} of {count}"

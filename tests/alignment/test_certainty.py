@@ -5,8 +5,6 @@ import pytest
 
 from retropole.alignment.certainty import (
     CHI2_95,
-    FLOOR_ROTATION,
-    FLOOR_TRANSLATION,
     MAX_SCALE,
     MIN_MEMBERS,
     WORKING_SHARE,
@@ -21,7 +19,12 @@ from retropole.alignment.certainty import (
 from retropole.alignment.factor import MANY, POSE, PoleFactor
 from retropole.datatypes import Array
 from retropole.systematic import RADIUS, ErrorModel, Groups, Layout, groups_of
-from retropole.uncertainty import Uncertainty, predicted_error
+from retropole.uncertainty import (
+    FLOOR_ROTATION,
+    FLOOR_TRANSLATION,
+    Uncertainty,
+    predicted_error,
+)
 
 LAYOUT = Layout((np.arange(6), np.arange(5)))
 GROUPS = groups_of(LAYOUT)

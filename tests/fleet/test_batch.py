@@ -216,4 +216,4 @@ def test_progress_says_how_long(fleet: Path, out: Path) -> None:
     calibrate_fleet(find_sites([str(fleet)]), str(out), here, progress=said.append)
     assert said[0].startswith("calibrate: 2 of 8 sites, about ")
     assert said[-1] == "calibrate: 8 of 8 sites"
-    assert "left" in batch._progress(1, 10, 60.0)
+    assert "left" in batch.how_far("calibrate", 1, 10, 60.0)

@@ -16,12 +16,8 @@ from scipy.special import fdtri
 
 from ..datatypes import Array
 from ..systematic import Groups
-from ..uncertainty import BudgetEntry, Uncertainty, predicted_error
+from ..uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
 from .factor import POSE, PoleFactor
-
-FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
-"""1 σ about and along each axis that no model names, rad and m: bent housings, temperature, grounds
-that are not flat, time between the recordings."""
 
 FLOOR = "what no model names"
 """What the budget calls that: nothing makes it smaller."""
@@ -200,11 +196,6 @@ def excess(covariance: Array, other: Array) -> Array:
     """Give by how much a covariance is more than another, in the directions where it is."""
     more, way = np.linalg.eigh(covariance - other)
     return np.asarray((way * np.maximum(more, 0.0)) @ way.T)
-
-
-def floor() -> Array:
-    """(6, 6) of what no model names."""
-    return np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
 
 
 def few_freedom(freedom: float) -> float:

@@ -1,5 +1,14 @@
 """What ``import retropole as rp`` gives: the steps for users, from paths, arrays or clouds.
 
-`retropole` itself looks the names up when they are used. Nothing is imported here, so that each
-name costs only its own module.
+`retropole` itself looks the names up when they are used, so that each costs only its own module.
+Here is what all of these load, for whoever goes on computing with their answers: the kinds of
+arrays, rigid transforms (`se3`), numbers in words (`quantities`), what a reason code means
+(`explain`), and what no answer is surer than (`floor`).
 """
+
+from .. import quantities, se3
+from ..datatypes import Array, BoolArray, IntArray
+from ..reasons import explain
+from ..uncertainty import floor
+
+__all__ = ["Array", "BoolArray", "IntArray", "explain", "floor", "quantities", "se3"]

@@ -11,7 +11,7 @@ import numpy as np
 from ..datatypes import PoseEstimate
 from ..errors import Reason, Refusal
 from ..export import inverted, read_transform
-from ..export.documents import is_result, result_file
+from ..export.documents import is_result
 from ..files import read_document
 from ..io import sha256_of, topics_of
 from ..monitoring.drift import check
@@ -21,8 +21,9 @@ from ..monitoring.tolerance import NOT_ASKED, Asked
 from ..reasons import prefixed
 from ..result import DEFAULT_CONFIG, RunConfig, uncertainty_of
 from ..result.decoding import decode
+from ..result.folder import result_file
 from ..uncertainty import Uncertainty
-from .inputs import Input
+from .inputs import Input, read_input
 
 
 class Stored(NamedTuple):
@@ -39,7 +40,11 @@ class Stored(NamedTuple):
     hashes: tuple[tuple[str, str], ...] = ()
 
 
-def read_stored(path: Path, sigma: tuple[float, float] | None = None) -> Stored:
+def read_stored(
+    path: Path,
+    sigma: tuple[float, float] | None = None,
+    lidars: tuple[str, str] | None = None,
+) -> Stored:
     """Read a stored result; of a file that is not a result document, the options are the defaults.
 
     Parameters
@@ -49,13 +54,17 @@ def read_stored(path: Path, sigma: tuple[float, float] | None = None) -> Stored:
     sigma
         1 σ of its rotation, rad, and of its translation, m, about and along each axis; None takes
         its covariance.
+    lidars
+        Target and source by their names, of the result of a site: what both have in common cancels
+        in their pose. How much of it errs alike in both recordings is not stored: all counts.
 
     Raises
     ------
     Refusal
         Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
     """
-    transform = read_transform(path)
+    parent, child = lidars or (None, None)
+    transform = read_transform(path, parent=parent, child=child)
     if transform.roles == ("source", "target"):
         transform = inverted(transform)
     covariance = transform.covariance
@@ -109,6 +118,50 @@ def checked(
             thresholds=(config.threshold_target, config.threshold_source),
         )
     return replace(answer, reasons=(*answer.reasons, *stored.warnings))
+
+
+def check_recordings(
+    stored: Stored,
+    target: Path,
+    source: Path,
+    *,
+    rotation: float | None = None,
+    translation: float | None = None,
+) -> CheckResult:
+    """Read new recordings with the options of the stored run, and check them against it.
+
+    Parameters
+    ----------
+    stored
+        As `read_stored` gives it.
+    target, source
+        What `io.read_cloud` reads.
+    rotation, translation
+        Movement that matters, rad and m; None for as little as the data tell.
+
+    Raises
+    ------
+    UsageError, ReadError, MissingExtraError
+        Where one cannot be read.
+    Refusal
+        As `checked`.
+    """
+    config = stored.config
+    of_target = read_input(
+        target,
+        sensor=config.sensor_target,
+        threshold=config.threshold_target,
+        topic=topic_for(target, None, config.target_topic),
+        unit=config.unit,
+    )
+    of_source = read_input(
+        source,
+        sensor=config.sensor_source,
+        threshold=config.threshold_source,
+        topic=topic_for(source, None, config.source_topic),
+        unit=config.source_unit,
+    )
+    return checked(stored, of_target, of_source, Asked(rotation, translation))
 
 
 def files_swapped(stored: Stored, target: Input, source: Input) -> Reason | None:

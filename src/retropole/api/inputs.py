@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
-from ..errors import Refusal, UsageError
+from ..errors import ReadError, Refusal, UsageError
 from ..files import path_in_text
 from ..io import (
     ARRAY_SOURCE,
@@ -235,6 +235,20 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
         )
         for each in inputs
     ]
+
+
+def recording_hash(path: Path) -> str:
+    """SHA-256 of a recording, as the result document has it; it is not read as one.
+
+    Raises
+    ------
+    ReadError
+        Where it cannot be read, or is neither a file nor a folder: to open a pipe waits for whoever
+        writes to it.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ReadError(f"{path}: is neither a file nor a folder")
+    return sha256_of(path)
 
 
 def repeated(pairs: Sequence[InputPair], documents: Sequence[InputDoc]) -> Refusal | None:

@@ -15,7 +15,7 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Placement
 from ..errors import ReadError, Refusal
-from ..export.documents import RESULT_FILE, SITE_REPORT_FILE, is_site_document, result_file
+from ..export.documents import is_site_document
 from ..files import read_document, write_together
 from ..quantities import error
 from ..report import render_report, write_report
@@ -32,6 +32,7 @@ from ..result import (
     uncertainty_of,
 )
 from ..result.decoding import decode
+from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
 from ..scene.consistency import contradicting_points, standing_in
 from ..uncertainty import Confirmation, RadiusEstimate, Uncertainty
 
@@ -39,9 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..reasons import Code
-
-REPORT_FILE = "report.html"
-"""What the report of a result is called in its folder."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -13,12 +14,12 @@ import numpy as np
 from .. import se3
 from ..datatypes import Array, Scan
 from ..errors import ReadError, Reason, Refusal, UsageError
-from ..export.documents import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..files import read_document, write_together
 from ..quantities import error as in_words
 from ..report.site import render_site
 from ..report.site_text import pose_rows
 from ..result import ReasonDoc, encode
+from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
 from ..result.site_decoding import decode_site
 from ..result.site_parts import lidar_pose_of
@@ -120,8 +121,7 @@ class SiteResult:
             As `pose`.
         """
         poses = self.pose(a), self.pose(b)
-        whole = np.array(self.document.joint_covariance, dtype=float)
-        joint = joint_of(whole, self._index(a), self._index(b))
+        joint = joint_of(self._joint, self._index(a), self._index(b))
         return relative(poses[0].T_site_lidar, poses[1].T_site_lidar, joint).covariance
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:
@@ -159,6 +159,11 @@ class SiteResult:
         return "\n".join(
             [f"SiteResult: {self.status}"] + [f"  {name:<16} {value}" for name, value in rows]
         )
+
+    @cached_property
+    def _joint(self) -> Array:
+        """(6 L, 6 L) covariance of all poses together."""
+        return np.array(self.document.joint_covariance, dtype=float)
 
     def _index(self, name: str) -> int:
         if name not in self.lidars:

@@ -179,13 +179,14 @@ def _warn(path: Path) -> None:
 def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) -> bytes:
     """Read the clouds of the first placement as its run did, and write them with the transform."""
     from ..errors import UsageError
-    from ..export.documents import any_result_file, is_result
+    from ..export.documents import is_result
     from ..export.recording import frames_of, write_mcap
     from ..files import read_document
     from ..io import read_recording
     from ..report.inputs import differing, find_inputs
     from ..result import DEFAULT_CONFIG
     from ..result.decoding import decode
+    from ..result.folder import any_result_file
 
     file = any_result_file(result)
     data = read_document(file)

@@ -88,7 +88,6 @@ def fleet_check(
     from ..fleet.engine import connected, outcomes
     from ..fleet.history.run import check_fleet
     from ..fleet.sites import find_sites
-    from ..monitoring.tolerance import Asked
 
     check_cluster(scheduler, workers)
     with progress_on_terminal(quiet or as_json) as progress:
@@ -102,7 +101,7 @@ def fleet_check(
                 history,
                 lambda tasks: outcomes(client, tasks),
                 answers=answers,
-                tolerance=Asked(angle, tolerance_m),
+                tolerance=(angle, tolerance_m),
                 time_limit=time_limit,
                 progress=progress,
             )

@@ -72,8 +72,7 @@ def _out_of(words: Sequence[str]) -> Path:
 
 
 def _set_aside(folder: Path, site: bool) -> None:
-    from ..api.result import REPORT_FILE
-    from ..export.documents import RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE
+    from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE
 
     names = (SITE_RESULT_FILE, SITE_REPORT_FILE) if site else (RESULT_FILE, REPORT_FILE)
     try:

@@ -53,11 +53,11 @@ def report(
       2    RESULT or a cloud cannot be read
       130  interrupted
     """
-    from ..api.result import REPORT_FILE, load_result
+    from ..api.result import load_result
     from ..errors import printable
-    from ..export.documents import result_file
     from ..report import write_report
     from ..report.inputs import placements_of
+    from ..result.folder import REPORT_FILE, result_file
 
     file = result_file(result)
     document, page = load_result(file).document, out or file.with_name(REPORT_FILE)

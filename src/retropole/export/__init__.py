@@ -18,9 +18,9 @@ from ..errors import ReadError, UsageError
 from ..files import read_document
 from ..result import ReasonDoc
 from ..result.decoding import decode
+from ..result.folder import any_result_file
 from ..se3 import rigid
 from .documents import (
-    any_result_file,
     is_result,
     read_json,
     read_yaml,

@@ -10,22 +10,20 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, cast
 
 import msgspec
 import numpy as np
 
 from ..datatypes import Array
-from ..errors import MissingExtraError, ReadError, Refusal, UsageError
+from ..errors import MissingExtraError, ReadError, Refusal
 from ..reasons import Code
 from ..result import COVARIANCE_ORDER, ResultDoc
 from ..result.bounded import LARGEST
-from ..result.decoding import decode
+from ..result.decoding import check_covariance, decode
 from ..result.site import SiteDoc
 from ..result.site_decoding import decode_site
 from ..se3 import rigid
-from ..uncertainty import covariance_fault
 from .found import Found
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, pose_of, pose_values
 from .transform import (
@@ -39,10 +37,6 @@ from .transform import (
 from .tree import found_in_site, is_site_result
 
 TRANSFORM_SCHEMA, TREE_SCHEMA = "retropole/transform/1", "retropole/tree/1"
-RESULT_FILE, SITE_RESULT_FILE = "result.json", "site-result.json"
-"""What the result document of two LiDARs, and that of a site, is called in its folder."""
-SITE_REPORT_FILE = "site-report.html"
-"""What the report of a site is called there."""
 
 LARGEST_YAML, DEEPEST_YAML = 2**19, 20
 """Bytes, and levels; PyYAML takes some 10 s for a million bytes, and longer for each level."""
@@ -118,29 +112,6 @@ def _found(document: dict[str, Any]) -> Found:
     covariance = _covariance(document)
     parent, child = _name(document, "parent"), _name(document, "child")
     return Found(parent, child, lambda: _pose(document, keys[0]), covariance, _KEYS[keys[0]])
-
-
-def result_file(path: Path) -> Path:
-    """Take the result document in a folder, that of a site where it is alone; a file as it is."""
-    if not path.is_dir():
-        return path
-    own, of_site = path / RESULT_FILE, path / SITE_RESULT_FILE
-    return of_site if of_site.exists() and not own.exists() else own
-
-
-def any_result_file(path: Path) -> Path:
-    """Take the result document in a folder, that of two LiDARs or of a site, and a file as it is.
-
-    Raises
-    ------
-    UsageError
-        Where the folder holds both.
-    """
-    if not path.is_dir() or not (path / SITE_RESULT_FILE).exists():
-        return result_file(path)
-    if (path / RESULT_FILE).exists():
-        raise UsageError(f"{path} holds {RESULT_FILE} and {SITE_RESULT_FILE}; name one of them")
-    return path / SITE_RESULT_FILE
 
 
 def is_result(data: bytes) -> bool:
@@ -227,9 +198,7 @@ def _square(values: Any) -> Array:
         C = np.empty(0)
     if C.shape != (6, 6) or not np.abs(C).max() <= LARGEST:
         raise ReadError(f"the covariance is not 6×6 numbers up to {LARGEST:g}")
-    fault = covariance_fault(C)
-    if fault is not None:
-        raise ReadError(f"covariance: {fault}")
+    check_covariance("covariance", C)
     return C
 
 

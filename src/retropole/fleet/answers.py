@@ -8,11 +8,12 @@ from typing import Any
 
 import msgspec
 
-from ..result import ErrorAtRange, ResultDoc, encode
+from ..result import ResultDoc, encode
 from ..result.certainty import Matrix
 from ..result.decoding import decode
 from ..result.site import SiteDoc
 from ..result.site_decoding import decode_site
+from ..result.site_parts import LidarDoc
 from .dataset import AT_RANGE, InputEntry, LidarEntry
 from .sites import FleetSite, Kind
 
@@ -76,41 +77,29 @@ def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:
     return decode(text.encode()) if kind == "pair" else decode_site(text.encode())
 
 
-def _flat(rows: Matrix) -> list[float]:
-    return list(chain.from_iterable(rows))
-
-
 def _of_pair(document: ResultDoc) -> list[LidarEntry]:
     """Give the pose of the source in the frame of the target; none where refused."""
-    if document.T_target_source is None or document.covariance is None:
-        return []
-    return [
-        LidarEntry(
-            name="source",
-            sensor=document.inputs[1].sensor,
-            T=_flat(document.T_target_source),
-            covariance=_flat(document.covariance),
-            predicted_error=_errors(document.predicted_error),
-            budget=list(document.budget or ()),
-        )
-    ]
+    sensor = document.inputs[1].sensor
+    return _entry("source", sensor, document.T_target_source, document)
 
 
 def _of_site(document: SiteDoc) -> list[LidarEntry]:
     """Give the pose of every LiDAR in the frame of the site; none where refused."""
+    entries = (_entry(each.name, each.sensor, each.T_site_lidar, each) for each in document.lidars)
+    return [entry for of_lidar in entries for entry in of_lidar]
+
+
+def _entry(name: str, sensor: str, T: Matrix | None, of: ResultDoc | LidarDoc) -> list[LidarEntry]:
+    """Give a pose with how certain it is; nothing where there is none."""
+    if T is None or of.covariance is None:
+        return []
     return [
         LidarEntry(
-            name=lidar.name,
-            sensor=lidar.sensor,
-            T=_flat(lidar.T_site_lidar),
-            covariance=_flat(lidar.covariance),
-            predicted_error=_errors(lidar.predicted_error),
-            budget=list(lidar.budget or ()),
+            name=name,
+            sensor=sensor,
+            T=list(chain.from_iterable(T)),
+            covariance=list(chain.from_iterable(of.covariance)),
+            predicted_error=list(of.predicted_error or ()),
+            budget=list(of.budget or ()),
         )
-        for lidar in document.lidars
-        if lidar.T_site_lidar is not None and lidar.covariance is not None
     ]
-
-
-def _errors(errors: Sequence[ErrorAtRange] | None) -> list[ErrorAtRange]:
-    return list(errors or ())

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from ..quantities import counted, duration
+from ..api import quantities
 from . import TIME_LIMIT
 from .dataset import (
     Known,
@@ -133,7 +133,7 @@ def calibrate_fleet(
         note(outcome)
         write_whole(part_of[outcome.id])
         done, over = done + (outcome.row is not None), over + 1
-        progress(_progress(over, len(sites), time.monotonic() - start))
+        progress(how_far("calibrate", over, len(sites), time.monotonic() - start))
     return FleetSummary(len(sites), done, len(others), dict(statuses), dict(codes))
 
 
@@ -163,8 +163,8 @@ def _write(out: str, part: str, outcomes: dict[str, Outcome], drop_others: bool)
     return rows
 
 
-def _progress(done: int, count: int, seconds: float) -> str:
+def how_far(step: str, done: int, count: int, seconds: float) -> str:
     """Say how far it is, and how long the rest takes if it goes on so."""
     left = seconds / done * (count - done)
-    rest = f", about {duration(left)} left" if left else ""
-    return f"calibrate: {done} of {counted(count, 'site')}{rest}"
+    rest = f", about {quantities.duration(left)} left" if left else ""
+    return f"{step}: {done} of {quantities.counted(count, 'site')}{rest}"

@@ -8,17 +8,18 @@ differs from run to run, times and machines, lies beside it in ``runs/part-3f.pa
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Iterable, Sequence
 from functools import cache
-from typing import Any, Literal, TypeVar
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from ..errors import MissingExtraError, ReadError
+from ..errors import ReadError
 from ..result import BudgetEntryDoc, ErrorAtRange
+from .parquet import arrow, opened, parquet_of
 from .sites import Kind
-from .storage import below, names_in, read_bytes, remove, write_bytes
+from .storage import below, names_in, remove, write_bytes
 
 FLEET_SCHEMA = "retropole/fleet/1"
 ANSWERS, RUNS = "answers", "runs"
@@ -189,14 +190,14 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
     OSError
         Where it cannot be written.
     """
-    for folder, schema, each in (
-        (RUNS, _schemas()[1], sorted(runs, key=lambda run: run.id)),
-        (ANSWERS, _schemas()[0], sorted(rows, key=lambda row: row.id)),
+    for folder, of, each in (
+        (RUNS, Run, sorted(runs, key=lambda run: run.id)),
+        (ANSWERS, Row, sorted(rows, key=lambda row: row.id)),
     ):
         place = below(below(out, folder), partition)
         if each:
-            write_bytes(place, _parquet(each, schema))
-        elif partition in names_in(below(out, folder)):
+            write_bytes(place, parquet_of(map(msgspec.to_builtins, each), _schema(of)))
+        elif _is_there(out, folder, partition):
             remove(place)
 
 
@@ -206,89 +207,37 @@ def _is_there(out: str, folder: str, partition: str) -> bool:
 
 def _table(place: str, columns: Sequence[str]) -> list[dict[str, Any]]:
     """Read some columns of a file, as rows."""
-    try:
-        from pyarrow import ArrowException
-        from pyarrow import parquet as pq
-    except ImportError:
-        raise MissingExtraError("fleet", "a fleet") from None
-    data = read_bytes(place, LARGEST_PARTITION)
-    try:
-        file = pq.ParquetFile(io.BytesIO(data))
+    with opened(place, f"damaged ({{}}){AGAIN}", LARGEST_PARTITION) as file:
         schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
         if schema != FLEET_SCHEMA:
             raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{AGAIN}")
         rows: list[dict[str, Any]] = file.read(columns=list(columns)).to_pylist()
-    except (ArrowException, OSError) as error:
-        raise ReadError(f"{place}: damaged ({error}){AGAIN}") from None
     return rows
 
 
-def _parquet(rows: Sequence[Row] | Sequence[Run], schema: Any) -> bytes:
-    """Write rows as one Parquet file; the same rows give the same bytes."""
-    import pyarrow as pa
-    from pyarrow import parquet as pq
-
-    buffer = io.BytesIO()
-    table = pa.Table.from_pylist([msgspec.to_builtins(row) for row in rows], schema=schema)
-    pq.write_table(table, buffer, compression="zstd")
-    return buffer.getvalue()
-
-
 @cache
-def _schemas() -> tuple[Any, Any]:
-    """Give the columns of the answers, and of the runs."""
-    import pyarrow as pa
+def _schema(of: type[msgspec.Struct]) -> Any:
+    """Give the columns of the rows that a data class is of."""
+    pa, _ = arrow()
+    return pa.schema(_columns(of), metadata={"schema": FLEET_SCHEMA})
 
-    def field(name: str, kind: Any, null: bool = False) -> Any:
-        return pa.field(name, kind, nullable=null)
 
-    text, real, whole = pa.string(), pa.float64(), pa.int64()
-    numbers, texts = pa.list_(field("item", real)), pa.list_(field("item", text))
+def _columns(of: type[msgspec.Struct]) -> list[Any]:
+    """Give the fields of a data class as columns, in its order; null is what may be None."""
+    pa, _ = arrow()
+    columns = []
+    for name, kind in get_type_hints(of).items():
+        options = set(get_args(kind)) if get_origin(kind) in (Union, UnionType) else {kind}
+        (one,) = options - {NoneType}
+        columns.append(pa.field(name, _column(one), nullable=NoneType in options))
+    return columns
 
-    def several(*fields: Any) -> Any:
-        return pa.list_(pa.field("item", pa.struct(fields), nullable=False))
 
-    inputs = several(
-        field("lidar", text),
-        field("placement", text),
-        field("path", text),
-        field("sha256", text, True),
-        field("sensor", text, True),
-        field("points", whole, True),
-    )
-    budget = several(
-        field("name", text),
-        field("sensor", text, True),
-        field("sigma", real),
-        field("unit", text),
-        field("estimated", real, True),
-        field("share_at_30m", real),
-    )
-    lidars = several(
-        field("name", text),
-        field("sensor", text),
-        field("T", numbers),
-        field("covariance", numbers),
-        field("predicted_error", several(field("range_m", real), field("sigma_m", real))),
-        field("budget", budget),
-    )
-    answers = (
-        *(field("id", text), field("kind", text), field("status", text)),
-        *(field("codes", texts), field("messages", texts)),
-        *(field("site_file", text, True), field("site_sha256", text, True)),
-        field("inputs", inputs),
-        *(field("latitude_rad", real, True), field("longitude_rad", real, True)),
-        *(field("frame", text, True), field("lidars", lidars)),
-        *(field("sigma_30m_m", real, True), field("document", text, True)),
-        *(field("key", text, True), field("version", text), field("libraries", text)),
-    )
-    runs = (
-        *(field("id", text), field("key", text, True), field("started", text)),
-        *(
-            field("seconds", real),
-            field("steps", several(field("name", text), field("seconds", real))),
-        ),
-        *(field("host", text), field("memory_bytes", whole), field("attempts", whole)),
-    )
-    metadata = {"schema": FLEET_SCHEMA}
-    return pa.schema(answers, metadata=metadata), pa.schema(runs, metadata=metadata)
+def _column(kind: Any) -> Any:
+    """Give the type of a column: of lists, of data classes, of numbers; all else is text."""
+    pa, _ = arrow()
+    if get_origin(kind) is list:
+        return pa.list_(pa.field("item", _column(*get_args(kind)), nullable=False))
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return pa.struct(_columns(kind))
+    return {float: pa.float64(), int: pa.int64()}.get(kind, pa.string())

@@ -8,7 +8,8 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ..errors import MissingExtraError, ReadError
+from ..errors import ReadError
+from .parquet import opened
 from .storage import read_bytes
 
 LISTS = (".csv", ".parquet")
@@ -71,16 +72,7 @@ def _csv(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[st
 
 def _parquet(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:
     """Read the rows of a Parquet list."""
-    try:
-        from pyarrow import ArrowException
-        from pyarrow import parquet as pq
-    except ImportError:
-        raise MissingExtraError("fleet", "reading Parquet") from None
-    data = read_bytes(place)
-    try:
-        file = pq.ParquetFile(io.BytesIO(data))
+    with opened(place, "is not Parquet: {}") as file:
         _check_columns(place, file.schema_arrow.names, columns, needed)
         for batch in file.iter_batches():
             yield from batch.to_pylist()
-    except (ArrowException, OSError) as error:
-        raise ReadError(f"{place}: is not Parquet: {error}") from None

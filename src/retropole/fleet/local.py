@@ -10,7 +10,6 @@ from typing import TypeVar
 import msgspec
 
 from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable
-from ..io import sha256_of
 from ..result import InputDoc
 from .dataset import InputEntry
 from .sites import ROLES, FleetSite
@@ -132,14 +131,7 @@ class LocalFiles:
 
 
 def hash_of(path: Path) -> str:
-    """SHA-256 of a recording.
+    """SHA-256 of a file or a folder; whoever only makes tasks has no need of what can read it."""
+    from ..api.inputs import recording_hash
 
-    Raises
-    ------
-    ReadError
-        Where it cannot be read, or is neither a file nor a folder: to open a pipe waits for whoever
-        writes to it.
-    """
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise ReadError(f"{path}: is neither a file nor a folder")
-    return sha256_of(path)
+    return recording_hash(path)

@@ -120,7 +120,7 @@ def overview_of(out: str) -> Overview:
         for run in read_as(out, RUNS, name, _Took).values():
             try:
                 start = run.started.astimezone(UTC)
-                times = _widened(times, start, start + timedelta(seconds=run.seconds))
+                times += start, start + timedelta(seconds=run.seconds)
             except OverflowError:
                 raise ReadError(f"{out}/{RUNS}/{name}: there is no time {run.started}") from None
             seconds.append(run.seconds)
@@ -130,8 +130,8 @@ def overview_of(out: str) -> Overview:
         sites=tuple(sorted(sites, key=lambda site: site.id)),
         made_by=made_by,
         seconds=seconds,
-        first=times[0] if times else None,
-        last=times[1] if times else None,
+        first=min(times, default=None),
+        last=max(times, default=None),
         hosts=hosts,
     )
 
@@ -140,7 +140,3 @@ def _slim(row: Seen) -> Seen:
     """Leave out what no part of the page shows, thousands of times."""
     messages = tuple(map(shortened, row.messages)) if row.status == "error" else ()
     return msgspec.structs.replace(row, messages=messages, version="", libraries="")
-
-
-def _widened(times: list[datetime], start: datetime, end: datetime) -> list[datetime]:
-    return [min([start, *times[:1]]), max([end, *times[1:]])]

@@ -7,8 +7,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from html import escape
 
-from ..quantities import counted, error
-from ..report.site.svg import large, round_below
+from ..api import quantities
 from .dataset import Status
 from .overview import STATUSES, Seen
 
@@ -123,7 +122,9 @@ class _View:
 
     def grid(self) -> str:
         """Draw round degrees of latitude and longitude."""
-        step = round_below(math.degrees(WIDTH / (3 * self._scale * EARTH * self._narrow)))
+        step = quantities.round_below(
+            math.degrees(WIDTH / (3 * self._scale * EARTH * self._narrow))
+        )
         lines = []
         first, unit = self._from + self._x, 1 / (self._scale * EARTH * self._narrow)
         west, east = first - MIDDLE * unit, first + (WIDTH - RIGHT - MIDDLE) * unit
@@ -134,7 +135,7 @@ class _View:
                 f'<path class="grid" d="M{x:.1f} 0V{self.height:.0f}"/><text class="soft" '
                 f'x="{x + 3:.1f}" y="14">{_degrees(degrees, step, "E", "W")}</text>'
             )
-        step = round_below(math.degrees(self.height / (3 * self._scale * EARTH)))
+        step = quantities.round_below(math.degrees(self.height / (3 * self._scale * EARTH)))
         high = self.height / 2 / (self._scale * EARTH)
         bounds = (max(self._y - high, -math.pi / 2), min(self._y + high, math.pi / 2))
         for k in _multiples(math.degrees(bounds[0]), math.degrees(bounds[1]), step):
@@ -147,12 +148,12 @@ class _View:
 
     def scale_bar(self) -> str:
         """Draw a round length."""
-        metres = round_below(0.25 * WIDTH / self._scale)
+        metres = quantities.round_below(0.25 * WIDTH / self._scale)
         x, y = 14.0, self.height - 14.0
-        words = f"{large(metres)} m" if metres < 1000 else f"{large(metres / 1000)} km"
+        size, unit = (metres, "m") if metres < 1000 else (metres / 1000, "km")
         return (
             f'<path class="bar" d="M{x:g} {y - 5:.1f}v5h{metres * self._scale:.1f}v-5"/>'
-            f'<text x="{x:g}" y="{y - 10:.1f}">{words}</text>'
+            f'<text x="{x:g}" y="{y - 10:.1f}">{quantities.large(size)} {unit}</text>'
         )
 
 
@@ -175,9 +176,10 @@ def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, name
     drawn = []
     for site in sites[:named]:
         x, y = view.place(site)
-        stated = f", {error(site.sigma_30m_m)} at 30 m" if site.sigma_30m_m is not None else ""
-        name = escape(f"{site.id}: {status}{stated}")
-        drawn.append(f'<path d="M{x:.1f} {y:.1f}{shape}"><title>{name}</title></path>')
+        name = f"{site.id}: {status}"
+        if site.sigma_30m_m is not None:
+            name += f", {quantities.error(site.sigma_30m_m)} at 30 m"
+        drawn.append(f'<path d="M{x:.1f} {y:.1f}{shape}"><title>{escape(name)}</title></path>')
     for x, y in sorted({(round(x), round(y)) for x, y in map(view.place, sites[named:])}):
         drawn.append(f'<path d="M{x} {y}{shape}"/>')
     return f'<g class="site {status} size-{size * 10:.0f}">{"".join(drawn)}</g>'
@@ -185,11 +187,11 @@ def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, name
 
 def _map_said(placed: int, sites: int, view: _View) -> str:
     """Say what the map shows, also for those who do not see it."""
-    said = [f"{counted(placed, 'site')}. North is at the top; the worst lie on top."]
+    said = [f"{quantities.counted(placed, 'site')}. North is at the top; the worst lie on top."]
     if max(view.metres) > FLAT_BELOW:
         said.append("The scale holds in the middle.")
     if sites > placed:
-        said.append(f"{counted(sites - placed, 'site')} not drawn: nothing says where.")
+        said.append(f"{quantities.counted(sites - placed, 'site')} not drawn: nothing says where.")
     if placed > MOST_NAMED:
         said.append(f"{MOST_NAMED:,} have their names where the pointer rests, the worst first.")
     return " ".join(said)
@@ -216,7 +218,7 @@ def histogram(values: Sequence[float]) -> str:
     bars = [
         f'<path d="M{MARGIN + k * wide + 0.5:.1f} {foot:.1f}v{-count * tall:.1f}h{wide - 1:.1f}'
         f'v{count * tall:.1f}z"><title>{_between(edges[k], edges[k + 1])}: '
-        f"{counted(count, 'site')}</title></path>"
+        f"{quantities.counted(count, 'site')}</title></path>"
         for k, count in enumerate(counts)
         if count
     ]
@@ -227,7 +229,7 @@ def histogram(values: Sequence[float]) -> str:
             f'<path class="bar" d="M{x:.1f} {foot:g}v6"/><text x="{x:.1f}" y="{foot + 22:g}" '
             f'text-anchor="middle">{_plain_length(at)}</text>'
         )
-    step = round_below(max(counts) / 2) if max(counts) > 1 else 1.0
+    step = quantities.round_below(max(counts) / 2) if max(counts) > 1 else 1.0
     for count in range(int(step), max(counts) + 1, max(1, int(step))):
         y = foot - count * tall
         lines.append(
@@ -236,8 +238,8 @@ def histogram(values: Sequence[float]) -> str:
             "</text>"
         )
     said = (
-        f"Predicted error of a point 30 m away, 1 σ: how many of {counted(len(values), 'site')} "
-        "with an answer. The scale is logarithmic."
+        "Predicted error of a point 30 m away, 1 σ: how many of "
+        f"{quantities.counted(len(values), 'site')} with an answer. The scale is logarithmic."
     )
     return (
         f'<figure class="picture"><svg viewBox="0 0 {WIDTH:g} {BARS_HEIGHT:g}" role="img" '
@@ -272,8 +274,8 @@ def _round_values(low: float, high: float) -> list[float]:
 
 def _plain_length(metres: float) -> str:
     """Write a round length without more digits than it has: ``5 mm``, ``0.2 m``."""
-    return f"{1000 * metres:.3g} mm" if metres < 0.0995 else f"{metres:.3g} m"
+    return f"{1000 * metres:.3g} mm" if metres < quantities.MILLIMETRES_BELOW else f"{metres:.3g} m"
 
 
 def _between(low: float, high: float) -> str:
-    return f"{error(low)} to {error(high)}"
+    return f"{quantities.error(low)} to {quantities.error(high)}"

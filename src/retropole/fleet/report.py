@@ -5,16 +5,15 @@ from __future__ import annotations
 import os.path
 import posixpath
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
+from ..api import explain, quantities
+from ..api.pages import fill_page, share_styles, table
 from ..errors import printable
-from ..quantities import counted, duration, error, percent
-from ..reasons import explain
-from ..report.markup import MISSING, NO_BREAK, share_styles, table
-from ..report.page import fill_page
+from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
 from .dataset import AT_RANGE, FLEET_SCHEMA
 from .overview import Overview, Seen
 from .pictures import fleet_map, histogram
@@ -65,7 +64,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         file. The same dataset gives the same page.
     """
     parts = {
-        "map": _map(overview),
+        "map": fleet_map(overview.sites),
         "far": _far(overview),
         "worst": _worst(overview, link),
         "reasons": _reasons(overview),
@@ -117,7 +116,7 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
     def link(site: Seen) -> str:
         if root is None or reports is None:
             return ""
-        name = "report.html" if site.kind == "pair" else "site-report.html"
+        name = REPORT_FILE if site.kind == "pair" else SITE_REPORT_FILE
         if not exists(below(below(absolute(reports), site.id), name)):
             return ""
         # A path that begins with a name and a colon would be taken for a URL.
@@ -141,7 +140,7 @@ def _from(folder: str, to: str) -> str | None:
 
 
 def _when(overview: Overview) -> str:
-    said = counted(len(overview.sites), "site")
+    said = quantities.counted(len(overview.sites), "site")
     if overview.first is None or overview.last is None:
         return said
     return (
@@ -152,22 +151,22 @@ def _when(overview: Overview) -> str:
 def _counts(overview: Overview) -> str:
     """Say how many sites ended how, before all else."""
     every = len(overview.sites)
-    tiles = "".join(
-        f'<div class="{status}"><dt>{status}</dt>'
-        f"<dd>{count:,} ({percent(count / every).replace(' ', NO_BREAK)})</dd></div>"
-        for status, count in overview.statuses.items()
-    )
+    tiles = ""
+    for status, count in overview.statuses.items():
+        share = quantities.percent(count / every).replace(" ", "\N{NO-BREAK SPACE}")
+        tiles += f'<div class="{status}"><dt>{status}</dt><dd>{count:,} ({share})</dd></div>'
     errors = overview.errors_at_range
     stated = ""
     if errors:
+        half, most = (quantities.error(_quantile(errors, level)) for level in (0.5, 0.95))
         stated = (
-            f"Half of the {counted(len(errors), 'site')} with an answer have a predicted error of "
-            f"at most {error(_quantile(errors, 0.5))} at {AT_RANGE:g} m (1 σ), 95 % of them of at "
-            f"most {error(_quantile(errors, 0.95))}."
+            f"Half of the {quantities.counted(len(errors), 'site')} with an answer have a "
+            f"predicted error of at most {half} at {AT_RANGE:g} m (1 σ), 95 % of them of at most "
+            f"{most}."
         )
     return (
         '<section aria-labelledby="counts"><h2 id="counts">'
-        f"{escape(counted(every, 'site'))}</h2><p>{escape(stated)}</p>"
+        f"{escape(quantities.counted(every, 'site'))}</h2><p>{escape(stated)}</p>"
         f'<dl class="tiles">{tiles}</dl></section>'
     )
 
@@ -177,20 +176,17 @@ def _quantile(values: Sequence[float], level: float) -> float:
     return values[max(0, min(len(values) - 1, -int(-level * len(values) // 1) - 1))]
 
 
-def _map(overview: Overview) -> str:
-    return fleet_map(overview.sites)
-
-
 def _far(overview: Overview) -> str:
     """Show how large the predicted errors are."""
     errors = overview.errors_at_range
     if not errors:
         return "<p>No site has an answer, so there is no predicted error.</p>"
-    rows = [("least", error(errors[0]))]
+    rows = [("least", quantities.error(errors[0]))]
     rows += [
-        (f"{percent(level)} have at most", error(_quantile(errors, level))) for level in LEVELS
+        (f"{quantities.percent(level)} have at most", quantities.error(_quantile(errors, level)))
+        for level in LEVELS
     ]
-    rows += [("largest", error(errors[-1]))]
+    rows += [("largest", quantities.error(errors[-1]))]
     listed = table("Predicted error at 30 m", ("sites with an answer", "1 σ"), rows)
     return (
         f'<div class="columns">{histogram(errors)}{listed}</div>'
@@ -205,8 +201,8 @@ def _worst(overview: Overview, link: Callable[[Seen], str]) -> str:
         (
             printable(site.id),
             site.status,
-            error(site.sigma_30m_m),
-            ", ".join(map(printable, site.codes)) or MISSING,
+            quantities.error(site.sigma_30m_m),
+            ", ".join(map(printable, site.codes)) or quantities.UNKNOWN,
         )
         for site in sites
     ]
@@ -256,7 +252,7 @@ def _reasons(overview: Overview) -> str:
 
 def _title(code: str) -> str:
     known = explain(code)
-    return ERRORS.get(code, MISSING) if known is None else known.title
+    return ERRORS.get(code, quantities.UNKNOWN) if known is None else known.title
 
 
 def _errors(overview: Overview) -> str:
@@ -283,34 +279,27 @@ def _errors(overview: Overview) -> str:
         "<p>They are tried again by <code>retropole fleet calibrate … --retry</code>, or once "
         "their files are others.</p>"
     )
-    summary = f"<summary>{counted(len(failed), 'site')} with messages</summary>"
+    summary = f"<summary>{quantities.counted(len(failed), 'site')} with messages</summary>"
     shown = " open" if len(failed) <= WORST else ""
     return f"{again}<details{shown}>{summary}{listed}{more}</details>"
 
 
 def _dataset(overview: Overview) -> str:
     """Say what the page is of."""
-    rows: list[tuple[str, str]] = [
-        ("dataset", printable(overview.place)),
-        ("schema", FLEET_SCHEMA),
-    ]
-    rows += [
-        (f"made by ({counted(n, 'site')})", printable(name)) for name, n in _most(overview.made_by)
-    ]
-    rows += [
-        (f"done on ({counted(n, 'site')})", printable(name)) for name, n in _most(overview.hosts)
-    ]
+    rows = [("dataset", printable(overview.place)), ("schema", FLEET_SCHEMA)]
+    for what, counts in (("made by", overview.made_by), ("done on", overview.hosts)):
+        # The ten commonest.
+        for name, n in sorted(counts.items(), key=lambda each: (-each[1], each[0]))[:10]:
+            rows.append((f"{what} ({quantities.counted(n, 'site')})", printable(name)))
     seconds = sorted(overview.seconds)
     if seconds:
         rows += [
-            ("time of one site, median", duration(_quantile(seconds, 0.5))),
-            ("time of one site, 95 % at most", duration(_quantile(seconds, 0.95))),
-            ("time of one site, longest", duration(seconds[-1])),
-            ("of all together", duration(sum(seconds))),
+            (what, quantities.duration(value))
+            for what, value in (
+                ("time of one site, median", _quantile(seconds, 0.5)),
+                ("time of one site, 95 % at most", _quantile(seconds, 0.95)),
+                ("time of one site, longest", seconds[-1]),
+                ("of all together", sum(seconds)),
+            )
         ]
     return table("What this page shows", ("what", "value"), rows, (1,))
-
-
-def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
-    """Give the ten commonest."""
-    return sorted(counts.items(), key=lambda each: (-each[1], each[0]))[:10]

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import errno
 import posixpath
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -79,6 +81,15 @@ def is_folder(place: str) -> bool:
     return bool(system.isdir(path))
 
 
+@contextmanager
+def _asked(place: str, fault: str = "cannot be listed") -> Iterator[None]:
+    """Say of which place it is, and what cannot be done, whatever a file system raises."""
+    try:
+        yield
+    except Exception as error:
+        raise ReadError(f"{place}: {fault} ({error})") from None
+
+
 def found_below(folder: str) -> list[str]:
     """Name every file and folder below a folder, from there on, in order.
 
@@ -88,10 +99,8 @@ def found_below(folder: str) -> list[str]:
         Where it cannot be listed.
     """
     system, path = filesystem(folder)
-    try:
+    with _asked(folder):
         found = system.find(path, withdirs=True)
-    except Exception as error:
-        raise ReadError(f"{folder}: cannot be listed ({error})") from None
     return sorted(posixpath.relpath(each, path) for each in found if each.rstrip("/") != path)
 
 
@@ -104,10 +113,8 @@ def matching(pattern: str) -> list[str]:
         Where the file system cannot be asked.
     """
     system, path = filesystem(pattern)
-    try:
+    with _asked(pattern):
         found = sorted(system.glob(path))
-    except Exception as error:
-        raise ReadError(f"{pattern}: cannot be listed ({error})") from None
     scheme = pattern.partition("://")[0] + "://" if is_url(pattern) else ""
     return [each if each.startswith(scheme) else scheme + each.lstrip("/") for each in found]
 
@@ -122,12 +129,11 @@ def names_in(folder: str) -> list[str]:
     """
     system, path = filesystem(folder)
     system.invalidate_cache()
-    try:
-        found = system.ls(path, detail=False)
-    except FileNotFoundError:
-        return []
-    except Exception as error:
-        raise ReadError(f"{folder}: cannot be listed ({error})") from None
+    with _asked(folder):
+        try:
+            found = system.ls(path, detail=False)
+        except FileNotFoundError:
+            return []
     return sorted(posixpath.basename(str(each).replace("\\", "/")) for each in found)
 
 
@@ -140,11 +146,9 @@ def written(place: str) -> datetime:
         Where there is none, or the file system does not know.
     """
     system, path = filesystem(place)
-    try:
+    with _asked(place, "when it was written is not known"):
         files = system.find(path) if system.isdir(path) else [path]
         last: datetime = max(system.modified(each) for each in files)
-    except Exception as error:
-        raise ReadError(f"{place}: when it was written is not known ({error})") from None
     return last.astimezone(UTC).replace(microsecond=0)
 
 

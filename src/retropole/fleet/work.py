@@ -20,11 +20,12 @@ import msgspec
 from .. import __version__
 from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
 from ..files import LARGEST_DOCUMENT
+from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
 from .answers import answered, document_of
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
 from .history.task import Check
 from .local import LocalFiles, hash_of
-from .sites import FleetSite
+from .sites import ROLES, FleetSite
 from .storage import below, exists, is_url, read_bytes, write_bytes
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
     Outcome
         With a row, whatever happens.
     """
-    started, start = datetime.now(UTC), time.perf_counter()
+    start = time.perf_counter()
     hashed: list[Hashed] = []
 
     def note(found: Hashed) -> None:
@@ -125,16 +126,8 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
         row = failed(task.site, "refused", error.code, error.message, *hashed)
     except Exception as error:
         row = failed(task.site, "error", *code_of(error), *hashed)
-    run = Run(
-        id=task.site.id,
-        key=row.key,
-        started=started.isoformat(timespec="milliseconds"),
-        seconds=time.perf_counter() - start,
-        steps=[Step(name, value) for name, value in seconds.items()],
-        host=socket.gethostname(),
-        memory_bytes=_memory(),
-    )
-    return Outcome(task.site.id, row, run)
+    steps = [Step(name, value) for name, value in seconds.items()]
+    return Outcome(task.site.id, row, _run(row, time.perf_counter() - start, steps, _memory()))
 
 
 def code_of(error: Exception) -> tuple[str, str]:
@@ -150,10 +143,9 @@ def failed(
     site: FleetSite, status: Status, code: str, message: str, hashed: Hashed | None = None
 ) -> Row:
     """Make the row of a site without an answer."""
-    places = [site.target, site.source] if site.kind == "pair" else []
+    roles = ROLES if site.kind == "pair" else ()
     inputs = [
-        InputEntry(lidar=role, placement="1", path=printable(place))
-        for role, place in zip(("target", "source"), places, strict=False)
+        InputEntry(lidar=role, placement="1", path=printable(getattr(site, role))) for role in roles
     ]
     return Row(
         id=site.id,
@@ -183,17 +175,24 @@ def lost(
 ) -> Outcome:
     """Make the outcome of a site whose process or worker never answered."""
     row = failed(site, "error", code, message, hashed)
+    return Outcome(site.id, row, _run(row, seconds, attempts=attempts))
+
+
+def _run(
+    row: Row, seconds: float, steps: Sequence[Step] = (), memory: int = 0, attempts: int = 1
+) -> Run:
+    """Say how a row came about that is done now."""
     started = datetime.now(UTC) - timedelta(seconds=seconds)
-    run = Run(
-        id=site.id,
+    return Run(
+        id=row.id,
         key=row.key,
         started=started.isoformat(timespec="milliseconds"),
         seconds=seconds,
+        steps=list(steps),
         host=socket.gethostname(),
-        memory_bytes=0,
+        memory_bytes=memory,
         attempts=attempts,
     )
-    return Outcome(site.id, row, run)
 
 
 def _calibrated(
@@ -270,7 +269,7 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
 
 def _is_reported(folder: str, site: FleetSite, inputs: Sequence[InputEntry]) -> bool:
     """Whether a folder has the result of these inputs."""
-    for name in ("result.json", "site-result.json"):
+    for name in (RESULT_FILE, SITE_RESULT_FILE):
         place = below(folder, name)
         if not exists(place):
             continue

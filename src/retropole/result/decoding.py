@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from .. import se3
+from ..datatypes import Array
 from ..errors import ReadError
 from ..uncertainty import covariance_fault
 from . import COVARIANCE_ORDER, PoseEstimateDoc, ReasonDoc, ResultDoc
@@ -46,9 +47,7 @@ def _check(document: ResultDoc) -> None:
         except ReadError as error:
             raise ReadError(f"{name}: {error}") from None
     for name, covariance, is_part in _covariances(document):
-        fault = covariance_fault(np.array(covariance, dtype=float), is_part=is_part)
-        if fault is not None:
-            raise ReadError(f"{name}: {fault}")
+        check_covariance(name, np.array(covariance, dtype=float), is_part=is_part)
     of_target, of_source = document.poles.target, document.poles.source
     for k, hypothesis in enumerate(document.hypotheses):
         for i, j in hypothesis.pairs:
@@ -71,6 +70,19 @@ def _check_verdict(document: ResultDoc) -> None:
         raise ReadError("hypotheses: more than one is chosen")
     for k, reason in enumerate(document.reasons):
         check_reason(reason, f"reasons[{k}]")
+
+
+def check_covariance(name: str, C: Array, *, is_part: bool = False) -> None:
+    """Check a covariance (N, N); `name` is that of its field, and a part may have no variance.
+
+    Raises
+    ------
+    ReadError
+        Where it is none; says why.
+    """
+    fault = covariance_fault(C, is_part=is_part)
+    if fault is not None:
+        raise ReadError(f"{name}: {fault}")
 
 
 def check_reason(reason: ReasonDoc, name: str) -> None:

@@ -13,9 +13,8 @@ import numpy as np
 
 from .. import se3
 from ..errors import ReadError
-from ..uncertainty import covariance_fault
 from . import COVARIANCE_ORDER, ReasonDoc
-from .decoding import check_reason
+from .decoding import check_covariance, check_reason
 from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
 
 BLOCKS_AGREE = 1e-6
@@ -150,18 +149,14 @@ def _check_poses(document: SiteDoc) -> None:
     if [len(row) for row in document.joint_covariance] != [size] * size:
         raise ReadError(f"joint_covariance: expected {size} rows of {size} numbers")
     joint = np.array(document.joint_covariance, dtype=float)
-    fault = covariance_fault(joint, is_part=True)
-    if fault is not None:
-        raise ReadError(f"joint_covariance: {fault}")
+    check_covariance("joint_covariance", joint, is_part=True)
     for k, lidar in enumerate(document.lidars):
         try:
             se3.rigid(np.array(lidar.T_site_lidar, dtype=float))
         except ReadError as error:
             raise ReadError(f"lidars[{k}].T_site_lidar: {error}") from None
         own = np.array(lidar.covariance, dtype=float)
-        fault = covariance_fault(own, is_part=True)
-        if fault is not None:
-            raise ReadError(f"lidars[{k}].covariance: {fault}")
+        check_covariance(f"lidars[{k}].covariance", own, is_part=True)
         block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
         if np.abs(own - block).max() > BLOCKS_AGREE * np.abs(block).max():
             raise ReadError(f"lidars[{k}].covariance: not its block of joint_covariance")

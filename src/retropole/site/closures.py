@@ -17,8 +17,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from .. import se3
-from ..alignment.certainty import excess, floor
+from ..alignment.certainty import excess
 from ..datatypes import Array, IntArray
+from ..uncertainty import floor
 from .answer import LoopClosure
 from .certainty import moved_by_places, places_of
 from .network import Observation

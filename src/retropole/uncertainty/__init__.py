@@ -38,6 +38,10 @@ VOUCHED = -4.0
 """The same for poles that vouch for themselves: of the answers with three or four poles in 1,000
 hard scenes (benchmarks/hard_scenes.py) none was wrong. A lie then takes poles carried as one."""
 
+FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
+"""1 σ about and along each axis that no model names, rad and m: bent housings, temperature, grounds
+that are not flat, time between the recordings."""
+
 SYMMETRIC = 1e-6
 """A covariance that was read is symmetric and positive up to this part: seven printed digits."""
 
@@ -240,6 +244,11 @@ def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
     if least < -SYMMETRIC:
         return f"no covariance: its correlations have an eigenvalue of {least:.3g}"
     return None
+
+
+def floor() -> Array:
+    """(6, 6) of what no model names: no pose is stated surer than this."""
+    return np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
 
 
 def predicted_error(

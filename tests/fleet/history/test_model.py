@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from retropole.alignment.certainty import floor
+from retropole.api import floor
 from retropole.datatypes import Array
 from retropole.fleet.history.model import (
     LEVEL_FACTOR,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.fleet.history.model import YEAR
+from retropole.fleet.history.model import SLOPE, YEAR
 from retropole.fleet.history.watch import MOST_WAITING, watch
 from tests.fleet.history.checks import MOVED, SIGMA, checks
 
@@ -14,7 +14,7 @@ ROTATED = np.array([0.0, np.radians(0.3), 0, 0, 0, 0])
 
 def test_no_check_says_nothing() -> None:
     seen = watch([])
-    assert (seen.events, seen.waiting, seen.level, seen.slope) == ((), (), None, None)
+    assert (seen.events, seen.waiting, seen.state) == ((), (), None)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
@@ -35,7 +35,6 @@ def test_a_step_is_told_by_the_second_check_and_its_size_is_right(moved: np.ndar
     assert event.covariance is not None
     off = event.size - moved
     assert off @ np.linalg.solve(event.covariance, off) < 30.0
-    assert seen.level is not None
     assert watch(checks(21, lambda k: moved * (k >= 20))).waiting == (20,)
 
 
@@ -77,7 +76,8 @@ def test_a_drift_is_told_as_a_trend() -> None:
     assert event.covariance is not None
     off = event.size - drift
     assert off @ np.linalg.solve(event.covariance, off) < 30.0
-    assert seen.slope is not None
+    assert seen.state is not None
+    assert seen.state.covariance[SLOPE, SLOPE].any()
 
 
 def test_the_past_is_not_told_otherwise_later() -> None:

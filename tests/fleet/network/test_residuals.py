@@ -6,7 +6,7 @@ import pytest
 from retropole import se3
 from retropole.datatypes import Array
 from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses
-from retropole.fleet.network.residuals import Model, moved
+from retropole.fleet.network.residuals import Model
 from tests.fleet.network.networks import city
 from tests.numeric import numeric_jacobian
 
@@ -16,7 +16,7 @@ def somewhere() -> tuple[Model, Array]:
     """A network with all kinds of observations, and poses that fit badly."""
     rng = np.random.default_rng(4)
     drawn, graph = city(4, 20)
-    T = moved(drawn.T_world_node, 0.3 * rng.normal(size=(graph.nodes, 6)))
+    T = se3.retract(drawn.T_world_node, 0.3 * rng.normal(size=(graph.nodes, 6)))
     known = KnownPoses(np.array([3, 5]), drawn.T_world_node[[3, 5]], graph.edges.covariance[:2])
     points = ControlPoints(
         np.array([3, 1]),
@@ -42,7 +42,7 @@ def test_derivatives_are_those_by_differences(somewhere: tuple[Model, Array]) ->
                 def of(step: Array, node: int = node, kind: int = kind, k: int = k) -> Array:
                     steps = np.zeros((graph.nodes, 6))
                     steps[node] = step
-                    return np.asarray(model.at(moved(T, steps))[kind].residual[k])
+                    return np.asarray(model.at(se3.retract(T, steps))[kind].residual[k])
 
                 expected = numeric_jacobian(of, 6)
                 np.testing.assert_allclose(J[k], expected, atol=1e-6 * np.abs(expected).max())

@@ -1,25 +1,11 @@
-"""Labels of a picture: none covers another where there is room, and numbers are round."""
+"""Labels of a picture: none covers another where there is room."""
 
 from __future__ import annotations
 
 import re
 
-import pytest
-
-from retropole.report.site.svg import LONGEST_LABEL, Labels, large, round_below, short
+from retropole.report.site.svg import LONGEST_LABEL, Labels, short
 from tests.report.made_up import HOSTILE
-
-
-@pytest.mark.parametrize(
-    ("value", "rounded"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (4.9, 2.0), (730.0, 500.0)]
-)
-def test_lengths_are_rounded_down_to_one_two_or_five(value: float, rounded: float) -> None:
-    assert round_below(value) == pytest.approx(rounded)
-    assert round_below(value / 1000) == pytest.approx(rounded / 1000)
-
-
-def test_round_numbers_have_no_exponent() -> None:
-    assert [large(v) for v in (0.5, 1.0, 2000.0, 1e6)] == ["0.5", "1", "2,000", "1,000,000"]
 
 
 def test_long_names_are_shortened() -> None:

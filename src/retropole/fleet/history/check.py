@@ -8,16 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ... import __version__
-from ...datatypes import PoseEstimate
 from ...errors import ReadError, Refusal, quoting
-from ...export import read_transform
-from ...export.documents import RESULT_FILE, result_file
 from ...files import LARGEST_DOCUMENT, read_document
-from ...monitoring.tolerance import Asked
-from ...result import RunConfig
+from ...result.folder import RESULT_FILE, result_file
 from ..dataset import Row
 from ..local import LocalFiles
 from ..sites import FleetSite
@@ -25,9 +21,6 @@ from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, w
 from ..work import Hashed, code_of
 from .rows import CheckRow, plain
 from .task import Check
-
-if TYPE_CHECKING:
-    from ...api.checking import Stored
 
 
 def check_site(
@@ -51,8 +44,7 @@ def check_site(
         Columns of the row, whatever happens; None where the history has it without an error: the
         same recordings and stored result, at the same time.
     """
-    time = datetime.fromisoformat(site.time) if site.time else check.tried
-    tried = CheckRow(site.id, time, "cannot_tell", version=__version__)
+    tried = _tried(site, check)
     with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
         try:
             local = LocalFiles(site, Path(folder))
@@ -88,17 +80,21 @@ def _named(words: str, site: FleetSite, check: Check, folder: Path) -> str:
 def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
     """Make the row of a check whose process or worker never answered, of what is known of it."""
     hashes = [each.sha256 or "" for each in row.inputs] or ["", ""]
-    return CheckRow(
-        site.id,
-        datetime.fromisoformat(site.time) if site.time else check.tried,
-        "error",
+    return replace(
+        _tried(site, check),
+        status="error",
         codes=tuple(row.codes),
         message=row.messages[0] if row.messages else None,
         stored_sha256=row.site_sha256 or "",
         target_sha256=hashes[0],
         source_sha256=hashes[-1],
-        version=__version__,
     )
+
+
+def _tried(site: FleetSite, check: Check) -> CheckRow:
+    """Begin the row of a check that has not told anything yet."""
+    time = datetime.fromisoformat(site.time) if site.time else check.tried
+    return CheckRow(site.id, time, "cannot_tell", version=__version__)
 
 
 def _stored(site: FleetSite, check: Check, folder: Path) -> Path:
@@ -144,33 +140,13 @@ def _hashed(
 def _checked(
     site: FleetSite, check: Check, local: LocalFiles, result: Path, tried: CheckRow
 ) -> CheckRow:
-    from ...api.checking import checked, read_stored, topic_for
-    from ...api.inputs import read_input
+    from ...api.checking import check_recordings, read_stored
 
-    if check.lidars is None:
-        stored = read_stored(result)
-    else:
-        stored = _of_site(result, check.lidars, site.config)
-    config = stored.config
-    target, source = local.pair
-    answer = checked(
-        stored,
-        read_input(
-            target,
-            sensor=config.sensor_target,
-            threshold=config.threshold_target,
-            topic=topic_for(target, None, config.target_topic),
-            unit=config.unit,
-        ),
-        read_input(
-            source,
-            sensor=config.sensor_source,
-            threshold=config.threshold_source,
-            topic=topic_for(source, None, config.source_topic),
-            unit=config.source_unit,
-        ),
-        Asked(*check.tolerance),
-    )
+    stored = read_stored(result, lidars=check.lidars)
+    if check.lidars is not None:
+        stored = stored._replace(config=site.config)
+    rotation, translation = check.tolerance
+    answer = check_recordings(stored, *local.pair, rotation=rotation, translation=translation)
     words = [reason.message for reason in answer.reasons]
     return replace(
         tried,
@@ -184,17 +160,3 @@ def _checked(
         chi2=answer.chi2,
         power=answer.power,
     )
-
-
-def _of_site(result: Path, lidars: tuple[str, str], config: RunConfig) -> Stored:
-    """Take the pose between two LiDARs of a site; what both have in common cancels in it.
-
-    How much of it errs alike in both recordings is not stored of a site: all of it counts.
-    """
-    from ...api.checking import Stored
-
-    target, source = lidars
-    transform = read_transform(result, parent=target, child=source)
-    if transform.covariance is None:
-        raise Refusal("no_covariance", f"{result} does not say how certain {source} is to {target}")
-    return Stored(PoseEstimate(transform.T_parent_child, transform.covariance, 0.0), config, ())

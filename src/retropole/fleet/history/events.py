@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from ...datatypes import Array
-from .model import LEVEL, SLOPE, State
+from ...api import Array
+from .model import State
 
 CLEAR = 6.0
 """Difference of twice the log likelihoods from which a step and a trend are told apart (ln 20)."""
@@ -83,19 +83,3 @@ class Watched:
     def alarms(self) -> tuple[Event, ...]:
         """The events that somebody should look at."""
         return tuple(event for event in self.events if event.is_alarm)
-
-    @property
-    def level(self) -> tuple[Array, Array] | None:
-        """(6,) the step from the stored pose as all checks have it, and its covariance (6, 6)."""
-        return None if self.state is None else _part(self.state, LEVEL)
-
-    @property
-    def slope(self) -> tuple[Array, Array] | None:
-        """(6,) its change per year and (6, 6); None where no trend was found."""
-        if self.state is None or not self.state.covariance[SLOPE, SLOPE].any():
-            return None
-        return _part(self.state, SLOPE)
-
-
-def _part(state: State, part: slice) -> tuple[Array, Array]:
-    return state.mean[part], state.covariance[part, part]

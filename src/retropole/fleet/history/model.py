@@ -22,11 +22,9 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-from ...alignment.certainty import floor
-from ...datatypes import Array
+from ...api import Array, BoolArray, floor
 
 LEVEL, SLOPE, COSINE, SINE, SLOW, OTHER = (slice(6 * k, 6 * k + 6) for k in range(6))
 SIZE = 36
@@ -121,7 +119,7 @@ class Changes:
 
     onset: Array
     days: Array
-    is_trend: NDArray[np.bool_]
+    is_trend: BoolArray
     deviation: Array
     information: Array
     vector: Array
@@ -178,7 +176,7 @@ def begin(changes: Changes, check: int, days: float, *, kinds: tuple[Kind, ...])
     )
 
 
-def some(changes: Changes, keep: NDArray[np.bool_]) -> Changes:
+def some(changes: Changes, keep: BoolArray) -> Changes:
     """Keep some of the changes: a mask (M,)."""
     if keep.all():
         return changes

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ...datatypes import Array
+from ...api import Array
 from ...errors import ReadError
-from ...uncertainty import covariance_fault
+from ...result.decoding import check_covariance
 from .model import Observed
 
 SCHEMA = "retropole/history/1"
@@ -119,11 +119,11 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     for name, shape in (("step", (6,)), ("covariance", (6, 6)), ("random", (6, 6))):
         if values[name] is not None:
             array = np.array(values[name], dtype=float).reshape(shape)
-            fault = "a number is not finite" if not np.isfinite(array).all() else None
-            if fault is None and len(shape) == 2:
-                fault = covariance_fault(array, is_part=name == "random")
-            if fault is not None:
-                raise ReadError(f"history, site {values['id']!r}, {name}: {fault}")
+            what = f"history, site {values['id']!r}, {name}"
+            if len(shape) == 2:
+                check_covariance(what, array, is_part=name == "random")
+            elif not np.isfinite(array).all():
+                raise ReadError(f"{what}: a number is not finite")
             values[name] = array
     there = [values[name] is not None for name in ("step", "covariance", "random")]
     if any(there) and not all(there):

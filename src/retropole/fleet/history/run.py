@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from ...errors import UsageError
-from ...monitoring.tolerance import NOT_ASKED, Asked
-from ...quantities import counted, duration
 from .. import TIME_LIMIT
-from ..batch import Doing
+from ..batch import Doing, how_far
 from ..dataset import Row, partition_of, partitions_in, read_rows
 from ..sites import FleetSite
 from ..storage import absolute
@@ -78,7 +76,7 @@ def check_fleet(
     doing: Doing,
     *,
     answers: str | None = None,
-    tolerance: Asked = NOT_ASKED,
+    tolerance: tuple[float | None, float | None] = (None, None),
     time_limit: float = TIME_LIMIT,
     now: datetime | None = None,
     progress: Callable[[str], None] = lambda step: None,
@@ -97,7 +95,7 @@ def check_fleet(
         Path or URL of a dataset of `batch.calibrate_fleet` that holds the stored results; None
         where each site names its own, or has it beside the target.
     tolerance
-        Of the check of each.
+        Movement that matters, rad and m; None for as little as the data tell.
     time_limit
         Of one site, seconds.
     now
@@ -131,7 +129,7 @@ def check_fleet(
     if len(by_id) < len(ordered):
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
     known = store.keys(history, by_id)
-    blank = Check(tolerance=(tolerance.rotation, tolerance.translation), tried=tried)
+    blank = Check(tolerance=tolerance, tried=tried)
     rows = _Rows(history, known, list(by_id))
 
     def tasks() -> Iterator[Task]:
@@ -164,7 +162,7 @@ def check_fleet(
     try:
         for outcome in doing(tasks()):
             rows.add(outcome.id, _row(outcome, by_id[outcome.id], blank))
-            progress(_progress(rows.done, len(ordered), time.monotonic() - start))
+            progress(how_far("check", rows.done, len(ordered), time.monotonic() - start))
     finally:
         # Also what was checked before an interrupt.
         rows.write_rest()
@@ -250,10 +248,3 @@ def _row(outcome: Outcome, site: FleetSite, check: Check) -> CheckRow | None:
     if outcome.check is not None:
         return row_of(outcome.check)
     return None if outcome.row is None else lost_check(site, check, outcome.row)
-
-
-def _progress(done: int, count: int, seconds: float) -> str:
-    """Say how far it is, and how long the rest takes if it goes on so."""
-    left = seconds / done * (count - done)
-    rest = f", about {duration(left)} left" if left else ""
-    return f"check: {done} of {counted(count, 'site')}{rest}"

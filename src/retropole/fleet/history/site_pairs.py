@@ -9,9 +9,9 @@ import msgspec
 
 from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
 from ...errors import ReadError, RetropoleError, quoting
-from ...export.documents import SITE_RESULT_FILE
 from ...files import LARGEST_DOCUMENT
 from ...result import RunConfig
+from ...result.folder import SITE_RESULT_FILE
 from ...result.site import SiteDoc
 from ...result.site_decoding import decode_site
 from ..dataset import partition_of, read_rows

@@ -7,14 +7,14 @@ new rows, named by the keys of its rows and written whole or not at all. Nothing
 from __future__ import annotations
 
 import hashlib
-import io
 import re
 from bisect import bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator
 from typing import Any
 
-from ...errors import MissingExtraError, ReadError
-from ..storage import below, names_in, read_bytes, write_bytes
+from ...errors import ReadError
+from ..parquet import arrow, opened, parquet_of
+from ..storage import below, names_in, write_bytes
 from .rows import SCHEMA, CheckRow, plain, row_of
 
 MONTH = re.compile(r"month=\d{4}-\d{2}")
@@ -49,7 +49,6 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None =
     OSError
         Where one cannot be written; each month is whole or not there.
     """
-    pa, pq = arrow()
     months: dict[str, dict[str, CheckRow]] = {}
     for row in rows:
         months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
@@ -62,11 +61,8 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None =
         if not fresh:
             continue
         name = hashlib.sha256("\n".join(fresh).encode()).hexdigest()[:32]
-        table = pa.Table.from_pylist([plain(row) for row in fresh.values()], schema=schema())
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression="zstd")
         place = below(below(folder, month), f"{name}.parquet")
-        write_bytes(place, sink.getvalue().to_pybytes())
+        write_bytes(place, parquet_of(map(plain, fresh.values()), schema()))
         count += len(fresh)
     return count
 
@@ -165,29 +161,8 @@ def _files(folder: str, months: Collection[str] | None = None) -> Iterator[str]:
 
 
 def _table(place: str, columns: list[str] | None = None) -> Any:
-    pa, pq = arrow()
-    data = read_bytes(place, LARGEST_FILE)
-    try:
-        parquet = pq.ParquetFile(io.BytesIO(data))
-        metadata = parquet.schema_arrow.metadata or {}
-        if metadata.get(b"schema") != SCHEMA.encode() or not parquet.schema_arrow.equals(schema()):
+    with opened(place, "no history: {}", LARGEST_FILE) as file:
+        metadata = file.schema_arrow.metadata or {}
+        if metadata.get(b"schema") != SCHEMA.encode() or not file.schema_arrow.equals(schema()):
             raise ReadError(f"{place}: not of the schema {SCHEMA}")
-        return parquet.read(columns)
-    except (pa.ArrowException, OSError) as error:
-        raise ReadError(f"{place}: no history: {error}") from None
-
-
-def arrow() -> tuple[Any, Any]:
-    """Import pyarrow and its Parquet.
-
-    Raises
-    ------
-    MissingExtraError
-        Without the extra ``fleet``.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise MissingExtraError("fleet", "a history of checks") from None
-    return pyarrow, pyarrow.parquet
+        return file.read(columns)

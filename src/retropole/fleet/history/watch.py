@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from ...datatypes import Array
+from ...api import Array
 from .events import Event, Watched
 from .model import (
     LEVEL,

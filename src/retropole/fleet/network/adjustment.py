@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...datatypes import Array, BoolArray, IntArray
+from ...api import Array, BoolArray, IntArray, se3
 from .components import Component
 from .elimination import Blocks, Factor, Pattern, factorise, find_pattern, solve
-from .residuals import Model, Whitened, moved
+from .residuals import Model, Whitened
 
 SETTLED = 1e-8
 """Steps end where the next would change the sum of squares by less than this, σ²: no pose then
@@ -43,6 +43,12 @@ class Layout:
     turned: BoolArray
     onto_nodes: tuple[csr_array, ...]
     onto_pairs: csr_array
+
+    def turn(self, blocks: Array) -> Array:
+        """Turn blocks (E, B, B) by the ends of each edge into those by its pair's, or back."""
+        turned = blocks.copy()
+        turned[self.turned] = np.swapaxes(blocks[self.turned], 1, 2)
+        return turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +126,7 @@ def normal_equations(
         diagonal += added(sums, heavy @ J)
         right -= added(sums, np.einsum("kab,kb->ka", heavy, residual))
     cross = np.swapaxes(edges.by_i, 1, 2) @ (edges.by_j * weights[0][:, None, None])
-    cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
-    pairs = added(layout.onto_pairs, cross)
+    pairs = added(layout.onto_pairs, layout.turn(cross))
     _hold(diagonal, pairs, right, layout.pattern.pairs, components)
     return Blocks(diagonal, pairs), right
 
@@ -189,7 +194,7 @@ def adjust(
     weight = active.astype(float)
     for _ in range(MOST_STEPS):
         steps, factor, gain = step(model, layout, T, weight, components)
-        T = moved(T, steps)
+        T = se3.retract(T, steps)
         if gain < until:
             return AdjustedNetwork(T, factor, True)
     return AdjustedNetwork(T, factor, False)

@@ -6,13 +6,13 @@ the network; its `kind` says which.
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
-from ...datatypes import Array
-from ...errors import MissingExtraError
+from ...api import Array
+from ..parquet import arrow, parquet_of
 from ..storage import absolute, write_bytes
 from .dataset import FleetNetwork
 from .network import Kind, LeftOut, NetworkAdjustment
@@ -39,11 +39,7 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
     OSError
         Where it cannot be written.
     """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet as pq
-    except ImportError:
-        raise MissingExtraError("fleet", "a network of a fleet") from None
+    pa, _ = arrow()
     text, real, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
     columns = {
         **{"kind": text, "node": text, "other": text, "site": text},
@@ -54,10 +50,7 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
     }
     metadata = {"schema": NETWORK_SCHEMA, "unit_variance": repr(found.unit_variance)}
     schema = pa.schema(list(columns.items()), metadata=metadata)
-    buffer = io.BytesIO()
-    table = pa.Table.from_pylist(list(_lines(of, found)), schema=schema)
-    pq.write_table(table, buffer, compression="zstd")
-    write_bytes(absolute(place), buffer.getvalue())
+    write_bytes(absolute(place), parquet_of(_lines(of, found), schema))
 
 
 def name_of(of: FleetNetwork, kind: Kind, index: int) -> str:
@@ -71,11 +64,7 @@ def name_of(of: FleetNetwork, kind: Kind, index: int) -> str:
 
 def reason_of(of: FleetNetwork, one: LeftOut) -> str:
     """Say what does not fit, and what may be wrong in its stead."""
-    words = f"{name_of(of, one.kind, one.index)}: w {one.w:.1f} against all others"
-    if one.rivals:
-        others = ", ".join(name_of(of, *rival) for rival in one.rivals)
-        words += f"; {others} may be wrong in its stead"
-    return words
+    return one.reason_of(partial(name_of, of))
 
 
 def _lines(of: FleetNetwork, found: NetworkAdjustment) -> Iterator[dict[str, Any]]:

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from ... import se3
-from ...datatypes import Array, BoolArray, IntArray
+from ...api import Array, BoolArray, IntArray, se3
 from .graph import Graph
 
 LEAST_LEVER = 1e-3

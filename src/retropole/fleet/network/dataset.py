@@ -4,22 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from ... import se3
-from ...datatypes import Array
+from ...api import Array, se3
 from ...errors import ReadError, quoting
+from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
-from ...site.relative import RelativePose, joint_of, relative
-from ...uncertainty import covariance_fault
 from ..answers import document_of
 from ..dataset import AT_RANGE, Row, partitions_in, read_rows
 from ..sites import ROLES
 from ..storage import absolute
 from .graph import ControlPoints, Edges, Graph
 from .nodes import NodeList
+
+
+class RelativePose(NamedTuple):
+    """(4, 4) maps points of the second node into the frame of the first, and its covariance."""
+
+    T_i_j: Array
+    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -153,32 +160,30 @@ def _edges_of(
 def _pair(row: Row) -> RelativePose:
     """Take the pose of the source in the frame of the target."""
     (source,) = row.lidars
+    what = f"the answer of {quoting(row.id)!r}"
     try:
         T = se3.rigid(np.array(source.T).reshape(4, 4))
         C = np.array(source.covariance).reshape(6, 6)
-        fault = covariance_fault(C)
     except (ReadError, ValueError) as error:
-        fault = str(error)
-    if fault:
-        raise ReadError(f"the answer of {quoting(row.id)!r}: {fault}")
+        raise ReadError(f"{what}: {error}") from None
+    check_covariance(what, C)
     return RelativePose(T, C)
 
 
 def _tree(document: SiteDoc, lidars: Mapping[str, str]) -> Iterator[tuple[str, str, RelativePose]]:
     """Take relative poses that join some LiDARs of a site without a loop, the most certain."""
-    joint = np.array(document.joint_covariance, dtype=float)
-    some = [k for k, lidar in enumerate(document.lidars) if lidar.name in lidars]
-    T = {k: np.array(document.lidars[k].T_site_lidar, dtype=float) for k in some}
+    from ...api.site import SiteResult
+
+    site = SiteResult(document)
+    some = [name for name in site.lidars if name in lidars]
     found = {
-        (a, b): relative(T[some[a]], T[some[b]], joint_of(joint, some[a], some[b]))
-        for a in range(len(some))
-        for b in range(a + 1, len(some))
+        (i, j): RelativePose(site.T(a, b), site.covariance(a, b))
+        for (i, a), (j, b) in combinations(enumerate(some), 2)
     }
     weight = np.zeros((len(some), len(some)))
     for ends, pose in found.items():
         C = pose.covariance
         weight[ends] = AT_RANGE**2 * np.trace(C[:3, :3]) + np.trace(C[3:, 3:])
     tree = minimum_spanning_tree(weight).tocoo()
-    for a, b in sorted(zip(tree.row.tolist(), tree.col.tolist(), strict=True)):
-        first, second = (lidars[document.lidars[some[k]].name] for k in (a, b))
-        yield first, second, found[a, b]
+    for i, j in sorted(zip(tree.row.tolist(), tree.col.tolist(), strict=True)):
+        yield lidars[some[i]], lidars[some[j]], found[i, j]

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from ... import se3
-from ...datatypes import Array, BoolArray, IntArray
+from ...api import Array, BoolArray, IntArray, se3
 from .components import Component
 from .graph import ControlPoints, Edges, Graph, KnownPoses
 from .residuals import Model

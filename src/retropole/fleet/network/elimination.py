@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dpotrf
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
-from ...datatypes import Array, IntArray
+from ...api import Array, IntArray
 from ...errors import RetropoleError
 
 SMALL_FRONT, MOST_ZEROS = 8, 0.2

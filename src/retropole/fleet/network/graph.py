@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array, IntArray
+from ...api import Array, IntArray, se3
 from ...errors import UsageError
 
 MOST_NODES = 10_000_000

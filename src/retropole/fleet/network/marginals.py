@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.blas import dtrsm
 
-from ...datatypes import Array
+from ...api import Array
 from .elimination import Blocks, Factor, scalars
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ...datatypes import Array, BoolArray
+from ...api import Array, BoolArray
 from .adjustment import find_layout
 from .components import Component
 from .doubtful import hanging, inseparable
@@ -48,9 +48,13 @@ class LeftOut:
     @property
     def reason(self) -> str:
         """In words."""
-        words = f"{self.kind} {self.index}: w {self.w:.1f} against all others"
+        return self.reason_of(lambda kind, index: f"{kind} {index}")
+
+    def reason_of(self, named: Callable[[Kind, int], str]) -> str:
+        """In words, with observations by their names."""
+        words = f"{named(self.kind, self.index)}: w {self.w:.1f} against all others"
         if self.rivals:
-            others = ", ".join(f"{kind} {index}" for kind, index in self.rivals)
+            others = ", ".join(named(*rival) for rival in self.rivals)
             words += f"; {others} may be wrong in its stead"
         return words
 
@@ -141,8 +145,7 @@ def _adjust_network(graph: Graph, progress: Callable[[str], None]) -> NetworkAdj
     doubtful = hanging(
         graph, active, found.components, {k for path in alone.values() for k in path}
     )
-    cross = found.covariance.pairs[layout.pair]
-    cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
+    cross = layout.turn(found.covariance.pairs[layout.pair])
     shares = np.sum((tests.redundancy * graph.freedom)[active])
     squares = model.squares(found.adjusted.T)[active].sum()
     ends = np.cumsum([len(graph.edges), len(graph.known)])

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from ... import se3
+from ...api import se3
 from ...errors import ReadError, UsageError, quoting
 from ..lists import LISTS, lines_of
 from ..sites import id_fault

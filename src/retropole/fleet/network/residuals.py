@@ -11,8 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array
+from ...api import Array, se3
 from .graph import Graph
 
 
@@ -93,14 +92,6 @@ class Model:
     def squares(self, T: Array) -> Array:
         """(M,) squared residuals of all observations, in σ²."""
         return np.concatenate([np.sum(one.residual**2, axis=1) for one in self.at(T)])
-
-
-def moved(T: Array, steps: Array) -> Array:
-    """Move poses (N, 4, 4) by steps (N, 6)."""
-    out = T.copy()
-    out[:, :3, :3] = se3.exp_so3(steps[:, :3]) @ T[:, :3, :3]
-    out[:, :3, 3] += steps[:, 3:]
-    return out
 
 
 def _log(R: Array) -> Array:

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...datatypes import Array, BoolArray, IntArray
+from ...api import Array, BoolArray, IntArray
 from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
 from .components import Component, connected, find_components
 from .doubtful import agrees, inseparable, outvoted, relaid

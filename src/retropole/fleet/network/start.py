@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array
+from ...api import Array, se3
 from .adjustment import Layout, added, step
 from .components import Component, find_components
 from .elimination import Blocks, factorise, solve
 from .graph import Graph
-from .residuals import Model, moved
+from .residuals import Model
 
 REWEIGHTED = (4, 4)
 """So often edges are weighted anew by the absolute value of what they miss, which has one minimum,
@@ -68,7 +67,7 @@ def narrowed(model: Model, layout: Layout, T: Array, critical: Array) -> Array:
             # it does, none of them is forgotten.
             far = np.sqrt(np.maximum(squares[edges:] / critical[edges:], 1.0))
             weight[edges:] = 1 / far
-        T = moved(T, step(model, layout, T, weight, components)[0])
+        T = se3.retract(T, step(model, layout, T, weight, components)[0])
     return T
 
 
@@ -113,9 +112,7 @@ def _rotations(graph: Graph, layout: Layout, first: Array) -> tuple[Array, Array
 def _solved(layout: Layout, at_i: Array, at_j: Array, cross: Array, first: Array) -> Array:
     """Rotations that solve the linear equations (N, 3, 3), the first of each component held."""
     diagonal = added(layout.onto_nodes[0], at_i) + added(layout.onto_nodes[1], at_j)
-    cross = cross.copy()
-    cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
-    pairs = added(layout.onto_pairs, cross)
+    pairs = added(layout.onto_pairs, layout.turn(cross))
     right = np.zeros_like(diagonal)
     a, b = layout.pattern.pairs.T
     held = np.zeros(layout.pattern.size, dtype=bool)

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
 
-from ...datatypes import Array, BoolArray, IntArray
+from ...api import Array, BoolArray, IntArray
 from .adjustment import AdjustedNetwork, Layout, held_nodes
 from .components import Component
 from .elimination import Blocks
@@ -99,8 +99,7 @@ def all_tests(
     graph = model.graph
     edges, known, points = model.at(T)
     assert edges.by_i is not None
-    cross = covariance.pairs[layout.pair]
-    cross[layout.turned] = np.swapaxes(cross[layout.turned], 1, 2)
+    cross = layout.turn(covariance.pairs[layout.pair])
     own = covariance.diagonal
     mixed = edges.by_i @ cross @ np.swapaxes(edges.by_j, 1, 2)
     taken_up = _through(edges.by_i, own[graph.edges.i]) + _through(edges.by_j, own[graph.edges.j])

@@ -8,12 +8,12 @@ from html import escape
 import numpy as np
 
 from ...datatypes import Array
-from ...quantities import error
+from ...quantities import error, large, round_below
 from ...result.site import SiteDoc
 from ..markup import MISSING, number, table
 from .names import pole_labels
 from .plan import Plan
-from .svg import FONT, Labels, colour_class, large, round_below, short
+from .svg import FONT, Labels, colour_class, short
 
 WIDTH = 520.0
 """Of the picture, in its own units."""

@@ -1,4 +1,4 @@
-"""Pieces of the pictures of a site: labels that cover no other, shortened names, round lengths."""
+"""Pieces of the pictures of a site: labels that cover no other, shortened names."""
 
 from __future__ import annotations
 
@@ -35,17 +35,6 @@ def short(name: str) -> str:
 def colour_class(lidar: int) -> str:
     """Name the class of a LiDAR's colour."""
     return f"lidar-{lidar % COLOURS}"
-
-
-def round_below(value: float) -> float:
-    """Round down to 1, 2 or 5 times a power of ten; the value is above 0."""
-    power = 10.0 ** math.floor(math.log10(value) + 1e-9)
-    return max(step for step in (1.0, 2.0, 5.0) if step <= value / power * (1 + 1e-9)) * power
-
-
-def large(number: float) -> str:
-    """Write a round number without an exponent: ``1,000``, ``0.5``."""
-    return f"{number:,.0f}" if number >= 1 else f"{number:g}"
 
 
 @dataclass
