@@ -1,7 +1,6 @@
 """Simulated pairs and sites whose true poses are known."""
 
 from .devices import Device, draw_device
-from .insertion import InsertedPair, InsertedSite, insert_into_site, insert_poles
 from .noise import EXACT, FIELD, NOISE_MODELS, TYPICAL, NoiseModel
 from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
@@ -24,8 +23,6 @@ __all__ = [
     "Box",
     "Cylinder",
     "Device",
-    "InsertedPair",
-    "InsertedSite",
     "LabelledScan",
     "Material",
     "NoiseModel",
@@ -36,8 +33,6 @@ __all__ = [
     "Surface",
     "Survey",
     "draw_device",
-    "insert_into_site",
-    "insert_poles",
     "place_again",
     "record_again",
     "scan",
