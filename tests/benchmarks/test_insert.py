@@ -14,7 +14,7 @@ from tests.paths import ROOT
 
 
 def insert(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, ROOT / "benchmarks" / "insert.py", *map(str, words)]
+    command = [sys.executable, str(ROOT / "benchmarks" / "insert.py"), *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 

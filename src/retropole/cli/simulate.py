@@ -34,12 +34,6 @@ from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
 @click.option(
     "--survey", is_flag=True, help="Survey the poles of placement 1 and four control points."
 )
-@click.option(
-    "--blunder",
-    type=click.Choice(["pole", "slide", "files", "control"]),
-    help="Bump a pole between two recordings, slide it where another does not show it, exchange "
-    "two files, or put a surveyed point 0.1 m off (with --survey). truth.json says which.",
-)
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate_site(
     kind: str,
@@ -52,7 +46,6 @@ def simulate_site(
     radius: float,
     nuisances: str,
     survey: bool,
-    blunder: str | None,
     quiet: bool,
 ) -> int:
     """Make the recordings of a site of several LiDARs whose true poses are known.
@@ -65,7 +58,7 @@ def simulate_site(
     Examples:
       retropole simulate site posts --lidars 4 --seed 1 --out s
       retropole simulate site crane --lidars 8 --placements 4 --survey --out s
-      retropole simulate site truck --lidars 5 --nuisances field --blunder pole --out s
+      retropole simulate site truck --lidars 5 --nuisances field --out s
     """
     import numpy as np
 
@@ -87,7 +80,6 @@ def simulate_site(
             radius=radius,
             noise=NOISE_MODELS[nuisances],
             survey=Survey(placements=(0,), points=4) if survey else None,
-            blunder=blunder,
         )
         write_site(site, out)
     if not quiet:

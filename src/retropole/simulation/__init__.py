@@ -6,7 +6,6 @@ from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
 from .recording import SimulatedPair, SimulationError
 from .scanning import LabelledScan, scan
-from .site_blunders import Blunder
 from .site_survey import Survey
 from .site_writing import write_site
 from .sites import SITES, SimulatedSite, simulate_site
@@ -19,7 +18,6 @@ __all__ = [
     "SCENES",
     "SITES",
     "TYPICAL",
-    "Blunder",
     "Box",
     "Cylinder",
     "Device",
