@@ -4,7 +4,7 @@ An error that one LiDAR repeats at every return leaves no scatter, and much of i
 pose absorbs it. What is known of its size must then come from the instrument (type B of the GUM,
 JCGM 100:2008). Each kind is a random effect ``b ~ N(0, σ²)``, the same wherever that LiDAR's
 returns are used, on poles and on surfaces. With measured range ρ, azimuth α and elevation ε, the
-true return lies at
+true return lies at::
 
     range      ρ − zero − scale·ρ − slant·ρ·tan(incidence) − [tape] − ring_range(ring)
     azimuth    α + encoder_c cos α + encoder_s sin α + ring_azimuth(ring)
