@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from insertion import insert_poles
 from retropole import se3
 from retropole.datatypes import Array, PointCloud, PoseEstimate
 from retropole.monitoring.drift import check
@@ -40,7 +41,6 @@ from retropole.sensors import Sensor
 from retropole.simulation import (
     NOISE_MODELS,
     SimulationError,
-    insert_poles,
     place_again,
     record_again,
     simulate_pair,

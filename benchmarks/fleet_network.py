@@ -1,7 +1,7 @@
 """The network of a city: time, memory, coverage, and which wrong edges are named.
 
 ``python benchmarks/fleet_network.py --nodes 10000 --seeds 2000:2010`` draws cities
-(`simulation.city`) with two edges for each LiDAR, 1 % of them wrong, and 100 surveyed LiDARs,
+(`city.py`) with two edges for each LiDAR, 1 % of them wrong, and 100 surveyed LiDARs,
 adjusts each and holds it against the truth. ``--nodes 100000 --seeds 2000:2001`` is the large one.
 
 - *detectable* is a wrong edge whose error the sound edges would show with a probability of 99 %
@@ -32,6 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
+from city import SURVEY, City, simulate_city
 from retropole import se3
 from retropole.datatypes import Array
 from retropole.fleet.network.adjustment import adjust, find_layout
@@ -40,7 +41,6 @@ from retropole.fleet.network.graph import ControlPoints, Edges, Graph
 from retropole.fleet.network.network import NetworkAdjustment, adjust_network
 from retropole.fleet.network.residuals import Model
 from retropole.fleet.network.testing import all_tests, covariances, noncentrality
-from retropole.simulation.city import SURVEY, City, simulate_city
 
 
 @dataclass

@@ -25,10 +25,11 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
+from insertion import InsertedSite, insert_into_site
 from retropole import se3
 from retropole.datatypes import DEFAULT_RADIUS, Array
 from retropole.scene.registration import prepare, register
-from retropole.simulation import InsertedSite, SimulationError, insert_into_site
+from retropole.simulation import SimulationError
 from retropole.site import calibration
 from retropole.site.answer import LoopClosure, SiteCalibration
 from retropole.site.closures import close_loops

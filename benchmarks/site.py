@@ -43,6 +43,7 @@ from retropole.simulation.sites import SimulatedSite, simulate_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
 from retropole.site.relative import joint_of, relative
+from site_blunders import Blunder, simulate_blunder
 
 KINDS = ("posts", "crane", "truck")
 CHI2_95 = 12.591587243743977
@@ -179,21 +180,21 @@ def run_blunder(seed: int) -> Row | None:
     """Simulate and calibrate a site with a blunder; was it named?"""
     rng, kind, lidars, placements, poles = numbers(seed)
     blunder = BLUNDERS[(seed // len(KINDS)) % len(BLUNDERS)]
-    sim = simulate_site(
+    sim, wrong = simulate_blunder(
         kind,
         rng,
+        blunder,
         lidars=lidars,
         placements=placements,
         poles=max(poles, 3),
         noise=FIELD,
-        blunder=blunder,
         survey=SURVEY if blunder == "control" else None,
     )
     row = Row(seed, f"{kind} {lidars} × {placements} × {poles}: {blunder}")
     answer = timed(row, sim)
-    row.named = is_named(sim, answer)
-    row.seen_once = is_seen_once(sim, answer)
-    row.words += f", {sim.blunder.name}" if sim.blunder else ""
+    row.named = is_named(sim, wrong, answer)
+    row.seen_once = is_seen_once(sim, wrong, answer)
+    row.words += f", {wrong.name}"
     return row
 
 
@@ -201,19 +202,16 @@ def run_slide(seed: int) -> Row | None:
     """Simulate two poles, one pushed such that the other does not show it; was it named?"""
     rng = np.random.default_rng(seed)
     kind, lidars = KINDS[seed % len(KINDS)], 2 + seed // len(KINDS) % 2
-    sim = simulate_site(
-        kind, rng, lidars=lidars, placements=1, poles=2, noise=FIELD, blunder="slide"
+    sim, wrong = simulate_blunder(
+        kind, rng, "slide", lidars=lidars, placements=1, poles=2, noise=FIELD
     )
-    assert sim.blunder is not None
-    row = Row(seed, f"{kind} {lidars} × 1 × 2: slide, {sim.blunder.name}")
-    row.named = is_named(sim, timed(row, sim))
+    row = Row(seed, f"{kind} {lidars} × 1 × 2: slide, {wrong.name}")
+    row.named = is_named(sim, wrong, timed(row, sim))
     return row
 
 
-def is_named(sim: SimulatedSite, answer: SiteCalibration) -> bool:
+def is_named(sim: SimulatedSite, wrong: Blunder, answer: SiteCalibration) -> bool:
     """Whether the reasons name the blunder: the very pole, recordings or point."""
-    wrong = sim.blunder
-    assert wrong is not None
     for reason in answer.reasons:
         if reason.code not in NAMES[wrong.kind]:
             continue
@@ -249,10 +247,9 @@ def is_named(sim: SimulatedSite, answer: SiteCalibration) -> bool:
     return False
 
 
-def is_seen_once(sim: SimulatedSite, answer: SiteCalibration) -> bool:
+def is_seen_once(sim: SimulatedSite, wrong: Blunder, answer: SiteCalibration) -> bool:
     """Whether a bumped pole counts, and no LiDAR found it where it stood before, or none after."""
-    wrong = sim.blunder
-    if wrong is None or wrong.pole is None:
+    if wrong.pole is None:
         return False
     for pole in answer.poles:
         if pole.placement != wrong.placements[0]:

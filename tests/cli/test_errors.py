@@ -139,3 +139,11 @@ def test_the_verdict_is_in_colour_on_a_terminal_that_wants_it(
     assert words.endswith("\nthe rest")
     assert ("\x1b[" in words.splitlines()[0]) is coloured
     assert coloured or words == "verdict: ok\nthe rest"
+
+
+@pytest.mark.parametrize("words", [("simulate",), ("simulate", "site")])
+def test_what_is_missing_is_named_with_its_choices_in_one_line(words: tuple[str, ...]) -> None:
+    done = retropole_here(*words)
+    assert done.returncode == 2
+    assert "Missing argument" in done.stderr.splitlines()[0]
+    assert "\\" not in done.stderr

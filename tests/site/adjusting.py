@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.site_blunders import Blunder, simulate_blunder
 from retropole import se3
 from retropole.datatypes import Array
 from retropole.scene.patches import Patches
@@ -31,7 +32,6 @@ def made(
     kind: str = "posts",
     lidars: int = 3,
     placements: int | None = 2,
-    blunder: str | None = None,
     survey: Survey | None = None,
 ) -> SimulatedSite:
     """Three VLP-16 on posts that see three poles in two placements, if not otherwise said."""
@@ -41,8 +41,20 @@ def made(
         lidars=lidars,
         placements=placements,
         sensors=("VLP-16",),
-        blunder=blunder,
         survey=survey,
+    )
+
+
+@cache
+def made_wrong(blunder: str, seed: int = 1) -> tuple[SimulatedSite, Blunder]:
+    """As `made`, with one thing wrong."""
+    return simulate_blunder(
+        "posts",
+        np.random.default_rng(seed),
+        blunder,
+        lidars=3,
+        placements=2,
+        sensors=("VLP-16",),
     )
 
 

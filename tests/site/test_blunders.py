@@ -23,7 +23,7 @@ from retropole.site.blunders import (
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site
 from retropole.site.relative import joint_of, relative
-from tests.site.adjusting import Steps, between, made, off, poses_of
+from tests.site.adjusting import Steps, between, made, made_wrong, off, poses_of
 
 FIVE_SIGMA = 39.6
 """χ² with 6 degrees of freedom is above this as often as a normal number beyond five σ."""
@@ -43,9 +43,7 @@ def test_a_sound_site_has_none(steps: Steps) -> None:
 
 
 def test_a_pole_that_was_bumped_is_named_and_left_out() -> None:
-    simulated = made(blunder="pole")
-    blunder = simulated.blunder
-    assert blunder is not None
+    simulated, blunder = made_wrong("pole")
     assert blunder.pole is not None
     found = calibrate_site(simulated.as_site())
     assert found.status == "warn"

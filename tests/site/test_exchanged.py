@@ -17,7 +17,7 @@ from retropole.site.exchanged import (
     support_of,
 )
 from retropole.site.scans import Views
-from tests.site.adjusting import Steps, made, with_lidar
+from tests.site.adjusting import Steps, made, made_wrong, with_lidar
 
 
 def exchanged(site: Site, one: tuple[int, int], other: tuple[int, int]) -> Site:
@@ -51,14 +51,13 @@ def test_one_lidars_files_of_two_placements_are_named(simulated: SimulatedSite) 
 
 @pytest.mark.parametrize("seed", [1])
 def test_simulated_exchanges_are_named(seed: int) -> None:
-    simulated = made(seed=seed, blunder="files")
-    assert simulated.blunder is not None
+    simulated, blunder = made_wrong("files", seed)
     found = calibrate_site(simulated.as_site())
     (reason,) = found.reasons
     assert reason.code == "recordings_exchanged"
-    for lidar in simulated.blunder.lidars:
+    for lidar in blunder.lidars:
         assert simulated.names[lidar] in reason.message
-    for placement in simulated.blunder.placements:
+    for placement in blunder.placements:
         assert f"placement {placement + 1}" in reason.message
 
 

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks.insertion import insert_into_site
 from retropole import se3
 from retropole.io import read_cloud
 from retropole.sensors import find_sensor
-from retropole.simulation import insert_into_site
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site, SiteLidar
 from tests.paths import SHARED

@@ -54,6 +54,9 @@ def failure_of(error: Exception, command: str) -> Failure:
     """
     options = (f"'{command} --help' lists the arguments and options, with examples",)
     match error:
+        case click.MissingParameter():
+            # click lists choices a line each.
+            return Failure("usage", " ".join(error.format_message().split()), options)
         case click.ClickException():
             return Failure("usage", quoting(error.format_message()), options)
         case Refusal():

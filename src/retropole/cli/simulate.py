@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..datatypes import MAX_POLES
-from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option, show
+from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
 
 
 @click.command("site", context_settings=CONTEXT)
@@ -34,12 +34,6 @@ from .common import CLOUD, CONTEXT, OUT, progress_on_terminal, radius_option, sh
 @click.option(
     "--survey", is_flag=True, help="Survey the poles of placement 1 and four control points."
 )
-@click.option(
-    "--blunder",
-    type=click.Choice(["pole", "slide", "files", "control"]),
-    help="Bump a pole between two recordings, slide it where another does not show it, exchange "
-    "two files, or put a surveyed point 0.1 m off (with --survey). truth.json says which.",
-)
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate_site(
     kind: str,
@@ -52,7 +46,6 @@ def simulate_site(
     radius: float,
     nuisances: str,
     survey: bool,
-    blunder: str | None,
     quiet: bool,
 ) -> int:
     """Make the recordings of a site of several LiDARs whose true poses are known.
@@ -65,7 +58,7 @@ def simulate_site(
     Examples:
       retropole simulate site posts --lidars 4 --seed 1 --out s
       retropole simulate site crane --lidars 8 --placements 4 --survey --out s
-      retropole simulate site truck --lidars 5 --nuisances field --blunder pole --out s
+      retropole simulate site truck --lidars 5 --nuisances field --out s
     """
     import numpy as np
 
@@ -87,7 +80,6 @@ def simulate_site(
             radius=radius,
             noise=NOISE_MODELS[nuisances],
             survey=Survey(placements=(0,), points=4) if survey else None,
-            blunder=blunder,
         )
         write_site(site, out)
     if not quiet:
@@ -132,18 +124,6 @@ class _OrSite(click.Group):
     type=click.Choice(
         ["corridor", "street", "harbor", "bare", "square", "camber", "kerb", "paper"]
     ),
-    required=False,
-)
-@click.option(
-    "--into",
-    type=(CLOUD, CLOUD),
-    metavar="TARGET SOURCE",
-    help="Instead of a scene, two recordings to put the poles into.",
-)
-@click.option(
-    "--transform",
-    type=CLOUD,
-    help="With --into: T_target_source, as a result or in any format that export writes.",
 )
 @click.option(
     "--out",
@@ -153,7 +133,7 @@ class _OrSite(click.Group):
     help="Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--sensor-target", help="Sensor's name.  [default: the scene's; auto]")
+@click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
 @click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2, show_default=True)
 @radius_option
@@ -165,9 +145,7 @@ class _OrSite(click.Group):
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate(
-    scene: str | None,
-    into: tuple[Path, Path] | None,
-    transform: Path | None,
+    scene: str,
     out: Path,
     seed: int,
     sensor_target: str | None,
@@ -185,40 +163,22 @@ def simulate(
       retropole calibrate s/lidar0.pcd s/lidar1.pcd
       retropole simulate street --nuisances field --seed 1 --out f
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
-      retropole simulate --into front.pcd rear.pcd --transform retropole-out --out s
     """
-    from ..api.simulation import insert
     from ..api.simulation import simulate as run
     from ..errors import printable
-    from ..simulation import InsertedPair, SimulatedPair, write_pair
+    from ..simulation import write_pair
 
-    if (scene is None) == (into is None):
-        raise click.UsageError("give a SCENE, or --into with two recordings")
-    if (into is None) != (transform is None):
-        raise click.UsageError("--into and --transform need each other")
-    pair: SimulatedPair | InsertedPair
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
-        if into is not None and transform is not None:
-            pair = insert(
-                *into,
-                transform,
-                seed,
-                sensors=(sensor_target or "auto", sensor_source or "auto"),
-                poles=poles,
-                radius=radius,
-            )
-        else:
-            assert scene is not None
-            pair = run(
-                scene,
-                seed,
-                sensor_target=sensor_target,
-                sensor_source=sensor_source,
-                poles=poles,
-                radius=radius,
-                nuisances=nuisances,
-            )
+        pair = run(
+            scene,
+            seed,
+            sensor_target=sensor_target,
+            sensor_source=sensor_source,
+            poles=poles,
+            radius=radius,
+            nuisances=nuisances,
+        )
         write_pair(pair, out)
     if not quiet:
         names = ", ".join(str(out / name) for name in ("lidar0.pcd", "lidar1.pcd", "truth.json"))

@@ -1,13 +1,11 @@
 """Simulated pairs and sites whose true poses are known."""
 
 from .devices import Device, draw_device
-from .insertion import InsertedPair, InsertedSite, insert_into_site, insert_poles
 from .noise import EXACT, FIELD, NOISE_MODELS, TYPICAL, NoiseModel
 from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
 from .recording import SimulatedPair, SimulationError
 from .scanning import LabelledScan, scan
-from .site_blunders import Blunder
 from .site_survey import Survey
 from .site_writing import write_site
 from .sites import SITES, SimulatedSite, simulate_site
@@ -20,12 +18,9 @@ __all__ = [
     "SCENES",
     "SITES",
     "TYPICAL",
-    "Blunder",
     "Box",
     "Cylinder",
     "Device",
-    "InsertedPair",
-    "InsertedSite",
     "LabelledScan",
     "Material",
     "NoiseModel",
@@ -36,8 +31,6 @@ __all__ = [
     "Surface",
     "Survey",
     "draw_device",
-    "insert_into_site",
-    "insert_poles",
     "place_again",
     "record_again",
     "scan",

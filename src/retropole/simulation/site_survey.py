@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from .. import se3
 from ..datatypes import Array
@@ -24,9 +23,6 @@ POINT_DISTANCES = 2.0, 20.0
 
 POINT_HEIGHTS = 0.2, 3.0
 """Least and greatest height of a control point, metres (chosen)."""
-
-LEAST_CHECKED = 1e-6
-"""Part of what is known of a point best, below which the others say nothing of it."""
 
 MAX_POINT_DRAWS = 500
 """Draws of a control point before a `SimulationError`."""
@@ -94,56 +90,6 @@ def draw_survey(
         for point in points
     ]
     return (true, points), (tuple(stated), tuple(seen))
-
-
-def axis_of(pole: SurveyedPole) -> Array:
-    """(3,) direction of a pole whose ends are both surveyed, from foot to top."""
-    assert pole.foot is not None
-    assert pole.top is not None
-    along = pole.top - pole.foot
-    return np.asarray(along / np.linalg.norm(along))
-
-
-def told_apart(stated: Surveyed, which: int, offset: Array) -> float:
-    """χ² that an offset of one point leaves where any other point is taken for the one that is off.
-
-    The LiDARs are one rigid body, which six of the coordinates place in the world: what the others
-    say against an offset is theirs together (Förstner 1983).
-
-    Parameters
-    ----------
-    stated
-        Poles and control points.
-    which
-        Whose: foot and top of each pole in turn, then the control points.
-    offset
-        (3,) in metres.
-    """
-    at, weights = [], []
-    for pole in stated[0]:
-        axis = axis_of(pole)
-        for end in (pole.foot, pole.top):
-            assert end is not None
-            at.append(end)
-            # Along its axis nobody sees where an end is.
-            weights.append((np.eye(3) - np.outer(axis, axis)) / pole.sigma**2)
-    for point in stated[1]:
-        at.append(point.at)
-        sighted = 1.0 / sum(own.sigma**-2 for own in point.seen)
-        weights.append(np.eye(3) / (point.sigma**2 + sighted))
-    W = block_diag(*weights)
-    middle = np.mean(at, axis=0)
-    A = np.vstack([np.hstack([-se3.hat(own - middle), np.eye(3)]) for own in at])
-    left = W - W @ A @ np.linalg.pinv(A.T @ W @ A, hermitian=True) @ A.T @ W
-    blocks = [slice(3 * k, 3 * k + 3) for k in range(len(at))]
-    slopes = left[:, blocks[which]] @ offset
-    chi2 = [
-        slopes[own]
-        @ np.linalg.pinv(left[own, own], rcond=LEAST_CHECKED, hermitian=True)
-        @ slopes[own]
-        for own in blocks
-    ]
-    return float(chi2.pop(which) - max(chi2, default=0.0))
 
 
 def _points(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,27 @@ from typing import Any
 from ..datatypes import Array
 from ..files import write_together
 from ..io.pcd import pcd_of
-from .site_blunders import Blunder
 from .sites import SimulatedSite
 
 
-def write_site(site: SimulatedSite, out: Path) -> None:
+def write_site(site: SimulatedSite, out: Path, more: Mapping[str, Any] | None = None) -> None:
     """Write ``truth.json``, ``site.toml`` and ``LIDAR_PLACEMENT.pcd`` of each recording.
 
     They are never of two runs.
+
+    Parameters
+    ----------
+    site
+        What was simulated.
+    out
+        A folder.
+    more
+        What else ``truth.json`` says.
     """
+    truth = {**_truth(site), **(more or {})}
     write_together(
         {
-            out / "truth.json": json.dumps(_truth(site), indent=1).encode() + b"\n",
+            out / "truth.json": json.dumps(truth, indent=1).encode() + b"\n",
             out / "site.toml": _site_file(site).encode(),
             **{
                 out / _file(site, lidar, placement): pcd_of(cloud)
@@ -81,23 +90,6 @@ def _truth(site: SimulatedSite) -> dict[str, Any]:
         },
         "control_points": {point.name: point.at.tolist() for point in site.true_points},
         "noise": asdict(site.noise),
-        "blunder": None if site.blunder is None else _blunder(site, site.blunder),
-    }
-
-
-def _blunder(site: SimulatedSite, blunder: Blunder) -> dict[str, Any]:
-    return {
-        "kind": blunder.kind,
-        "name": blunder.name,
-        "lidars": [site.names[k] for k in blunder.lidars],
-        "placements": [site.placements[k] for k in blunder.placements],
-        "pole": None if blunder.pole is None else blunder.pole + 1,
-        "surveyed_pole": None if blunder.surveyed is None else site.surveyed[blunder.surveyed].name,
-        "end": blunder.end,
-        "control_point": None if blunder.point is None else site.points[blunder.point].name,
-        "moved": _list(blunder.moved),
-        "offset_m": _list(blunder.offset),
-        "checked": blunder.checked,
     }
 
 

@@ -1,4 +1,4 @@
-"""Sites of several LiDARs: drawn, recorded one LiDAR after the other, surveyed, and disturbed."""
+"""Sites of several LiDARs: drawn, recorded one LiDAR after the other, and surveyed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from .noise import TYPICAL, NoiseModel
 from .raycast import Cylinder, Surface
 from .recording import SimulationError, is_seen, record_in_turn
 from .site_arrangement import Arrangement, arrange
-from .site_blunders import BLUNDERS, Blunder, choose, disturbed, exchanged, resurveyed
 from .site_graph import Seen, are_linked
 from .site_places import PLACES
 from .site_survey import Survey, draw_survey
@@ -35,11 +34,37 @@ DEFAULT_SENSORS = {
 MAX_LIDARS, MAX_PLACEMENTS = 12, 8
 """Of a simulated site."""
 
-MAX_UNCHECKED = 12
-"""Arrangements that are drawn for one where the others check a blunder."""
-
 MAX_RECORDINGS = 5
 """Recordings of a placement before a `SimulationError`: noise hides too many poles."""
+
+Standing = Sequence[Sequence[Sequence[Cylinder]]]
+"""``standing[lidar][placement]``: the poles as they stand when a LiDAR records them."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnSite:
+    """A site that is not recorded yet.
+
+    Attributes
+    ----------
+    kind, sensors, devices, noise, radius
+        As of the `SimulatedSite`.
+    at
+        Where all stands, and who records what.
+    for_survey, for_changes, for_recording
+        Generators of what comes next. ``for_changes`` is for those who change the site before it
+        is recorded: whatever they draw, all else stays the same.
+    """
+
+    kind: str
+    sensors: tuple[Sensor, ...]
+    devices: tuple[Device, ...]
+    noise: NoiseModel
+    radius: float
+    at: Arrangement
+    for_survey: np.random.Generator
+    for_changes: np.random.Generator
+    for_recording: np.random.Generator
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +82,13 @@ class SimulatedSite:
     clouds, labels
         ``clouds[lidar][placement]`` in the LiDAR's frame, and the index of the surface that each
         point lies on: in `surroundings`, then `poles` of the placement; −1 on none of them. None
-        where it recorded none. Where files were exchanged, so are these.
+        where it recorded none.
     surroundings
         All that stands there but the poles, in the world frame.
     poles
-        Of each placement, as they stood first.
+        Of each placement.
     seen
-        ``seen[placement][lidar][pole]``: whether a LiDAR has enough returns of a pole, as recorded
-        and before files were exchanged.
+        ``seen[placement][lidar][pole]``: whether a LiDAR has enough returns of a pole.
     noise
         How the recordings differ from exact geometry.
     radius
@@ -73,8 +97,6 @@ class SimulatedSite:
         What was surveyed, as it is stated, in the world frame.
     true_surveyed, true_points
         The same without errors.
-    blunder
-        What is wrong, or None.
     """
 
     kind: str
@@ -93,7 +115,6 @@ class SimulatedSite:
     points: tuple[ControlPoint, ...] = ()
     true_surveyed: tuple[SurveyedPole, ...] = ()
     true_points: tuple[ControlPoint, ...] = ()
-    blunder: Blunder | None = None
 
     @property
     def placements(self) -> tuple[str, ...]:
@@ -130,7 +151,6 @@ def simulate_site(
     radius: float = DEFAULT_RADIUS,
     noise: NoiseModel | None = None,
     survey: Survey | None = None,
-    blunder: str | None = None,
     frames: int = 1,
 ) -> SimulatedSite:
     """Draw a site where poles link all LiDARs, and record it.
@@ -160,73 +180,99 @@ def simulate_site(
         None takes `TYPICAL`.
     survey
         What is surveyed; None is nothing.
-    blunder
-        What goes wrong, one of `BLUNDERS`: ``pole``, a pole is bumped between two recordings of one
-        placement, and those that record later see it elsewhere; ``slide``, it is pushed such that
-        its angle and distance to another do not change; ``files``, two recordings are
-        exchanged; ``control``, a surveyed point is off by 0.1 m. Where it can be, it is one that
-        the others check.
     frames
         How many sweeps each LiDAR records.
 
     Raises
     ------
     UsageError
-        An unknown kind, sensor or blunder, or numbers that the kind does not have.
+        An unknown kind or sensor, or numbers that the kind does not have.
     SimulationError
         No arrangement was found in which poles link all LiDARs.
     """
+    drawn = draw_site(
+        kind,
+        rng,
+        lidars=lidars,
+        placements=placements,
+        poles=poles,
+        sensors=sensors,
+        radius=radius,
+        noise=noise,
+    )
+    return record_site(drawn, survey=survey, frames=frames)
+
+
+def draw_site(
+    kind: str,
+    rng: np.random.Generator,
+    *,
+    lidars: int = 4,
+    placements: int | None = None,
+    poles: int | None = None,
+    sensors: Sequence[str] | None = None,
+    radius: float = DEFAULT_RADIUS,
+    noise: NoiseModel | None = None,
+) -> DrawnSite:
+    """Draw a site where poles link all LiDARs: the first half of `simulate_site`, as there."""
     if kind not in SITES:
         raise UsageError(f"no kind of site is called {kind!r}; there are {', '.join(SITES)}")
     placements, poles = _numbers(kind, lidars, placements, poles)
-    if blunder is not None and blunder not in BLUNDERS:
-        raise UsageError(f"no blunder is called {blunder!r}; there are {', '.join(BLUNDERS)}")
-    if blunder == "files" and placements == 1:
-        raise UsageError("files are exchanged where there are two placements or more")
-    if blunder == "control" and (survey is None or not (survey.placements or survey.points)):
-        raise UsageError("a control point can only be wrong where something is surveyed")
-    if survey is not None and not all(0 <= k < placements for k in survey.placements):
-        raise UsageError(f"surveyed placements are numbers from 0 to {placements - 1}")
     names = sensors or DEFAULT_SENSORS[kind]
     models = tuple(find_sensor(names[k % len(names)]) for k in range(lidars))
     noise = TYPICAL if noise is None else noise
     # The arrangement comes from rng alone, all that the noise model changes from its children.
-    *for_devices, for_survey, for_blunder, for_recording = rng.spawn(lidars + 3)
+    *for_devices, for_survey, for_changes, for_recording = rng.spawn(lidars + 3)
     devices = tuple(
         draw_device(sensor, noise, own) for sensor, own in zip(models, for_devices, strict=True)
     )
     at = arrange(kind, rng, models, placements, poles, radius)
-    wrong = choose(blunder, at.poles, at.seen, at.recorded, for_blunder)
-    for _ in range(MAX_UNCHECKED):
-        if wrong is None or wrong.checked:
-            break
-        at = arrange(kind, rng, models, placements, poles, radius)
-        wrong = choose(blunder, at.poles, at.seen, at.recorded, for_blunder)
-    clouds, labels, seen = _record(at, models, devices, noise, frames, wrong, for_recording)
-    if wrong is not None and wrong.kind == "files":
-        exchanged(clouds, wrong)
-        exchanged(labels, wrong)
-    true, stated = draw_survey(survey, at.place, at.poles, models, for_survey)
-    if wrong is not None and wrong.kind == "control":
-        stated, wrong = resurveyed(stated, for_blunder)
+    return DrawnSite(
+        kind, models, devices, noise, radius, at, for_survey, for_changes, for_recording
+    )
+
+
+def record_site(
+    drawn: DrawnSite,
+    *,
+    survey: Survey | None = None,
+    frames: int = 1,
+    standing: Standing | None = None,
+) -> SimulatedSite:
+    """Record and survey a site that was drawn, once: the second half of `simulate_site`.
+
+    Parameters
+    ----------
+    drawn
+        By `draw_site`.
+    survey, frames
+        As of `simulate_site`.
+    standing
+        Where poles move between two recordings; None where they stand as they were drawn.
+    """
+    at, lidars = drawn.at, len(drawn.sensors)
+    if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):
+        raise UsageError(f"surveyed placements are numbers from 0 to {len(at.poles) - 1}")
+    standing = [at.poles] * lidars if standing is None else standing
+    clouds, labels, seen = _record(drawn, frames, standing)
+    true, stated = draw_survey(survey, at.place, at.poles, drawn.sensors, drawn.for_survey)
     return SimulatedSite(
-        kind=kind,
-        names=tuple(f"{kind}-{k + 1}" for k in range(lidars)),
-        sensors=models,
-        devices=devices,
+        kind=drawn.kind,
+        names=tuple(f"{drawn.kind}-{k + 1}" for k in range(lidars)),
+        sensors=drawn.sensors,
+        devices=drawn.devices,
         T_world_lidar=tuple(at.place.poses),
         clouds=tuple(tuple(own) for own in clouds),
         labels=tuple(tuple(own) for own in labels),
         surroundings=tuple(at.place.surroundings),
         poles=tuple(at.poles),
         seen=seen,
-        noise=noise,
-        radius=radius,
+        noise=drawn.noise,
+        radius=drawn.radius,
         surveyed=stated[0],
         points=stated[1],
         true_surveyed=true[0],
         true_points=true[1],
-        blunder=wrong,
     )
 
 
@@ -247,28 +293,24 @@ def _numbers(kind: str, lidars: int, placements: int | None, poles: int | None) 
 
 
 def _record(
-    at: Arrangement,
-    sensors: tuple[Sensor, ...],
-    devices: tuple[Device, ...],
-    noise: NoiseModel,
-    frames: int,
-    wrong: Blunder | None,
-    rng: np.random.Generator,
+    drawn: DrawnSite, frames: int, standing: Standing
 ) -> tuple[list[list[PointCloud | None]], list[list[IntArray | None]], Seen]:
     """Record all placements, each until its recordings link what they are to link."""
+    at, sensors = drawn.at, drawn.sensors
     count, first = len(sensors), len(at.place.surroundings)
     clouds: list[list[PointCloud | None]] = [[None] * len(at.poles) for _ in sensors]
     labels: list[list[IntArray | None]] = [[None] * len(at.poles) for _ in sensors]
     seen: list[tuple[tuple[bool, ...], ...]] = []
-    for p, (own, who) in enumerate(zip(rng.spawn(len(at.poles)), at.recorded, strict=True)):
-        scenes = [[*at.place.surroundings, *disturbed(at.poles[p], wrong, k, p)] for k in who]
+    for_each = drawn.for_recording.spawn(len(at.poles))
+    for p, (own, who) in enumerate(zip(for_each, at.recorded, strict=True)):
+        scenes = [[*at.place.surroundings, *standing[k][p]] for k in who]
         for _ in range(MAX_RECORDINGS):
             scans = record_in_turn(
                 scenes,
                 [at.place.poses[k] for k in who],
                 [sensors[k] for k in who],
-                [devices[k] for k in who],
-                noise,
+                [drawn.devices[k] for k in who],
+                drawn.noise,
                 frames,
                 at.place.reach,
                 own,

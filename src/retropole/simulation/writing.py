@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from ..files import write_together
 from ..io.pcd import pcd_of
-from .insertion import InsertedPair
+from .raycast import Cylinder
 from .recording import SimulatedPair
 
 
-def write_pair(pair: SimulatedPair | InsertedPair, out: Path) -> None:
+def write_pair(pair: SimulatedPair, out: Path) -> None:
     """Write ``lidar0.pcd`` (target), ``lidar1.pcd`` (source) and ``truth.json`` to a folder.
 
-    The three are never of two runs. Of poles in recordings, the world's frame is the target's.
+    The three are never of two runs.
     """
     truth = {
         "T_target_source": pair.T_target_source.tolist(),
@@ -23,29 +25,13 @@ def write_pair(pair: SimulatedPair | InsertedPair, out: Path) -> None:
         "T_world_source": pair.T_world_source.tolist(),
         "target": "lidar0.pcd",
         "source": "lidar1.pcd",
-        "sensors": [sensor.name if sensor else "auto" for sensor in pair.sensors],
-        **(
-            {
-                "noise": asdict(pair.noise),
-                "devices": {
-                    role: device.as_dict()
-                    for role, device in zip(("target", "source"), pair.devices, strict=True)
-                },
-            }
-            if isinstance(pair, SimulatedPair)
-            else {}
-        ),
-        "poles": [
-            {
-                "point_world_m": pole.centre.tolist(),
-                "direction_world": pole.axis.tolist(),
-                "radius_m": pole.radius,
-                "length_m": pole.length,
-                "returns_target": returns[0],
-                "returns_source": returns[1],
-            }
-            for pole, returns in zip(pair.poles, pair.returns_on_poles, strict=True)
-        ],
+        "sensors": [sensor.name for sensor in pair.sensors],
+        "noise": asdict(pair.noise),
+        "devices": {
+            role: device.as_dict()
+            for role, device in zip(("target", "source"), pair.devices, strict=True)
+        },
+        "poles": truth_of_poles(pair.poles, pair.returns_on_poles),
     }
     write_together(
         {
@@ -54,3 +40,28 @@ def write_pair(pair: SimulatedPair | InsertedPair, out: Path) -> None:
             out / "lidar1.pcd": pcd_of(pair.source),
         }
     )
+
+
+def truth_of_poles(
+    poles: Iterable[Cylinder], returns: Iterable[tuple[int, int]]
+) -> list[dict[str, Any]]:
+    """Give poles as ``truth.json`` has them.
+
+    Parameters
+    ----------
+    poles
+        In the world's frame.
+    returns
+        Of each, how many points the target and the source have on it.
+    """
+    return [
+        {
+            "point_world_m": pole.centre.tolist(),
+            "direction_world": pole.axis.tolist(),
+            "radius_m": pole.radius,
+            "length_m": pole.length,
+            "returns_target": target,
+            "returns_source": source,
+        }
+        for pole, (target, source) in zip(poles, returns, strict=True)
+    ]

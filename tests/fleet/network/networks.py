@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.city import SURVEY, City, simulate_city
 from retropole import se3
 from retropole.datatypes import Array, IntArray
 from retropole.fleet.network.elimination import Blocks
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPoses
-from retropole.simulation.city import SURVEY, City, simulate_city
 
 
 def city(

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.city import City
 from retropole import se3
 from retropole.datatypes import Array
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPoses
 from retropole.fleet.network.network import adjust_network
-from retropole.simulation.city import City
 from tests.fleet.network.networks import city, in_sigma, ladder, network_of, spoiled
 
 CHI2_6_95 = 12.59

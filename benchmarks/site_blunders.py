@@ -1,20 +1,27 @@
-"""What goes wrong at a site: a pole is bumped, files are exchanged, a surveyed point is off."""
+"""What goes wrong at a simulated site: a pole is bumped, files are exchanged, a point is off."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal, TypeVar
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from .. import se3
-from ..datatypes import Array
-from .raycast import Cylinder
-from .scenes import UP
-from .site_graph import Seen, are_linked
-from .site_survey import Surveyed, axis_of, told_apart
+from retropole import se3
+from retropole.datatypes import Array
+from retropole.errors import UsageError
+from retropole.simulation.raycast import Cylinder
+from retropole.simulation.scenes import UP
+from retropole.simulation.site_arrangement import arrange
+from retropole.simulation.site_graph import Seen, are_linked
+from retropole.simulation.site_survey import Survey, Surveyed
+from retropole.simulation.site_writing import write_site
+from retropole.simulation.sites import DrawnSite, SimulatedSite, draw_site, record_site
+from retropole.site.description import SurveyedPole
 
 BLUNDERS = "pole", "slide", "files", "control"
 """What can go wrong."""
@@ -33,6 +40,12 @@ TOLD_APART = 25.0
 
 MAX_OFFSETS = 50
 """Draws of what is off in a survey, until no other point explains it as well."""
+
+MAX_UNCHECKED = 12
+"""Arrangements that are drawn for one where the others check a blunder."""
+
+LEAST_CHECKED = 1e-6
+"""Part of what is known of a point best, below which the others say nothing of it."""
 
 T = TypeVar("T")
 
@@ -77,26 +90,81 @@ class Blunder:
     checked: bool = True
 
 
-def choose(
-    kind: str | None,
-    poles: Sequence[Sequence[Cylinder]],
-    seen: Seen,
-    recorded: Sequence[tuple[int, ...]],
+def simulate_blunder(
+    kind: str,
     rng: np.random.Generator,
-) -> Blunder | None:
+    blunder: str,
+    *,
+    placements: int | None = None,
+    survey: Survey | None = None,
+    frames: int = 1,
+    **options: Any,
+) -> tuple[SimulatedSite, Blunder]:
+    """Simulate a site as `simulate_site` does, with one thing wrong.
+
+    Where it can be, it is one that the others check. Poles of the site stand as they stood first,
+    and `SimulatedSite.seen` is of what was recorded, before files were exchanged; recordings and
+    labels are exchanged, and surveyed points are where they are stated to be.
+
+    Parameters
+    ----------
+    kind, rng, placements, survey, frames, **options
+        As of `simulate_site`. With equal generators a site has the same LiDARs with the same errors
+        as without a blunder, and stands the same where the first draw has one that others check.
+    blunder
+        One of `BLUNDERS`: ``pole``, a pole is bumped between two recordings of one placement, and
+        those that record later see it elsewhere; ``slide``, it is pushed such that its angle and
+        distance to another do not change; ``files``, two recordings are exchanged; ``control``, a
+        surveyed point is off by 0.1 m.
+
+    Raises
+    ------
+    UsageError
+        An unknown blunder, or one that such a site cannot have; and as of `simulate_site`.
+    SimulationError
+        As of `simulate_site`.
+    """
+    if blunder not in BLUNDERS:
+        raise UsageError(f"no blunder is called {blunder!r}; there are {', '.join(BLUNDERS)}")
+    if blunder == "files" and placements == 1:
+        raise UsageError("files are exchanged where there are two placements or more")
+    if blunder == "control" and (survey is None or not (survey.placements or survey.points)):
+        raise UsageError("a control point can only be wrong where something is surveyed")
+    drawn = draw_site(kind, rng, placements=placements, **options)
+    wrong = choose(blunder, drawn)
+    for _ in range(MAX_UNCHECKED):
+        if wrong.checked:
+            break
+        poles = drawn.at.poles
+        again = arrange(kind, rng, drawn.sensors, len(poles), len(poles[0]), drawn.radius)
+        drawn = replace(drawn, at=again)
+        wrong = choose(blunder, drawn)
+    standing = [
+        [disturbed(poles, wrong, lidar, p) for p, poles in enumerate(drawn.at.poles)]
+        for lidar in range(len(drawn.sensors))
+    ]
+    site = record_site(drawn, survey=survey, frames=frames, standing=standing)
+    if wrong.kind == "files":
+        clouds, labels = exchanged(site.clouds, wrong), exchanged(site.labels, wrong)
+        site = replace(site, clouds=clouds, labels=labels)
+    if wrong.kind == "control":
+        stated, wrong = resurveyed((site.surveyed, site.points), drawn.for_changes)
+        site = replace(site, surveyed=stated[0], points=stated[1])
+    return site, wrong
+
+
+def choose(kind: str, drawn: DrawnSite) -> Blunder:
     """Draw what goes wrong, rather such that the others check it; a survey's comes after it."""
-    if kind is None:
-        return None
     if kind == "control":
         return Blunder("control", "")
     if kind == "files":
-        return _exchange(seen, recorded, rng)
-    return _bump(poles, seen, rng, slides=kind == "slide")
+        return _exchange(drawn.at.seen, drawn.at.recorded, drawn.for_changes)
+    return _bump(drawn.at.poles, drawn.at.seen, drawn.for_changes, slides=kind == "slide")
 
 
 def _bump(
     poles: Sequence[Sequence[Cylinder]], seen: Seen, rng: np.random.Generator, *, slides: bool
-) -> Blunder | None:
+) -> Blunder:
     """Push or tilt a pole; one that slides, such that another one's angle and distance stay."""
     count = len(seen[0])
     both = [
@@ -145,9 +213,8 @@ def _bump(
     )
 
 
-def _exchange(
-    seen: Seen, recorded: Sequence[tuple[int, ...]], rng: np.random.Generator
-) -> Blunder | None:
+def _exchange(seen: Seen, recorded: Sequence[tuple[int, ...]], rng: np.random.Generator) -> Blunder:
+    """Exchange two recordings of one placement, or of one LiDAR."""
     count = len(seen[0])
     two = [((a, b), (p,)) for p, who in enumerate(recorded) for a, b in combinations(who, 2)]
     one = [
@@ -203,13 +270,12 @@ def _without(
 
 
 def disturbed(
-    poles: Sequence[Cylinder], wrong: Blunder | None, lidar: int, placement: int
+    poles: Sequence[Cylinder], wrong: Blunder, lidar: int, placement: int
 ) -> list[Cylinder]:
     """The poles of a placement as they stand when a LiDAR records it."""
     standing = list(poles)
     if (
-        wrong is not None
-        and wrong.moved is not None
+        wrong.moved is not None
         and wrong.pole is not None
         and placement in wrong.placements
         and lidar in wrong.lidars
@@ -223,13 +289,13 @@ def disturbed(
     return standing
 
 
-def exchanged(recordings: list[list[T]], wrong: Blunder) -> None:
-    """Exchange two of ``recordings[lidar][placement]``, in place."""
-    (a, p), (b, q) = (
-        (wrong.lidars[0], wrong.placements[0]),
-        (wrong.lidars[-1], wrong.placements[-1]),
-    )
-    recordings[a][p], recordings[b][q] = recordings[b][q], recordings[a][p]
+def exchanged(recordings: Sequence[Sequence[T]], wrong: Blunder) -> tuple[tuple[T, ...], ...]:
+    """Exchange two of ``recordings[lidar][placement]``."""
+    rows = [list(own) for own in recordings]
+    a, p = wrong.lidars[0], wrong.placements[0]
+    b, q = wrong.lidars[-1], wrong.placements[-1]
+    rows[a][p], rows[b][q] = rows[b][q], rows[a][p]
+    return tuple(tuple(own) for own in rows)
 
 
 def resurveyed(stated: Surveyed, rng: np.random.Generator) -> tuple[Surveyed, Blunder]:
@@ -285,3 +351,71 @@ def _moved(stated: Surveyed, which: int, offset: Array, checked: bool) -> tuple[
         checked=checked,
     )
     return (tuple(surveyed), tuple(points)), blunder
+
+
+def axis_of(pole: SurveyedPole) -> Array:
+    """(3,) direction of a pole whose ends are both surveyed, from foot to top."""
+    assert pole.foot is not None
+    assert pole.top is not None
+    along = pole.top - pole.foot
+    return np.asarray(along / np.linalg.norm(along))
+
+
+def told_apart(stated: Surveyed, which: int, offset: Array) -> float:
+    """χ² that an offset of one point leaves where any other point is taken for the one that is off.
+
+    The LiDARs are one rigid body, which six of the coordinates place in the world: what the others
+    say against an offset is theirs together (Förstner 1983).
+
+    Parameters
+    ----------
+    stated
+        Poles and control points.
+    which
+        Whose: foot and top of each pole in turn, then the control points.
+    offset
+        (3,) in metres.
+    """
+    at, weights = [], []
+    for pole in stated[0]:
+        axis = axis_of(pole)
+        for end in (pole.foot, pole.top):
+            assert end is not None
+            at.append(end)
+            # Along its axis nobody sees where an end is.
+            weights.append((np.eye(3) - np.outer(axis, axis)) / pole.sigma**2)
+    for point in stated[1]:
+        at.append(point.at)
+        sighted = 1.0 / sum(own.sigma**-2 for own in point.seen)
+        weights.append(np.eye(3) / (point.sigma**2 + sighted))
+    W = block_diag(*weights)
+    middle = np.mean(at, axis=0)
+    A = np.vstack([np.hstack([-se3.hat(own - middle), np.eye(3)]) for own in at])
+    left = W - W @ A @ np.linalg.pinv(A.T @ W @ A, hermitian=True) @ A.T @ W
+    blocks = [slice(3 * k, 3 * k + 3) for k in range(len(at))]
+    slopes = left[:, blocks[which]] @ offset
+    chi2 = [
+        slopes[own]
+        @ np.linalg.pinv(left[own, own], rcond=LEAST_CHECKED, hermitian=True)
+        @ slopes[own]
+        for own in blocks
+    ]
+    return float(chi2.pop(which) - max(chi2, default=0.0))
+
+
+def write_blunder(site: SimulatedSite, wrong: Blunder, out: Path) -> None:
+    """Write a site as `write_site` does; ``truth.json`` says what is wrong, too."""
+    blunder = {
+        "kind": wrong.kind,
+        "name": wrong.name,
+        "lidars": [site.names[k] for k in wrong.lidars],
+        "placements": [site.placements[k] for k in wrong.placements],
+        "pole": None if wrong.pole is None else wrong.pole + 1,
+        "surveyed_pole": None if wrong.surveyed is None else site.surveyed[wrong.surveyed].name,
+        "end": wrong.end,
+        "control_point": None if wrong.point is None else site.points[wrong.point].name,
+        "moved": None if wrong.moved is None else wrong.moved.tolist(),
+        "offset_m": None if wrong.offset is None else wrong.offset.tolist(),
+        "checked": wrong.checked,
+    }
+    write_site(site, out, {"blunder": blunder})

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, IntArray, PointCloud
-from .raycast import Cylinder, Hits, cast
+from retropole import se3
+from retropole.datatypes import Array, IntArray, PointCloud
+from retropole.simulation.raycast import Cylinder, Hits, cast
 
 TILT_STEPS = tuple(np.radians([0.8, 0.4, 0.2, 0.1, 0.05, 0.025, 0.0125]))
 """The axis of the rings is searched in steps that shrink, rad. The first two reach 2.4° from the

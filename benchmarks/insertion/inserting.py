@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import DEFAULT_RADIUS, PER_POINT, Array, IntArray, PointCloud
-from ..sensors import Sensor
-from .intensity import RETRO_GRAZING, RETRO_INCIDENCE, saturation
-from .raycast import Cylinder
+from retropole import se3
+from retropole.datatypes import DEFAULT_RADIUS, PER_POINT, Array, IntArray, PointCloud
+from retropole.sensors import Sensor
+from retropole.simulation.intensity import RETRO_GRAZING, RETRO_INCIDENCE, saturation
+from retropole.simulation.raycast import Cylinder
+from retropole.simulation.scenes import UP
+
 from .recorded import RecordedBeams, in_frame, met_by, recorded_beams
-from .scenes import UP
 from .standing import draw_standing_poles
 
 RANGE_NOISE, DIVERGENCE = 0.010, 0.003

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..datatypes import Array
-from .arrangement import FOOT_HEIGHT, POLE_SPACING
-from .pairs import MIN_POLE_ANGLE
-from .raycast import Cylinder
+from retropole.datatypes import Array
+from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
+from retropole.simulation.pairs import MIN_POLE_ANGLE
+from retropole.simulation.raycast import Cylinder
+from retropole.simulation.recording import MIN_RINGS, SimulationError
+from retropole.simulation.scenes import TAPE
+
 from .recorded import RecordedBeams, met_by
-from .recording import MIN_RINGS, SimulationError
-from .scenes import TAPE
 
 MIN_RETURNS = 8
 """Returns of each LiDAR on each pole. Where rings are known, they lie on `MIN_RINGS` of them: a

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.site_blunders import told_apart
 from retropole import se3
 from retropole.datatypes import Array
-from retropole.simulation.site_survey import Surveyed, told_apart
+from retropole.simulation.site_survey import Surveyed
 from retropole.site.description import ControlPoint, Sighting, SurveyedPole
 
 CORNERS = np.array([[10.0, 0.0, 1.0], [0.0, 12.0, 1.0], [-9.0, 1.0, 1.0], [1.0, -11.0, 1.0]])

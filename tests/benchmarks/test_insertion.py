@@ -6,6 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.insertion import InsertedPair, insert_into_site, insert_poles, standing
+from benchmarks.insertion.recorded import levels, recorded_beams, sharpest_axis
+from benchmarks.insertion.standing import CLEARANCE, MAX_LEAN, MIN_RETURNS, POLE_DISTANCES
 from retropole import se3
 from retropole.datatypes import Array, IntArray, PointCloud
 from retropole.io import read_cloud
@@ -14,22 +17,16 @@ from retropole.simulation import (
     EXACT,
     Box,
     Cylinder,
-    InsertedPair,
     LabelledScan,
     Material,
     Rectangle,
     SimulationError,
     Surface,
-    insert_into_site,
-    insert_poles,
     scan,
-    standing,
 )
 from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
-from retropole.simulation.recorded import levels, recorded_beams, sharpest_axis
 from retropole.simulation.recording import MIN_RINGS
 from retropole.simulation.scenes import TAPE
-from retropole.simulation.standing import CLEARANCE, MAX_LEAN, MIN_RETURNS, POLE_DISTANCES
 from tests.paths import SHARED
 
 WALL = Material(0.5)
