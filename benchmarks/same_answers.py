@@ -39,7 +39,7 @@ from retropole.simulation import (
     simulate_pair,
 )
 from retropole.simulation.site_survey import Survey
-from retropole.simulation.sites import simulate_site
+from retropole.simulation.sites import SimulatedSite, simulate_site
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import (
     ControlPoint,
@@ -49,6 +49,7 @@ from retropole.site.description import (
     SiteLidar,
     SurveyedPole,
 )
+from site_blunders import simulate_blunder
 
 PAIRS, SITES, FIRST_SEED = 120, 30, 7000
 SCENES = ("corridor", "street", "harbor", "square", "kerb")
@@ -152,8 +153,8 @@ def draw_site(k: int) -> Plain:
         # On a truck hardly a push is hidden.
         kinds = KINDS[:2] if few else KINDS
         kind = kinds[k % len(kinds)]
-        make = partial(simulate_site, kind, blunder=blunder, **options)
-        site = tried(lambda rng: make(rng), k).as_site()
+        make = partial(simulated, kind, blunder, options)
+        site = tried(make, k).as_site()
     clouds = [[plain_cloud(cloud) for cloud in lidar.clouds] for lidar in site.lidars]
     if k % 12 == 7:
         # The last LiDAR recorded none of the first placement, and no pole of the others.
@@ -169,6 +170,14 @@ def draw_site(k: int) -> Plain:
         "radius": site.radius,
         "surveyed": [plain(each) for each in (site.frame, site.poles, site.points)],
     }
+
+
+def simulated(
+    kind: str, blunder: str | None, options: dict[str, Any], rng: np.random.Generator
+) -> SimulatedSite:
+    if blunder is None:
+        return simulate_site(kind, rng, **options)
+    return simulate_blunder(kind, rng, blunder, **options)[0]
 
 
 def answer_pair(given: Plain) -> Plain:
