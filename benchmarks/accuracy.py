@@ -18,8 +18,8 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.stats import chi2
 
-from retropole import se3
-from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair

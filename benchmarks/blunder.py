@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.datatypes import DEFAULT_RADIUS
-from retropole.errors import RetropoleError, printable
+from retropole.base.datatypes import DEFAULT_RADIUS
+from retropole.base.errors import RetropoleError, printable
 from retropole.simulation import NOISE_MODELS, SITES, Survey
 from site_blunders import BLUNDERS, simulate_blunder, write_blunder
 

@@ -32,16 +32,16 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from retropole import se3
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.likelihood import arc_likelihood
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import SHARED, State, beam_geometry
-from retropole.datatypes import Array
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Refusal
+from retropole.base.systematic import sizes_of
 from retropole.evaluation.metrics import e_rt
 from retropole.simulation import SimulatedPair
-from retropole.systematic import sizes_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from studies.paper.estimator import (

@@ -18,7 +18,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from retropole.datatypes import Placement
+from retropole.base.datatypes import Placement
 from retropole.pipeline import find_poles
 from retropole.simulation import (
     FIELD,

@@ -29,15 +29,17 @@ from typing import NamedTuple
 import numpy as np
 
 from insertion import insert_poles
-from retropole import se3
-from retropole.datatypes import Array, PointCloud, PoseEstimate
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud, PoseEstimate
+from retropole.base.sensors import Sensor
+from retropole.base.systematic import ErrorModel, sizes_of
+from retropole.base.uncertainty import Uncertainty
 from retropole.monitoring.drift import check
 from retropole.monitoring.movement import CheckResult
 from retropole.monitoring.new_pose import search_covariance
 from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, Tolerance
 from retropole.pipeline import calibrate
 from retropole.scene.refinement import refine
-from retropole.sensors import Sensor
 from retropole.simulation import (
     NOISE_MODELS,
     SimulationError,
@@ -45,8 +47,6 @@ from retropole.simulation import (
     record_again,
     simulate_pair,
 )
-from retropole.systematic import ErrorModel, sizes_of
-from retropole.uncertainty import Uncertainty
 from semireal import PAIRS, Loaded, load
 
 SCENES = ("corridor", "street", "harbor")

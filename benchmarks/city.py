@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, BoolArray, IntArray
+from retropole.base import se3
+from retropole.base.datatypes import Array, BoolArray, IntArray
 
 SPACING, BLOCK = 30.0, 4
 """Metres from post to post along a street, and posts from crossing to crossing."""

@@ -22,12 +22,12 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.stats import chi2
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.uncertainty import predicted_error
 from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, TYPICAL, NoiseModel, SimulationError, simulate_pair
-from retropole.uncertainty import predicted_error
 
 SCENES = ("corridor", "street", "harbor")
 SENSORS = (

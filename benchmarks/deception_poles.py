@@ -18,8 +18,8 @@ from deception_sites import (
     leaning,
     on_foot,
 )
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.simulation import Box, Cylinder
 from retropole.simulation.scenes import BARK, METAL, SURROUNDINGS, TAPE, UP
 

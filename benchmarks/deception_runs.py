@@ -18,8 +18,9 @@ from deception_poles import Drawn
 from deception_scenes import KINDS, Kind
 from deception_sites import Site, draw_site, is_in_view, recorded
 from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
-from retropole import se3
-from retropole.datatypes import Array, BoolArray, Calibration, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, BoolArray, Calibration, PointCloud
+from retropole.base.sensors import Sensor, find_sensor
 from retropole.pipeline import calibrate
 from retropole.scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from retropole.scene.visibility import (
@@ -29,7 +30,6 @@ from retropole.scene.visibility import (
     compare_views,
     view_of,
 )
-from retropole.sensors import Sensor, find_sensor
 from retropole.simulation import FIELD, TYPICAL, Device, draw_device
 from retropole.simulation.pairs import DEFAULT_SENSORS
 from retropole.simulation.scenes import SURROUNDINGS

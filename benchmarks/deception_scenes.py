@@ -48,8 +48,8 @@ from deception_sites import (
     standing,
     upright_and_leaning,
 )
-from retropole import se3
-from retropole.datatypes import DEFAULT_RADIUS, Array, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import DEFAULT_RADIUS, Array, PointCloud
 from retropole.simulation import Box, Cylinder
 from retropole.simulation.arrangement import rotated_by_180, symmetric_poles
 from retropole.simulation.scenes import METAL, SURROUNDINGS, Surroundings

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from retropole import se3
-from retropole.datatypes import DEFAULT_RADIUS, Array, PointCloud
-from retropole.sensors import Sensor
+from retropole.base import se3
+from retropole.base.datatypes import DEFAULT_RADIUS, Array, PointCloud
+from retropole.base.sensors import Sensor
 from retropole.simulation import Cylinder, Device, NoiseModel, Surface, scan
 from retropole.simulation.arrangement import (
     FOOT_HEIGHT,

@@ -48,7 +48,7 @@ from detection_cases import (
     simulated_case,
     staged,
 )
-from retropole.datatypes import DEFAULT_RADIUS, Detection, IntArray
+from retropole.base.datatypes import DEFAULT_RADIUS, Detection, IntArray
 from retropole.extraction.doubtful import with_doubtful
 from retropole.extraction.poles import extract_poles
 from retropole.simulation import simulate_pair

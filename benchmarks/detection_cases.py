@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, Detection, IntArray, PointCloud, Pole
+from retropole.base import se3
+from retropole.base.datatypes import Array, Detection, IntArray, PointCloud, Pole
+from retropole.base.sensors import find_sensor
 from retropole.io import read_cloud
-from retropole.sensors import find_sensor
 from retropole.simulation import (
     Box,
     Cylinder,

@@ -21,10 +21,10 @@ from multiprocessing import get_context
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from retropole import se3
-from retropole.datatypes import Array, Calibration
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration
+from retropole.base.sensors import find_sensor
 from retropole.pipeline import calibrate
-from retropole.sensors import find_sensor
 from retropole.simulation import Box, Cylinder, Material, Rectangle, Surface, scan
 from retropole.simulation.arrangement import draw_lidar, draw_poles
 from retropole.simulation.scenes import SURROUNDINGS

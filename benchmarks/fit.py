@@ -23,11 +23,11 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.uncertainty.purpose import USABLE, Need, displacement_bound
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, TYPICAL, SimulationError, simulate_pair
-from retropole.uncertainty.purpose import USABLE, Need, displacement_bound
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from coverage import SCENES, SENSORS, STATING

@@ -37,7 +37,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole.api import floor
-from retropole.datatypes import Array, PoseEstimate
+from retropole.base.datatypes import Array, PoseEstimate
 from retropole.fleet.history.events import Watched
 from retropole.fleet.history.model import YEAR, Observed
 from retropole.fleet.history.rows import CheckRow, observed

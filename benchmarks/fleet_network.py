@@ -33,8 +33,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from city import SURVEY, City, simulate_city
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.fleet.network.adjustment import adjust, find_layout
 from retropole.fleet.network.components import find_components
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph

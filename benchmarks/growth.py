@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.evaluation.methods import ALL_METHODS, OURS
 from retropole.io.thinning import MAX_POINTS, thinned
 from retropole.simulation import SimulationError, simulate_pair

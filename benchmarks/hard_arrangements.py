@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from detection_hard import PAINT, TAPE, UP, beside
-from retropole import se3
-from retropole.datatypes import DEFAULT_RADIUS, Array
-from retropole.sensors import find_sensor
+from retropole.base import se3
+from retropole.base.datatypes import DEFAULT_RADIUS, Array
+from retropole.base.sensors import find_sensor
 from retropole.simulation import FIELD, Cylinder, Rectangle, SimulatedPair, Surface, draw_device
 from retropole.simulation.arrangement import LIDAR_HEIGHTS, draw_poles
 from retropole.simulation.pairs import LIDAR_SPACING, MAX_POLE_ANGLE, MIN_POLE_ANGLE

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 from detection_hard import WRONG_ANGLE, WRONG_DISTANCE
 from hard_arrangements import DIFFICULTIES, SENSORS, Scene, draw_pair
-from retropole import se3
+from retropole.base import se3
 from retropole.pipeline import calibrate
 
 FIRST_STATED_SEED = 1000

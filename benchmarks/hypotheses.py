@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
+from retropole.base import se3
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 

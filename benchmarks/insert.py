@@ -18,8 +18,8 @@ import numpy as np
 
 from insertion import InsertedPair, insert_poles, write_inserted
 from retropole.api.inputs import CloudSource, check_radius, read_input
-from retropole.datatypes import DEFAULT_RADIUS, MAX_POLES, Array
-from retropole.errors import RetropoleError, UsageError, printable
+from retropole.base.datatypes import DEFAULT_RADIUS, MAX_POLES, Array
+from retropole.base.errors import RetropoleError, UsageError, printable
 from retropole.export import read_transform
 
 

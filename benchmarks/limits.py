@@ -24,8 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
 from retropole.export.recording import TOPICS, write_mcap
 from retropole.export.transform import Transform
 from retropole.io import Frame, write_pcd

@@ -26,8 +26,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from insertion import InsertedSite, insert_into_site
-from retropole import se3
-from retropole.datatypes import DEFAULT_RADIUS, Array
+from retropole.base import se3
+from retropole.base.datatypes import DEFAULT_RADIUS, Array
 from retropole.scene.registration import prepare, register
 from retropole.simulation import SimulationError
 from retropole.site import calibration

@@ -25,7 +25,7 @@ from types import FrameType
 
 import numpy as np
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
 

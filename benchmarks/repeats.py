@@ -12,7 +12,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
 from retropole.simulation import TYPICAL, NoiseModel, place_again, simulate_pair

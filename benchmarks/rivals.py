@@ -32,8 +32,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retropole.datatypes import Array, PointCloud
-from retropole.errors import Refusal
+from retropole.base.datatypes import Array, PointCloud
+from retropole.base.errors import Refusal
 from retropole.evaluation.methods import ALL_METHODS
 from retropole.evaluation.metrics import Errors, errors_of
 from retropole.evaluation.rivals import RIVALS, load_rival, missing_extra

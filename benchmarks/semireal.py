@@ -25,11 +25,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from insertion import InsertedPair, insert_poles
-from retropole import se3
-from retropole.datatypes import Array, PointCloud, PoseEstimate
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud, PoseEstimate
+from retropole.base.sensors import Sensor, sensor_or_auto
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
-from retropole.sensors import Sensor, sensor_or_auto
 from retropole.simulation import SimulationError
 
 WRONG_DEG, WRONG_M = 1.0, 0.3

@@ -33,9 +33,9 @@ from multiprocessing import get_context
 import numpy as np
 
 from coverage import STATING
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import Reason
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Reason
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.site_survey import Survey

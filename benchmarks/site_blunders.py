@@ -11,9 +11,9 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from scipy.linalg import block_diag
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import UsageError
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scenes import UP
 from retropole.simulation.site_arrangement import arrange

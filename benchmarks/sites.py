@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retropole import se3
+from retropole.base import se3
+from retropole.base.sensors import SENSORS, find_sensor
+from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
-from retropole.sensors import SENSORS, find_sensor
 from retropole.simulation import FIELD, place_again, simulate_pair
-from retropole.uncertainty import predicted_error
 
 RANGE = 30.0
 """Where errors are compared, m."""

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from retropole import se3
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.observations import beams_of
-from retropole.datatypes import Calibration
+from retropole.base import se3
+from retropole.base.datatypes import Calibration
 from retropole.evaluation.entropy import rqe
 from retropole.evaluation.metrics import RQE_POINTS
 from retropole.extraction.poles import extract_poles

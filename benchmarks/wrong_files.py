@@ -38,12 +38,12 @@ from threadpoolctl import threadpool_limits
 from deception import interval
 from hard_scenes import FIRST_STATED_SEED
 from insertion import insert_poles
-from retropole import se3
-from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, PointCloud
+from retropole.base.sensors import Sensor, find_sensor
 from retropole.io import read_cloud
 from retropole.pipeline import calibrate
 from retropole.scene.registration import prepare, register
-from retropole.sensors import Sensor, find_sensor
 from retropole.simulation import SimulationError
 from semireal import COMPOSED, DIRECT, PAIRS, UP, WRONG_DEG, WRONG_M, Outcome, load
 from semireal import run as run_right

@@ -13,9 +13,9 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.inspect import TypeAliasForwardRef
 
 import retropole
+from retropole.base.reasons import GROUPS, PREFIXED, Explanation
+from retropole.base.sensors import SENSORS
 from retropole.cli import cli
-from retropole.reasons import GROUPS, PREFIXED, Explanation
-from retropole.sensors import SENSORS
 
 project = "retropole"
 author = "The retropole authors"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import retropole as rp
-from retropole import se3
+from retropole.base import se3
 from retropole.simulation import write_pair
 
 parser = argparse.ArgumentParser(description=__doc__)

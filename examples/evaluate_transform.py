@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import retropole as rp
-from retropole import se3
+from retropole.base import se3
+from retropole.base.files import write_atomically
 from retropole.export import export_lines
-from retropole.files import write_atomically
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--out", type=Path, default=Path("out"))

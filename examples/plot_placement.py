@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.observations import beams_of
+from retropole.base import se3
+from retropole.base.sensors import find_sensor
+from retropole.base.uncertainty import predicted_error
 from retropole.extraction.poles import extract_poles
 from retropole.report.figures import new_figure, save_figure
-from retropole.sensors import find_sensor
 from retropole.simulation import TYPICAL, Cylinder, Material, scan
-from retropole.uncertainty import predicted_error
 
 LIDARS = [se3.from_rt(np.eye(3), np.array([0.0, y, 1.2])) for y in (-0.5, 0.5)]
 

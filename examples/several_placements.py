@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import retropole as rp
+from retropole.base.files import write_atomically
 from retropole.evaluation.metrics import e_rt
-from retropole.files import write_atomically
 from retropole.simulation import place_again, simulate_pair
 
 parser = argparse.ArgumentParser(description=__doc__)

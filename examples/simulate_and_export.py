@@ -7,9 +7,9 @@ import argparse
 from pathlib import Path
 
 import retropole as rp
+from retropole.base.files import write_atomically
 from retropole.evaluation.metrics import e_rt
 from retropole.export import export_lines
-from retropole.files import write_atomically
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--out", type=Path, default=Path("out"))

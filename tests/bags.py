@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 
 CLOUDS = "sensor_msgs/msg/PointCloud2"
 KINDS = ("bag", "db3", "mcap", "db3 folder", "mcap folder")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from retropole import se3
-from retropole.datatypes import Array, Pole
+from retropole.base import se3
+from retropole.base.datatypes import Array, Pole
 
 # No test asserts a wall-clock time: a busy machine is no counterexample. Examples are the same in
 # every run; `pytest --hypothesis-profile=search` draws others, and more of them.

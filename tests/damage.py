@@ -23,9 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
+from retropole.base.datatypes import PER_POINT, PointCloud
+from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.cli import run
-from retropole.datatypes import PER_POINT, PointCloud
-from retropole.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import read_cloud
 from tests.io.files import INTENSITY, WRITERS, XYZ
 from tests.memory import peak_memory

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, PoseEstimate
+from retropole.base import se3
+from retropole.base.datatypes import Array, PoseEstimate
 
 CHI2_6_95 = 12.59
 """χ² with 6 degrees of freedom is below this in 95 % of cases, …"""

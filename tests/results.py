@@ -2,15 +2,7 @@
 
 from pathlib import Path
 
-from retropole.result import (
-    Matrix,
-    PolesDoc,
-    ReasonDoc,
-    ResultDoc,
-    RunConfig,
-    StagesDoc,
-    encode,
-)
+from retropole.result import Matrix, PolesDoc, ReasonDoc, ResultDoc, RunConfig, StagesDoc, encode
 from retropole.result.bounded import Status
 
 

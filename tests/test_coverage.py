@@ -6,7 +6,7 @@ Every recording has LiDARs of its own, with all errors of the field.
 import numpy as np
 import pytest
 
-from retropole.datatypes import Calibration
+from retropole.base.datatypes import Calibration
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, SimulatedPair, simulate_pair
 from tests.numeric import mahalanobis_sq

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.pipeline import calibrate
 from retropole.simulation import NOISE_MODELS, SimulatedPair, record_again, simulate_pair
 from tests.numeric import CHI2_6_95, mahalanobis_sq

@@ -16,9 +16,9 @@ from urllib.parse import unquote, urlsplit
 import click
 import pytest
 
+from retropole.base.reasons import REASONS
+from retropole.base.sensors import SENSORS
 from retropole.cli import cli
-from retropole.reasons import REASONS
-from retropole.sensors import SENSORS
 from tests.paths import PACKAGE, ROOT
 
 DOCS = ROOT / "docs"

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, Calibration, PointCloud
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, PointCloud
+from retropole.base.errors import Refusal
 from retropole.matching.confirmation import Chosen
 from retropole.matching.placements import PlacementHypotheses
 from retropole.pipeline import calibrate, choose_settled

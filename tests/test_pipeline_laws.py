@@ -16,8 +16,8 @@ import pytest
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
-from retropole import se3
-from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.io import only_returns
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, simulate_pair

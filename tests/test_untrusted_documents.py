@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from retropole.base.errors import ReadError, Refusal
 from retropole.cli import run
-from retropole.errors import ReadError, Refusal
 from retropole.export import FORMATS, read_transform
 from retropole.report import render_report
 from retropole.result import encode

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import DEFAULT_RADIUS, PER_POINT, Array, IntArray, PointCloud
-from retropole.sensors import Sensor
+from retropole.base import se3
+from retropole.base.datatypes import DEFAULT_RADIUS, PER_POINT, Array, IntArray, PointCloud
+from retropole.base.sensors import Sensor
 from retropole.simulation.intensity import RETRO_GRAZING, RETRO_INCIDENCE, saturation
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scenes import UP

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, IntArray, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, IntArray, PointCloud
 from retropole.simulation.raycast import Cylinder, Hits, cast
 
 TILT_STEPS = tuple(np.radians([0.8, 0.4, 0.2, 0.1, 0.05, 0.025, 0.0125]))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.simulation.arrangement import FOOT_HEIGHT, POLE_SPACING
 from retropole.simulation.pairs import MIN_POLE_ANGLE
 from retropole.simulation.raycast import Cylinder

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from retropole.files import write_together
+from retropole.base.files import write_together
 from retropole.io.pcd import pcd_of
 from retropole.simulation.writing import truth_of_poles
 

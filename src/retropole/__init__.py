@@ -11,6 +11,8 @@ Names are looked up when they are first used: importing the package takes no tim
 
 from importlib import import_module
 
+from .base.version import __version__
+
 # Type checkers know the name; to import typing takes longer than all the rest.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -20,21 +22,19 @@ if TYPE_CHECKING:
     from .api.result import CalibrationResult, load_result
     from .api.simulation import simulate
     from .api.site import SiteResult, calibrate_site, load_site_result
-    from .datatypes import PointCloud
-    from .errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
+    from .base.datatypes import PointCloud
+    from .base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
     from .io import read_cloud
-
-__version__ = "0.1.0"
 
 _MODULES = {
     "CalibrationResult": "api.result",
-    "MissingExtraError": "errors",
-    "PointCloud": "datatypes",
-    "ReadError": "errors",
-    "Refusal": "errors",
-    "RetropoleError": "errors",
+    "MissingExtraError": "base.errors",
+    "PointCloud": "base.datatypes",
+    "ReadError": "base.errors",
+    "Refusal": "base.errors",
+    "RetropoleError": "base.errors",
     "SiteResult": "api.site",
-    "UsageError": "errors",
+    "UsageError": "base.errors",
     "calibrate": "api.calibration",
     "calibrate_site": "api.site",
     "detect": "api.detection",

@@ -20,7 +20,7 @@ SHOW_CURSOR = "\x1b[?25h"
 
 def _end(number: int, frame: object) -> None:
     """End the process at once: an exception may be lost in what is being loaded or computed."""
-    files = sys.modules.get("retropole.files")
+    files = sys.modules.get("retropole.base.files")
     for path in getattr(files, "unfinished", ()):
         with suppress(OSError):
             os.unlink(path)

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from .alignment.adjustment import BeamAlignment, align_beams
 from .alignment.observations import beams_of
 from .alignment.origins import beam_origins
-from .datatypes import (
+from .base.datatypes import (
     DEFAULT_RADIUS,
     Array,
     Calibration,
@@ -23,10 +23,13 @@ from .datatypes import (
     PointCloud,
     Scan,
 )
-from .errors import Refusal
+from .base.errors import Refusal
+from .base.sensors import Sensor
+from .base.systematic import ErrorModel, sizes_of
+from .base.uncertainty import Confirmation, predicted_error, weakest_direction
+from .base.uncertainty.purpose import Need
 from .extraction.extent import located
 from .extraction.poles import extract_poles
-from .fitness import judged
 from .matching import correspondence
 from .matching.budget import Share, Tried
 from .matching.confirmation import Chosen, choose_with_doubtful, counts_doubtful
@@ -47,11 +50,8 @@ from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine
 from .scene.similarity import check_similarity, explained
 from .scene.static import check_poles, remove_dynamic_points
-from .sensors import Sensor
-from .systematic import ErrorModel, sizes_of
-from .uncertainty import Confirmation, predicted_error, weakest_direction
-from .uncertainty.purpose import Need
 from .verdict import refused, weaknesses
+from .verdict.fitness import judged
 
 
 def calibrate(

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from retropole.files import write_atomically
-from retropole.quantities import step_of
+from retropole.base.files import write_atomically
+from retropole.base.quantities import step_of
 from retropole.report.figures import new_figure, save_figure
 from studies.paper.beams import two_matlab
 from studies.paper.choosing import choosing

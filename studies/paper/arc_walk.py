@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.simulation.raycast import Cylinder, Material, cast
 
 ENDLESS_POLE = 100.0

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.sensors import find_sensor
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.sensors import find_sensor
 from studies.paper.arc_walk import cast_cone
 from studies.paper.exhibit import Cell, Exhibit
 

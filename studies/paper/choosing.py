@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, Hypothesis, Pole
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, Hypothesis, Pole
+from retropole.base.errors import Refusal
 from retropole.extraction.poles import extract_poles
 from retropole.matching.correspondence import match_poles
 from retropole.report.figures import BLUE, GREEN, ORANGE

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.datatypes import Array, PointCloud
-from retropole.errors import Refusal
+from retropole.base.datatypes import Array, PointCloud
+from retropole.base.errors import Refusal
 from retropole.evaluation.entropy import KERNEL_WIDTH
 from retropole.evaluation.metrics import EVALUATION_VOXEL, Alignment, e_rt, evaluate
 from retropole.evaluation.rivals import load_rival

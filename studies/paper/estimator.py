@@ -10,18 +10,13 @@ import numpy as np
 
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.observations import Beams, beams_of
-from retropole.alignment.point_to_line import (
-    LineAlignment,
-    Lines,
-    align_each,
-    equivalent_points,
-)
-from retropole.datatypes import Array, IntArray, PointCloud, Pole
-from retropole.errors import Refusal
+from retropole.alignment.point_to_line import LineAlignment, Lines, align_each, equivalent_points
+from retropole.base.datatypes import Array, IntArray, PointCloud, Pole
+from retropole.base.errors import Refusal
+from retropole.base.systematic import NO_ERRORS
 from retropole.evaluation.metrics import e_rt
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from retropole.simulation.paper import PAPER_NOISE, PAPER_POLE_LENGTH
-from retropole.systematic import NO_ERRORS
 from studies.paper.exhibit import Exhibit
 
 if TYPE_CHECKING:

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud, Pole
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud, Pole
+from retropole.base.errors import Refusal
+from retropole.base.quantities import counted
+from retropole.base.sensors import Sensor
 from retropole.evaluation.metrics import Errors, errors_of
 from retropole.extraction.clustering import clusters
 from retropole.pipeline import calibrate
-from retropole.quantities import counted
 from retropole.report.figures import GREEN, GREY, RED
 from retropole.scene.disambiguation import SCORING_VOXEL
 from retropole.scene.registration import as_surface, voxel_downsample
-from retropole.sensors import Sensor
 from retropole.simulation import FIELD, SimulatedPair, record_again, simulate_pair
 from retropole.simulation.intensity import TAPE_REACH, saturation, tape_strength
 from retropole.simulation.raycast import Box, Material, Rectangle, Surface

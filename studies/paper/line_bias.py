@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.sensors import find_sensor
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.sensors import find_sensor
 from retropole.simulation.raycast import Cylinder, Material, cast
 from studies.paper.arc_walk import ENDLESS_POLE
 from studies.paper.exhibit import Exhibit

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 
 
 class PoleFrame(NamedTuple):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.evaluation.entropy import KERNEL_WIDTH, rqe
 from retropole.evaluation.metrics import EVALUATION_VOXEL, e_rt
 from retropole.report.figures import BLUE, ORANGE

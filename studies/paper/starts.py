@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, Pole
+from retropole.base import se3
+from retropole.base.datatypes import Array, Pole
 from retropole.extraction.poles import extract_poles
 from retropole.matching.line_pairs import pair_starts
 from retropole.report.figures import BLUE, GREY, ORANGE

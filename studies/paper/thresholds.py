@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from retropole.sensors import SENSORS
+from retropole.base.sensors import SENSORS
 from studies.paper.exhibit import Exhibit
 
 PAPER_TABLE_I = {

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.sensors import find_sensor
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.sensors import find_sensor
 from studies.paper.arc_walk import arc_point, cast_cone, cast_plane, middle_beam
 from studies.paper.exhibit import Cell, Exhibit
 from studies.paper.line_bias import (

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
 from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment, align_beams
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import SHARED, Priors, State, beam_geometry, evaluate
-from retropole.datatypes import Array, PointCloud, Pole
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud, Pole
+from retropole.base.errors import Refusal
+from retropole.base.sensors import SENSORS
+from retropole.base.systematic import NO_ERRORS, Sizes
 from retropole.evaluation.metrics import e_rt
-from retropole.sensors import SENSORS
 from retropole.simulation import EXACT, NoiseModel, SimulatedPair, simulate_pair
-from retropole.systematic import NO_ERRORS, Sizes
 from tests.conftest import PoleMaker
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
 

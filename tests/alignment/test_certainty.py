@@ -17,9 +17,9 @@ from retropole.alignment.certainty import (
     working_sigma,
 )
 from retropole.alignment.factor import MANY, POSE, PoleFactor
-from retropole.datatypes import Array
-from retropole.systematic import RADIUS, ErrorModel, Groups, Layout, groups_of
-from retropole.uncertainty import (
+from retropole.base.datatypes import Array
+from retropole.base.systematic import RADIUS, ErrorModel, Groups, Layout, groups_of
+from retropole.base.uncertainty import (
     FLOOR_ROTATION,
     FLOOR_TRANSLATION,
     Uncertainty,

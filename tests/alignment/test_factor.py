@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import chi2, kstest
 from threadpoolctl import threadpool_limits
 
-from retropole import se3
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.certainty import prior_precision, solve_factor
 from retropole.alignment.factor import (
@@ -23,10 +22,9 @@ from retropole.alignment.likelihood import arc_likelihood, passed_beam_likelihoo
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import State, beam_geometry
 from retropole.alignment.views import View, exact_view
-from retropole.datatypes import Array, Pole, PoseEstimate
-from retropole.simulation import EXACT, SimulatedPair, simulate_pair
-from retropole.simulation.recording import Arrangement, Recorders, record
-from retropole.systematic import (
+from retropole.base import se3
+from retropole.base.datatypes import Array, Pole, PoseEstimate
+from retropole.base.systematic import (
     DEVICE,
     NO_ERRORS,
     RADIUS,
@@ -39,6 +37,8 @@ from retropole.systematic import (
     groups_of,
     joined,
 )
+from retropole.simulation import EXACT, SimulatedPair, simulate_pair
+from retropole.simulation.recording import Arrangement, Recorders, record
 from studies.paper.estimator import as_beams, poles_of
 from tests.numeric import numeric_jacobian
 

@@ -9,7 +9,7 @@ from retropole.alignment.likelihood import (
     closest_approach,
     passed_beam_likelihood,
 )
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 
 RADIUS, SIGMA_DEPTH, SIGMA_MISS = 0.02, 0.006, 0.003
 

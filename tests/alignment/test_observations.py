@@ -5,8 +5,8 @@ import pytest
 
 from retropole.alignment import observations
 from retropole.alignment.observations import FEW_RETURNS, MOST_RETURNS, Beams, beams_of
-from retropole.datatypes import Array, PointCloud, Pole
-from retropole.sensors import find_sensor
+from retropole.base.datatypes import Array, PointCloud, Pole
+from retropole.base.sensors import find_sensor
 
 RANGE, RADIUS = 5.0, 0.02
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from retropole import se3
 from retropole.alignment.origins import BeamOrigins, beam_origins
-from retropole.datatypes import Array, Calibration, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 from tests.numeric import numeric_jacobian

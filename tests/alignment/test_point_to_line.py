@@ -3,15 +3,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retropole import se3
 from retropole.alignment.point_to_line import (
     Lines,
     align_each,
     equivalent_points,
     point_line_residuals,
 )
-from retropole.datatypes import Array
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Refusal
 from studies.paper.estimator import align_poles
 
 Line = tuple[Array, Array]

@@ -13,7 +13,7 @@ from retropole.alignment.solver import (
     levenberg_marquardt,
     levenberg_marquardt_each,
 )
-from retropole.datatypes import Array, IntArray
+from retropole.base.datatypes import Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)

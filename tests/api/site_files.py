@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import PointCloud, Scan
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud, Scan
 from retropole.io import write_pcd
 from retropole.result.bounded import Status
 from retropole.site.answer import SiteCalibration

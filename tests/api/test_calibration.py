@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 import retropole as rp
-from retropole import se3
+from retropole.base import se3
 from retropole.result import ResultDoc
 from retropole.simulation import place_again
 from tests.api.clouds import calibrated, cloud_of, pair, table_of, tables

@@ -9,7 +9,7 @@ import pytest
 from retropole.api.checking import read_stored
 from retropole.api.inputs import recording_hash
 from retropole.api.site import SiteResult
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.io import sha256_of
 from retropole.result import DEFAULT_CONFIG, encode
 from retropole.result.folder import SITE_RESULT_FILE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
+from retropole.base import se3
 from retropole.export import export_lines
 from tests.api.clouds import calibrated, pair, refused, tables
 

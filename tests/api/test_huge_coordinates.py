@@ -12,7 +12,7 @@ warnings.simplefilter("error")
 from dataclasses import replace
 import numpy as np
 import retropole
-from retropole.datatypes import PoseEstimate
+from retropole.base.datatypes import PoseEstimate
 from retropole.io import only_returns
 from retropole.monitoring.drift import check
 from retropole.simulation import simulate_pair

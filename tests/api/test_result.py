@@ -10,9 +10,9 @@ import pytest
 from msgspec.structs import replace
 
 import retropole as rp
+from retropole.base.uncertainty import Confirmation, RadiusEstimate
 from retropole.io import write_pcd
 from retropole.result import encode
-from retropole.uncertainty import Confirmation, RadiusEstimate
 from tests.api.clouds import calibrated, pair, refused
 from tests.report.made_up import BUDGET, RANDOM, made_up
 

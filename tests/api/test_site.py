@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
 from retropole.api import site as api_site
-from retropole.datatypes import Array
-from retropole.errors import ReadError, Refusal, UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.result.bounded import Status
 from retropole.result.site_decoding import decode_site
 from retropole.site.answer import SiteCalibration

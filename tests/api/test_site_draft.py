@@ -6,7 +6,7 @@ import pytest
 
 from retropole.api.site_draft import draft_site
 from retropole.api.site_file import SiteFile, decode_site_file
-from retropole.errors import ReadError, UsageError
+from retropole.base.errors import ReadError, UsageError
 from tests.api.site_files import write_recordings
 
 

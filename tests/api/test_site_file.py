@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from retropole.api.site_file import LARGEST_SITE_FILE, decode_site_file, read_site_file
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 
 LIDARS = """
 [[lidar]]

@@ -7,7 +7,7 @@ import pytest
 
 from retropole.api.site_file import decode_site_file
 from retropole.api.site_inputs import offset_of, read_site, repeated, site_of
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from tests.api.site_files import NAMES, recorded, write_site
 
 SURVEY = """

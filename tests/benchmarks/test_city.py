@@ -1,7 +1,7 @@
 import numpy as np
 
 from benchmarks.city import SURVEY, simulate_city
-from retropole import se3
+from retropole.base import se3
 
 
 def test_edges_miss_the_truth_by_their_noise_and_by_their_gross_error() -> None:

@@ -9,10 +9,10 @@ import pytest
 from benchmarks.insertion import InsertedPair, insert_into_site, insert_poles, standing
 from benchmarks.insertion.recorded import levels, recorded_beams, sharpest_axis
 from benchmarks.insertion.standing import CLEARANCE, MAX_LEAN, MIN_RETURNS, POLE_DISTANCES
-from retropole import se3
-from retropole.datatypes import Array, IntArray, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, IntArray, PointCloud
+from retropole.base.sensors import Sensor, find_sensor
 from retropole.io import read_cloud
-from retropole.sensors import Sensor, find_sensor
 from retropole.simulation import (
     EXACT,
     Box,

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from benchmarks.site_blunders import Blunder, disturbed, simulate_blunder
-from retropole import se3
-from retropole.errors import UsageError
+from retropole.base import se3
+from retropole.base.errors import UsageError
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
 from retropole.simulation.raycast import Cylinder
 from tests.paths import ROOT

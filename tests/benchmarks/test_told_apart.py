@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.site_blunders import told_apart
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.simulation.site_survey import Surveyed
 from retropole.site.description import ControlPoint, Sighting, SurveyedPole
 

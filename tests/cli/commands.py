@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from retropole.base.datatypes import Array
 from retropole.cli import run
-from retropole.datatypes import Array
 from retropole.result.decoding import decode
 
 

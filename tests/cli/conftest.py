@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array, PointCloud
+from retropole.base.datatypes import Array, PointCloud
 from retropole.io import read_cloud
 from tests.cli.commands import retropole
 

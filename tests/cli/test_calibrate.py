@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
-from retropole.datatypes import Array, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
 from retropole.io import write_pcd
 from retropole.simulation import place_again, simulate_pair
 from retropole.simulation.writing import write_pair

@@ -8,10 +8,10 @@ from pathlib import Path
 import click
 import pytest
 
+from retropole.base.datatypes import PointCloud
+from retropole.base.reasons import REASONS, page, plain
 from retropole.cli import COMMANDS, cli
-from retropole.datatypes import PointCloud
 from retropole.io import write_pcd
-from retropole.reasons import REASONS, page, plain
 from tests.cli.commands import retropole, retropole_here
 from tests.paths import PACKAGE
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.io import write_pcd
 from tests.cli.commands import retropole_here
 

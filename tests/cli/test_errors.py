@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from retropole.base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
+from retropole.base.reasons import REASONS
 from retropole.cli import COMMANDS, run
 from retropole.cli.common import in_colour
 from retropole.cli.errors import asks_for_json, failure_of
-from retropole.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
-from retropole.reasons import REASONS
 from tests.cli.commands import retropole, retropole_here
 
 WITH_JSON = {

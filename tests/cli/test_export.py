@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.export import FORMATS, read_transform
 from retropole.result import Matrix, ReasonDoc
 from retropole.result.bounded import Status

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from tests.cli.commands import retropole_here
 from tests.fleet.answered import answered_pair, write_answers
 from tests.fleet.network.made_up_fleet import WRONG, MadeUpFleet, write_made_up_fleet

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from retropole.files import UNFINISHED
+from retropole.base.files import UNFINISHED
 from retropole.result.decoding import decode
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

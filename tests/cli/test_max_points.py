@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
-from retropole.datatypes import PointCloud
-from retropole.errors import UsageError
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import UsageError
 from retropole.io import write_pcd
 from tests.api.test_calibration import answer_of
 from tests.cli.commands import retropole_here

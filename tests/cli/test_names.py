@@ -89,7 +89,7 @@ def test_errors_name_the_file_as_text(place: str) -> None:
 
 def test_a_picture_has_a_name_and_no_formula(place: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    from retropole.errors import printable
+    from retropole.base.errors import printable
     from retropole.extraction.poles import extract_poles
     from retropole.io import read_cloud
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array, PointCloud
+from retropole.base.datatypes import Array, PointCloud
 from retropole.io import write_pcd
 from retropole.result.decoding import decode
 from tests.cli.commands import Done, retropole_here, transform_of

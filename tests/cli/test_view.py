@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.io import write_pcd
 from tests.report.test_viewer import two_poles
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 
 
 def floor_and_wall(n: int, seed: int) -> Array:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import PointCloud
-from retropole.errors import UsageError
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import UsageError
 from retropole.evaluation import comparison
 from retropole.evaluation.comparison import compare
 from retropole.evaluation.metrics import e_rt, evaluate

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from retropole import se3
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Refusal
 from retropole.cli.evaluate import evaluate as command
-from retropole.datatypes import Array
-from retropole.errors import Refusal
 from retropole.evaluation.entropy import KERNEL_WIDTH, rqe
 from tests.evaluation.surfaces import floor_and_wall
 

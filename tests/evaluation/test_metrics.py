@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
+from retropole.base.errors import Refusal
 from retropole.evaluation.metrics import e_rt, errors_of, evaluate
 from retropole.simulation import simulate_pair
 from tests.evaluation.surfaces import floor_and_wall

@@ -15,18 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
 from retropole.export import FORMATS, Transform, export_lines, inverted, read_transform
 from retropole.export.documents import write_json
 from retropole.export.found import choose
-from retropole.export.transform import (
-    covariance_from_ros,
-    covariance_to_ros,
-    from_rpy,
-    number,
-)
+from retropole.export.transform import covariance_from_ros, covariance_to_ros, from_rpy, number
 from retropole.result import ReasonDoc
 from tests.results import write_result
 

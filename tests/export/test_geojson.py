@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole.errors import UsageError
+from retropole.base.errors import UsageError
 from retropole.export.geojson import write_geojson
 from retropole.export.tree import tree_of
 from retropole.result.site import SiteDoc

@@ -14,9 +14,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import UsageError
 from retropole.export import FORMATS, Transform, put_into_urdf, read_transform
 from retropole.export.transform import LONGEST_NAME
 

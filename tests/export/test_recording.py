@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
-from retropole.datatypes import PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
 from retropole.export import Transform, inverted
 from retropole.export.recording import TOPICS, frames_of, write_mcap
 from retropole.io import Frame, read_cloud, read_recording, write_pcd

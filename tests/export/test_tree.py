@@ -13,9 +13,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import ReadError, Refusal, UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.export import TREE_FORMATS, read_transform, read_tree
 from retropole.export.recording import write_transforms
 from retropole.export.tree import Tree, found_in_site, tree_of

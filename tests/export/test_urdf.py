@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import ReadError, UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import ReadError, UsageError
 from retropole.export import Transform, export_lines, put_into_urdf, read_transform
 from retropole.export.transform import from_rpy
 from retropole.export.xml_scan import scan_xml, with_attributes

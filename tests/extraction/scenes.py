@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from retropole.datatypes import Array, Detection, IntArray, PointCloud
-from retropole.sensors import find_sensor
+from retropole.base.datatypes import Array, Detection, IntArray, PointCloud
+from retropole.base.sensors import find_sensor
 from retropole.simulation import Box, Cylinder, Material, Rectangle, Surface, scan
 
 TAPE, PAINT = Material(0.9, retro=True), Material(0.5)

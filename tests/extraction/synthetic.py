@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from retropole.datatypes import Array, IntArray, PointCloud
+from retropole.base.datatypes import Array, IntArray, PointCloud
 from retropole.extraction.acceptance_shape import Failure
 from retropole.extraction.lines import Line, fit_line
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array, IntArray, PointCloud
+from retropole.base.datatypes import Array, IntArray, PointCloud
 from retropole.extraction import acceptance_shape as rules
 from retropole.extraction.acceptance_shape import shape_failure
 from retropole.extraction.lines import Line

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array, PointCloud
+from retropole.base.datatypes import Array, PointCloud
 from retropole.extraction import acceptance_surroundings as rules
 from retropole.extraction import surroundings as shared
 from retropole.extraction.acceptance_shape import THICK_RMS

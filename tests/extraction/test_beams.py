@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
+from retropole.base.sensors import find_sensor
 from retropole.extraction.beams import Beams, beam_scatter, beams_by, returns_per_ring
 from retropole.extraction.certainty import doubt_of
 from retropole.extraction.lines import fit_line
-from retropole.sensors import find_sensor
 from tests.extraction.synthetic import UP, code_of, on_pole
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Detection
+from retropole.base import se3
+from retropole.base.datatypes import Detection
 from retropole.extraction import bodies
 from retropole.extraction.poles import extract_poles
 from retropole.simulation import Box, Cylinder, Rectangle, Surface

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.extraction import certainty as rules
 from retropole.extraction.certainty import doubt_of
 from retropole.extraction.lines import fit_line

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retropole import se3
-from retropole.datatypes import Array, IntArray
+from retropole.base import se3
+from retropole.base.datatypes import Array, IntArray
 from retropole.extraction.clustering import (
     LINK,
     MAX_SINGLE_POINTS,

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.base.sensors import find_sensor
 from retropole.extraction.dimmer import with_dimmer
 from retropole.extraction.poles import extract_poles
-from retropole.sensors import find_sensor
 from tests.extraction.scenes import Y, labels_of, pole, seen
 
 VLP = find_sensor("VLP-16")

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import IntArray, PointCloud
+from retropole.base.datatypes import IntArray, PointCloud
+from retropole.base.sensors import Sensor, find_sensor
 from retropole.extraction.doubtful import MAX_DOUBTFUL, with_doubtful
 from retropole.extraction.poles import extract_poles
-from retropole.sensors import Sensor, find_sensor
 from retropole.simulation import Rectangle, Surface
 from tests.extraction.scenes import (
     NO_POLES,

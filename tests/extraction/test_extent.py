@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
-from retropole.errors import Refusal
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import Refusal
 from retropole.extraction.extent import FARTHEST_ORIGIN, check_coordinates, located
 from retropole.simulation import simulate_pair
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retropole import se3
-from retropole.datatypes import Array, IntArray, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, IntArray, PointCloud
 from retropole.extraction.lines import (
     MAX_GAP,
     RING_GAP,

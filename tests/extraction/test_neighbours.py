@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.extraction import neighbours
 from retropole.extraction.neighbours import is_wall_behind, on_crossing_line, runs_along_sweep
 from tests.extraction.synthetic import FOOT, UP, line_with, offset, on_pole

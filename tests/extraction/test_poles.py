@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, Detection, IntArray, PointCloud
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, Detection, IntArray, PointCloud
+from retropole.base.errors import Refusal
+from retropole.base.sensors import find_sensor
 from retropole.extraction import acceptance_shape, lines, neighbours, poles
 from retropole.extraction.beams import Beams
 from retropole.extraction.poles import extract_poles
 from retropole.io import read_cloud
-from retropole.sensors import find_sensor
 from retropole.simulation import Box, Rectangle, simulate_pair
 from tests.extraction.scenes import (
     NO_POLES,

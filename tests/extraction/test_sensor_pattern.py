@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
-from retropole.datatypes import PointCloud
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import Refusal
+from retropole.base.sensors import SENSORS
 from retropole.extraction.sensor_pattern import check_sensor, sensor_doubt
-from retropole.sensors import SENSORS
 
 WRONG = [
     ("VLP-16", "HDL-32E"),  # rings higher than it sees

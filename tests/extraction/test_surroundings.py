@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.extraction import surroundings as shared
 from retropole.extraction.acceptance_shape import FEW_POLE_POINTS, THICK_RMS
 from retropole.extraction.surroundings import Surroundings, crowded_share, surroundings_of

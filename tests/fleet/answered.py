@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.fleet.dataset import LidarEntry, Row, partition_of, write_partition
 
 SIGMA = 1e-3

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.files import write_atomically
+from retropole.base.files import write_atomically
 from retropole.fleet import batch, storage
 from retropole.fleet.batch import calibrate_fleet
 from retropole.fleet.dataset import Row, known_in, partitions_in, read_rows, read_runs

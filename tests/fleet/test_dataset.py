@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet as pq
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.fleet.dataset import (
     InputEntry,
     Known,

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 from distributed import KilledWorker
 
-from retropole.errors import RetropoleError, UsageError
+from retropole.base.errors import RetropoleError, UsageError
 from retropole.fleet import engine
 from retropole.fleet.batch import calibrate_fleet
 from retropole.fleet.engine import connected, outcomes, run_task

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.fleet.dataset import Row, write_partition
 from retropole.fleet.overview import Overview, Seen, overview_of
 from retropole.fleet.report import MOST_FAILED, WORST, render_fleet, write_fleet_report

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet as pq
 
-from retropole.errors import ReadError, UsageError
+from retropole.base.errors import ReadError, UsageError
 from retropole.fleet.sites import COLUMNS, OPTIONS, find_sites
 from retropole.result import RunConfig
 from tests.fleet.fleets import ids_of

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.fleet import storage
 from retropole.fleet.dataset import partition_of, read_rows
 from retropole.fleet.sites import find_sites

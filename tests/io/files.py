@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.io import write_pcd
 
 T = TypeVar("T")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from retropole.errors import ReadError, UsageError
+from retropole.base.errors import ReadError, UsageError
 from retropole.io import cloud_from_array, read_cloud
 from tests.io.files import INTENSITY, TABLE, XYZ, numbers
 

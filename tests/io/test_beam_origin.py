@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
 from retropole.io.beam_origin import CONE_SPREAD, fit_cones, with_beam_origin
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, simulate_pair

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.io import read_cloud
 
 COUNT = 2000

@@ -28,7 +28,7 @@ REASONS = {
 
 READ = """
 import faulthandler, json, sys
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.io import read_cloud
 from tests.memory import peak_memory
 for path in sys.argv[1:]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.io import read_cloud
 from retropole.io.captures import CAPTURE_HEADER, MAX_GAPS, PACKET_HEADER, walk
 from tests.cli.commands import retropole_here

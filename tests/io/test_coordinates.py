@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.io import read_cloud
 from retropole.io.coordinates import oddity_of
 from retropole.io.units import METRES, Unit, in_metres

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.io import read_cloud
 from retropole.io.fields import cloud_from_columns
 from tests.io.files import XYZ

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from retropole.datatypes import PointCloud
-from retropole.errors import ReadError
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import ReadError
 from retropole.io import READERS, read_cloud, read_recording, sha256_of, write_pcd
 from tests.io.files import INTENSITY, WRITERS, XYZ, make_pcd, make_ply
 

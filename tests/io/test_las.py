@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.errors import MissingExtraError, ReadError
+from retropole.base.errors import MissingExtraError, ReadError
 from retropole.io import read_cloud
 from tests.io.files import XYZ, make_las
 

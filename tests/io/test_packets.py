@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.errors import MissingExtraError, ReadError, UsageError
+from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import open_recording, read_cloud, read_frames
 from retropole.io.recordings import time_of_recording
 from tests.io.files import required

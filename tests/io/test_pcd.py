@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from retropole.datatypes import PointCloud
-from retropole.errors import ReadError, UsageError
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import ReadError, UsageError
 from retropole.io import read_cloud, write_pcd
 from tests.paths import SHARED
 

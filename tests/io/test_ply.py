@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.io import read_cloud
 
 ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]

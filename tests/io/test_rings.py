@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
 from retropole.io.rings import MAX_RING_SPREAD, ring_spread, rings_fault, with_trusted_rings
 from retropole.simulation import Rectangle
 from tests.extraction.scenes import PAINT, X, Y, Z, pole, seen

@@ -17,8 +17,8 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
-from retropole.datatypes import PointCloud
-from retropole.errors import MissingExtraError, ReadError, UsageError
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import MissingExtraError, ReadError, UsageError
 from retropole.io import BAGS, chosen_frames, open_recording, read_cloud, read_frames, sha256_of
 from retropole.io.ros import columns_of
 from tests.bags import CLOUDS, KINDS, START, message, points_of, write_bag

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.datatypes import PER_POINT, PointCloud
+from retropole.base.datatypes import PER_POINT, PointCloud
 from retropole.io import joined, read_cloud, read_recording, thinned, write_pcd
 from retropole.io.recordings import Frame, Recording
 from retropole.io.thinning import BRIGHT_SHARE, FEWEST_FRAMES, read_within

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
-from retropole.errors import UsageError
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import UsageError
 from retropole.io import read_cloud, read_recording, write_pcd
 from tests.io.files import INTENSITY, XYZ
 from tests.paths import SHARED

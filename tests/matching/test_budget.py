@@ -1,6 +1,6 @@
 """What was not tried is said, in numbers, and nothing where all was tried."""
 
-from retropole.errors import Refusal
+from retropole.base.errors import Refusal
 from retropole.matching.budget import NOTHING, Share, Tried, with_what_was_tried
 
 REFUSAL = Refusal("no_overlap", "nothing lies on anything", {"overlap": 0.1})

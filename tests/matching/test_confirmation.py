@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, Calibration, Hypothesis, Placement, PointCloud, Scan
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, Hypothesis, Placement, PointCloud, Scan
+from retropole.base.errors import Refusal
+from retropole.base.sensors import find_sensor
 from retropole.matching import scene_support
 from retropole.matching.budget import Share, Tried
 from retropole.matching.confirmation import (
@@ -25,7 +26,6 @@ from retropole.matching.confirmation import (
 )
 from retropole.matching.placements import PairedPlacement, PlacementHypotheses
 from retropole.pipeline import calibrate
-from retropole.sensors import find_sensor
 from retropole.simulation import Box, Rectangle, Surface, scan
 from tests.extraction.scenes import GROUND, PAINT, TAPE, X, Y, Z, pole
 

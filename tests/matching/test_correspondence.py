@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from retropole import se3
 from retropole.alignment.point_to_line import LineAlignment, Lines, align_each
-from retropole.datatypes import Array, Pole
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, Pole
+from retropole.base.errors import Refusal
 from retropole.matching import correspondence, extension
 from retropole.matching.correspondence import every_match, match_poles, widest_angle
 from retropole.matching.line_pairs import line_pair, pair_starts

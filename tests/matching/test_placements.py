@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.datatypes import PointCloud
+from retropole.base.datatypes import PointCloud
 from retropole.evaluation.metrics import e_rt
 from retropole.matching.placements import merged
 from retropole.pipeline import calibrate

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Detection, Match, Placement, PointCloud, Scan
-from retropole.errors import Refusal, UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Detection, Match, Placement, PointCloud, Scan
+from retropole.base.errors import Refusal, UsageError
 from retropole.matching.correspondence import MAX_HYPOTHESES, every_match
 from retropole.matching.prior import RotationPrior, agreeing_with_prior, rotation_prior
 from retropole.pipeline import calibrate, match_poles

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud, Pole
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud, Pole
+from retropole.base.errors import Refusal
 from retropole.matching.correspondence import match_poles
 from retropole.matching.similar import (
     MAX_FACTOR,

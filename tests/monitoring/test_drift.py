@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole import pipeline, se3
-from retropole.datatypes import Array, Calibration, PointCloud, PoseEstimate
-from retropole.errors import UsageError
+from retropole import pipeline
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, PointCloud, PoseEstimate
+from retropole.base.errors import UsageError
 from retropole.monitoring import new_pose
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, PoseEstimate
+from retropole.base import se3
+from retropole.base.datatypes import Array, PoseEstimate
+from retropole.base.uncertainty import Uncertainty
 from retropole.export.transform import Transform, inverted
 from retropole.monitoring.certainty import (
     CONFIDENCE,
@@ -17,7 +18,6 @@ from retropole.monitoring.certainty import (
 from retropole.monitoring.movement import CheckResult, compare_poses
 from retropole.monitoring.repeated import REPEATED
 from retropole.monitoring.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE, Asked
-from retropole.uncertainty import Uncertainty
 
 
 def covariance(

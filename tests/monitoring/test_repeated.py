@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
+from retropole.base.uncertainty import Uncertainty
 from retropole.monitoring.repeated import REPEATED, kept, step_covariance
-from retropole.uncertainty import Uncertainty
 
 SCALE = np.repeat([3e-4, 2e-3], 3)
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
-from retropole.datatypes import Array, Placement, Scan
+from retropole.base import se3
+from retropole.base.datatypes import Array, Placement, Scan
+from retropole.base.sensors import SENSORS
 from retropole.monitoring.swapped import NEAR_TRANSLATION, swapped_clouds, swapped_sensors
 from retropole.scene.confirmation import count, scenes_of
 from retropole.scene.consistency import Standing
-from retropole.sensors import SENSORS
 from retropole.simulation import SimulatedPair
 
 SCENES = ("street", "harbor", "corridor")

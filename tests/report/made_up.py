@@ -10,8 +10,8 @@ import numpy as np
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from retropole import se3
-from retropole.datatypes import (
+from retropole.base import se3
+from retropole.base.datatypes import (
     Array,
     Detection,
     IntArray,
@@ -21,6 +21,7 @@ from retropole.datatypes import (
     RejectedCluster,
     Scan,
 )
+from retropole.base.uncertainty import BudgetEntry, predicted_error
 from retropole.result import (
     BudgetEntryDoc,
     ConfirmationDoc,
@@ -39,7 +40,6 @@ from retropole.result import (
     pole_documents,
 )
 from retropole.result.bounded import Status
-from retropole.uncertainty import BudgetEntry, predicted_error
 
 HOSTILE = "</script><script>window.injected=1</script>\u2028<!--'\"&"
 """Text that would run, were it not escaped."""

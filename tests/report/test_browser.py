@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Placement, PointCloud, Scan
+from retropole.base import se3
+from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report
 from retropole.result import ReasonDoc
 from retropole.result.bounded import Status

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from retropole.datatypes import Placement, Scan
+from retropole.base.datatypes import Placement, Scan
 from retropole.report import crosssections
 from retropole.report.crosssections import across, cross_sections, fit_circle
 from tests.report.made_up import Page, made_up

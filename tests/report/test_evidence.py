@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole import se3
+from retropole.base import se3
 from retropole.report.evidence import placements, poles, provenance
 from retropole.result import PlacementDoc, RunConfig
 from tests.report.made_up import Page, made_up

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import pytest
 
-from retropole.errors import Reason
+from retropole.base.errors import Reason
 from retropole.report.field_test import describe_field_test, field_test_section, render_field_test
 from retropole.report.layout import LINES, WIDTH
 from retropole.result.certification import FieldTestDoc, field_test_document

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, Detection, PointCloud
-from retropole.errors import MissingExtraError
+from retropole.base import se3
+from retropole.base.datatypes import Array, Detection, PointCloud
+from retropole.base.errors import MissingExtraError
 from retropole.extraction.poles import extract_poles
 from retropole.report.figures import draw_detection, draw_result
 from retropole.simulation import SimulatedPair, simulate_pair

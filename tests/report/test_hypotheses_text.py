@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole import se3
-from retropole.datatypes import Match
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Match
+from retropole.base.errors import Refusal
 from retropole.matching.prior import agreeing_with_prior, rotation_prior
 from retropole.report.hypotheses_text import (
     axis_words,

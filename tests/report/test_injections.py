@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.datatypes import Detection, Placement, PointCloud, RejectedCluster, Scan
+from retropole.base.datatypes import Detection, Placement, PointCloud, RejectedCluster, Scan
 from retropole.report import render_report, viewer
 from retropole.report.viewer import Shown, Viewer, serve
 from retropole.result import ResultDoc

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.datatypes import Placement, PointCloud
-from retropole.errors import ReadError, UsageError
+from retropole.base.datatypes import Placement, PointCloud
+from retropole.base.errors import ReadError, UsageError
 from retropole.io import ARRAY_SOURCE, read_cloud, sha256_of, write_pcd
 from retropole.pipeline import calibrate
 from retropole.report import render_report

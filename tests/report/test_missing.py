@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Detection, Placement, RejectedCluster, Scan
+from retropole.base import se3
+from retropole.base.datatypes import Detection, Placement, RejectedCluster, Scan
+from retropole.base.reasons import Code
+from retropole.base.sensors import find_sensor
 from retropole.extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
-from retropole.reasons import Code
 from retropole.report.missing import missing_poles
 from retropole.result import ResultDoc
-from retropole.sensors import find_sensor
 from retropole.simulation.noise import TYPICAL
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scanning import scan

@@ -7,7 +7,7 @@ import base64
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array, PointCloud, Scan
+from retropole.base.datatypes import Array, PointCloud, Scan
 from retropole.report.points import (
     COORDINATE_STEPS,
     MAX_SHOWN_RANGE,

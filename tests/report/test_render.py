@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.datatypes import Placement, PointCloud, Scan
+from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report, write_report
 from retropole.report.render import MAX_PAGE_POINTS_TOGETHER
 from retropole.result import (

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from retropole.base.reasons import REASONS, plain
 from retropole.export import export_lines
-from retropole.reasons import REASONS, plain
 from retropole.report import render_report
 from retropole.report.markup import NO_BREAK
 from retropole.report.sections import FRAMES, UNFOLDED, hypotheses, transform, verdict

@@ -6,18 +6,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.quantities import counted
+from retropole.base.reasons import REASONS, plain
 from retropole.pipeline import calibrate, find_poles
-from retropole.quantities import counted
-from retropole.reasons import REASONS, plain
 from retropole.report.layout import LINES, WIDTH
-from retropole.report.text import (
-    describe_detection,
-    describe_result,
-    reason_lines,
-    transform_lines,
-)
+from retropole.report.text import describe_detection, describe_result, reason_lines, transform_lines
 from retropole.result import (
     ErrorAtRange,
     FitnessDoc,

@@ -7,8 +7,8 @@ import json
 import numpy as np
 from msgspec.structs import replace
 
-from retropole import se3
-from retropole.datatypes import Placement, Scan
+from retropole.base import se3
+from retropole.base.datatypes import Placement, Scan
 from retropole.report.view_data import MAX_CONTRADICTING, embed_json, page_view
 from retropole.scene.consistency import contradicting_points, standing_in
 from retropole.simulation import simulate_pair

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array, PointCloud
-from retropole.errors import MissingExtraError, Refusal
+from retropole.base.datatypes import Array, PointCloud
+from retropole.base.errors import MissingExtraError, Refusal
 from retropole.extraction.poles import extract_poles
 from retropole.report.viewer import (
     RETRO_COLOUR,

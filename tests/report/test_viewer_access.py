@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from retropole.errors import UsageError
+from retropole.base.errors import UsageError
 from retropole.report.viewer import Shown, Viewer, serve
 from retropole.report.viewer_access import guarded
 from tests.report.browser import Browser, WebDriverWait, needs_browser

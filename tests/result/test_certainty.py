@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Calibration, PointCloud
+from retropole.base.datatypes import Calibration, PointCloud
+from retropole.base.uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty
 from retropole.result import (
     InputDoc,
     ResultDoc,
@@ -18,7 +19,6 @@ from retropole.result import (
     uncertainty_of,
 )
 from retropole.result.decoding import decode
-from retropole.uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty
 from tests.report.made_up import BUDGET, RANDOM, SYSTEMATIC, placement_of
 
 INPUTS = [InputDoc(f"{name}.pcd", "0" * 64, 1, 0, "auto", None) for name in ("a", "b")]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.result import encode
 from retropole.result.decoding import decode
 from tests.report.made_up import made_up

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Calibration
-from retropole.errors import ReadError
+from retropole.base.datatypes import Calibration
+from retropole.base.errors import ReadError
 from retropole.pipeline import calibrate
 from retropole.result import InputDoc, ResultDoc, RunConfig, encode, result_document
 from retropole.result.decoding import decode

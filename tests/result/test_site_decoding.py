@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.result import encode
 from retropole.result.site_decoding import decode_site
 from tests.report.site.made_up import document_of, made_up_site

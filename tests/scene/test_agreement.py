@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.alignment.factor import AxesTest
-from retropole.errors import Refusal
+from retropole.base.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.scene.agreement import MOST_LEFT_OUT, align_consistent
 

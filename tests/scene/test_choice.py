@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, Calibration, Hypothesis, Match
-from retropole.errors import Refusal, UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array, Calibration, Hypothesis, Match
+from retropole.base.errors import Refusal, UsageError
 from retropole.pipeline import calibrate
 from retropole.scene.choice import (
     LEAST_OVERLAP,

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Calibration, Placement, Scan
+from retropole.base import se3
+from retropole.base.datatypes import Calibration, Placement, Scan
+from retropole.base.uncertainty import Confirmation
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
 from retropole.scene.confirmation import MAX_WRONG, confirm, count, is_denied, scenes_of
 from retropole.simulation import SimulatedPair, simulate_pair
-from retropole.uncertainty import Confirmation
 
 SCENES = ("corridor", "street", "harbor")
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.uncertainty import Confirmation
 from retropole.extraction.poles import extract_poles
 from retropole.scene.consistency import (
     EXPECTED,
@@ -14,7 +15,6 @@ from retropole.scene.consistency import (
     standing_in,
 )
 from retropole.simulation import SimulatedPair, simulate_pair
-from retropole.uncertainty import Confirmation
 
 
 def standing(pair: SimulatedPair) -> tuple[Standing, Standing]:

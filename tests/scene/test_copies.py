@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Placement, PointCloud, Scan
-from retropole.errors import Refusal
+from retropole.base.datatypes import Placement, PointCloud, Scan
+from retropole.base.errors import Refusal
 from retropole.scene.copies import check_recordings, without_copies
 
 

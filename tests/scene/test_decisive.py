@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud, PoseEstimate
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.scene.agreement import check_decisive
 from retropole.scene.decisive import MAX_SHARE, Places, leverage
 from retropole.scene.refinement import Refinement, refine

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, Match, PointCloud
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, Match, PointCloud
+from retropole.base.errors import Refusal
 from retropole.scene.disambiguation import score_hypotheses
 from tests.scene.conftest import flipped
 

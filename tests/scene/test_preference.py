@@ -7,10 +7,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from retropole import se3
 from retropole.alignment.adjustment import BeamAlignment
-from retropole.datatypes import Array, PointCloud, PoseEstimate
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud, PoseEstimate
+from retropole.base.errors import Refusal
 from retropole.scene.patches import Patches, surface_patches
 from retropole.scene.preference import SURELY, check_near_poles, preferences
 from retropole.scene.refinement import Refinement

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
 from retropole.alignment.adjustment import BeamAlignment
-from retropole.datatypes import Array, Placement, PointCloud, PoseEstimate
+from retropole.base import se3
+from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate
+from retropole.base.sensors import find_sensor
+from retropole.base.systematic import ErrorModel, Layout, sizes_of
 from retropole.evaluation.metrics import e_rt
 from retropole.io import read_cloud
 from retropole.pipeline import align, calibrate, choose, find_poles
@@ -15,15 +17,7 @@ from retropole.scene.agreement import check_agreement
 from retropole.scene.patch_pairs import pair_patches, prepare_patches, without_errors
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import refine
-from retropole.sensors import find_sensor
-from retropole.simulation import (
-    FIELD,
-    SimulatedPair,
-    draw_device,
-    record_again,
-    simulate_pair,
-)
-from retropole.systematic import ErrorModel, Layout, sizes_of
+from retropole.simulation import FIELD, SimulatedPair, draw_device, record_again, simulate_pair
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
 from tests.paths import SHARED
 

@@ -3,9 +3,9 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Refusal
 from retropole.scene.registration import prepare, register, voxel_downsample
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from retropole import se3
 from retropole.alignment.point_to_line import point_line_residuals
-from retropole.datatypes import Array, Hypothesis, Match, Pole, Scan
+from retropole.base import se3
+from retropole.base.datatypes import Array, Hypothesis, Match, Pole, Scan
 from retropole.matching.correspondence import match_poles
 from retropole.matching.extension import EXACT_RMS
 from retropole.pipeline import find_poles

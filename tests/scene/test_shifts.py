@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from retropole import se3
+from retropole.base import se3
 from retropole.scene.shifts import NEAR, PEAKS, best_lifts, best_shifts
 
 POINTS = np.random.default_rng(0).uniform([-15, -15, 0.5], [15, 15, 4], (1500, 3))

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from retropole import se3
-from retropole.datatypes import DEFAULT_RADIUS, Calibration, Placement, PointCloud, Scan
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import DEFAULT_RADIUS, Calibration, Placement, PointCloud, Scan
+from retropole.base.errors import Refusal
 from retropole.pipeline import calibrate, find_poles
 from retropole.scene.refinement import Refinement
 from retropole.scene.similarity import UNITS, check_similarity, explained

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
 from retropole.scene.registration import voxel_downsample
 from retropole.scene.similarity_fit import MAX_CHANGE, fit_similarity, planes_of, support
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import BoolArray, PointCloud
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import BoolArray, PointCloud
+from retropole.base.errors import Refusal
 from retropole.evaluation.metrics import e_rt
 from retropole.extraction.poles import extract_poles
 from retropole.pipeline import calibrate

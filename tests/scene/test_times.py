@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Placement, PointCloud, Scan
-from retropole.errors import Reason
+from retropole.base.datatypes import Placement, PointCloud, Scan
+from retropole.base.errors import Reason
 from retropole.io.recordings import time_of_recording
 from retropole.scene.times import MAX_APART, other_times
 

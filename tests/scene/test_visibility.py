@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
 from retropole.scene.visibility import (
     IMAGE_SHAPE,
     cells_of,

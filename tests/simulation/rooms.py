@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from retropole.datatypes import Array
-from retropole.sensors import find_sensor
+from retropole.base.datatypes import Array
+from retropole.base.sensors import find_sensor
 from retropole.simulation import (
     Device,
     LabelledScan,

@@ -1,6 +1,6 @@
 """What the tests of sites ask of a simulated one."""
 
-from retropole import se3
+from retropole.base import se3
 from retropole.simulation import SimulatedSite
 from tests.simulation.surfaces import distance_from
 

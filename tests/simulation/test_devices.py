@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud
-from retropole.sensors import find_sensor
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
+from retropole.base.sensors import find_sensor
 from retropole.simulation import (
     EXACT,
     FIELD,

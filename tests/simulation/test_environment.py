@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.sensors import find_sensor
+from retropole.base import se3
+from retropole.base.sensors import find_sensor
 from retropole.simulation import (
     EXACT,
     Box,
@@ -17,14 +17,7 @@ from retropole.simulation import (
     scan,
     simulate_pair,
 )
-from retropole.simulation.environment import (
-    KEPT_FREE,
-    WALK,
-    Mover,
-    Sway,
-    draw_movers,
-    wet_loss,
-)
+from retropole.simulation.environment import KEPT_FREE, WALK, Mover, Sway, draw_movers, wet_loss
 from tests.simulation.rooms import HALF, X, Y, ranges_and_rays, scan_room, walls
 from tests.simulation.surfaces import distance_from
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.sensors import find_sensor
+from retropole.base.sensors import find_sensor
 from retropole.simulation import EXACT, Box, Material, NoiseModel, Rectangle, Surface
 from retropole.simulation.footprint import sideways, turned
 from retropole.simulation.glow import BLOOM_NOISE, bloom

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array
-from retropole.sensors import SENSORS, find_sensor
+from retropole.base.datatypes import Array
+from retropole.base.sensors import SENSORS, find_sensor
 from retropole.simulation import EXACT, FIELD, TYPICAL, NoiseModel
 from retropole.simulation.intensity import CALIBRATED_FALLOFF, RAW_FALLOFF, intensities
 from tests.simulation.rooms import scan_room

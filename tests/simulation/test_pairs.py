@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import retropole as rp
-from retropole import se3
+from retropole.base import se3
+from retropole.base.errors import UsageError
 from retropole.cli.simulate import simulate
-from retropole.errors import UsageError
 from retropole.simulation import (
     EXACT,
     FIELD,

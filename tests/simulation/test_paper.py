@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.simulation import EXACT, simulate_pair
 from retropole.simulation.paper import PAPER_RADIUS, draw_poles, lidar_poses
 

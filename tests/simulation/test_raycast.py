@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.simulation import Cylinder, Rectangle, Surface
 from retropole.simulation.raycast import cast
 from tests.simulation.surfaces import (

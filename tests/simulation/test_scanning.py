@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array
-from retropole.sensors import SENSORS, find_sensor
+from retropole.base.datatypes import Array
+from retropole.base.sensors import SENSORS, find_sensor
 from retropole.simulation import (
     EXACT,
     FIELD,

@@ -10,9 +10,9 @@ import click.testing
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
+from retropole.base.errors import UsageError
 from retropole.cli.simulate import simulate
-from retropole.errors import UsageError
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
 from retropole.simulation.site_arrangement import closes_otherwise
 from retropole.simulation.site_graph import are_linked, groups_of

@@ -8,8 +8,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.site_blunders import Blunder, simulate_blunder
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.scene.patches import Patches
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from retropole.datatypes import Placement
+from retropole.base.datatypes import Placement
 from retropole.pipeline import find_poles
 from retropole.simulation import TYPICAL, SimulatedPair, simulate_pair
 

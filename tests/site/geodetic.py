@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from retropole.alignment.posterior import Posterior
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
+from retropole.base.systematic import Groups, Sizes
 from retropole.site.description import Site, SiteLidar
 from retropole.site.network import Network, Observation, observe
 from retropole.site.refinement import SiteEnd, refine_site
 from retropole.site.solved import Solved, solved
 from retropole.site.state import SiteState
 from retropole.site.unknowns import known_sigmas
-from retropole.systematic import Groups, Sizes
 from tests.site.test_state import drawn
 from tests.site.test_survey import everything
 

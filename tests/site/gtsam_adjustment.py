@@ -26,7 +26,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import E, L, R
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.site.adjustment import Adjusted
 from retropole.site.refinement import SceneTerm, SiteEnd
 from tests.site.gtsam_survey import of_survey

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import gtsam
 import numpy as np
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.site.adjustment import Adjusted
 from retropole.site.state import SiteState
 from retropole.site.survey import Surveyed

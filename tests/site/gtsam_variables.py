@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, C, E, L, R
 
-from retropole.datatypes import Array, BoolArray
+from retropole.base.datatypes import Array, BoolArray
 from retropole.site.adjustment import Adjusted
 from retropole.site.state import SiteState
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.errors import Refusal
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.adjustment import check_held, without_observations
 from retropole.site.datum import without_poles

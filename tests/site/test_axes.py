@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Scan
+from retropole.base import se3
+from retropole.base.datatypes import Scan
 from retropole.simulation import SimulatedPair
 from retropole.site.axes import OwnAxes, find_axes
 from tests.site.certifying import RADIUS, found_in, four_poles

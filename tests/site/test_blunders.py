@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import Reason, Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Reason, Refusal
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.answer import SiteCalibration

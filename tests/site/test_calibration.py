@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import Reason, Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Reason, Refusal
+from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
 from retropole.simulation.sites import SimulatedSite
 from retropole.site import calibration
@@ -20,7 +21,6 @@ from retropole.site.datum import Datum
 from retropole.site.description import Site
 from retropole.site.relative import RelativePose
 from retropole.site.scans import SiteScans
-from retropole.uncertainty import predicted_error
 from tests.numeric import numeric_jacobian
 from tests.site.adjusting import between, made, off, poses_of, reordered, with_lidar
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
 from retropole.alignment.certainty import FLOOR
-from retropole.datatypes import Array, IntArray
+from retropole.base import se3
+from retropole.base.datatypes import Array, IntArray
+from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
 from retropole.simulation.sites import SimulatedSite
 from retropole.site import certainty
@@ -22,7 +23,6 @@ from retropole.site.certainty import (
 )
 from retropole.site.refinement import SceneTerm, SiteEnd
 from retropole.site.relative import joint_of, relative
-from retropole.uncertainty import predicted_error
 from tests.site.adjusting import Steps
 
 

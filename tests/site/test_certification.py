@@ -5,16 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Placement
+from retropole.base.datatypes import Placement
 from retropole.simulation import SimulatedPair, place_again, record_again
-from retropole.site.certification import (
-    ALPHA,
-    FieldTest,
-    certify,
-    certify_site,
-    compare,
-    quantile,
-)
+from retropole.site.certification import ALPHA, FieldTest, certify, certify_site, compare, quantile
 from retropole.site.description import Site, SiteLidar
 from retropole.site.distances import Measured
 from tests.site.certifying import RADIUS, found_in, four_poles

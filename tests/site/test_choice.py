@@ -7,8 +7,8 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.site.choice import EQUAL, choose_poses, linked_groups, most_of, where_they_differ
 from retropole.site.pairs import Pair, PairHypothesis, is_same_pose
 

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from retropole import se3
+from retropole.base import se3
 from retropole.site.certainty import places_of
 from retropole.site.closures import _edges, _loops, close_loops
 from tests.site.adjusting import Steps

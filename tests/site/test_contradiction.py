@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.errors import Refusal
 from retropole.site.adjustment import Adjusted
 from retropole.site.blunders import SIGNIFICANT, without_blunders, worst_test
 from retropole.site.contradiction import LEAST, denied_poles, more_coincide

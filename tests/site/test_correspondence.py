@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array, Pole
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array, Pole
+from retropole.base.errors import Refusal
 from retropole.site.correspondence import correspond
 from tests.conftest import PoleMaker
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.datum import find_datum, without_poles, without_survey
 from retropole.site.description import Site, Up

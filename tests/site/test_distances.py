@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from retropole.alignment.posterior import State
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.site.distances import Targets, distances, distances_of, places
 
 

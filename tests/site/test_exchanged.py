@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.errors import Refusal
+from retropole.base.errors import Refusal
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site

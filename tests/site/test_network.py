@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.systematic import band_of
 from retropole.site.network import about, bands_of, marginal
 from retropole.site.unknowns import Unknowns
-from retropole.systematic import band_of
 from tests.site import geodetic
 from tests.site.adjusting import Steps
 

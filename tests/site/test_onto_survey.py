@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Refusal
 from retropole.site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
 from retropole.site.onto_survey import on_survey, pole_at, transformed
 from retropole.site.shared import SharedPole

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from retropole import se3
+from retropole.base import se3
 from retropole.simulation import FIELD
 from retropole.simulation.sites import SimulatedSite, simulate_site
 from retropole.site.pairs import Pair, PairHypothesis, find_pairs, is_same_pose, poles_of

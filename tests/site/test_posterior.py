@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from retropole.alignment.posterior import Posterior
-from retropole.datatypes import Array
-from retropole.errors import Refusal
+from retropole.base.datatypes import Array
+from retropole.base.errors import Refusal
 from retropole.site.posterior import Sight, SitePriors, climb_site, evaluate_site, place_of
 from retropole.site.state import SiteState
 from tests.numeric import numeric_jacobian

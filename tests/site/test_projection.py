@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.errors import UsageError
+from retropole.base.errors import UsageError
 from retropole.site import projection, world
 from retropole.site.description import Frame
 

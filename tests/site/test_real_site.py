@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.insertion import insert_into_site
-from retropole import se3
+from retropole.base import se3
+from retropole.base.sensors import find_sensor
 from retropole.io import read_cloud
-from retropole.sensors import find_sensor
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site, SiteLidar
 from tests.paths import SHARED

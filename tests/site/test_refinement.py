@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.systematic import sizes_of
 from retropole.scene.patch_pairs import pair_patches
 from retropole.site.network import marginal
 from retropole.site.refinement import refine_site, scene_pairs
 from retropole.site.relative import relative_jacobian
 from retropole.site.unknowns import known_sigmas
-from retropole.systematic import sizes_of
 from tests.numeric import numeric_jacobian
 from tests.site import geodetic
 from tests.site.adjusting import Steps

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.site.relative import joint_of, relative
 from tests.numeric import numeric_jacobian
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.scans import (
     SAME_PLACE,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.shared import same_poles, shared_poles, sights_of
 from tests.site.adjusting import Steps

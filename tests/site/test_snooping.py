@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from retropole import se3
-from retropole.datatypes import Array, IntArray
+from retropole.base import se3
+from retropole.base.datatypes import Array, IntArray
 from retropole.site.datum import without_poles
 from retropole.site.network import Observation
 from retropole.site.own_errors import (

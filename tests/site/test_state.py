@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.site.state import SiteState
 from tests.numeric import numeric_jacobian
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.site.state import SiteState
 from retropole.site.survey import (
     KnownPoint,

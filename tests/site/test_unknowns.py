@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.site.unknowns import Unknowns, known_sigmas
-from retropole.systematic import (
+from retropole.base.systematic import (
     DEVICE,
     MIN_ERROR_SIGMA,
     RADIUS,
@@ -13,6 +12,7 @@ from retropole.systematic import (
     Sizes,
     groups_of,
 )
+from retropole.site.unknowns import Unknowns, known_sigmas
 
 BANDS = (np.array([-9, -3, 0, 4]), np.array([], dtype=np.int64), np.array([-3, 2]))
 UNKNOWNS = Unknowns(BANDS, axes=5, control=2)

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.errors import Reason, Refusal
+from retropole.base import se3
+from retropole.base.errors import Reason, Refusal
+from retropole.base.uncertainty.purpose import Need
 from retropole.site.answer import LidarPose, LoopClosure
 from retropole.site.choice import Choice, Choices
 from retropole.site.pairs import Pair
@@ -19,7 +20,6 @@ from retropole.site.verdict import (
     fitness_of,
     weaknesses,
 )
-from retropole.uncertainty.purpose import Need
 from tests.site.adjusting import Steps
 
 

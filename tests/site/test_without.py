@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.site.datum import without_poles
 from retropole.site.without import without_placements
 from tests.site.adjusting import Steps

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import MissingExtraError, UsageError
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import MissingExtraError, UsageError
 from retropole.site import geodesy, world
 from retropole.site.description import ControlPoint, Frame, Sighting, Site, SurveyedPole
 from retropole.site.projection import grid_at, projected

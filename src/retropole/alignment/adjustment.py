@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, PoseEstimate
-from ..errors import Refusal
-from ..quantities import counted
-from ..systematic import MIN_ERROR_SIGMA, RADIUS, ErrorModel, Sizes, groups_of
-from ..uncertainty import RadiusEstimate, Uncertainty
+from ..base import se3
+from ..base.datatypes import Array, PoseEstimate
+from ..base.errors import Refusal
+from ..base.quantities import counted
+from ..base.systematic import MIN_ERROR_SIGMA, RADIUS, ErrorModel, Sizes, groups_of
+from ..base.uncertainty import RadiusEstimate, Uncertainty
 from .certainty import (
     Scatter,
     considered,

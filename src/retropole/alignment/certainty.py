@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from scipy.special import fdtri
 
-from ..datatypes import Array
-from ..systematic import Groups
-from ..uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
+from ..base.datatypes import Array
+from ..base.systematic import Groups
+from ..base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
 from .factor import POSE, PoleFactor
 
 FLOOR = "what no model names"

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import Refusal
-from ..systematic import ErrorModel
+from ..base.datatypes import Array
+from ..base.errors import Refusal
+from ..base.systematic import ErrorModel
 from .certainty import WORKING_SHARE
 from .factor import Expansion, expand
 from .observations import Beams

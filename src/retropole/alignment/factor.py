@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Array, IntArray, PoseEstimate
-from ..systematic import DEVICE, RADIUS, RING, TAPE, WIDTH, Layout, band_of, by_error
+from ..base.datatypes import Array, IntArray, PoseEstimate
+from ..base.systematic import DEVICE, RADIUS, RING, TAPE, WIDTH, Layout, band_of, by_error
 from .likelihood import closest_approach
 from .observations import Beams
 from .posterior import SHARED, BeamGeometry, State, own_geometry

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 
 OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
 """Share of returns that may be no part of a pole, and how far from it they may lie, metres."""

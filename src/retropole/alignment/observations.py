@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, IntArray, PointCloud, Pole
-from ..sensors import Sensor
+from ..base import se3
+from ..base.datatypes import Array, IntArray, PointCloud, Pole
+from ..base.sensors import Sensor
 from .likelihood import closest_approach
 
 DIVERGENCE = 0.003

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import (
+from ..base import se3
+from ..base.datatypes import (
     Array,
     Calibration,
     Detection,
@@ -23,7 +23,7 @@ from ..datatypes import (
     PoseEstimate,
     Scan,
 )
-from ..uncertainty import Uncertainty, covariance_at
+from ..base.uncertainty import Uncertainty, covariance_at
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, IntArray
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from ..base.errors import Refusal
 from .solver import Quadratics, levenberg_marquardt_each
 
 MAX_LINE_ITERATIONS = 60

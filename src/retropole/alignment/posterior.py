@@ -14,8 +14,8 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, IntArray
 from .likelihood import arc_likelihood, closest_approach, passed_beam_likelihood
 from .observations import Beams
 

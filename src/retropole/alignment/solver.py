@@ -15,7 +15,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, IntArray
+from ..base.datatypes import Array, BoolArray, IntArray
 
 MAX_DAMPING = 1e8
 """Damping beyond which no step of any use is left."""

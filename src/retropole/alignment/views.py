@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..datatypes import Array, IntArray
+from ..base.datatypes import Array, IntArray
 from .likelihood import arc_likelihood, passed_beam_likelihood
 from .observations import Beams
 from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lift_of, own_geometry

@@ -6,9 +6,9 @@ arrays, rigid transforms (`se3`), numbers in words (`quantities`), what a reason
 (`explain`), and what no answer is surer than (`floor`).
 """
 
-from .. import quantities, se3
-from ..datatypes import Array, BoolArray, IntArray
-from ..reasons import explain
-from ..uncertainty import floor
+from ..base import quantities, se3
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.reasons import explain
+from ..base.uncertainty import floor
 
 __all__ = ["Array", "BoolArray", "IntArray", "explain", "floor", "quantities", "se3"]

@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import index
 
-from ..datatypes import MAX_RADIUS, Placement, Scan
-from ..errors import UsageError
+from ..base.datatypes import MAX_RADIUS, Placement, Scan
+from ..base.errors import UsageError
+from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, USABLE, Need
 from ..io.thinning import LEAST_POINTS
 from ..io.units import unit_named
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
 from ..scene.choice import is_hypothesis_name
-from ..uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, USABLE, Need
 from ..verdict import refused
 from .inputs import (
     CloudSource,

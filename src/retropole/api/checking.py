@@ -8,21 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import PoseEstimate
-from ..errors import Reason, Refusal
+from ..base.datatypes import PoseEstimate
+from ..base.errors import Reason, Refusal
+from ..base.files import read_document
+from ..base.reasons import prefixed
+from ..base.uncertainty import Uncertainty
 from ..export import inverted, read_transform
 from ..export.documents import is_result
-from ..files import read_document
 from ..io import sha256_of, topics_of
 from ..monitoring.drift import check
 from ..monitoring.movement import CheckResult
 from ..monitoring.swapped import swap
 from ..monitoring.tolerance import NOT_ASKED, Asked
-from ..reasons import prefixed
 from ..result import DEFAULT_CONFIG, RunConfig, uncertainty_of
 from ..result.decoding import decode
 from ..result.folder import result_file
-from ..uncertainty import Uncertainty
 from .inputs import Input, read_input
 
 

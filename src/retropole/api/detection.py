@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..datatypes import Detection
-from ..errors import Refusal
+from ..base.datatypes import Detection
+from ..base.errors import Refusal
 from ..extraction.poles import extract_poles
 from ..io.units import unit_named
 from ..result import DEFAULT_CONFIG

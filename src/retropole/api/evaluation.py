@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import ReadError, UsageError
+from ..base.datatypes import Array
+from ..base.errors import ReadError, UsageError
+from ..base.se3 import rigid
 from ..evaluation.entropy import KERNEL_WIDTH
 from ..evaluation.metrics import Alignment
 from ..evaluation.metrics import evaluate as score
 from ..export import read_transform
 from ..extraction.extent import check_coordinates
 from ..io.units import unit_named
-from ..se3 import rigid
 from .inputs import CloudSource, read_input
 from .result import CalibrationResult
 

@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
-from ..errors import ReadError, Refusal, UsageError
-from ..files import path_in_text
+from ..base.datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
+from ..base.errors import ReadError, Refusal, UsageError
+from ..base.files import path_in_text
+from ..base.quantities import counted
+from ..base.sensors import Sensor, sensor_or_auto
 from ..io import (
     ARRAY_SOURCE,
     MAX_POINTS,
@@ -26,10 +28,8 @@ from ..io import (
     thinned,
 )
 from ..io.units import Unit, in_metres, unit_named
-from ..quantities import counted
 from ..result import InputDoc, RunConfig
 from ..scene.copies import what_to_give
-from ..sensors import Sensor, sensor_or_auto
 
 CloudSource = str | Path | PointCloud | NDArray[Any]
 """What gives a cloud: a path that `io.read_cloud` reads, a cloud, or an array (N, 3) or (N, 4) of

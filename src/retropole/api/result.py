@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Placement
-from ..errors import ReadError, Refusal
+from ..base import se3
+from ..base.datatypes import Array, Placement
+from ..base.errors import ReadError, Refusal
+from ..base.files import read_document, write_together
+from ..base.quantities import error
+from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
 from ..export.documents import is_site_document
-from ..files import read_document, write_together
-from ..quantities import error
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
 from ..report.inputs import StoredInputs, placements_of
@@ -34,12 +35,11 @@ from ..result import (
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
 from ..scene.consistency import contradicting_points, standing_in
-from ..uncertainty import Confirmation, RadiusEstimate, Uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..reasons import Code
+    from ..base.reasons import Code
 
 
 @dataclass(frozen=True, eq=False, repr=False)

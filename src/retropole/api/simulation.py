@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import MAX_POLES
-from ..errors import UsageError
+from ..base.datatypes import MAX_POLES
+from ..base.errors import UsageError
 from ..result import DEFAULT_CONFIG
 from ..simulation import NOISE_MODELS, SimulatedPair, simulate_pair
 from .inputs import check_radius

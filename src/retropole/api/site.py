@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Scan
-from ..errors import ReadError, Reason, Refusal, UsageError
-from ..files import read_document, write_together
-from ..quantities import error as in_words
+from ..base import se3
+from ..base.datatypes import Array, Scan
+from ..base.errors import ReadError, Reason, Refusal, UsageError
+from ..base.files import read_document, write_together
+from ..base.quantities import error as in_words
 from ..report.site import render_site
 from ..report.site_text import pose_rows
 from ..result import ReasonDoc, encode
@@ -31,7 +31,7 @@ from .inputs import Input
 from .site_inputs import SiteInputs, inputs_of, read_site, repeated
 
 if TYPE_CHECKING:
-    from ..reasons import Code
+    from ..base.reasons import Code
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,10 +10,10 @@ from itertools import islice
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from ..errors import ReadError, UsageError, printable, shortened
+from ..base.errors import ReadError, UsageError, printable, shortened
+from ..base.quantities import counted
 from ..io import BAGS, PACKETS, READERS
 from ..io.bag_files import is_rosbag2
-from ..quantities import counted
 from .site_file import decode_site_file
 
 SUFFIXES = frozenset((*READERS, *BAGS, *PACKETS)) - {".txt"}

@@ -16,15 +16,15 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from ..datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
-from ..errors import ReadError, RetropoleError
+from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
+from ..base.errors import ReadError, RetropoleError
+from ..base.se3 import FARTHEST
+from ..base.sensors import sensor_or_auto
+from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
+from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
 from ..io.recordings import frames_named
 from ..io.thinning import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
-from ..se3 import FARTHEST
-from ..sensors import sensor_or_auto
-from ..uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
-from ..uncertainty.purpose import FARTHEST as FARTHEST_NEED
 
 SITE_FILE = "site.toml"
 """What a site file is called in its folder."""

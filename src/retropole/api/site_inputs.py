@@ -8,20 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import ReadError, Reason, UsageError
-from ..files import path_in_text
+from ..base.datatypes import Array
+from ..base.errors import ReadError, Reason, UsageError
+from ..base.files import path_in_text
+from ..base.quantities import error as length
+from ..base.quantities import step_of
+from ..base.sensors import sensor_or_auto
+from ..base.uncertainty.purpose import Need
 from ..io import sha256_of
 from ..io.recordings import frames_named
-from ..quantities import error as length
-from ..quantities import step_of
 from ..result import InputDoc
 from ..result.site import SiteConfig
-from ..sensors import sensor_or_auto
 from ..site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole, Up
 from ..site.projection import projected
 from ..site.world import in_metres
-from ..uncertainty.purpose import Need
 from .inputs import Input, input_documents, read_input
 from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
 

@@ -11,7 +11,7 @@ from importlib import import_module
 
 import click
 
-from ..errors import Refusal, RetropoleError
+from ..base.errors import Refusal, RetropoleError
 from .common import CONTEXT, EXIT_INTERRUPTED, EXIT_PIPE, never_fail_to_encode, say
 from .errors import asks_for_json, failure_of, tell
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..datatypes import MAX_RADIUS
+from ..base.datatypes import MAX_RADIUS
+from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..result import DEFAULT_CONFIG
-from ..uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from .common import (
     ANGLE,
     CLOUD,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from ..datatypes import MAX_RADIUS
+from ..base.datatypes import MAX_RADIUS
 from ..result import DEFAULT_CONFIG
 from .calibrate import placed_pairs
 from .common import (
@@ -116,8 +116,8 @@ def certify(
       4    fail
       130  interrupted
     """
-    from ..errors import printable
-    from ..files import write_together
+    from ..base.errors import printable
+    from ..base.files import write_together
     from ..report.field_test import describe_field_test, render_field_test
     from ..result import encode
 
@@ -217,7 +217,7 @@ def _of_pair(
         Called with the name of each step.
     """
     from ..api.inputs import input_documents
-    from ..datatypes import Placement
+    from ..base.datatypes import Placement
     from ..pipeline import find_poles
     from ..result.certification import field_test_document
     from ..site.certification import certify as run

@@ -27,7 +27,7 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..datatypes import Array
+    from ..base.datatypes import Array
     from ..monitoring.movement import CheckResult, Movement
 
 EXIT_MOVED = 4
@@ -117,10 +117,10 @@ def check(
     import numpy as np
 
     from ..api.checking import checked, read_stored, topic_for
-    from ..errors import Reason, Refusal
+    from ..base.errors import Reason, Refusal
+    from ..base.reasons import prefixed
     from ..monitoring.movement import CheckResult
     from ..monitoring.tolerance import Asked
-    from ..reasons import prefixed
 
     if (sigma_deg is None) != (sigma_m is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
@@ -202,9 +202,9 @@ def json_line(answer: CheckResult) -> str:
 
 def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
-    from ..errors import printable
+    from ..base.errors import printable
+    from ..base.quantities import value_and_error
     from ..monitoring.certainty import FALSE_ALARM
-    from ..quantities import value_and_error
     from ..report.layout import wrapped
     from ..report.text import reason_lines
 

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from ..datatypes import MAX_RADIUS, MIN_RADIUS
-from ..errors import escaped, printable
+from ..base.datatypes import MAX_RADIUS, MIN_RADIUS
+from ..base.errors import escaped, printable
+from ..base.reasons import explain, page, plain
+from ..base.sensors import SENSORS
 from ..io.recordings import frames_named
 from ..io.thinning import LEAST_POINTS
 from ..io.units import Unit
-from ..reasons import explain, page, plain
 from ..result import DEFAULT_CONFIG
-from ..sensors import SENSORS
 
 if TYPE_CHECKING:
     from ..api.inputs import Input

@@ -34,7 +34,7 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ..datatypes import Array
+    from ..base.datatypes import Array
     from ..evaluation.comparison import Compared
     from ..io.units import Unit
 
@@ -125,9 +125,9 @@ def compare(
     quiet: bool,
 ) -> int:
     """Run the methods, print a table or JSON, and tell by the exit code whether one answered."""
+    from ..base.files import path_in_text
     from ..evaluation.comparison import compare as run
     from ..export import read_transform
-    from ..files import path_in_text
 
     names = list(ALL_METHODS) if methods is None else [name.strip() for name in methods.split(",")]
     for name in names:
@@ -199,7 +199,7 @@ def _angles_deg(T: Array) -> list[float]:
     """Roll, pitch and yaw of a pose (4, 4), degrees; see `se3.rpy_from_rotation`."""
     import numpy as np
 
-    from ..se3 import rpy_from_rotation
+    from ..base.se3 import rpy_from_rotation
 
     return [float(angle) for angle in np.degrees(rpy_from_rotation(T[:3, :3]))]
 

@@ -82,7 +82,7 @@ def detect(
 
     from ..api.detection import detect_in
     from ..api.inputs import input_documents
-    from ..errors import MissingExtraError, printable
+    from ..base.errors import MissingExtraError, printable
     from ..report.figures import draw_detection
     from ..report.text import describe_detection
     from ..result import detection_document, encode

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import click
 
-from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, quoting
-from ..reasons import explain, page, plain
+from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, quoting
+from ..base.reasons import explain, page, plain
 from .common import EXIT_REFUSED, EXIT_USAGE, echo_refusal, say
 
 ERROR_SCHEMA = "retropole/error/1"

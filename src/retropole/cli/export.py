@@ -105,8 +105,8 @@ def export(
     into: Path | None,
 ) -> int:
     """Read the transform, invert it where asked, write it."""
+    from ..base.files import write_atomically
     from ..export import inverted, read_transform, read_tree
-    from ..files import write_atomically
 
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
@@ -150,8 +150,8 @@ def export(
 
 def _write_tree(tree: Tree, fmt: str, out: Path | None) -> None:
     """Write all frames of a site, or print them."""
+    from ..base.files import write_atomically
     from ..export.recording import write_transforms
-    from ..files import write_atomically
 
     if fmt not in TREE_TITLES:
         raise click.UsageError(
@@ -178,10 +178,10 @@ def _warn(path: Path) -> None:
 
 def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) -> bytes:
     """Read the clouds of the first placement as its run did, and write them with the transform."""
-    from ..errors import UsageError
+    from ..base.errors import UsageError
+    from ..base.files import read_document
     from ..export.documents import is_result
     from ..export.recording import frames_of, write_mcap
-    from ..files import read_document
     from ..io import read_recording
     from ..report.inputs import differing, find_inputs
     from ..result import DEFAULT_CONFIG
@@ -217,9 +217,9 @@ def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) ->
 
 def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:
     """Edit a URDF, in place through links and with its permissions, or write it elsewhere."""
-    from ..errors import ReadError, UsageError
+    from ..base.errors import ReadError, UsageError
+    from ..base.files import read_document, write_atomically
     from ..export import put_into_urdf
-    from ..files import read_document, write_atomically
 
     try:
         data = put_into_urdf(read_document(robot), transform)

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .cluster import check_cluster, cluster_options
-from .common import (
-    CONTEXT,
-    EXIT_WARNED,
-    progress_on_terminal,
-    radius_option,
-    sensor_options,
-    show,
-)
+from .common import CONTEXT, EXIT_WARNED, progress_on_terminal, radius_option, sensor_options, show
 from .fleet_check import fleet_check
 from .fleet_network import fleet_network
 from .fleet_report import fleet_report
@@ -154,8 +147,8 @@ def _counts(summary: FleetSummary) -> dict[str, object]:
 
 def _in_words(summary: FleetSummary, *written: str) -> str:
     """Say what became of a fleet: counts, the commonest codes, where it is."""
-    from ..errors import printable
-    from ..quantities import counted
+    from ..base.errors import printable
+    from ..base.quantities import counted
 
     order = ("ok", "warn", "refused", "error")
     verdicts = ", ".join(f"{summary.statuses[s]} {s}" for s in order if s in summary.statuses)

@@ -10,14 +10,7 @@ import click
 
 from .check import EXIT_MOVED, TOLERANCE_DEG_HELP, TOLERANCE_M_HELP
 from .cluster import check_cluster, cluster_options
-from .common import (
-    CONTEXT,
-    DEGREES,
-    EXIT_REFUSED,
-    METRES,
-    progress_on_terminal,
-    show,
-)
+from .common import CONTEXT, DEGREES, EXIT_REFUSED, METRES, progress_on_terminal, show
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event
@@ -161,8 +154,8 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
 
 def in_words(found: FleetCheck) -> str:
     """Write what was found as a person reads it: a line for each site that has something to say."""
-    from ..errors import printable
-    from ..quantities import counted
+    from ..base.errors import printable
+    from ..base.quantities import counted
 
     lines = []
     for site in found.sites:
@@ -192,7 +185,7 @@ def _untold(newest: CheckRow) -> str:
 
 
 def _said(site: SiteChange, event: Event) -> str:
-    from ..quantities import value_and_error
+    from ..base.quantities import value_and_error
 
     since = f"{site.times[event.onset]:%Y-%m-%d}"
     new = ", new" if site.is_new(event) else ""

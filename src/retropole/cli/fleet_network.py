@@ -126,9 +126,9 @@ def json_line(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
 
 def in_words(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     """Write what was found as a person reads it."""
-    from ..errors import printable
+    from ..base.errors import printable
+    from ..base.quantities import counted
     from ..fleet.network.answer import reason_of
-    from ..quantities import counted
 
     graph = network.graph
     lines = [

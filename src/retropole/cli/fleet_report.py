@@ -34,7 +34,7 @@ def fleet_report(dataset: str, out: str, reports: str | None, quiet: bool) -> in
       2    DATASET cannot be read, or the page not be written
       130  interrupted
     """
-    from ..errors import printable
+    from ..base.errors import printable
     from ..fleet.overview import overview_of
     from ..fleet.report import write_fleet_report
 

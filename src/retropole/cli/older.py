@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
-from ..errors import RetropoleError, printable
-from ..files import set_aside
+from ..base.errors import RetropoleError, printable
+from ..base.files import set_aside
 from .common import say
 
 DEFAULT_OUT = Path("retropole-out")

@@ -54,7 +54,7 @@ def report(
       130  interrupted
     """
     from ..api.result import load_result
-    from ..errors import printable
+    from ..base.errors import printable
     from ..report import write_report
     from ..report.inputs import placements_of
     from ..result.folder import REPORT_FILE, result_file

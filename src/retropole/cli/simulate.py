@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ..datatypes import MAX_POLES
+from ..base.datatypes import MAX_POLES
 from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
 
 
@@ -62,7 +62,7 @@ def simulate_site(
     """
     import numpy as np
 
-    from ..errors import printable
+    from ..base.errors import printable
     from ..simulation import NOISE_MODELS
     from ..simulation import simulate_site as run
     from ..simulation.site_survey import Survey
@@ -165,7 +165,7 @@ def simulate(
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
     """
     from ..api.simulation import simulate as run
-    from ..errors import printable
+    from ..base.errors import printable
     from ..simulation import write_pair
 
     with progress_on_terminal(quiet) as progress:

@@ -73,8 +73,8 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
     """
     from ..api.site_draft import draft_site
     from ..api.site_file import SITE_FILE
-    from ..errors import UsageError, printable
-    from ..files import write_atomically
+    from ..base.errors import UsageError, printable
+    from ..base.files import write_atomically
 
     path = folder / SITE_FILE if out is None else out
     if path.exists() and not force:

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from ..datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud
-from ..errors import Refusal, UsageError
+from ..base.datatypes import DEFAULT_RADIUS, Array, Calibration, PointCloud
+from ..base.errors import Refusal, UsageError
+from ..base.quantities import step_of
+from ..base.sensors import Sensor
 from ..pipeline import calibrate
-from ..quantities import step_of
-from ..sensors import Sensor
 from .methods import ALL_METHODS, OURS
 from .metrics import Alignment, Errors, errors_of, evaluate
 from .rivals import load_rival, missing_extra

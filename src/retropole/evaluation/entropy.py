@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from ..datatypes import Array, BoolArray, IntArray
-from ..errors import Refusal
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.errors import Refusal
 from ..scene.registration import CORES
 
 KERNEL_WIDTH = 0.05

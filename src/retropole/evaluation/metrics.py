@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .. import se3
-from ..datatypes import Array, Placement, PointCloud, Scan
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, Placement, PointCloud, Scan
+from ..base.errors import Refusal
+from ..base.uncertainty import Confirmation
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import with_trusted_rings
 from ..scene.confirmation import count, scenes_of
 from ..scene.registration import CORES, prepare, voxel_downsample
 from ..scene.visibility import OVERLAP_DISTANCE, overlap
-from ..uncertainty import Confirmation
 from .entropy import KERNEL_WIDTH, Entropy, rqe
 
 PAPER_RANGES = 1.0, 60.0

@@ -13,21 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from ..datatypes import Array
-from ..errors import ReadError, UsageError
-from ..files import read_document
+from ..base.datatypes import Array
+from ..base.errors import ReadError, UsageError
+from ..base.files import read_document
+from ..base.se3 import rigid
 from ..result import ReasonDoc
 from ..result.decoding import decode
 from ..result.folder import any_result_file
-from ..se3 import rigid
-from .documents import (
-    is_result,
-    read_json,
-    read_yaml,
-    site_result,
-    write_json,
-    write_yaml,
-)
+from .documents import is_result, read_json, read_yaml, site_result, write_json, write_yaml
 from .found import Found, choose
 from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
 from .text import (

@@ -15,15 +15,15 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import MissingExtraError, ReadError, Refusal
-from ..reasons import Code
+from ..base.datatypes import Array
+from ..base.errors import MissingExtraError, ReadError, Refusal
+from ..base.reasons import Code
+from ..base.se3 import rigid
 from ..result import COVARIANCE_ORDER, ResultDoc
 from ..result.bounded import LARGEST
 from ..result.decoding import check_covariance, decode
 from ..result.site import SiteDoc
 from ..result.site_decoding import decode_site
-from ..se3 import rigid
 from .found import Found
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, pose_of, pose_values
 from .transform import (

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..datatypes import Array
-from ..errors import ReadError
-from ..se3 import rigid
+from ..base.datatypes import Array
+from ..base.errors import ReadError
+from ..base.se3 import rigid
 from .transform import Transform
 
 

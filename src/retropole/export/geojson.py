@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 from ..result.site_parts import LidarDoc
 from ..site.description import Frame
 from ..site.world import heading, on_wgs84, pose_in_frame

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array, PointCloud
-from ..errors import MissingExtraError
+from ..base.datatypes import Array, PointCloud
+from ..base.errors import MissingExtraError
 from ..io import Frame, ReadRecording
 from ..io.recordings import CLOUDS
 from .transform import Transform, to_quaternion

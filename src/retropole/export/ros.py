@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import ReadError, UsageError
+from ..base.datatypes import Array
+from ..base.errors import ReadError, UsageError
 from .found import Found
 from .text import QUATERNION, RPY, TRANSLATION_KEYS, pose_of, pose_values, to_float
 from .transform import Transform, from_quaternion, from_rpy

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
-from ..errors import ReadError, UsageError
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import ReadError, UsageError
 
 ROS_COVARIANCE_ORDER = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 """ROS puts translation first (geometry_msgs/PoseWithCovariance)."""

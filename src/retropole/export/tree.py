@@ -13,10 +13,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
-from ..errors import Refusal, UsageError, printable
-from ..reasons import Code
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import Refusal, UsageError, printable
+from ..base.reasons import Code
 from ..result.site import SITE_SCHEMA, SiteDoc
 from ..result.site_parts import FrameDoc, LidarDoc
 from ..site.description import Frame

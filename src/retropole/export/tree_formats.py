@@ -6,8 +6,8 @@ import json
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ..datatypes import Array
-from ..errors import printable
+from ..base.datatypes import Array
+from ..base.errors import printable
 from ..result.site_parts import LidarDoc
 from ..site.world import heading, on_wgs84, pose_in_frame
 from .documents import TREE_SCHEMA, transform_fields, yaml_of

@@ -11,8 +11,8 @@ from html import escape
 
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import ReadError, UsageError
+from ..base.datatypes import Array
+from ..base.errors import ReadError, UsageError
 from .found import Found
 from .text import RPY, TRANSLATION_KEYS, pose_values, to_float
 from .transform import Transform, from_rpy

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..datatypes import PointCloud
+from ..base.datatypes import PointCloud
+from ..base.quantities import counted
+from ..base.reasons import Code
 from ..io.rings import elevations
-from ..quantities import counted
-from ..reasons import Code
 from .lines import Line
 
 MIN_POLE_POINTS = 6

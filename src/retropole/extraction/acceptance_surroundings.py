@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, IntArray, PointCloud
-from ..quantities import counted
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.quantities import counted
 from .acceptance_shape import Failure
 from .lines import Line
 from .neighbours import is_wall_behind, runs_along_sweep

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..sensors import Sensor
+from ..base.sensors import Sensor
 
 RMS_PER_RADIUS = 0.62
 """Beams evenly spaced across a cylinder scatter by so many radii about their line."""

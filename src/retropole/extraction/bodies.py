@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import BoolArray, PointCloud
-from ..quantities import counted
+from ..base.datatypes import BoolArray, PointCloud
+from ..base.quantities import counted
 from .acceptance_shape import Failure
 from .lines import Line, distance_and_place
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import DEFAULT_RADIUS, PointCloud
+from ..base.datatypes import DEFAULT_RADIUS, PointCloud
 from .acceptance_shape import Failure
 from .beams import RMS_PER_RADIUS
 from .bodies import worn_by_a_body

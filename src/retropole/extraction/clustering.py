@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..datatypes import Array, BoolArray, IntArray
+from ..base.datatypes import Array, BoolArray, IntArray
 
 LINK = 1.2
 """Points with no longer step between them are one cluster, metres. Longer than two ring spacings of

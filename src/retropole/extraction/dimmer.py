@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..datatypes import Detection, PointCloud, Pole
-from ..sensors import Sensor, Threshold, lower_thresholds
+from ..base.datatypes import Detection, PointCloud, Pole
+from ..base.sensors import Sensor, Threshold, lower_thresholds
 from .doubtful import MAX_DOUBTFUL, with_doubtful, without_repeats
 from .poles import extract_poles, is_too_low
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
+from ..base.datatypes import Array, BoolArray, Detection, IntArray, PointCloud, Pole
+from ..base.sensors import Sensor
 from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
-from ..sensors import Sensor
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,
@@ -33,22 +33,9 @@ from .acceptance_surroundings import (
 from .beams import Beams, beams_by
 from .certainty import MAX_SURE_RMS, too_thick_for_radius
 from .clustering import LINK, clusters
-from .lines import (
-    MAX_PROPOSING_POINTS,
-    TUBE,
-    Line,
-    fit_line,
-    in_canonical_order,
-    propose_lines,
-)
+from .lines import MAX_PROPOSING_POINTS, TUBE, Line, fit_line, in_canonical_order, propose_lines
 from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
-from .surroundings import (
-    RETRO_CROWD,
-    Surroundings,
-    crowded_share,
-    stands_behind,
-    surroundings_of,
-)
+from .surroundings import RETRO_CROWD, Surroundings, crowded_share, stands_behind, surroundings_of
 
 MIN_DOUBTFUL_POINTS = 3
 """Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""

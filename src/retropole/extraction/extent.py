@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..datatypes import Array, PointCloud
-from ..errors import Refusal
+from ..base.datatypes import Array, PointCloud
+from ..base.errors import Refusal
+from ..base.se3 import FARTHEST, lengths
 from ..io.beam_origin import with_beam_origin
 from ..io.coordinates import oddity_of
 from ..io.rings import with_trusted_rings
-from ..se3 import FARTHEST, lengths
 from .acceptance_shape import MIN_POLE_POINTS
 
 FARTHEST_ORIGIN = 10_000.0

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, IntArray, PointCloud
-from ..se3 import lengths
-from ..uncertainty import MAD_TO_SIGMA
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.se3 import lengths
+from ..base.uncertainty import MAD_TO_SIGMA
 from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
 
 MAX_PROPOSING_POINTS = 400

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..datatypes import Array, BoolArray, IntArray
+from ..base.datatypes import Array, BoolArray, IntArray
 from .acceptance_shape import MIN_LENGTH
 from .lines import Line, distance_and_place, principal_line
 

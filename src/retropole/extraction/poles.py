@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..datatypes import (
+from ..base.datatypes import (
     DEFAULT_RADIUS,
     Array,
     BoolArray,
@@ -26,11 +26,11 @@ from ..datatypes import (
     Pole,
     RejectedCluster,
 )
-from ..errors import Refusal
+from ..base.errors import Refusal
+from ..base.quantities import counted
+from ..base.sensors import Sensor, threshold_for
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
-from ..quantities import counted
-from ..sensors import Sensor, threshold_for
 from .acceptance_shape import (
     FEW_POLE_POINTS,
     MAX_LENGTH,

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, PointCloud
-from ..errors import Refusal
+from ..base.datatypes import Array, BoolArray, PointCloud
+from ..base.errors import Refusal
+from ..base.quantities import counted
+from ..base.sensors import Sensor
 from ..io.contents import guess_sensors
 from ..io.rings import MAX_RING_SPREAD, elevations, ring_spread
-from ..quantities import counted
-from ..sensors import Sensor
 
 MIN_RING_POINTS = 20
 """Rings of fewer points do not count: a few points may carry a wrong number."""

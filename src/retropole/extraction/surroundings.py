@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from .acceptance_shape import FEW_POLE_POINTS, THICK_RMS
 from .lines import Line, distance_and_place
 from .neighbours import NEGLIGIBLE, on_crossing_line

@@ -9,15 +9,7 @@ from dataclasses import dataclass
 
 from ..api import quantities
 from . import TIME_LIMIT
-from .dataset import (
-    Known,
-    Row,
-    known_in,
-    partition_of,
-    read_rows,
-    read_runs,
-    write_partition,
-)
+from .dataset import Known, Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
 from .storage import absolute
 from .work import Outcome, Task, environment, lost

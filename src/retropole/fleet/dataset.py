@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import msgspec
 
-from ..errors import ReadError
+from ..base.errors import ReadError
 from ..result import BudgetEntryDoc, ErrorAtRange
 from .parquet import arrow, opened, parquet_of
 from .sites import Kind

@@ -19,7 +19,7 @@ from typing import Any
 
 import msgspec
 
-from ..errors import MissingExtraError, RetropoleError, UsageError, quoting
+from ..base.errors import MissingExtraError, RetropoleError, UsageError, quoting
 from .process import Reader
 from .work import Outcome, Task, environment, lost
 

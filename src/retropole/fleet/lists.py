@@ -8,7 +8,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ..errors import ReadError
+from ..base.errors import ReadError
 from .parquet import opened
 from .storage import read_bytes
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import msgspec
 
-from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable
+from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable
 from ..result import InputDoc
 from .dataset import InputEntry
 from .sites import ROLES, FleetSite

@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from ..errors import ReadError, shortened
+from ..base.errors import ReadError, shortened
 from .dataset import ANSWERS, RUNS, Status, partitions_in, read_as
 from .sites import Kind
 from .storage import absolute

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from ..errors import MissingExtraError, ReadError
+from ..base.errors import MissingExtraError, ReadError
 from .storage import LARGEST_LIST, read_bytes
 
 

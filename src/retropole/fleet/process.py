@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 
 import msgspec
 
-from ..errors import RetropoleError
+from ..base.errors import RetropoleError
 from .child import Message, receive, send
 from .work import Hashed, Outcome, Task, lost
 

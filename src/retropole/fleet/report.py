@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from ..api import explain, quantities
 from ..api.pages import fill_page, share_styles, table
-from ..errors import printable
+from ..base.errors import printable
 from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
 from .dataset import AT_RANGE, FLEET_SCHEMA
 from .overview import Overview, Seen

@@ -11,18 +11,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from ..errors import ReadError, UsageError, quoting
+from ..base.errors import ReadError, UsageError, quoting
 from ..result import DEFAULT_CONFIG, RunConfig
 from .lists import LISTS, lines_of
-from .storage import (
-    absolute,
-    below,
-    exists,
-    folder_of,
-    found_below,
-    is_folder,
-    matching,
-)
+from .storage import absolute, below, exists, folder_of, found_below, is_folder, matching
 
 Kind = Literal["pair", "site"]
 

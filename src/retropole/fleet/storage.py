@@ -13,8 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ..errors import MissingExtraError, ReadError, UsageError
-from ..files import write_atomically
+from ..base.errors import MissingExtraError, ReadError, UsageError
+from ..base.files import write_atomically
 
 LARGEST_LIST = 2**28
 """Bytes of a list of sites: a million lines of 250."""

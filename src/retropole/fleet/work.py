@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from .. import __version__
-from ..errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
-from ..files import LARGEST_DOCUMENT
+from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
+from ..base.files import LARGEST_DOCUMENT
+from ..base.version import __version__
 from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
 from .answers import answered, document_of
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step

@@ -8,15 +8,9 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ..datatypes import PointCloud
-from ..errors import ReadError, UsageError
-from .arrays import (
-    ARRAY_SOURCE,
-    cloud_from_array,
-    read_npy,
-    read_npz,
-    read_text,
-)
+from ..base.datatypes import PointCloud
+from ..base.errors import ReadError, UsageError
+from .arrays import ARRAY_SOURCE, cloud_from_array, read_npy, read_npz, read_text
 from .bag_files import BAGS, is_rosbag2
 from .binary_records import read_bin
 from .fields import only_returns
@@ -24,15 +18,7 @@ from .las import read_las
 from .packets import PACKETS, open_packets
 from .pcd import read_pcd, write_pcd
 from .ply import read_ply
-from .recordings import (
-    Frame,
-    FrameHeader,
-    ReadRecording,
-    Recording,
-    Topic,
-    chosen_frames,
-    joined,
-)
+from .recordings import Frame, FrameHeader, ReadRecording, Recording, Topic, chosen_frames, joined
 from .ros import bag_topics, open_bag
 from .thinning import MAX_POINTS, read_within, thinned
 from .units import Unit, in_metres, unit_named

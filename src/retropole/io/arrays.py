@@ -15,8 +15,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import PointCloud
-from ..errors import ReadError, UsageError
+from ..base.datatypes import PointCloud
+from ..base.errors import ReadError, UsageError
 from .fields import INTENSITY, REAL_KINDS, RING, TIME, cloud_from_columns
 from .table import is_number, read_table
 from .unpacking import allowance

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path, PurePath
 from typing import Any
 
-from ..errors import MissingExtraError, ReadError
+from ..base.errors import MissingExtraError, ReadError
 from .bag import MAX_MESSAGES, Bag, counted
 from .bag_mcap import open_mcap
 from .bag_sqlite import open_sqlite

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from ..errors import ReadError
+from ..base.errors import ReadError
 from .bag import Bag, counted
 from .unpacking import Spend, allowance, unpacked
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from ..errors import ReadError
+from ..base.errors import ReadError
 from .bag import MAX_MESSAGES, Bag, counted
 from .unpacking import allowance
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Array, IntArray, PointCloud
+from ..base.datatypes import Array, IntArray, PointCloud
 from .rings import RING_SAMPLE, elevations, off_ring
 
 SAMPLE = 20_000

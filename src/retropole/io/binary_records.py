@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import PointCloud
-from ..errors import ReadError
+from ..base.datatypes import PointCloud
+from ..base.errors import ReadError
 from .fields import cloud_from_columns
 
 FOUR = ("x", "y", "z", "intensity")

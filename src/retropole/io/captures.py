@@ -15,9 +15,9 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from ..datatypes import IntArray
-from ..errors import ReadError
-from ..quantities import counted
+from ..base.datatypes import IntArray
+from ..base.errors import ReadError
+from ..base.quantities import counted
 
 PCAP_ORDERS = {b"\xd4\xc3\xb2\xa1": "<", b"\xa1\xb2\xc3\xd4": ">"}
 PCAP_ORDERS |= {b"\x4d\x3c\xb2\xa1": "<", b"\xa1\xb2\x3c\x4d": ">"}

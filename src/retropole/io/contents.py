@@ -9,9 +9,9 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from ..datatypes import Array, IntArray, PointCloud
-from ..files import path_in_text
-from ..sensors import SENSORS, Sensor, auto_threshold
+from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.files import path_in_text
+from ..base.sensors import SENSORS, Sensor, auto_threshold
 from . import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
 from .beam_origin import with_beam_origin
 from .coordinates import oddity_of

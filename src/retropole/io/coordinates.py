@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import PointCloud
-from ..se3 import lengths
+from ..base.datatypes import PointCloud
+from ..base.se3 import lengths
 from .beam_origin import with_beam_origin
 from .rings import with_trusted_rings
 from .units import METRES, NAMES, Unit

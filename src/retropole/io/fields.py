@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array, BoolArray, IntArray, PointCloud
-from ..errors import ReadError, UsageError
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.errors import ReadError, UsageError
 
 INTENSITY = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission")
 RING = (

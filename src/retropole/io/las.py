@@ -13,8 +13,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..datatypes import PointCloud
-from ..errors import MissingExtraError, ReadError
+from ..base.datatypes import PointCloud
+from ..base.errors import MissingExtraError, ReadError
 from .fields import INTENSITY, RING, TIME, cloud_from_columns
 
 READ_BLOCK = 16 * 2**20

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import MissingExtraError, ReadError
+from ..base.datatypes import Array
+from ..base.errors import MissingExtraError, ReadError
 from .captures import mended, packets, sizes_in_words, walk
 from .fields import Columns, frame_from_columns
 from .recordings import Frame, Recording, reported

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array, PointCloud
-from ..errors import ReadError, UsageError
-from ..files import write_atomically
+from ..base.datatypes import Array, PointCloud
+from ..base.errors import ReadError, UsageError
+from ..base.files import write_atomically
 from .fields import LARGEST, Columns, cloud_from_columns, left_out
 from .table import read_table
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import PointCloud
-from ..errors import ReadError
+from ..base.datatypes import PointCloud
+from ..base.errors import ReadError
 from .fields import cloud_from_columns, left_out
 from .table import read_table
 

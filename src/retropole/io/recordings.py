@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import PointCloud
-from ..errors import MissingExtraError, ReadError, UsageError
+from ..base.datatypes import PointCloud
+from ..base.errors import MissingExtraError, ReadError, UsageError
 
 MAX_RECORDING_POINTS = 1_000_000
 """By default, frames are left out evenly so that about this many points are read: 10 sweeps of a

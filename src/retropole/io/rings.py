@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..datatypes import Array, IntArray, PointCloud
-from ..se3 import lengths
+from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.se3 import lengths
 
 MAX_RINGS = 256
 """No LiDAR of the table of sensors has more than 128 rings; more numbers are columns or packets."""

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ReadError
-from ..quantities import counted
+from ..base.errors import ReadError
+from ..base.quantities import counted
 from .bag_files import opened
 from .fields import Columns, frame_from_columns
 from .recordings import CLOUDS, Frame, Recording, Topic

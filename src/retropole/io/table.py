@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datatypes import Array
-from ..errors import ReadError
+from ..base.datatypes import Array
+from ..base.errors import ReadError
 
 
 def read_table(

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..datatypes import IntArray, PointCloud
-from ..quantities import step_of
+from ..base.datatypes import IntArray, PointCloud
+from ..base.quantities import step_of
 from .recordings import Frame, Recording
 
 MAX_POINTS = 1_500_000

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, cast, get_args
 
-from ..datatypes import PointCloud
-from ..errors import UsageError
+from ..base.datatypes import PointCloud
+from ..base.errors import UsageError
 
 Unit = Literal["m", "cm", "mm"]
 

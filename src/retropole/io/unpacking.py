@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from ..errors import ReadError
+from ..base.errors import ReadError
 
 MAX_UNPACKED = 2**26
 """Bytes that one chunk, or one message, may unpack to. Recorders end a chunk after 0.8 to 4 MiB,

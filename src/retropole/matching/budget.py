@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from ..errors import Refusal
+from ..base.errors import Refusal
 
 
 class Share(NamedTuple):

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Scan
-from ..errors import Reason, Refusal
+from ..base.datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Scan
+from ..base.errors import Reason, Refusal
+from ..base.sensors import Sensor
 from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
 from ..extraction.dimmer import with_dimmer
 from ..extraction.doubtful import with_doubtful
-from ..sensors import Sensor
 from .budget import with_what_was_tried
 from .line_pairs import direction_sigma, line_pair
 from .placements import Choice, PairedPlacement, PlacementHypotheses

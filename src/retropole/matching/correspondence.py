@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import Array, Match, Pole
-from ..errors import Refusal
-from ..quantities import counted
+from ..base.datatypes import Array, Match, Pole
+from ..base.errors import Refusal
+from ..base.quantities import counted
 from .budget import Share
 from .distinct import distinct
 from .extension import EXTENSION_RMS, exact_part, extended, solved_each

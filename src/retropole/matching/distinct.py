@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Match
+from ..base import se3
+from ..base.datatypes import Array, Match
 
 SAME_POSE_ANGLE, SAME_POSE_DISTANCE = np.radians(10.0), 0.5
 """Matches nearer to each other than this, rad and m, are one."""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .. import se3
 from ..alignment.point_to_line import Lines, align_each, equivalent_points
-from ..datatypes import Array, Match, Pole
+from ..base import se3
+from ..base.datatypes import Array, Match, Pole
 
 EXACT_RMS = 0.05
 """Pole residual, metres, up to which a start counts as an exact match of the lines. The

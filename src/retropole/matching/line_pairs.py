@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Pole
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, Pole
+from ..base.errors import Refusal
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
 from ..alignment.adjustment import BeamAlignment
-from ..datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
+from ..base.errors import Refusal
 from .budget import NOTHING, Tried
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4

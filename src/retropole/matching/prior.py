@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Match
-from ..errors import Refusal, UsageError
+from ..base import se3
+from ..base.datatypes import Array, Match
+from ..base.errors import Refusal, UsageError
 
 MAX_SIGMAS = 3.0
 """A hypothesis that lies further from the prior, in 1 σ of it, is left out."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import Hypothesis
+from ..base.datatypes import Hypothesis
 
 MIN_CONFIRMED_OVERLAP = 0.4
 """Share of the points that must find a neighbour; sure poles need 0.25."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Array, PointCloud, Pole
+from ..base.datatypes import Array, PointCloud, Pole
 from .correspondence import ANGLE_TOLERANCE, all_pairs
 
 MIN_DISTANCE = 0.15

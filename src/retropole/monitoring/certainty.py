@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri, chndtr, ndtri
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 from .tolerance import Tolerance
 
 FALSE_ALARM = 0.01

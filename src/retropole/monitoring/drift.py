@@ -15,15 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from .. import se3
-from ..datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
-from ..errors import Reason, Refusal, UsageError
+from ..base import se3
+from ..base.datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
+from ..base.errors import Reason, Refusal, UsageError
+from ..base.sensors import Sensor
+from ..base.systematic import ErrorModel, sizes_of
+from ..base.uncertainty import Confirmation, Uncertainty
 from ..pipeline import calibrate
 from ..scene.confirmation import DENIED, count, is_denied, scenes_of
 from ..scene.preference import preferences
-from ..sensors import Sensor
-from ..systematic import ErrorModel, sizes_of
-from ..uncertainty import Confirmation, Uncertainty
 from .certainty import FALSE_ALARM
 from .movement import CheckResult, Method, compare_poses
 from .new_pose import Clouds, NewPose, by_poles, by_scene, search_covariance

@@ -18,10 +18,10 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtrc
 
-from .. import se3
-from ..datatypes import Array, PoseEstimate
-from ..errors import Reason
-from ..uncertainty import Confirmation, Uncertainty
+from ..base import se3
+from ..base.datatypes import Array, PoseEstimate
+from ..base.errors import Reason
+from ..base.uncertainty import Confirmation, Uncertainty
 from .certainty import (
     FALSE_ALARM,
     MIN_POWER,

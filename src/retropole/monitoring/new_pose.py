@@ -9,18 +9,18 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..datatypes import Array, Calibration, PointCloud, PoseEstimate
-from ..errors import Reason
+from ..base.datatypes import Array, Calibration, PointCloud, PoseEstimate
+from ..base.errors import Reason
+from ..base.quantities import error
+from ..base.reasons import prefixed
+from ..base.systematic import ErrorModel
+from ..base.uncertainty import Uncertainty
 from ..matching.prior import RotationPrior
-from ..quantities import error
-from ..reasons import prefixed
 from ..scene.choice import MIN_OVERLAP
 from ..scene.disambiguation import SCORING_VOXEL
 from ..scene.refinement import refine
 from ..scene.registration import MIN_CLOUD_POINTS
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views, view_of
-from ..systematic import ErrorModel
-from ..uncertainty import Uncertainty
 from .certainty import ROTATION, TRANSLATION
 
 PARTS = ROTATION, TRANSLATION

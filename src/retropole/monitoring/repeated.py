@@ -19,8 +19,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh
 
-from ..datatypes import Array, PoseEstimate
-from ..uncertainty import Uncertainty, floor
+from ..base.datatypes import Array, PoseEstimate
+from ..base.uncertainty import Uncertainty, floor
 
 REPEATED = 0.9
 """Correlation ρ of what the same devices err by in two recordings: the rest is what temperature,

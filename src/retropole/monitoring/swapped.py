@@ -10,14 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Placement
-from ..errors import Reason, Refusal
+from ..base import se3
+from ..base.datatypes import Array, Placement
+from ..base.errors import Reason, Refusal
+from ..base.sensors import Sensor
+from ..base.uncertainty import Confirmation
 from ..extraction.sensor_pattern import check_sensor
 from ..scene.confirmation import DENIED, MIN_TOTAL, count, is_denied
 from ..scene.consistency import Standing
-from ..sensors import Sensor
-from ..uncertainty import Confirmation
 
 NEAR_ROTATION, NEAR_TRANSLATION = float(np.radians(2.0)), 0.2
 """A pose that was found is the stored one reversed where it is so near to it, rad and m. Twice the

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import radians
 
-from ..quantities import at_most
+from ..base.quantities import at_most
 
 
 @dataclass(frozen=True)

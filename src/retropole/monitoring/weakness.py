@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ..datatypes import Array
-from ..errors import Reason
-from ..quantities import error, percent
-from ..uncertainty import Uncertainty
+from ..base.datatypes import Array
+from ..base.errors import Reason
+from ..base.quantities import error, percent
+from ..base.uncertainty import Uncertainty
 from .certainty import CONFIDENCE, ROTATION, TRANSLATION, detection_power, least_certain
 from .repeated import step_covariance
 from .tolerance import Tolerance

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..quantities import error, percent, value, value_and_error
+from ..base.quantities import error, percent, value, value_and_error
+from ..base.uncertainty import predicted_error, source_words
 from ..result import ResultDoc, confirmation_of
-from ..uncertainty import predicted_error, source_words
 
 BUDGET_RANGE = 30.0
 """Range at which the shares of the budget are stated, metres."""

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from ..quantities import counted, error, percent
+from ..base.quantities import counted, error, percent
 from ..result import BudgetEntryDoc, ResultDoc
 from .certainty import BUDGET_RANGE, error_parts, radius_words, scene_words
 from .markup import MISSING, plus_minus, table

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..base.quantities import counted
 from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
-from ..quantities import counted
 from .layout import legible, table
 
 BAR = 40

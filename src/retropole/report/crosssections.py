@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
 from ..alignment.solver import Step, gauss_newton
-from ..datatypes import Array, Placement
+from ..base import se3
+from ..base.datatypes import Array, Placement
 from ..result import ResultDoc
 from .names import LIDARS, pair_name
 

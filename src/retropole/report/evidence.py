@@ -8,8 +8,8 @@ from html import escape
 import msgspec
 import numpy as np
 
-from .. import se3
-from ..datatypes import Placement, Scan
+from ..base import se3
+from ..base.datatypes import Placement, Scan
 from ..result import ResultDoc, RunConfig
 from .certainty import radius_words
 from .crosssections import cross_sections

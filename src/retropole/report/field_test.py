@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from ..quantities import counted, percent
+from ..base.quantities import counted, percent
 from ..result.certification import DistanceDoc, FieldTestDoc, PairTestDoc, VariancesDoc, Verdict
 from .layout import legible, wrapped
 from .layout import table as text_table

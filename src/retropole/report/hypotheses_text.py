@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.reasons import plain
 from ..matching.prior import MAX_SIGMAS, RotationPrior
-from ..reasons import plain
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ResultDoc
 from .names import hypothesis_name
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datatypes import Placement, PointCloud, Scan
-from ..errors import ReadError, UsageError, printable
-from ..files import path_of_text
+from ..base.datatypes import Placement, PointCloud, Scan
+from ..base.errors import ReadError, UsageError, printable
+from ..base.files import path_of_text
+from ..base.sensors import sensor_or_auto
 from ..io import ARRAY_SOURCE, read_cloud, sha256_of
 from ..io.units import Unit
 from ..pipeline import find_poles
 from ..result import InputDoc, PoleDoc, ResultDoc, RunConfig
-from ..sensors import sensor_or_auto
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""

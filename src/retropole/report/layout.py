@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from ..errors import printable
+from ..base.errors import printable
 
 WIDTH, LINES = 80, 40
 """Columns and lines of a screen. No path and no command is cut: they are copied."""

@@ -7,8 +7,8 @@ import re
 from collections.abc import Collection, Sequence
 from html import escape
 
-from ..quantities import UNKNOWN, error
-from ..reasons import unlinked
+from ..base.quantities import UNKNOWN, error
+from ..base.reasons import unlinked
 
 MISSING = UNKNOWN
 

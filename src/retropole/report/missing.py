@@ -9,10 +9,10 @@ from itertools import permutations
 
 import numpy as np
 
-from ..datatypes import Array, Placement, Pole, RejectedCluster, Scan
+from ..base.datatypes import Array, Placement, Pole, RejectedCluster, Scan
+from ..base.quantities import counted
+from ..base.reasons import explain
 from ..extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
-from ..quantities import counted
-from ..reasons import explain
 from ..result import ResultDoc
 from .markup import inline
 from .names import LIDARS, pole_name

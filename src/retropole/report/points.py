@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array, Detection, PointCloud
+from ..base.datatypes import Array, Detection, PointCloud
 
 IntpArray = NDArray[np.intp]
 

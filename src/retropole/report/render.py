@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from ..datatypes import Placement
-from ..files import write_atomically
+from ..base.datatypes import Placement
+from ..base.files import write_atomically
 from ..result import ResultDoc
 from . import evidence, sections
 from .certificate import certificate

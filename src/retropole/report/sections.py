@@ -7,10 +7,10 @@ from html import escape
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.reasons import explain
 from ..export import FORMATS, export_lines
-from ..reasons import explain
 from ..result import HypothesisDoc, ReasonDoc, ResultDoc
 from .certainty import largest_error, scene_words
 from .hypotheses_text import deciding, pose_numbers, relative_words, standing

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
-from ..errors import printable, shortened
-from ..quantities import UNKNOWN, error
+from ..base import se3
+from ..base.errors import printable, shortened
+from ..base.quantities import UNKNOWN, error
 from ..result.site import SiteDoc
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .site.checks import UNCHECKED

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .. import se3
-from ..errors import printable, shortened
-from ..quantities import counted, error
-from ..reasons import explain, page, plain
+from ..base import se3
+from ..base.errors import printable, shortened
+from ..base.quantities import counted, error
+from ..base.reasons import explain, page, plain
 from ..result import (
     DetectionDoc,
     HypothesisDoc,

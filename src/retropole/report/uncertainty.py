@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from ..quantities import Unit, error, percent, value
+from ..base.quantities import Unit, error, percent, value
 from ..result import BudgetEntryDoc, Matrix, ResultDoc
 from .certainty import BUDGET_RANGE, error_parts
 from .markup import MISSING, number, plus_minus, table

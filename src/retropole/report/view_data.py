@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from ..datatypes import Placement, Scan
+from ..base.datatypes import Placement, Scan
 from ..result import Matrix, PoleDoc, ResultDoc, pole_documents
 from ..scene.consistency import contradicting_points, standing_in
 from .names import LIDARS, hypothesis_name, pole_name

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import DEFAULT_RADIUS, Array, Detection, PointCloud, Pole
-from ..errors import MissingExtraError, printable
+from ..base.datatypes import DEFAULT_RADIUS, Array, Detection, PointCloud, Pole
+from ..base.errors import MissingExtraError, printable
+from ..base.quantities import counted
+from ..base.sensors import Sensor
 from ..extraction.poles import extract_poles
-from ..quantities import counted
-from ..sensors import Sensor
 from .viewer_access import guarded
 
 if TYPE_CHECKING:

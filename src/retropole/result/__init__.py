@@ -14,14 +14,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from .. import __version__
-from ..datatypes import (
-    DEFAULT_RADIUS,
-    Calibration,
-    Hypothesis,
-    Placement,
-    PoseEstimate,
-)
+from ..base.datatypes import DEFAULT_RADIUS, Calibration, Hypothesis, Placement, PoseEstimate
+from ..base.version import __version__
 from ..io.thinning import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
 from .bounded import (

@@ -9,9 +9,9 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from ..datatypes import Array
-from ..uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty, WeakDirection
-from ..uncertainty.purpose import Fitness, Need
+from ..base.datatypes import Array
+from ..base.uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty, WeakDirection
+from ..base.uncertainty.purpose import Fitness, Need
 from .bounded import Count, Covariance, Number, Share, Size, Text, Vector
 
 Matrix = list[list[float]]

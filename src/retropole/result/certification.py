@@ -11,7 +11,7 @@ from typing import Literal
 
 import msgspec
 
-from .. import __version__
+from ..base.version import __version__
 from ..site.certification import FieldTest
 from ..site.repetition import Spread
 from . import ReasonDoc

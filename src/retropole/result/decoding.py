@@ -12,10 +12,10 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
-from ..errors import ReadError
-from ..uncertainty import covariance_fault
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import ReadError
+from ..base.uncertainty import covariance_fault
 from . import COVARIANCE_ORDER, PoseEstimateDoc, ReasonDoc, ResultDoc
 from .bounded import LARGEST, Covariance, Pose
 

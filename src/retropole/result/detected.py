@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from ..datatypes import Detection, Pole, RejectedCluster
+from ..base.datatypes import Detection, Pole, RejectedCluster
 from .bounded import Count, Number, Size, Text, Vector
 
 

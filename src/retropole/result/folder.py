@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 
 RESULT_FILE, SITE_RESULT_FILE = "result.json", "site-result.json"
 """What the result document of two LiDARs, and that of a site, is called in its folder."""

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from .. import __version__
+from ..base.version import __version__
 from ..site.answer import SiteCalibration
 from . import COVARIANCE_ORDER, ReasonDoc
 from .bounded import LONGEST_LIST, Count, Number, Size, Status, Text

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 import msgspec
 import numpy as np
 
-from .. import se3
-from ..errors import ReadError
+from ..base import se3
+from ..base.errors import ReadError
 from . import COVARIANCE_ORDER, ReasonDoc
 from .decoding import check_covariance, check_reason
 from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..datatypes import Array, Scan
-from ..errors import Reason, Refusal
+from ..base.datatypes import Array, Scan
+from ..base.errors import Reason, Refusal
 from ..io.thinning import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
 from ..site.answer import LidarPose, SitePole

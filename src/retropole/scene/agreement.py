@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from ..alignment.adjustment import RADIUS_DENIED, BeamAlignment
-from ..datatypes import Array
-from ..errors import Reason, Refusal
+from ..base.datatypes import Array
+from ..base.errors import Reason, Refusal
+from ..base.quantities import error, value, value_and_error
 from ..matching.placements import PairedPlacement
-from ..quantities import error, value, value_and_error
 from .refinement import Refinement
 
 WARN_MAHALANOBIS_SQ, MAX_MAHALANOBIS_SQ = 22.5, 100.0

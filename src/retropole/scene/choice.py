@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Calibration, Hypothesis, Placement
-from ..errors import Reason, Refusal, UsageError
+from ..base import se3
+from ..base.datatypes import Array, Calibration, Hypothesis, Placement
+from ..base.errors import Reason, Refusal, UsageError
 from ..matching.confirmation import Chosen, counts_doubtful
 from ..matching.placements import (
     Choice,

@@ -14,14 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Hypothesis, Placement
-from ..errors import Reason, Refusal
+from ..base import se3
+from ..base.datatypes import Array, Hypothesis, Placement
+from ..base.errors import Reason, Refusal
+from ..base.quantities import counted
+from ..base.uncertainty import Confirmation
 from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE
 from ..matching.line_pairs import line_pair
 from ..matching.placements import PairedPlacement
-from ..quantities import counted
-from ..uncertainty import Confirmation
 from .consistency import Standing, consistency, standing_in
 from .shifts import NEAR, best_lifts, best_shifts
 

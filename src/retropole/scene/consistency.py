@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .. import se3
-from ..datatypes import Array, BoolArray, IntArray, PointCloud, Pole
-from ..uncertainty import Confirmation
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
+from ..base.uncertainty import Confirmation
 from .patch_pairs import labels_of
 from .registration import voxel_downsample
 from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image, tree_of

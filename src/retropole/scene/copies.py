@@ -11,8 +11,8 @@ from itertools import combinations
 
 import numpy as np
 
-from ..datatypes import Array, Placement, PointCloud
-from ..errors import Refusal
+from ..base.datatypes import Array, Placement, PointCloud
+from ..base.errors import Refusal
 from .ordering import order_of
 
 SAMPLE = 5_000

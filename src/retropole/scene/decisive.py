@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
 from ..alignment.factor import POSE
-from ..datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, IntArray
 from .descent import End, LinearProblem, RefinementProblem, settle
 from .patch_pairs import part_of
 

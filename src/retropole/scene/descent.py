@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack
 
-from .. import se3
 from ..alignment.certainty import group_scales, prior_precision, working_sigma
 from ..alignment.factor import POSE, PoleFactor
-from ..datatypes import Array
-from ..systematic import Groups
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.systematic import Groups
 from .patch_pairs import PatchPairs, PatchSets, pair_patches
 from .weights import weigh
 

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Hypothesis, Match, PointCloud
-from ..errors import Refusal
-from ..quantities import counted
+from ..base import se3
+from ..base.datatypes import Array, Hypothesis, Match, PointCloud
+from ..base.errors import Refusal
+from ..base.quantities import counted
 from .registration import MIN_CLOUD_POINTS, Surface, as_surface, register
 from .visibility import OVERLAP_DISTANCE, compare_views, view_of
 

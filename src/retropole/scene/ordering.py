@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import IntArray
+from ..base.datatypes import IntArray
 
 DIGIT = 16
 """Bits by which numbers are sorted at once: NumPy sorts so short ones in linear time."""

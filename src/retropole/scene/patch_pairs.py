@@ -13,10 +13,10 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from .. import se3
-from ..datatypes import Array, BoolArray, IntArray
-from ..se3 import lengths
-from ..systematic import DEVICE, RADIUS, RING, Layout
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.se3 import lengths
+from ..base.systematic import DEVICE, RADIUS, RING, Layout
 from .patches import Patches, selected
 from .robust import robust_scale
 

@@ -8,9 +8,9 @@ import numpy as np
 import small_gicp
 from scipy.spatial import cKDTree
 
-from ..datatypes import Array, BoolArray, IntArray, PointCloud
-from ..se3 import lengths
-from ..systematic import DEVICE, RING, band_of, by_error
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.se3 import lengths
+from ..base.systematic import DEVICE, RING, band_of, by_error
 from .registration import voxel_downsample
 
 PATCH_VOXELS = (0.15, 0.3, 0.6)

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .. import se3
 from ..alignment.adjustment import BeamAlignment
-from ..datatypes import Array, IntArray, PointCloud
-from ..errors import Refusal
-from ..quantities import error
+from ..base import se3
+from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.errors import Refusal
+from ..base.quantities import error
 from .patch_pairs import CLUSTER_SIDE, MAX_NORMAL_ANGLE, labels_of
 from .patches import Patches, selected, surface_patches
 from .refinement import Refinement

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
 from ..alignment.certainty import Scatter, excess, stated
 from ..alignment.factor import POSE, PoleFactor, gaussian_factor
-from ..datatypes import Array, PointCloud, PoseEstimate
-from ..systematic import DEVICE_KINDS, ErrorModel, Layout, groups_of, joined
-from ..uncertainty import Uncertainty
+from ..base import se3
+from ..base.datatypes import Array, PointCloud, PoseEstimate
+from ..base.systematic import DEVICE_KINDS, ErrorModel, Layout, groups_of, joined
+from ..base.uncertainty import Uncertainty
 from .decisive import Decisive, places_of, without_decisive
 from .descent import FEW, End, RefinementProblem, approach, settle, support_of
 from .patch_pairs import MIN_PATCHES, prepare_patches, thinned, without_errors

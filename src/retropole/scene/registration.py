@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 import small_gicp
 
-from ..datatypes import Array
-from ..errors import Refusal
-from ..quantities import counted
+from ..base.datatypes import Array
+from ..base.errors import Refusal
+from ..base.quantities import counted
 from .ordering import order_of
 
 CORES = min(4, os.cpu_count() or 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 
 GEMAN_HALF, SCALE_TOLERANCE = 0.6120, 1e-13
 """The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and how exactly the

@@ -14,19 +14,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .. import se3
-from ..datatypes import Array, Hypothesis, Match, PointCloud, Pole
+from ..base import se3
+from ..base.datatypes import Array, Hypothesis, Match, PointCloud, Pole
 from ..matching.distinct import same_pose
 from ..matching.extension import EXACT_RMS
 from .disambiguation import SCORING_VOXEL
-from .registration import (
-    MIN_CLOUD_POINTS,
-    Surface,
-    prepare,
-    register,
-    surface_of,
-    voxel_downsample,
-)
+from .registration import MIN_CLOUD_POINTS, Surface, prepare, register, surface_of, voxel_downsample
 from .visibility import tree_of
 
 SETTLING_DISTANCES = 1.0, 0.5, 0.25

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import maximum_filter
 
-from .. import se3
-from ..datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, IntArray
 
 CELL, LAYER = 0.25, 0.75
 """Side and height of a cell, metres."""

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Hypothesis, Placement, PointCloud, Scan
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, Hypothesis, Placement, PointCloud, Scan
+from ..base.errors import Refusal
 from ..io.coordinates import Oddity, oddity_of
 from ..io.units import NAMES, Unit
 from ..matching.similar import Change, changed_cloud

@@ -12,8 +12,8 @@ import numpy as np
 import small_gicp
 from scipy.spatial import cKDTree
 
-from .. import se3
-from ..datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array
 from .registration import MIN_CLOUD_POINTS, NORMAL_NEIGHBOURS, as_surface
 
 DISTANCES = 1.5, 1.0, 0.6, 0.35, 0.35, 0.25, 0.25, 0.15, 0.15, 0.15

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Placement, PointCloud, Pole
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, Placement, PointCloud, Pole
+from ..base.errors import Refusal
+from ..base.uncertainty import Confirmation
 from ..matching.correspondence import match_poles
 from ..matching.line_pairs import pair_starts
 from ..matching.similar import Change, changed_cloud, changed_pole, factors_of
-from ..uncertainty import Confirmation
 from .confirmation import MIN_TOTAL
 from .consistency import Standing, consistency, standing_in
 from .disambiguation import SCORING_SAMPLE, SCORING_VOXEL

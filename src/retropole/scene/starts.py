@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, PointCloud, PoseEstimate
+from ..base import se3
+from ..base.datatypes import Array, PointCloud, PoseEstimate
 from .descent import FEW, End, RefinementProblem, approach
 from .patch_pairs import thinned
 

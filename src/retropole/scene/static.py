@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, IntArray, Placement, PointCloud, Pole
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, IntArray, Placement, PointCloud, Pole
+from ..base.errors import Refusal
 from .copies import check_recordings
 from .registration import prepare, register
 from .visibility import Cells, cells_of, nearest_around, range_margin

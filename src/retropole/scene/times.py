@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from .. import quantities
-from ..datatypes import Placement
-from ..errors import Reason
+from ..base import quantities
+from ..base.datatypes import Placement
+from ..base.errors import Reason
 from ..io.recordings import time_of_recording
 
 MAX_APART = 60.0

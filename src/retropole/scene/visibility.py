@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .. import se3
-from ..datatypes import Array, BoolArray, PointCloud
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, PointCloud
 from .registration import CORES, voxel_downsample
 
 RANGE_CELL = np.radians(1.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, qr, solve_triangular, svd
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 from .patch_pairs import PatchPairs
 from .robust import common_scatter, robust_scale
 

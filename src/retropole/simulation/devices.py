@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray, IntArray
-from ..sensors import Sensor
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.sensors import Sensor
 from .noise import NoiseModel
 
 MAX_SLANT = 5.0

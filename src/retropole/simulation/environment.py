@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 from .raycast import Box, Cylinder, Rectangle, Surface
 from .scenes import BARK, UP
 

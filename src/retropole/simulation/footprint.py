@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from ..datatypes import Array, BoolArray, IntArray
-from ..sensors import Sensor
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.sensors import Sensor
 from .noise import Footprint
 from .raycast import Hits, Surface, cast
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from ..datatypes import Array, BoolArray, IntArray
-from ..sensors import Sensor
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.sensors import Sensor
 from .intensity import saturation
 
 BLOOM_NOISE = 0.02

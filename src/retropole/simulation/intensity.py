@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..datatypes import Array, BoolArray
-from ..sensors import Sensor
+from ..base.datatypes import Array, BoolArray
+from ..base.sensors import Sensor
 from .noise import NoiseModel
 
 DIFFUSE_SHARE = 0.45

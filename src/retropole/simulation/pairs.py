@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
-from ..errors import UsageError
-from ..sensors import find_sensor
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import UsageError
+from ..base.sensors import find_sensor
 from . import paper
 from .arrangement import draw_lidar, draw_poles, rotated_by_180, symmetric_poles
 from .devices import draw_device

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array
 from .noise import EXACT
 from .raycast import Cylinder
 from .scenes import TAPE

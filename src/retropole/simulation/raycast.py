@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import Array, IntArray
+from ..base.datatypes import Array, IntArray
 
 BEAM_MARGIN = 0.2
 """Added to the bounding radius of a cylinder, metres: the edge of a beam hits it too, and half of 3

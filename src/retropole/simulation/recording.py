@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, BoolArray, IntArray, PointCloud
-from ..errors import RetropoleError
-from ..sensors import Sensor
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.errors import RetropoleError
+from ..base.sensors import Sensor
 from . import paper
 from .devices import Device
 from .environment import DELAY, draw_movers

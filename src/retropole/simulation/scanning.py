@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import Array, IntArray, PointCloud
-from ..sensors import Sensor
+from ..base.datatypes import Array, IntArray, PointCloud
+from ..base.sensors import Sensor
 from .devices import Device, draw_device
 from .environment import Mover, draw_sway, is_ground, wet_loss
 from .footprint import Materials, report

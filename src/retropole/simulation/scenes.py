@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
 
 TAPE = Material(0.9, retro=True)

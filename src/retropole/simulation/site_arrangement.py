@@ -8,8 +8,8 @@ from itertools import product
 
 import numpy as np
 
-from ..datatypes import Array
-from ..sensors import Sensor
+from ..base.datatypes import Array
+from ..base.sensors import Sensor
 from .arrangement import draw_poles, symmetric_poles
 from .pairs import MAX_POLE_ANGLE, MIN_POLE_ANGLE
 from .raycast import Cylinder

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .. import se3
-from ..datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array
 from .arrangement import TILT_SIGMA, UPSIDE_DOWN
 from .raycast import Box, Cylinder, Rectangle, Surface
 from .scenes import ASPHALT, BARK, METAL, PLASTER, UP, harbor, street

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
-from ..sensors import Sensor
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.sensors import Sensor
 from ..site.description import ControlPoint, Sighting, SurveyedPole
 from .raycast import Cylinder, cast
 from .recording import SimulationError

@@ -8,8 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..datatypes import Array
-from ..files import write_together
+from ..base.datatypes import Array
+from ..base.files import write_together
 from ..io.pcd import pcd_of
 from .sites import SimulatedSite
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..datatypes import DEFAULT_RADIUS, MAX_POLES, Array, IntArray, PointCloud
-from ..errors import UsageError
-from ..sensors import Sensor, find_sensor
+from ..base.datatypes import DEFAULT_RADIUS, MAX_POLES, Array, IntArray, PointCloud
+from ..base.errors import UsageError
+from ..base.sensors import Sensor, find_sensor
 from ..site.description import ControlPoint, Frame, Site, SiteLidar, SurveyedPole
 from .devices import Device, draw_device
 from .noise import TYPICAL, NoiseModel

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..files import write_together
+from ..base.files import write_together
 from ..io.pcd import pcd_of
 from .raycast import Cylinder
 from .recording import SimulatedPair

@@ -10,10 +10,10 @@ import numpy as np
 from ..alignment.adjustment import MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA, RADIUS_TOLERANCE
 from ..alignment.certainty import WORKING_SHARE
 from ..alignment.climb import start_noise
-from ..datatypes import Array
-from ..errors import Refusal
+from ..base.datatypes import Array
+from ..base.errors import Refusal
+from ..base.systematic import MIN_ERROR_SIGMA, sizes_of
 from ..scene.patches import Patches
-from ..systematic import MIN_ERROR_SIGMA, sizes_of
 from .answer import Test
 from .astray import astray
 from .axes import climb_from_lines

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from ..datatypes import Array, Scan
-from ..errors import Reason
-from ..uncertainty import BudgetEntry
-from ..uncertainty.purpose import Fitness
+from ..base.datatypes import Array, Scan
+from ..base.errors import Reason
+from ..base.uncertainty import BudgetEntry
+from ..base.uncertainty.purpose import Fitness
 from .description import Site
 
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from .. import se3
 from ..alignment.climb import MIN_INLIER_SHARE
 from ..alignment.posterior import Posterior, State, evaluate_lidar
-from ..datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array
 from .axes import climb_from_lines
 from .network import Network
 from .posterior import Sight

@@ -25,15 +25,10 @@ from ..alignment.factor import POSE, expand_lidar, semidefinite
 from ..alignment.observations import Beams, beams_of
 from ..alignment.posterior import SHARED, Posterior, Priors, State, evaluate
 from ..alignment.solver import levenberg_marquardt
-from ..alignment.views import (
-    MAX_LATERAL_NOISE,
-    MIN_LATERAL_NOISE,
-    MIN_NOISE,
-    find_view,
-)
-from ..datatypes import Array, IntArray, PointCloud, Pole
-from ..sensors import Sensor
-from ..systematic import RADIUS, ErrorModel, Layout, band_of, groups_of, sizes_of
+from ..alignment.views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
+from ..base.datatypes import Array, IntArray, PointCloud, Pole
+from ..base.sensors import Sensor
+from ..base.systematic import RADIUS, ErrorModel, Layout, band_of, groups_of, sizes_of
 
 FLOOR_POINT, FLOOR_LEAN = 0.002, 0.001
 """1 σ of an axis across itself and of its direction that no model names, metres and rad: glow

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from ..errors import Reason, Refusal
+from ..base.errors import Reason, Refusal
 from ..scene.agreement import MAX_AXES_CHI2
 from ..scene.starts import distance_sq
 from .adjustment import Adjusted, without_observations

@@ -7,10 +7,10 @@ from functools import partial
 
 from threadpoolctl import threadpool_limits
 
-from ..datatypes import Array
-from ..errors import Reason, Refusal
+from ..base.datatypes import Array
+from ..base.errors import Reason, Refusal
+from ..base.uncertainty import predicted_error
 from ..pipeline import timed
-from ..uncertainty import predicted_error
 from .adjustment import Adjusted, adjust
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from .blunders import without_blunders, worst_test

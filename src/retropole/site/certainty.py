@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import se3
 from ..alignment.certainty import BUDGET_RANGE, FLOOR, few_freedom
-from ..datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from ..base.systematic import Groups
+from ..base.uncertainty import BudgetEntry, floor, predicted_error
 from ..scene.patch_pairs import CLUSTER_SIDE, labels_of
 from ..scene.refinement import PLACE_BIAS
-from ..systematic import Groups
-from ..uncertainty import BudgetEntry, floor, predicted_error
 from .network import Network, about, marginal
 from .refinement import SceneTerm, SiteEnd
 from .state import POSE

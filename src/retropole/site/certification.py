@@ -17,10 +17,10 @@ import numpy as np
 from scipy.special import ndtri
 
 from ..alignment.origins import beam_origins
-from ..datatypes import Placement, Pole, Scan
-from ..errors import Reason, Refusal
+from ..base.datatypes import Placement, Pole, Scan
+from ..base.errors import Reason, Refusal
+from ..base.quantities import counted
 from ..pipeline import find_poles
-from ..quantities import counted
 from ..scene.static import check_poles
 from .axes import OwnAxes, find_axes
 from .correspondence import Correspondence, correspond

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array
 from .pairs import Pair, PairHypothesis, is_same_pose
 
 WITHOUT_SCENE = 0.25

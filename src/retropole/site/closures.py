@@ -16,10 +16,10 @@ from itertools import combinations
 import numpy as np
 from scipy.special import chdtrc
 
-from .. import se3
 from ..alignment.certainty import excess
-from ..datatypes import Array, IntArray
-from ..uncertainty import floor
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from ..base.uncertainty import floor
 from .answer import LoopClosure
 from .certainty import moved_by_places, places_of
 from .network import Observation

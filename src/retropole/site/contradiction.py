@@ -15,8 +15,8 @@ from typing import Protocol
 
 import numpy as np
 
-from .. import se3
-from ..errors import Refusal
+from ..base import se3
+from ..base.errors import Refusal
 from ..scene.descent import FEW
 from ..scene.patch_pairs import pair_patches
 from .adjustment import Adjusted

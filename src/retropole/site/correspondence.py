@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..datatypes import Array, Pole
+from ..base.datatypes import Array, Pole
 from ..matching.correspondence import match_poles
 from ..matching.extension import left_out
 

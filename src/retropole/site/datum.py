@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, BoolArray
-from ..quantities import counted
+from ..base import se3
+from ..base.datatypes import Array, BoolArray
+from ..base.quantities import counted
 from .description import Site
 from .onto_survey import on_survey, pole_at, transformed
 from .shared import SharedPole

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..datatypes import DEFAULT_RADIUS, Array, PointCloud
-from ..sensors import Sensor
-from ..uncertainty.purpose import Need
+from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud
+from ..base.sensors import Sensor
+from ..base.uncertainty.purpose import Need
 
 
 @dataclass(frozen=True, eq=False)

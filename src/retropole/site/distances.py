@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..alignment.posterior import SHARED, State
-from ..datatypes import Array, IntArray, Pole
+from ..base.datatypes import Array, IntArray, Pole
 from .axes import OwnAxes
 
 STEP = 1e-6

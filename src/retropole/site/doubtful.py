@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 
-from ..datatypes import Placement, Pole, Scan
+from ..base.datatypes import Placement, Pole, Scan
 from ..extraction.doubtful import with_doubtful
 from ..matching.confirmation import ENOUGH_SURE, Chosen, choose_with_doubtful
 from ..pipeline import choose, choose_settled

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TypeVar
 
-from .. import se3
-from ..datatypes import Array
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import Refusal
 from .choice import Choice, choose_poses, linked_groups
 from .description import Site
 from .pairs import Pair, find_pairs, poles_of

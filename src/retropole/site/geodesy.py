@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..datatypes import Array
+from ..base.datatypes import Array
 
 
 class Ellipsoid(NamedTuple):

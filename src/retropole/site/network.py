@@ -17,12 +17,12 @@ from typing import Literal
 
 import numpy as np
 
-from .. import se3
 from ..alignment.factor import POSE, expand_lidar, semidefinite
 from ..alignment.posterior import Posterior
 from ..alignment.views import View, find_view
-from ..datatypes import Array, BoolArray, IntArray
-from ..systematic import TAPE, Layout, band_of
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.systematic import TAPE, Layout, band_of
 from .description import Site
 from .posterior import Sight
 from .shared import SharedPole

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Pole
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, Pole
+from ..base.errors import Refusal
+from ..base.quantities import counted
 from ..matching.correspondence import match_poles
-from ..quantities import counted
 from .description import Site, SurveyedPole
 from .shared import SharedPole
 

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..datatypes import Array, IntArray
+from ..base.datatypes import Array, IntArray
 from .network import Observation
 from .solved import Solved
 from .state import POSE

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from ..datatypes import Array, Hypothesis, Match
-from ..errors import Reason, Refusal
+from ..base.datatypes import Array, Hypothesis, Match
+from ..base.errors import Reason, Refusal
 from ..matching.correspondence import match_poles
 from ..matching.placements import AGREE_ANGLE, AGREE_DISTANCE
 from ..scene.choice import RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import se3
 from ..alignment.climb import check_fit, maximise
 from ..alignment.observations import Beams
 from ..alignment.posterior import NOISE_STEP, SHARED, Posterior, evaluate_lidar
 from ..alignment.solver import Solution
-from ..datatypes import Array, BoolArray, IntArray
+from ..base import se3
+from ..base.datatypes import Array, BoolArray, IntArray
 from .state import POSE, SiteState
 from .survey import Surveyed, survey_terms
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datatypes import Array
-from ..errors import MissingExtraError, UsageError
+from ..base.datatypes import Array
+from ..base.errors import MissingExtraError, UsageError
 from .geodesy import Ellipsoid, mean_radius
 
 BEYOND_AREA = np.radians(20.0)

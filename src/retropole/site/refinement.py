@@ -14,9 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
-from .. import se3
 from ..alignment.certainty import group_scales, prior_precision, working_sigma
-from ..datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, IntArray
+from ..base.systematic import Groups, Layout
 from ..scene.descent import (
     FEW,
     FEW_STEP,
@@ -36,7 +37,6 @@ from ..scene.patch_pairs import (
 )
 from ..scene.patches import Patches, surface_patches
 from ..scene.weights import weigh
-from ..systematic import Groups, Layout
 from .network import Network, marginal, steps_to
 from .relative import joint_of, relative, relative_jacobian
 from .scans import SiteScans

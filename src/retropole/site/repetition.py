@@ -17,7 +17,7 @@ from scipy.special import fdtr, fdtri
 from ..alignment.observations import beams_of
 from ..alignment.posterior import SHARED
 from ..alignment.views import find_view
-from ..datatypes import Array, Pole, Scan
+from ..base.datatypes import Array, Pole, Scan
 from .axes import OwnAxes, climb_alone
 from .distances import Targets, distances_of
 

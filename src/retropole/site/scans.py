@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, PointCloud, Pole, Scan
-from ..errors import Refusal
+from ..base import se3
+from ..base.datatypes import Array, PointCloud, Pole, Scan
+from ..base.errors import Refusal
 from ..matching.placements import merged
 from ..pipeline import find_poles
 from ..scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL

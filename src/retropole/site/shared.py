@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import se3
 from ..alignment.observations import beams_of
-from ..datatypes import Array, Pole
+from ..base import se3
+from ..base.datatypes import Array, Pole
 from .description import Site
 from .posterior import Sight
 from .scans import SiteScans

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtrc, erfcinv
 
 from ..alignment.certainty import excess
-from ..datatypes import Array
+from ..base.datatypes import Array
 from .answer import Test
 from .description import Site
 from .own_errors import (

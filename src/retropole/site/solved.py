@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ..alignment.certainty import considered
-from ..datatypes import Array
-from ..systematic import Groups
+from ..base.datatypes import Array
+from ..base.systematic import Groups
 from .network import Network, Observation, about
 from .refinement import SiteEnd
 

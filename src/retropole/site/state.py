@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import se3
 from ..alignment.posterior import State
-from ..datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, IntArray
 
 POSE = 6
 """Parameters of a pose."""

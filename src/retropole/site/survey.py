@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, IntArray
+from ..base import se3
+from ..base.datatypes import Array, IntArray
 from .state import POSE, SiteState
 
 

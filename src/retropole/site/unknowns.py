@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..datatypes import Array, IntArray
-from ..systematic import (
+from ..base.datatypes import Array, IntArray
+from ..base.systematic import (
     DEVICE,
     DEVICE_KINDS,
     MIN_ERROR_SIGMA,

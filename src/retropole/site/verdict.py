@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array, Hypothesis, Match, Placement
-from ..errors import Reason, Refusal
+from ..base import se3
+from ..base.datatypes import Array, Hypothesis, Match, Placement
+from ..base.errors import Reason, Refusal
+from ..base.quantities import at_most
+from ..base.uncertainty import Confirmation
+from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from ..matching.placements import PairedPlacement
-from ..quantities import at_most
 from ..scene.confirmation import MAX_WRONG, check_confirmation, confirm
-from ..uncertainty import Confirmation
-from ..uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from .adjustment import Adjusted
 from .answer import LidarPose, LoopClosure, Test
 from .blunders import POOR, place_of, worst_test

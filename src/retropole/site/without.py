@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..datatypes import Array, IntArray
+from ..base.datatypes import Array, IntArray
 from .answer import WithoutPlacement
 from .network import Network, about, marginal
 from .refinement import SiteEnd

@@ -34,9 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import se3
-from ..datatypes import Array
-from ..errors import UsageError
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import UsageError
 from .description import Frame, Site
 from .geodesy import enu_axes, geodetic_of_local, local_of
 from .projection import grid_at, project, projected, unproject

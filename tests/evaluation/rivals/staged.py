@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array, PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import Array, PointCloud
 from retropole.evaluation.rivals.plane_extraction import Plane
 
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import PointCloud, PoseEstimate
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud, PoseEstimate
+from retropole.base.errors import Refusal
 from retropole.evaluation.rivals.icp import gicp, icp
 from retropole.evaluation.rivals.registration import register_clouds
 from retropole.simulation import SimulatedPair, simulate_pair

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array, PointCloud
+from retropole.base.datatypes import Array, PointCloud
 from retropole.evaluation.rivals.kiss import ENOUGH_INLIERS, KISS_VOXELS, best_match
 
 CLOUD = PointCloud(np.zeros((100, 3)))

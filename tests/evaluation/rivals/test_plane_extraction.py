@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import PointCloud
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
 from retropole.evaluation.rivals import plane_extraction
 from retropole.evaluation.rivals.plane_extraction import (
     MAX_PLANES,

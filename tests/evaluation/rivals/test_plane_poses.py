@@ -5,15 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.evaluation.rivals import plane_poses
 from retropole.evaluation.rivals.plane_extraction import Plane
-from retropole.evaluation.rivals.plane_poses import (
-    agreement,
-    candidate_poses,
-    linearised,
-    refine,
-)
+from retropole.evaluation.rivals.plane_poses import agreement, candidate_poses, linearised, refine
 from tests.evaluation.rivals.staged import assert_close, transformed, walls
 
 NEARBY = np.array([0.01, -0.01, 0.01, 0.02, 0.02, -0.02])

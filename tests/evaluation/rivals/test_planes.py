@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import PointCloud
-from retropole.errors import Refusal
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import Refusal
 from retropole.evaluation.rivals import plane_poses
 from retropole.evaluation.rivals.planes import planar_surfaces
 from retropole.io import read_cloud

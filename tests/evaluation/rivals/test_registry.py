@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from _pytest.mark import ParameterSet
 
-from retropole import se3
-from retropole.datatypes import PointCloud
-from retropole.errors import MissingExtraError, Refusal
+from retropole.base import se3
+from retropole.base.datatypes import PointCloud
+from retropole.base.errors import MissingExtraError, Refusal
 from retropole.evaluation.rivals import RIVALS, load_rival, missing_extra
 from retropole.simulation import simulate_pair
 

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.fleet.history.model import Observed
 from retropole.fleet.history.rows import CheckRow
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from retropole.api import floor
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.fleet.history.model import (
     LEVEL_FACTOR,
     SEASON,

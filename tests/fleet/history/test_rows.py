@@ -6,7 +6,7 @@ from datetime import timedelta
 import numpy as np
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.fleet.history.rows import observed, plain, row_of
 from tests.fleet.history.checks import COMMON, row
 

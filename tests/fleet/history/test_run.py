@@ -8,7 +8,7 @@ import fsspec
 import numpy as np
 import pytest
 
-from retropole.errors import UsageError
+from retropole.base.errors import UsageError
 from retropole.fleet.engine import connected, outcomes
 from retropole.fleet.history import run
 from retropole.fleet.history.rows import CheckRow

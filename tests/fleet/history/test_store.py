@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from retropole.errors import ReadError
+from retropole.base.errors import ReadError
 from retropole.fleet.history.rows import CheckRow
 from retropole.fleet.history.store import append, keys, schema
 from retropole.fleet.history.store import read as read_sites

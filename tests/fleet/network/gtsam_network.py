@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.fleet.network.graph import Graph
 
 

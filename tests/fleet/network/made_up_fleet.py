@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from tests.fleet.answered import SIGMA, answered_pair, refused_pair, write_answers
 
 POSTS = 6

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.city import SURVEY, City, simulate_city
-from retropole import se3
-from retropole.datatypes import Array, IntArray
+from retropole.base import se3
+from retropole.base.datatypes import Array, IntArray
 from retropole.fleet.network.elimination import Blocks
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPoses
 

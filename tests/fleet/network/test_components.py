@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from retropole.datatypes import Array
+from retropole.base.datatypes import Array
 from retropole.fleet.network.components import connected, find_components
 from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses
 from tests.fleet.network.networks import ladder

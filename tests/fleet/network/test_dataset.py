@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole import se3
 from retropole.api.site import SiteResult
-from retropole.errors import ReadError
+from retropole.base import se3
+from retropole.base.errors import ReadError
 from retropole.fleet.dataset import LidarEntry, Row
 from retropole.fleet.network.dataset import NotUsed, find_network
 from retropole.fleet.network.network import adjust_network

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.fleet.network.components import find_components
 from retropole.fleet.network.doubtful import agrees, hanging, inseparable, outvoted, relaid
 from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from retropole.errors import RetropoleError
+from retropole.base.errors import RetropoleError
 from retropole.fleet.network.elimination import Blocks, factorise, find_pattern, solve
 from tests.fleet.network.networks import dense
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.errors import UsageError
+from retropole.base.errors import UsageError
 from retropole.fleet.network.graph import Edges, Graph
 from tests.fleet.network.networks import city
 

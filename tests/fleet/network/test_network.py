@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from benchmarks.city import City
-from retropole import se3
-from retropole.datatypes import Array
+from retropole.base import se3
+from retropole.base.datatypes import Array
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, KnownPoses
 from retropole.fleet.network.network import adjust_network
 from tests.fleet.network.networks import city, in_sigma, ladder, network_of, spoiled

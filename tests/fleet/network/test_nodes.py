@@ -6,7 +6,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet as pq
 
-from retropole.errors import ReadError, UsageError
+from retropole.base.errors import ReadError, UsageError
 from retropole.fleet.network.nodes import read_nodes
 
 HEAD = "node,site,lidar,x_m,y_m,z_m,sigma_m,seen_x_m\n"

@@ -1,6 +1,6 @@
 import numpy as np
 
-from retropole import se3
+from retropole.base import se3
 from retropole.fleet.network.adjustment import find_layout
 from retropole.fleet.network.graph import Graph
 from retropole.fleet.network.residuals import Model

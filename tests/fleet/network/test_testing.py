@@ -2,7 +2,7 @@ import numpy as np
 from scipy.special import chdtri
 from scipy.stats import ncx2
 
-from retropole import se3
+from retropole.base import se3
 from retropole.fleet.network.adjustment import adjust, find_layout
 from retropole.fleet.network.components import find_components
 from retropole.fleet.network.graph import Graph

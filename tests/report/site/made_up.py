@@ -10,13 +10,23 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from retropole import se3
-from retropole.datatypes import Array, Detection, IntArray, PointCloud, Pole, RejectedCluster, Scan
-from retropole.errors import Reason, Refusal
+from retropole.base import se3
+from retropole.base.datatypes import (
+    Array,
+    Detection,
+    IntArray,
+    PointCloud,
+    Pole,
+    RejectedCluster,
+    Scan,
+)
+from retropole.base.errors import Reason, Refusal
+from retropole.base.sensors import SENSORS
+from retropole.base.uncertainty import BudgetEntry, predicted_error
+from retropole.base.uncertainty.purpose import Fitness, Need
 from retropole.result.bounded import Status
 from retropole.result.detected import InputDoc
 from retropole.result.site import SiteConfig, SiteDoc, site_document
-from retropole.sensors import SENSORS
 from retropole.site.answer import (
     LidarPose,
     LoopClosure,
@@ -35,8 +45,6 @@ from retropole.site.description import (
     SurveyedPole,
     Up,
 )
-from retropole.uncertainty import BudgetEntry, predicted_error
-from retropole.uncertainty.purpose import Fitness, Need
 
 NAMES = ("mast-a", "mast-b", "gate", "crane-low", "crane-high", "quay-n", "quay-s", "shed")
 

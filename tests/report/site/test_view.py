@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.report.site import view
 from retropole.report.site.plan import Plan, plan_of
 from retropole.report.site.view import site_view

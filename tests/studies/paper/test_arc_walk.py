@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from studies.paper.arc_walk import (
     arc_point,
     cast_cone,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Hypothesis
+from retropole.base import se3
+from retropole.base.datatypes import Hypothesis
 from studies.paper.choosing import (
     PAPER_RULES,
     RULES,

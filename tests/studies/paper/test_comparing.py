@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from retropole.evaluation.entropy import KERNEL_WIDTH
 from retropole.evaluation.rivals import RIVALS
 from retropole.simulation import EXACT, simulate_pair

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.errors import Refusal
-from retropole.sensors import SENSORS
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.errors import Refusal
+from retropole.base.sensors import SENSORS
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from studies.paper.failures import (
     TROUBLES,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from studies.paper.equations import both_casts
 from studies.paper.pole_frame import in_pole_frame, turn_onto_x, turn_upright
 

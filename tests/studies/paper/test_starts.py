@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole import se3
+from retropole.base import se3
 from studies.paper.starts import NAMES, SAME_RMS, different, eight_ends
 from tests.studies.paper.exhibits import all_exhibits, number
 

@@ -1,6 +1,6 @@
 """Table I: the paper's thresholds are ours, but for named exceptions."""
 
-from retropole.sensors import SENSORS
+from retropole.base.sensors import SENSORS
 from studies.paper.thresholds import thresholds
 
 

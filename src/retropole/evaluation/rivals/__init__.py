@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     import numpy as np
 
-    from ...datatypes import PointCloud, PoseEstimate
+    from ...base.datatypes import PointCloud, PoseEstimate
 
     Method = Callable[[PointCloud, PointCloud, np.random.Generator], PoseEstimate]
 

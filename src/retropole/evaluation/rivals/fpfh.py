@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...datatypes import Array, PointCloud, PoseEstimate
-from ...errors import MissingExtraError, Refusal
-from ...quantities import counted
+from ...base.datatypes import Array, PointCloud, PoseEstimate
+from ...base.errors import MissingExtraError, Refusal
+from ...base.quantities import counted
 from ...scene.registration import MIN_CLOUD_POINTS, voxel_downsample
 from .registration import register_clouds
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...datatypes import PointCloud, PoseEstimate
+from ...base.datatypes import PointCloud, PoseEstimate
 from .registration import register_clouds
 
 ICP_CORRESPONDENCE_DISTANCES = (3.0, 1.0, 0.3)

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array, PointCloud, PoseEstimate
-from ...errors import MissingExtraError, Refusal
+from ...base import se3
+from ...base.datatypes import Array, PointCloud, PoseEstimate
+from ...base.errors import MissingExtraError, Refusal
 from ...scene.registration import MIN_CLOUD_POINTS
 from .registration import register_clouds
 

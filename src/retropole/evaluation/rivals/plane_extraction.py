@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...datatypes import Array, IntArray, PointCloud
+from ...base.datatypes import Array, IntArray, PointCloud
 from ...scene.registration import voxel_downsample
 
 PLANE_VOXEL = 0.15

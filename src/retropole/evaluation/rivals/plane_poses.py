@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ... import se3
 from ...alignment.solver import Solution, gauss_newton
-from ...datatypes import Array, BoolArray, PoseEstimate
+from ...base import se3
+from ...base.datatypes import Array, BoolArray, PoseEstimate
 from .plane_extraction import MIN_INDEPENDENCE, Plane, independence, triples
 
 SAME_PLANE_ANGLE = float(np.radians(3.0))

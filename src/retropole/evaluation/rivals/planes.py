@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array, BoolArray, PointCloud, PoseEstimate
-from ...errors import Refusal
+from ...base import se3
+from ...base.datatypes import Array, BoolArray, PointCloud, PoseEstimate
+from ...base.errors import Refusal
 from ...scene.visibility import View, compare_views, view_of
 from .plane_extraction import MAX_ROUNDS, PlaneSearch, extract_planes, triples
 from .plane_poses import (

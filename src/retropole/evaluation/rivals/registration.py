@@ -9,17 +9,10 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ... import se3
-from ...datatypes import Array, PointCloud, PoseEstimate
-from ...errors import Refusal
-from ...scene.registration import (
-    CORES,
-    MIN_CLOUD_POINTS,
-    Registration,
-    Surface,
-    prepare,
-    register,
-)
+from ...base import se3
+from ...base.datatypes import Array, PointCloud, PoseEstimate
+from ...base.errors import Refusal
+from ...scene.registration import CORES, MIN_CLOUD_POINTS, Registration, Surface, prepare, register
 
 REGISTRATION_VOXEL = 0.2
 """Clouds are downsampled to one point per cube of this side, metres."""

@@ -10,9 +10,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ... import __version__
-from ...errors import ReadError, Refusal, quoting
-from ...files import LARGEST_DOCUMENT, read_document
+from ...base.errors import ReadError, Refusal, quoting
+from ...base.files import LARGEST_DOCUMENT, read_document
+from ...base.version import __version__
 from ...result.folder import RESULT_FILE, result_file
 from ..dataset import Row
 from ..local import LocalFiles

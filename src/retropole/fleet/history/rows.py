@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...api import Array
-from ...errors import ReadError
+from ...base.errors import ReadError
 from ...result.decoding import check_covariance
 from .model import Observed
 

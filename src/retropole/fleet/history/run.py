@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from ...errors import UsageError
+from ...base.errors import UsageError
 from .. import TIME_LIMIT
 from ..batch import Doing, how_far
 from ..dataset import Row, partition_of, partitions_in, read_rows

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import msgspec
 
 from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
-from ...errors import ReadError, RetropoleError, quoting
-from ...files import LARGEST_DOCUMENT
+from ...base.errors import ReadError, RetropoleError, quoting
+from ...base.files import LARGEST_DOCUMENT
 from ...result import RunConfig
 from ...result.folder import SITE_RESULT_FILE
 from ...result.site import SiteDoc

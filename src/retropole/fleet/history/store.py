@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator
 from typing import Any
 
-from ...errors import ReadError
+from ...base.errors import ReadError
 from ..parquet import arrow, opened, parquet_of
 from ..storage import below, names_in, write_bytes
 from .rows import SCHEMA, CheckRow, plain, row_of

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ...api import Array, se3
-from ...errors import ReadError, quoting
+from ...base.errors import ReadError, quoting
 from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
 from ..answers import document_of

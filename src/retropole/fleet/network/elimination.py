@@ -16,7 +16,7 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from ...api import Array, IntArray
-from ...errors import RetropoleError
+from ...base.errors import RetropoleError
 
 SMALL_FRONT, MOST_ZEROS = 8, 0.2
 """Nodes of a front that may be filled up with zeros to half, and the part of zeros in a larger one.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...api import Array, IntArray, se3
-from ...errors import UsageError
+from ...base.errors import UsageError
 
 MOST_NODES = 10_000_000
 """More poses than any city has posts: a count beyond it is a mistake."""

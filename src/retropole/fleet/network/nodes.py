@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from ...api import se3
-from ...errors import ReadError, UsageError, quoting
+from ...base.errors import ReadError, UsageError, quoting
 from ..lists import LISTS, lines_of
 from ..sites import id_fault
 from ..storage import absolute

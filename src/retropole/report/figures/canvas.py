@@ -9,9 +9,9 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...datatypes import Array
-from ...errors import MissingExtraError
-from ...files import write_atomically
+from ...base.datatypes import Array
+from ...base.errors import MissingExtraError
+from ...base.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

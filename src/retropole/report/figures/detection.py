@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...datatypes import Array, Detection, IntArray, PointCloud
-from ...quantities import counted
+from ...base.datatypes import Array, Detection, IntArray, PointCloud
+from ...base.quantities import counted
 from .canvas import BLUE, GREY, ORANGE, RED, new_figure, save_figure, subsample
 
 if TYPE_CHECKING:

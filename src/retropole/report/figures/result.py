@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ... import se3
-from ...datatypes import Array, PointCloud, Pole
+from ...base import se3
+from ...base.datatypes import Array, PointCloud, Pole
 from .canvas import BLUE, GREEN, ORANGE, RED, new_figure, save_figure, subsample
 
 if TYPE_CHECKING:

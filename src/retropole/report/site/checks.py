@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...quantities import counted, error
+from ...base.quantities import counted, error
 from ...result.site import SiteDoc
 from ...result.site_checks import TestDoc
 from ..markup import MISSING, number, table

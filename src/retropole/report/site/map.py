@@ -7,8 +7,8 @@ from html import escape
 
 import numpy as np
 
-from ...datatypes import Array
-from ...quantities import error, large, round_below
+from ...base.datatypes import Array
+from ...base.quantities import error, large, round_below
 from ...result.site import SiteDoc
 from ..markup import MISSING, number, table
 from .names import pole_labels

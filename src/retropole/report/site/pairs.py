@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from ...quantities import counted
+from ...base.quantities import counted
 from ...result.site import SiteDoc
 from ...result.site_checks import PairDoc
 from ..markup import MISSING, number, table

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...datatypes import Array
+from ...base.datatypes import Array
 from ...result.site import SiteDoc
 
 

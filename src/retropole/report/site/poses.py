@@ -6,10 +6,10 @@ from html import escape
 
 import numpy as np
 
-from ... import se3
-from ...errors import RetropoleError
+from ...base import se3
+from ...base.errors import RetropoleError
+from ...base.quantities import error
 from ...export import export_lines
-from ...quantities import error
 from ...result.site import SiteDoc
 from ...result.site_parts import LidarDoc
 from ..markup import MISSING, number, table

@@ -7,7 +7,7 @@ from html import escape
 
 import msgspec
 
-from ...quantities import counted
+from ...base.quantities import counted
 from ...result.site import SiteDoc
 from ...result.site_parts import FoundDoc
 from ..markup import MISSING, number, table

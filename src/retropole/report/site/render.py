@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from ...files import write_atomically
-from ...quantities import counted
+from ...base.files import write_atomically
+from ...base.quantities import counted
 from ...result.site import SiteDoc
 from ...site.answer import SiteCalibration
 from ..markup import share_styles

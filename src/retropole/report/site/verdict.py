@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from ...quantities import counted, percent
+from ...base.quantities import counted, percent
 from ...result.site import SiteDoc
 from ...result.site_parts import LidarDoc
 from ..certainty import BUDGET_RANGE

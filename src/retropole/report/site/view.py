@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from ...datatypes import Array, Scan
+from ...base.datatypes import Array, Scan
 from ...result import Matrix
 from ...result.site import SiteDoc
 from ...result.site_parts import SitePoleDoc

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.uncertainty import covariance_fault, predicted_error
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.uncertainty import covariance_fault, predicted_error
 
 
 def test_predicted_error_equals_sampling() -> None:

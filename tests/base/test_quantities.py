@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole.quantities import (
+from retropole.base.quantities import (
     Unit,
     at_most,
     counted,

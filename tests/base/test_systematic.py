@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from retropole.datatypes import Array
-from retropole.sensors import SENSORS
-from retropole.systematic import (
+from retropole.base.datatypes import Array
+from retropole.base.sensors import SENSORS
+from retropole.base.systematic import (
     BAND,
     DEVICE,
     DEVICE_KINDS,

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole import se3
+from retropole.base import se3
 
 seeds = st.integers(0, 2**32 - 1)
 # Angles at and around the singular places of the exponential: none, tiny, and a half turn.

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole.errors import UsageError
-from retropole.sensors import (
+from retropole.base.errors import UsageError
+from retropole.base.sensors import (
     SENSORS,
     auto_threshold,
     find_sensor,

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole import se3
-from retropole.datatypes import Array
-from retropole.uncertainty import predicted_error
-from retropole.uncertainty.purpose import (
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from retropole.base.uncertainty import predicted_error
+from retropole.base.uncertainty.purpose import (
     CONFIDENCE,
     Need,
     displacement,

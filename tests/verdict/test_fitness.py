@@ -6,14 +6,20 @@ import numpy as np
 import pytest
 
 from retropole.alignment.certainty import FLOOR
-from retropole.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
-from retropole.errors import Reason
-from retropole.fitness import DOUBTS, judged
-from retropole.reasons.sources import REMEDIES, SPREAD_OUT, remedy
-from retropole.sensors import SENSORS
-from retropole.systematic import RADIUS_KIND
-from retropole.uncertainty import BudgetEntry, Confirmation, Uncertainty, floor, predicted_error
-from retropole.uncertainty.purpose import USABLE, Need, displacement_bound
+from retropole.base.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
+from retropole.base.errors import Reason
+from retropole.base.reasons.sources import REMEDIES, SPREAD_OUT, remedy
+from retropole.base.sensors import SENSORS
+from retropole.base.systematic import RADIUS_KIND
+from retropole.base.uncertainty import (
+    BudgetEntry,
+    Confirmation,
+    Uncertainty,
+    floor,
+    predicted_error,
+)
+from retropole.base.uncertainty.purpose import USABLE, Need, displacement_bound
+from retropole.verdict.fitness import DOUBTS, judged
 
 GOOD = np.diag(np.square([1e-4] * 3 + [2e-3] * 3))
 

@@ -6,21 +6,21 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from . import quantities
-from .alignment.adjustment import BeamAlignment
-from .datatypes import Calibration, Hypothesis, Placement, Pole, Scan
-from .errors import Reason, Refusal
-from .extraction.sensor_pattern import sensor_doubt
-from .matching.confirmation import doubtful_reasons
-from .matching.correspondence import widest_angle
-from .matching.extension import left_out
-from .matching.placements import PairedPlacement
-from .scene.agreement import check_agreement, check_decisive, check_minima, check_radius
-from .scene.choice import WARN_MARGIN, margin_of
-from .scene.confirmation import unconfirmed
-from .scene.refinement import Refinement
-from .scene.times import other_times
-from .uncertainty import Confirmation, WeakDirection
+from ..alignment.adjustment import BeamAlignment
+from ..base import quantities
+from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, Scan
+from ..base.errors import Reason, Refusal
+from ..base.uncertainty import Confirmation, WeakDirection
+from ..extraction.sensor_pattern import sensor_doubt
+from ..matching.confirmation import doubtful_reasons
+from ..matching.correspondence import widest_angle
+from ..matching.extension import left_out
+from ..matching.placements import PairedPlacement
+from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
+from ..scene.choice import WARN_MARGIN, margin_of
+from ..scene.confirmation import unconfirmed
+from ..scene.refinement import Refinement
+from ..scene.times import other_times
 
 WEAK_ANGLE = np.radians(15.0)
 """Poles nearer to parallel than this make a weak answer."""

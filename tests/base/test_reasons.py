@@ -4,7 +4,7 @@ from typing import get_args
 
 import pytest
 
-from retropole.reasons import (
+from retropole.base.reasons import (
     GROUPS,
     PREFIXED,
     REASONS,

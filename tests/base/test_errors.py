@@ -8,7 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retropole.errors import LONGEST_MESSAGE, ReadError, Refusal, UsageError, printable, shortened
+from retropole.base.errors import (
+    LONGEST_MESSAGE,
+    ReadError,
+    Refusal,
+    UsageError,
+    printable,
+    shortened,
+)
 
 
 @given(st.text(st.characters(blacklist_categories=())))

@@ -8,7 +8,7 @@ import pytest
 
 from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment
 from retropole.alignment.factor import AxesTest, gaussian_factor
-from retropole.datatypes import (
+from retropole.base.datatypes import (
     Array,
     Detection,
     Hypothesis,
@@ -19,7 +19,10 @@ from retropole.datatypes import (
     PoseEstimate,
     Scan,
 )
-from retropole.errors import Reason, Refusal
+from retropole.base.errors import Reason, Refusal
+from retropole.base.se3 import PoseDifference
+from retropole.base.sensors import SENSORS
+from retropole.base.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
 from retropole.matching.placements import PairedPlacement
 from retropole.scene.agreement import (
     MAX_AXES_CHI2,
@@ -37,9 +40,6 @@ from retropole.scene.confirmation import (
 )
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import Refinement
-from retropole.se3 import PoseDifference
-from retropole.sensors import SENSORS
-from retropole.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
 from retropole.verdict import weaknesses
 from tests.conftest import PoleMaker
 

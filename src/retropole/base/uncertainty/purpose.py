@@ -147,9 +147,8 @@ def displacement_bound(
     """Bound how far off any point at a distance is, metres, with a probability.
 
     The bound holds for all directions at once, and for every nearer point: with this probability
-    no point up to there lands further from its true place. The 1 σ of
-    `retropole.uncertainty.predicted_error` is a mean over directions; the bound at 95 % is 2 to 3
-    times as large.
+    no point up to there lands further from its true place. The 1 σ of `predicted_error` is a mean
+    over directions; the bound at 95 % is 2 to 3 times as large.
     """
     return float(np.quantile(displacements(covariance, distance), probability))
 

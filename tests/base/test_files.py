@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from retropole.errors import ReadError
-from retropole.files import (
+from retropole.base.errors import ReadError
+from retropole.base.files import (
     LARGEST_DOCUMENT,
     UNFINISHED,
     path_in_text,
@@ -70,7 +70,7 @@ def test_files_that_are_there_are_of_one_run_wherever_it_ends(tmp_path: Path, af
     code = f"""
 import os
 from pathlib import Path
-from retropole.files import write_together
+from retropole.base.files import write_together
 real, count = os.replace, [0]
 def replace(*words):
     if count[0] == {after}:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from . import quantities
-from .alignment.certainty import BUDGET_RANGE, FLOOR
-from .datatypes import Calibration
-from .errors import Reason
-from .reasons.sources import remedy
-from .uncertainty import floor, source_words
-from .uncertainty.purpose import (
+from ..alignment.certainty import BUDGET_RANGE, FLOOR
+from ..base import quantities
+from ..base.datatypes import Calibration
+from ..base.errors import Reason
+from ..base.reasons.sources import remedy
+from ..base.uncertainty import floor, source_words
+from ..base.uncertainty.purpose import (
     USABLE,
     Fitness,
     Need,
