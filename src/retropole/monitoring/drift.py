@@ -26,7 +26,7 @@ from ..scene.confirmation import DENIED, count, is_denied, scenes_of
 from ..scene.preference import preferences
 from .certainty import FALSE_ALARM
 from .movement import CheckResult, Method, compare_poses
-from .new_pose import Clouds, NewPose, by_poles, by_scene, search_covariance
+from .new_pose import Clouds, NewPose, by_poles, by_scene, is_ambiguous, search_covariance
 from .swapped import swapped_clouds, swapped_sensors
 from .tolerance import NOT_ASKED, Asked
 
@@ -98,20 +98,21 @@ def check(
         thresholds=thresholds,
     )
     # Surfaces about the stored pose tell more than doubtful poles, in a thirtieth of the time.
-    answer = _answered(question, target, source, partial(calibrate_again, doubtful=False))
+    by_sure_poles = partial(calibrate_again, doubtful=False)
+    answer = _answered(question, by_sure_poles(target, source), by_sure_poles)
     if not _is_astray(answer):
         return answer
-    return _answered(question, target, source, calibrate_again)
+    again = calibrate_again(target, source)
+    # What the surfaces say without an answer of the poles was just found.
+    if again.T_target_source is None and not is_ambiguous(again):
+        return answer
+    return _answered(question, again, calibrate_again)
 
 
 def _answered(
-    question: _Question,
-    target: PointCloud,
-    source: PointCloud,
-    calibrate_again: Callable[..., Calibration],
+    question: _Question, again: Calibration, calibrate_again: Callable[..., Calibration]
 ) -> CheckResult:
-    """Calibrate the new recordings, and hold what comes of it against the stored pose."""
-    again = calibrate_again(target, source)
+    """Hold a calibration of the new recordings against the stored pose."""
     sensors, T_stored = question.sensors, question.stored.T_target_source
     for reason in again.reasons:
         swapped = (

@@ -80,7 +80,7 @@ def by_poles(
     preferred: no LiDAR comes loose to end up half a turn away in a place of that symmetry.
     """
     answer = again
-    if [reason.code for reason in answer.reasons] == ["ambiguous"]:
+    if is_ambiguous(answer):
         near = RotationPrior(stored.T_target_source[:3, :3], NEAR_STORED_ROTATION)
         answer = calibrate_again(clouds.target, clouds.source, prior=near)
     pose = answer.refined or answer.poles
@@ -95,6 +95,11 @@ def by_poles(
         return NewPose(None, reasons=tuple(reasons))
     said = tuple(r for r in answer.reasons if r.code == "not_converged")
     return NewPose(pose, answer.uncertainty, said)
+
+
+def is_ambiguous(answer: Calibration) -> bool:
+    """Whether the surroundings do not decide between hypotheses that the poles give."""
+    return [reason.code for reason in answer.reasons] == ["ambiguous"]
 
 
 def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose:
