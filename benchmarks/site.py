@@ -36,13 +36,13 @@ from coverage import STATING
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason
+from retropole.base.relative import joint_of, relative
 from retropole.pipeline import calibrate
 from retropole.simulation import FIELD, SimulationError
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
-from retropole.site.relative import joint_of, relative
 from site_blunders import Blunder, simulate_blunder
 
 KINDS = ("posts", "crane", "truck")

@@ -284,7 +284,7 @@ def refine_by_scene(
         merged([placement.source.cloud for placement in placements]),
         aligned.pose,
         factor=aligned.factor,
-        model=ErrorModel(sizes_of(sensors[0]), sizes_of(sensors[1]), aligned.radius.given_sigma),
+        model=ErrorModel((sizes_of(sensors[0]), sizes_of(sensors[1])), aligned.radius.given_sigma),
     )
 
 

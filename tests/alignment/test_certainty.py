@@ -8,17 +8,20 @@ from retropole.alignment.certainty import (
     MAX_SCALE,
     MIN_MEMBERS,
     WORKING_SHARE,
-    Scatter,
     few_freedom,
+    floors,
     group_scales,
+    parts_of_errors,
     prior_precision,
+    scatter_of_poles,
     solve_factor,
-    stated,
+    uncertainty_of_pair,
     working_sigma,
 )
-from retropole.alignment.factor import MANY, POSE, PoleFactor
+from retropole.alignment.factor import MANY, OF_SOURCE, PoleFactor, poses_of_pair
+from retropole.alignment.unknowns import POSE, Unknowns
 from retropole.base.datatypes import Array
-from retropole.base.systematic import RADIUS, ErrorModel, Groups, Layout, groups_of
+from retropole.base.systematic import ErrorModel, Groups
 from retropole.base.uncertainty import (
     FLOOR_ROTATION,
     FLOOR_TRANSLATION,
@@ -26,8 +29,9 @@ from retropole.base.uncertainty import (
     predicted_error,
 )
 
-LAYOUT = Layout((np.arange(6), np.arange(5)))
-GROUPS = groups_of(LAYOUT)
+UNKNOWNS = Unknowns((np.arange(6), np.arange(5)), 0, 0)
+GROUPS = UNKNOWNS.groups()
+POSES, RADIUS = UNKNOWNS.poses, UNKNOWNS.radius - UNKNOWNS.poses
 SIGMA = ErrorModel().sigmas(GROUPS)
 NOISE = 0.004
 FLOOR = np.diag(np.repeat([FLOOR_ROTATION, FLOOR_TRANSLATION], 3) ** 2)
@@ -38,23 +42,25 @@ def linear_problem(seed: int, rows: int = 200) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     by_pose = rng.normal(size=(rows, POSE)) * np.r_[np.full(3, 5.0), np.full(3, 1.0)]
     # Errors that look much like motions, as real ones do, and matter about alike.
-    by_errors = by_pose @ rng.normal(size=(POSE, LAYOUT.size)) / 5
+    by_errors = by_pose @ rng.normal(size=(POSE, UNKNOWNS.errors)) / 5
     by_errors = by_errors + 0.02 * rng.normal(size=by_errors.shape)
     return by_pose, by_errors * 0.01 / SIGMA[GROUPS.label]
 
 
 def factor_of(A: Array, y: Array) -> PoleFactor:
-    weighted = A.T / NOISE**2
-    return PoleFactor(np.eye(4), LAYOUT, weighted @ A, weighted @ y, MANY)
+    """Of residuals that know the source's pose and all errors: the target is the frame."""
+    J = np.hstack([np.zeros((len(A), POSE)), A])
+    weighted = J.T / NOISE**2
+    T = poses_of_pair(np.eye(4))
+    return PoleFactor(T, UNKNOWNS, OF_SOURCE, weighted @ J, weighted @ y, MANY)
 
 
 def stated_of(A: Array, y: Array, sigma: Array, precision: Array) -> Uncertainty:
     factor = factor_of(A, y)
     estimate = solve_factor(factor, precision)
-    inverse = estimate.inverse
-    noise = inverse[:POSE] @ factor.information @ inverse[:POSE].T
-    scatter = (Scatter("noise", noise, MANY),)
-    return stated(GROUPS, sigma, precision, inverse, estimate.errors, scatter)
+    parts = parts_of_errors(GROUPS, sigma, precision, estimate.inverse, estimate.errors)
+    parts.append(scatter_of_poles("noise", factor, estimate.inverse))
+    return uncertainty_of_pair([*parts, *floors(factor.T, factor.free)])
 
 
 def test_an_error_moves_the_estimate_as_the_module_says() -> None:
@@ -62,11 +68,12 @@ def test_an_error_moves_the_estimate_as_the_module_says() -> None:
     A = np.hstack([by_pose, by_errors])
     precision = prior_precision(GROUPS, SIGMA)
     rng = np.random.default_rng(1)
-    b = SIGMA[GROUPS.label] * rng.normal(size=LAYOUT.size)
+    b = SIGMA[GROUPS.label] * rng.normal(size=UNKNOWNS.errors)
     x = rng.normal(size=POSE) * 0.01
     found = solve_factor(factor_of(A, A @ np.r_[x, b]), precision)
-    moved = -found.inverse[:POSE, POSE:] @ (precision * b)
-    np.testing.assert_allclose(found.step - x, moved, atol=1e-12)
+    moved = -found.inverse[POSE:POSES, POSES:] @ (precision * b)
+    np.testing.assert_allclose(found.steps[POSE:] - x, moved, atol=1e-12)
+    assert not found.steps[:POSE].any()
     assert np.abs(moved).max() > 1e-4
 
 
@@ -77,9 +84,9 @@ def test_the_stated_covariance_is_that_of_the_errors(share: float) -> None:
     A = np.hstack([by_pose, by_errors])
     precision = prior_precision(GROUPS, share * SIGMA)
     inverse = solve_factor(factor_of(A, np.zeros(len(A))), precision).inverse
-    gain = inverse[:POSE] @ A.T / NOISE**2
+    gain = inverse[POSE:POSES, POSE:] @ A.T / NOISE**2
     rng = np.random.default_rng(3)
-    b = SIGMA[GROUPS.label] * rng.normal(size=(20000, LAYOUT.size))
+    b = SIGMA[GROUPS.label] * rng.normal(size=(20000, UNKNOWNS.errors))
     y = b @ by_errors.T + NOISE * rng.normal(size=(20000, len(A)))
     errors = y @ gain.T
     # These errors have no part that no model names.
@@ -137,7 +144,7 @@ def test_data_that_say_nothing_leave_the_prior() -> None:
     """An error that the pose absorbs entirely passes into it whole, however many the data."""
     rng = np.random.default_rng(7)
     by_pose = rng.normal(size=(50000, POSE))
-    by_errors = np.zeros((50000, LAYOUT.size))
+    by_errors = np.zeros((50000, UNKNOWNS.errors))
     by_errors[:, 0] = by_pose[:, 5]
     A = np.hstack([by_pose, by_errors])
     said = stated_of(A, np.zeros(len(A)), SIGMA, prior_precision(GROUPS, SIGMA))
@@ -175,7 +182,7 @@ def estimates(groups: Groups, sigma: Array, true: Array, noise: Array, seed: int
 
 
 def test_sizes_are_found_where_many_errors_show_them() -> None:
-    groups = groups_of(Layout((np.arange(100), np.arange(100))))
+    groups = Unknowns((np.arange(100), np.arange(100)), 0, 0).groups()
     sigma = ErrorModel().sigmas(groups)
     many = np.bincount(groups.label) >= MIN_MEMBERS
     noise = 0.5 * sigma[groups.label]
@@ -186,7 +193,7 @@ def test_sizes_are_found_where_many_errors_show_them() -> None:
 
 
 def test_sizes_are_never_less_than_known_nor_boundless() -> None:
-    groups = groups_of(Layout((np.arange(100), np.arange(100))))
+    groups = Unknowns((np.arange(100), np.arange(100)), 0, 0).groups()
     sigma = ErrorModel().sigmas(groups)
     noise = 0.5 * sigma[groups.label]
     np.testing.assert_array_equal(estimates(groups, sigma, 0.1 * sigma, noise, 0), sigma)

@@ -11,11 +11,11 @@ from retropole.api import site as api_site
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import ReadError, Refusal, UsageError
+from retropole.base.relative import joint_of, relative
 from retropole.result.bounded import Status
 from retropole.result.site_decoding import decode_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.description import Site
-from retropole.site.relative import joint_of, relative
 from tests.api.site_files import NAMES, answer_to, recorded, write_site
 
 

@@ -1,6 +1,6 @@
 """Systematic errors: their order, their groups, their sizes, and what they do to a return."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,24 +10,18 @@ from retropole.base.sensors import SENSORS
 from retropole.base.systematic import (
     BAND,
     DEVICE,
-    DEVICE_KINDS,
     MAX_TANGENT,
-    MIN_ERROR_SIGMA,
     MIN_ZERO,
-    NO_ERRORS,
     RADIUS,
     RANGE_TO_OFFSET,
     RING,
     SHARED_ERRORS,
     SPINNING_BEND,
     STATED_WIDTH,
-    ErrorModel,
     Layout,
     Sizes,
     band_of,
     by_error,
-    groups_of,
-    joined,
     sizes_of,
 )
 from tests.numeric import numeric_jacobian
@@ -36,71 +30,11 @@ SMALL = Layout((np.array([-3, 1]), np.array([4])))
 OTHER = Layout((np.array([-5, 1, 2]), np.array([3, 6])))
 
 
-def named(layout: Layout) -> list[object]:
-    """What stands at each place of a layout."""
-    names: list[object] = [f"shared {k}" for k in range(layout.size)]
-    for lidar in (0, 1):
-        for kind in range(RING):
-            names[layout.rings(lidar, kind)] = [(lidar, kind, int(b)) for b in layout.bands[lidar]]
-    return names
-
-
 def test_every_error_has_a_place_of_its_own() -> None:
     parts = [OTHER.device(0), OTHER.device(1), slice(RADIUS, RADIUS + 1)]
     parts += [OTHER.rings(lidar, kind) for lidar in (0, 1) for kind in range(RING)]
     places = np.concatenate([np.arange(OTHER.size)[part] for part in parts])
     np.testing.assert_array_equal(np.sort(places), np.arange(OTHER.size))
-
-
-def test_places_in_a_layout_with_more_bands() -> None:
-    whole = joined(SMALL, OTHER)
-    names = named(whole)
-    for layout in (SMALL, OTHER, whole):
-        found = [names[place] for place in layout.places_in(whole)]
-        assert found == named(layout)
-
-
-def test_joining_knows_no_order_and_adds_nothing() -> None:
-    for a, b in ((SMALL, OTHER), (OTHER, SMALL)):
-        whole = joined(a, b)
-        np.testing.assert_array_equal(whole.bands[0], [-5, -3, 1, 2])
-        np.testing.assert_array_equal(whole.bands[1], [3, 4, 6])
-    again = joined(SMALL, SMALL)
-    for lidar in (0, 1):
-        np.testing.assert_array_equal(again.bands[lidar], SMALL.bands[lidar])
-
-
-def test_groups_have_one_kind_of_one_lidar() -> None:
-    groups = groups_of(OTHER)
-    assert len(groups.label) == OTHER.size
-    np.testing.assert_array_equal(np.unique(groups.label), np.arange(len(groups.kinds)))
-    for lidar in (0, 1):
-        for k, kind in enumerate(DEVICE_KINDS):
-            group = groups.label[OTHER.device(lidar)][k]
-            assert (groups.kinds[group], groups.sensors[group]) == (kind, lidar)
-        for k, field in enumerate(("ring_range", "ring_elevation", "ring_azimuth")):
-            group = np.unique(groups.label[OTHER.rings(lidar, k)])
-            assert len(group) == 1
-            assert groups.kinds[group[0]].field == field
-            assert groups.sensors[group[0]] == lidar
-    assert groups.sensors[groups.label[RADIUS]] is None
-    # Cosines and sines of one error have one size; nothing else of a LiDAR shares one.
-    assert len(groups.kinds) == 2 * (len({kind.field for kind in DEVICE_KINDS}) + RING) + 1
-
-
-def test_sigmas_are_those_of_their_lidar() -> None:
-    sizes = [Sizes(*(scale * (k + 1) for k in range(len(fields(Sizes))))) for scale in (1.0, 100.0)]
-    groups = groups_of(OTHER)
-    sigma = ErrorModel(sizes[0], sizes[1], 7.5).sigmas(groups)
-    for kind, lidar, value in zip(groups.kinds, groups.sensors, sigma, strict=True):
-        assert value == (7.5 if lidar is None else getattr(sizes[lidar], kind.field))
-    none = ErrorModel(NO_ERRORS, NO_ERRORS, 0.0).sigmas(groups)
-    np.testing.assert_array_equal(none, MIN_ERROR_SIGMA)
-
-
-def test_every_size_belongs_to_a_group() -> None:
-    found = {kind.field for kind in groups_of(OTHER).kinds} - {"radius"}
-    assert found == {field.name for field in fields(Sizes)}
 
 
 def test_sizes_follow_the_manufacturer() -> None:

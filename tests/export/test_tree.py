@@ -16,12 +16,12 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import ReadError, Refusal, UsageError
+from retropole.base.relative import joint_of, relative
 from retropole.export import TREE_FORMATS, read_transform, read_tree
 from retropole.export.recording import write_transforms
 from retropole.export.tree import Tree, found_in_site, tree_of
 from retropole.result import encode
 from retropole.result.site import SiteDoc
-from retropole.site.relative import joint_of, relative
 from tests.export import sites
 
 READABLE = {"json": ".json", "yaml": ".yaml", "urdf": ".urdf", "launch": ".py"}

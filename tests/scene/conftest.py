@@ -5,6 +5,14 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
+from tests.site.conftest import (  # noqa: F401
+    pair_site,
+    pair_steps,
+    simulated,
+    simulated_survey,
+    steps,
+    surveyed,
+)
 
 
 def room(sensor: Array, rng: np.random.Generator, count: int = 20000) -> PointCloud:

@@ -8,7 +8,8 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, PoseEstimate
 from retropole.scene.agreement import check_decisive
-from retropole.scene.decisive import MAX_SHARE, Places, leverage
+from retropole.scene.decisive import MAX_SHARE, leverage
+from retropole.scene.places import Places
 from retropole.scene.refinement import Refinement, refine
 
 
@@ -72,11 +73,15 @@ def test_shares_have_no_frame_and_no_unit() -> None:
     roots = rng.normal(size=(5, 6, 3))
     information = roots @ roots.transpose(0, 2, 1)
     marginal = information.sum(axis=0) + np.eye(6)
-    nothing = np.zeros((5, 6))
-    one = leverage(Places(marginal, information, nothing, nothing))
+    one = leverage(places(marginal, information))
     A = rng.normal(size=(6, 6))
-    other = leverage(Places(A @ marginal @ A.T, A @ information @ A.T, nothing, nothing))
+    other = leverage(places(A @ marginal @ A.T, A @ information @ A.T))
     np.testing.assert_allclose(one, other, rtol=1e-6)
     assert np.all((one > 0) & (one < 1))
-    whole = leverage(Places(marginal, marginal[None], nothing[:1], nothing[:1]))
-    assert whole == pytest.approx(1.0)
+    assert leverage(places(marginal, marginal[None])) == pytest.approx(1.0)
+
+
+def places(marginal: Array, information: Array) -> Places:
+    """Places that do not pull."""
+    nothing = np.zeros(information.shape[:2])
+    return Places(np.asarray(np.linalg.inv(marginal)), marginal, information, nothing, nothing)

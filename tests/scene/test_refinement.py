@@ -9,7 +9,7 @@ from retropole.alignment.adjustment import BeamAlignment
 from retropole.base import se3
 from retropole.base.datatypes import Array, Placement, PointCloud, PoseEstimate
 from retropole.base.sensors import find_sensor
-from retropole.base.systematic import ErrorModel, Layout, sizes_of
+from retropole.base.systematic import ErrorModel, Layout, Sizes, sizes_of
 from retropole.evaluation.metrics import e_rt
 from retropole.io import read_cloud
 from retropole.pipeline import align, calibrate, choose, find_poles
@@ -126,7 +126,7 @@ def test_other_starts_within_the_poles_uncertainty_end_at_the_same_pose(scene: s
             pair.source,
             poles.pose,
             factor=poles.factor,
-            model=ErrorModel(sizes_of(pair.sensors[0]), sizes_of(pair.sensors[1])),
+            model=ErrorModel((sizes_of(pair.sensors[0]), sizes_of(pair.sensors[1]))),
             start=se3.retract(T, step),
         )
         assert refined is not None
@@ -304,7 +304,7 @@ def test_real_clouds_come_to_one_pose_from_all_around() -> None:
     )
     # So wide that a start's own prior does not pull.
     spread = np.diag(np.r_[np.full(3, np.radians(5)), np.full(3, 0.5)] ** 2)
-    known = ErrorModel(sizes_of(find_sensor("Pandar64")))
+    known = ErrorModel((sizes_of(find_sensor("Pandar64")), Sizes()))
     rng, found = np.random.default_rng(0), []
     for _ in range(4):
         rotation, translation = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))

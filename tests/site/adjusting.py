@@ -10,7 +10,9 @@ from threadpoolctl import threadpool_limits
 from benchmarks.site_blunders import Blunder, simulate_blunder
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.base.relative import RelativePose, joint_of, relative
 from retropole.scene.patches import Patches
+from retropole.scene.terms import ScenePair, scene_pairs
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
 from retropole.site.adjustment import Adjusted, adjust
@@ -20,9 +22,7 @@ from retropole.site.datum import Datum, find_datum
 from retropole.site.description import Site
 from retropole.site.pairs import Pair, find_pairs, poles_of
 from retropole.site.posterior import Sight
-from retropole.site.refinement import ScenePair, patches_of, scene_pairs
-from retropole.site.relative import RelativePose, joint_of, relative
-from retropole.site.scans import SiteScans, Views, find_scans, views_of
+from retropole.site.scans import SiteScans, Views, find_scans, patches_of, views_of
 from retropole.site.shared import SharedPole, shared_poles, sights_of
 
 

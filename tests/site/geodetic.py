@@ -6,13 +6,12 @@ import numpy as np
 
 from retropole.alignment.posterior import Posterior
 from retropole.base.datatypes import Array
-from retropole.base.systematic import Groups, Sizes
+from retropole.base.systematic import ErrorModel, Groups, Sizes
+from retropole.scene.descent import End, RefinementProblem, descend
 from retropole.site.description import Site, SiteLidar
-from retropole.site.network import Network, Observation, observe
-from retropole.site.refinement import SiteEnd, refine_site
+from retropole.site.network import Network, Observation, factor_of, observe
 from retropole.site.solved import Solved, solved
 from retropole.site.state import SiteState
-from retropole.site.unknowns import known_sigmas
 from tests.site.test_state import drawn
 from tests.site.test_survey import everything
 
@@ -52,9 +51,10 @@ def size_of(one: Observation) -> int:
     return len(one.by_value[1])
 
 
-def adjusted(net: Network) -> tuple[SiteEnd, Solved]:
+def adjusted(net: Network) -> tuple[End, Solved]:
     """Adjust it: nothing is known of any LiDAR's errors."""
     groups: Groups = net.unknowns.groups()
-    known = known_sigmas(groups, [Sizes()] * LIDARS, 1e-3)
-    end = refine_site(net, [], groups, known)
-    return end, solved(net, end, groups, np.zeros((net.unknowns.poses, 0)))
+    known = ErrorModel((Sizes(),) * LIDARS, 1e-3).sigmas(groups)
+    problem = RefinementProblem(factor_of(net), (), groups, known)
+    end = descend(problem)
+    return end, solved(net, end, groups, ())

@@ -27,8 +27,9 @@ import numpy as np
 from gtsam.symbol_shorthand import E, L, R
 
 from retropole.base.datatypes import Array
+from retropole.scene.descent import End
+from retropole.scene.terms import SceneTerm
 from retropole.site.adjustment import Adjusted
-from retropole.site.refinement import SceneTerm, SiteEnd
 from tests.site.gtsam_survey import of_survey
 from tests.site.gtsam_variables import (
     POSE,
@@ -165,7 +166,7 @@ def _root(information: Array, vector: Array) -> tuple[Array, Array]:
     return A, -pull[kept] / np.sqrt(size[kept])
 
 
-def _surfaces(term: SceneTerm, end: SiteEnd, variables: Sequence[Variable]) -> gtsam.CustomFactor:
+def _surfaces(term: SceneTerm, end: End, variables: Sequence[Variable]) -> gtsam.CustomFactor:
     """What the patches of two LiDARs say, with their weights as they are."""
     i, j = term.lidars
     pairs = term.pairs

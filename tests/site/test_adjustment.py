@@ -7,10 +7,10 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.errors import Refusal
+from retropole.base.relative import joint_of, relative
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.adjustment import check_held, without_observations
 from retropole.site.datum import without_poles
-from retropole.site.relative import joint_of, relative
 from tests.site.adjusting import Steps, off
 
 THOUSANDTH = 22.5

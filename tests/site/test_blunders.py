@@ -8,6 +8,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason, Refusal
+from retropole.base.relative import joint_of, relative
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.answer import SiteCalibration
@@ -22,7 +23,6 @@ from retropole.site.blunders import (
 )
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site
-from retropole.site.relative import joint_of, relative
 from tests.site.adjusting import Steps, between, made, made_wrong, off, poses_of
 
 FIVE_SIGMA = 39.6

@@ -10,6 +10,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason, Refusal
+from retropole.base.relative import RelativePose
 from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
 from retropole.simulation.sites import SimulatedSite
@@ -19,7 +20,6 @@ from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
 from retropole.site.datum import Datum
 from retropole.site.description import Site
-from retropole.site.relative import RelativePose
 from retropole.site.scans import SiteScans
 from tests.numeric import numeric_jacobian
 from tests.site.adjusting import between, made, off, poses_of, reordered, with_lidar

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from retropole.base import se3
-from retropole.site.certainty import places_of
+from retropole.scene.places import labels_of_places
 from retropole.site.closures import _edges, _loops, close_loops
 from tests.site.adjusting import Steps
 
@@ -65,7 +65,7 @@ def test_residuals_that_places_have_in_common_open_no_loop(steps: Steps) -> None
     """All of a place are off together, more than their patches' noise."""
     at, end = steps.adjusted.solved, steps.adjusted.end
     rng = np.random.default_rng(5)
-    places = places_of(end)
+    places = labels_of_places(end)
     count = 1 + max(int(own.max()) for own in places)
     found = []
     for _ in range(40):

@@ -7,11 +7,11 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.errors import Refusal
+from retropole.base.relative import joint_of, relative
 from retropole.site.adjustment import Adjusted
 from retropole.site.blunders import SIGNIFICANT, without_blunders, worst_test
 from retropole.site.contradiction import LEAST, denied_poles, more_coincide
 from retropole.site.datum import Datum, without_poles
-from retropole.site.relative import joint_of, relative
 from tests.site.adjusting import Steps, made, off, steps_of
 
 

@@ -10,14 +10,14 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
+from retropole.scene.terms import scene_pairs
 from retropole.simulation import SimulationError
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import simulate_site
 from retropole.site.adjustment import Adjusted, adjust
 from retropole.site.datum import find_datum
 from retropole.site.description import Site, Up
-from retropole.site.refinement import patches_of, scene_pairs
-from retropole.site.scans import find_scans
+from retropole.site.scans import find_scans, patches_of
 from retropole.site.shared import shared_poles
 
 pytest.importorskip("gtsam", reason="GTSAM has no wheel here")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from retropole.alignment.unknowns import Unknowns
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.systematic import band_of
-from retropole.site.network import about, bands_of, marginal
-from retropole.site.unknowns import Unknowns
+from retropole.site.network import about, bands_of, factor_of
 from tests.site import geodetic
 from tests.site.adjusting import Steps
 
@@ -60,7 +60,8 @@ def test_eliminating_axes_changes_no_answer(surveyed: Steps) -> None:
     prior[network.unknowns.poses : kept] = surveyed.adjusted.end.precision
     whole, gradient = network.total()
     inverse = np.linalg.inv(whole + np.diag(prior))
-    reduced, vector = marginal(network)
+    factor = factor_of(network)
+    reduced, vector = factor.information, factor.vector
     np.testing.assert_allclose(
         np.linalg.inv(reduced + np.diag(prior[:kept])), inverse[:kept, :kept], rtol=1e-4, atol=1e-14
     )
@@ -85,9 +86,9 @@ def test_leaving_out_is_adding_nothing(steps: Steps) -> None:
 def test_axes_of_which_nothing_is_said_need_a_ridge(steps: Steps) -> None:
     network = steps.adjusted.network
     left = network.without({k for k, one in enumerate(network.observations) if one.placement == 0})
-    reduced, vector = marginal(left, ridge=1.0)
-    assert np.isfinite(reduced).all()
-    assert np.isfinite(vector).all()
+    factor = factor_of(left, ridge=1.0)
+    assert np.isfinite(factor.information).all()
+    assert np.isfinite(factor.vector).all()
 
 
 def test_the_expansion_starts_where_its_slopes_are_small(steps: Steps) -> None:

@@ -18,19 +18,22 @@ from ..base import se3
 from ..base.datatypes import Array, PoseEstimate
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from ..base.systematic import MIN_ERROR_SIGMA, RADIUS, ErrorModel, Sizes, groups_of
+from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..base.uncertainty import RadiusEstimate, Uncertainty
 from .certainty import (
-    Scatter,
     considered,
+    floors,
     group_scales,
+    parts_of_errors,
     prior_precision,
+    scatter_of_poles,
     solve_factor,
-    stated,
+    uncertainty_of_pair,
     working_sigma,
 )
 from .climb import climb, start_of
-from .factor import POSE, AxesTest, Expansion, PoleFactor, compare_axes, pole_factor
+from .expansion import AxesTest, Expansion, compare_axes, pole_factor
+from .factor import PoleFactor
 from .observations import Beams
 from .posterior import Posterior, State
 from .solver import Solution
@@ -143,7 +146,7 @@ def align_beams(
     _check_counts(target, source)
     beams = (target, source)
     given_sigma = max(radius_sigma, RADIUS_TOLERANCE * radius, MIN_ERROR_SIGMA)
-    model = ErrorModel(*sizes, given_sigma)
+    model = ErrorModel(sizes, given_sigma)
     state, log_noise = start_of(target, source, T_start, radius)
     found, expansion = climb(state, log_noise, beams, model, radius)
     by_returns = _radius_of_returns(expansion, model, radius)
@@ -200,16 +203,18 @@ class _ReturnsRadius:
 
 def _radius_of_returns(expansion: Expansion, model: ErrorModel, radius: float) -> _ReturnsRadius:
     """Ask the returns for the radius without what was given."""
-    factor, groups = pole_factor(expansion), groups_of(expansion.layout)
+    factor = pole_factor(expansion)
+    groups, own = factor.unknowns.groups(), factor.unknowns.radius
+    poses = factor.unknowns.poses
     known = model.sigmas(groups)
     precision = prior_precision(groups, known)
-    precision[RADIUS] = MIN_RADIUS_PRECISION
+    precision[own - poses] = MIN_RADIUS_PRECISION
     estimate = solve_factor(factor, precision)
-    row = estimate.inverse[POSE + RADIUS]
-    passed = row[POSE:] * precision * considered(groups, known)
-    variance = float(row[POSE + RADIUS] + passed @ passed)
+    row = estimate.inverse[own]
+    passed = row[poses:] * precision * considered(groups, known)
+    variance = float(row[own] + passed @ passed)
     return _ReturnsRadius(
-        radius + float(estimate.errors[RADIUS]),
+        radius + float(estimate.errors[own - poses]),
         float(np.sqrt(variance + RADIUS_MODEL**2 + (RADIUS_EDGE * radius) ** 2)),
     )
 
@@ -224,23 +229,21 @@ def _answer(
     """Estimate pose and errors together from the expansion, and state how sure the pose is."""
     end = found.point
     noise = np.exp(end.log_noise)
-    factor, groups = pole_factor(expansion), groups_of(expansion.layout)
+    factor = pole_factor(expansion)
+    unknowns, groups = factor.unknowns, factor.unknowns.groups()
     known = model.sigmas(groups)
     sigma = known
     for _ in range(SCALE_ROUNDS):
         precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=True))
         estimate = solve_factor(factor, precision)
-        variance = np.diag(estimate.inverse)[POSE:]
+        variance = np.diag(estimate.inverse)[unknowns.poses :]
         sigma = group_scales(groups, known, precision, estimate.errors, variance)
-    inverse = estimate.inverse
-    returns = inverse[:POSE] @ factor.information @ inverse[:POSE].T
-    uncertainty = stated(
-        groups,
-        sigma,
-        precision,
-        inverse,
-        estimate.errors,
-        (Scatter("scatter of the poles' returns", returns, factor.redundancy),),
+    uncertainty = uncertainty_of_pair(
+        [
+            *parts_of_errors(groups, sigma, precision, estimate.inverse, estimate.errors),
+            scatter_of_poles("scatter of the poles' returns", factor, estimate.inverse),
+            *floors(factor.T, factor.free),
+        ]
     )
     covariance = uncertainty.covariance
     rotation, translation = (
@@ -254,20 +257,23 @@ def _answer(
             "(1 σ); lean one pole by 15° or more against the other",
             {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
         )
+    order = unknowns.of_layout(expansion.layout, (0, 1)) - unknowns.poses
     return BeamAlignment(
         PoseEstimate(
-            se3.retract(end.state.T, estimate.step),
+            se3.retract(end.state.T, estimate.steps[unknowns.pose(1)]),
             covariance,
             float(np.sqrt(np.mean(noise[:, 0] ** 2))),
         ),
         uncertainty,
         factor,
-        np.asarray(np.linalg.inv(factor.information[:POSE, :POSE])),
+        np.asarray(np.linalg.inv(factor.information[np.ix_(unknowns.pose(1), unknowns.pose(1))])),
         end.state.points,
         end.state.directions,
         radius,
         radius_denied,
-        compare_axes(expansion, prior_precision(groups, sigma), considered(groups, sigma)),
+        compare_axes(
+            expansion, prior_precision(groups, sigma)[order], considered(groups, sigma)[order]
+        ),
         (float(noise[0, 0]), float(noise[1, 0])),
         (float(noise[0, 1]), float(noise[1, 1])),
         found.converged,

@@ -1,6 +1,6 @@
 """How sure a pose is: what the scatter says, what the instruments allow, and what no model names.
 
-The pose x and the errors b are estimated together, with information ``H`` (all of x and b, the
+The poses x and the errors b are estimated together, with information ``H`` (all of x and b, the
 prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: what
 the data show of it is taken out, the rest passes into the pose. See docs/method.md, Certainty.
 """
@@ -14,10 +14,12 @@ from typing import Literal
 import numpy as np
 from scipy.special import fdtri
 
-from ..base.datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array, BoolArray
 from ..base.systematic import Groups
 from ..base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
-from .factor import POSE, PoleFactor
+from .factor import PoleFactor
+from .unknowns import POSE
 
 FLOOR = "what no model names"
 """What the budget calls that: nothing makes it smaller."""
@@ -53,17 +55,38 @@ MAX_SCALE = 3.0
 BUDGET_RANGE = 30.0
 """Range at which shares of the budget are told, metres."""
 
+SIDES: tuple[Literal["target"], Literal["source"]] = ("target", "source")
+"""What the LiDARs of a pair are called."""
+
 CHI2_95 = 12.591587243743977
 """95 % quantile of χ² with 6 degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
-    """A random part of the covariance: its name, (6, 6), and how many degrees of freedom it has."""
+class Part:
+    """One source of error, and its part in the covariance of all poses.
+
+    Attributes
+    ----------
+    name, lidar
+        What errs, and which LiDAR's; None where it is no single LiDAR's.
+    sigma, unit
+        1 σ of the error itself; None of what is no single quantity.
+    estimated
+        The error as the data have it; None where it is not estimated or is not one number.
+    root
+        (6 L, R): the part is ``root rootᵀ``.
+    is_random
+        Whether recording again draws it again.
+    """
 
     name: str
-    covariance: Array
-    freedom: float
+    lidar: int | None
+    sigma: float | None
+    unit: str
+    estimated: float | None
+    root: Array
+    is_random: bool = False
 
 
 def prior_precision(groups: Groups, sigma: Array) -> Array:
@@ -89,21 +112,25 @@ def working_sigma(groups: Groups, sigma: Array, *, poles_alone: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FactorEstimate:
-    """Step (6,) of the pose, errors (B,), and the inverse (6 + B, 6 + B) of the information."""
+    """Steps (6 L,) of all poses, errors (B,), and the inverse (K, K) of the information of both,
+    zero where the datum holds a pose.
+    """
 
-    step: Array
+    steps: Array
     errors: Array
     inverse: Array
 
 
 def solve_factor(factor: PoleFactor, precision: Array) -> FactorEstimate:
-    """Estimate pose and errors from the poles alone, with the precision (B,) of the errors."""
+    """Estimate poses and errors from the poles alone, with the precision (B,) of the errors."""
     information = factor.information.copy()
-    index = np.arange(POSE, len(information))
+    poses, free = factor.unknowns.poses, factor.estimated
+    index = np.arange(poses, len(information))
     information[index, index] += precision
-    inverse: Array = np.asarray(np.linalg.inv(information))
+    inverse = np.zeros_like(information)
+    inverse[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
     best = inverse @ factor.vector
-    return FactorEstimate(best[:POSE], best[POSE:], inverse)
+    return FactorEstimate(best[:poses], best[poses:], inverse)
 
 
 def group_scales(
@@ -134,16 +161,10 @@ def group_scales(
     return np.asarray(np.where(many, np.clip(new, known, MAX_SCALE * known), known))
 
 
-def stated(
-    groups: Groups,
-    sigma: Array,
-    precision: Array,
-    inverse: Array,
-    estimated: Array,
-    scatter: Sequence[Scatter],
-    other: Sequence[tuple[str, Array]] = (),
-) -> Uncertainty:
-    """State the uncertainty of the pose, and its budget.
+def parts_of_errors(
+    groups: Groups, sigma: Array, precision: Array, inverse: Array, estimated: Array
+) -> list[Part]:
+    """Say what each group of errors does to all poses.
 
     Parameters
     ----------
@@ -152,44 +173,129 @@ def stated(
     precision
         (B,) of the prior that the errors were estimated with, which may be narrower.
     inverse
-        (6 + B, 6 + B) H⁻¹.
+        (K, K) H⁻¹ of poses and errors.
     estimated
         (B,) the errors as the data have them.
-    scatter
-        Random parts, each named.
-    other
-        Further systematic parts (6, 6), each named.
     """
-    passed = inverse[:POSE, POSE:] * precision * sigma[groups.label]
-    rows: list[tuple[str, int | None, float, str, float | None, Array]] = []
+    poses = len(inverse) - len(estimated)
+    passed = inverse[:poses, poses:] * precision * sigma[groups.label]
+    found = []
     for g, (kind, lidar) in enumerate(zip(groups.kinds, groups.sensors, strict=True)):
-        member = groups.label == g
-        part = passed[:, member] @ passed[:, member].T
-        alone = np.count_nonzero(member) == 1 and kind.field != CONSIDERED
-        value = float(estimated[member][0]) if alone else None
-        rows.append((kind.name, lidar, float(sigma[g]), kind.unit, value, part))
-    random = np.zeros((POSE, POSE))
-    for one in scatter:
-        widened = one.covariance * few_freedom(one.freedom)
-        random = random + widened
-        rows.append((one.name, None, _at(widened), "m", None, widened))
-    for name, part in (*other, (FLOOR, floor())):
-        rows.append((name, None, _at(part), "m", None, part))
-    total = sum((row[5] for row in rows), np.zeros((POSE, POSE)))
-    whole = _at(total) ** 2
-    budget = [
-        BudgetEntry(
-            name,
-            None if lidar is None else _sensor(lidar),
-            size,
-            unit,  # type: ignore[arg-type]
-            value,
-            _at(part) ** 2 / whole,
+        member = np.flatnonzero(groups.label == g)
+        alone = len(member) == 1 and kind.field != CONSIDERED
+        value = float(estimated[member[0]]) if alone else None
+        found.append(Part(kind.name, lidar, float(sigma[g]), kind.unit, value, passed[:, member]))
+    return found
+
+
+def part_of(name: str, root: Array, *, is_random: bool = False) -> Part:
+    """Give a part (6 L, R) that is no single quantity."""
+    return Part(name, None, None, "m", None, root, is_random)
+
+
+def scatter_of_poles(name: str, factor: PoleFactor, inverse: Array) -> Part:
+    """Say what the scatter of the returns on the poles does to all poses.
+
+    Parameters
+    ----------
+    name
+        What it is called.
+    factor
+        Of the poles, about the answer.
+    inverse
+        (K, K) of all information.
+    """
+    wide = np.sqrt(few_freedom(factor.redundancy))
+    moved = inverse[: factor.unknowns.poses] @ root_of(factor.information)
+    return part_of(name, np.asarray(wide * moved), is_random=True)
+
+
+def root_of(square: Array) -> Array:
+    """(N, N) whose square ``root rootᵀ`` is a matrix that may leave directions free."""
+    size, way = np.linalg.eigh(square)
+    return np.asarray(way * np.sqrt(np.maximum(size, 0.0)))
+
+
+def floors(T: Array, free: BoolArray) -> list[Part]:
+    """Say what no model names: half of its variance for each LiDAR of a pair.
+
+    It turns and shifts a LiDAR's own frame. That of a LiDAR whose frame is the datum moves all
+    others against it.
+
+    Parameters
+    ----------
+    T
+        (L, 4, 4) the poses.
+    free
+        (6 L,) which of their parameters are estimated.
+    """
+    half = np.linalg.cholesky(floor() / 2)
+    is_datum = np.array([not each.any() for each in free.reshape(-1, POSE)])
+    found = []
+    for lidar, own in enumerate(T):
+        root = np.zeros((len(T), POSE, POSE))
+        if is_datum[lidar]:
+            for other in np.flatnonzero(~is_datum):
+                move = np.eye(POSE)
+                move[3:, :3] = -se3.hat(T[other][:3, 3] - own[:3, 3])
+                root[other] = -move @ half
+        else:
+            root[lidar] = half
+        found.append(part_of(FLOOR, root.reshape(-1, POSE)))
+    return found
+
+
+def joint_covariance(parts: Sequence[Part]) -> Array:
+    """(6 L, 6 L) of all poses, all errors together."""
+    return np.asarray(sum(part.root @ part.root.T for part in parts))
+
+
+def uncertainty_of_pair(parts: Sequence[Part]) -> Uncertainty:
+    """State how sure the pose of a pair's source is, and what makes it so."""
+    random, systematic = (
+        sum(
+            (root @ root.T for root in (part.root[POSE:] for part in parts if kind(part))),
+            np.zeros((POSE, POSE)),
         )
-        for name, lidar, size, unit, value, part in rows
-    ]
-    budget.sort(key=lambda entry: -entry.share_at_30m)
-    return Uncertainty(random, np.asarray(total - random), tuple(budget))
+        for kind in (lambda part: part.is_random, lambda part: not part.is_random)
+    )
+    return Uncertainty(np.asarray(random), np.asarray(systematic), budget_of(parts, 1))
+
+
+def budget_of(
+    parts: Sequence[Part], lidar: int, names: Sequence[str] | None = None
+) -> tuple[BudgetEntry, ...]:
+    """Say what the error of one pose is made of, the largest first; equal names are put together.
+
+    Parameters
+    ----------
+    parts
+        Every source of error.
+    lidar
+        Whose pose.
+    names
+        Of all LiDARs of a site; None of a pair, whose LiDARs have names of their own.
+    """
+    own = slice(POSE * lidar, POSE * (lidar + 1))
+    rows: dict[tuple[str, int | None], list[Part]] = {}
+    for part in parts:
+        rows.setdefault((part.name, part.lidar), []).append(part)
+    squares = {
+        key: sum(_at(part.root[own]) ** 2 for part in members) for key, members in rows.items()
+    }
+    whole = sum(squares.values())
+    if not whole:
+        return ()
+    found = []
+    for (name, whose), members in rows.items():
+        first = members[0]
+        told = name if whose is None or names is None else f"{name} of {names[whose]}"
+        sensor = None if whose is None or names is not None else SIDES[whose]
+        size = first.sigma if first.sigma is not None else float(np.sqrt(squares[name, whose]))
+        estimated = first.estimated if len(members) == 1 else None
+        share = squares[name, whose] / whole
+        found.append(BudgetEntry(told, sensor, size, first.unit, estimated, share))  # type: ignore[arg-type]
+    return tuple(sorted(found, key=lambda entry: -entry.share_at_30m))
 
 
 def excess(covariance: Array, other: Array) -> Array:
@@ -203,10 +309,6 @@ def few_freedom(freedom: float) -> float:
     return float(POSE * fdtri(POSE, max(freedom, 3.0), 0.95) / CHI2_95)
 
 
-def _sensor(lidar: int) -> Literal["target", "source"]:
-    return "source" if lidar else "target"
-
-
-def _at(covariance: Array) -> float:
-    """1 σ at `BUDGET_RANGE`, metres."""
-    return predicted_error(covariance, (BUDGET_RANGE,))[0][1]
+def _at(root: Array) -> float:
+    """1 σ at `BUDGET_RANGE` of a part of one pose's covariance, metres."""
+    return predicted_error(root @ root.T, (BUDGET_RANGE,))[0][1]

@@ -11,7 +11,7 @@ from ..base.datatypes import Array
 from ..base.errors import Refusal
 from ..base.systematic import ErrorModel
 from .certainty import WORKING_SHARE
-from .factor import Expansion, expand
+from .expansion import Expansion, expand
 from .observations import Beams
 from .posterior import Posterior, Priors, S, State, beam_geometry, evaluate
 from .solver import Solution, levenberg_marquardt
@@ -124,10 +124,7 @@ def climb(
     radius: float,
 ) -> tuple[Solution[Posterior[State]], Expansion]:
     """Climb from a state, refuse what no shared poles explain, and expand about the maximum."""
-    offsets = tuple(
-        WORKING_SHARE * float(np.hypot(size.zero, size.tape))
-        for size in (model.target, model.source)
-    )
+    offsets = tuple(WORKING_SHARE * float(np.hypot(size.zero, size.tape)) for size in model.sizes)
     priors = Priors((offsets[0], offsets[1]), radius, model.radius_sigma)
     found = maximise(state, log_noise, lambda state, noise: evaluate(state, noise, beams, priors))
     end = found.point

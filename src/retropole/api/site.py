@@ -16,6 +16,7 @@ from ..base.datatypes import Array, Scan
 from ..base.errors import ReadError, Reason, Refusal, UsageError
 from ..base.files import read_document, write_together
 from ..base.quantities import error as in_words
+from ..base.relative import joint_of, relative
 from ..report.site import render_site
 from ..report.site_text import pose_rows
 from ..result import ReasonDoc, encode
@@ -26,7 +27,6 @@ from ..result.site_parts import lidar_pose_of
 from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
 from ..site.description import Site
-from ..site.relative import joint_of, relative
 from .inputs import Input
 from .site_inputs import SiteInputs, inputs_of, read_site, repeated
 

@@ -192,21 +192,6 @@ class Layout:
         first = SHARED_ERRORS + RING * len(self.bands[0]) * lidar + kind * len(self.bands[lidar])
         return slice(first, first + len(self.bands[lidar]))
 
-    def places_in(self, other: Layout) -> IntArray:
-        """(size,) where each error of this layout stands in another that has all its bands."""
-        place = np.arange(self.size)
-        for lidar in (0, 1):
-            at = np.searchsorted(other.bands[lidar], self.bands[lidar])
-            for kind in range(RING):
-                place[self.rings(lidar, kind)] = other.rings(lidar, kind).start + at
-        return place
-
-
-def joined(a: Layout, b: Layout) -> Layout:
-    """Give the layout that has the bands of both."""
-    target, source = (np.union1d(a.bands[lidar], b.bands[lidar]) for lidar in (0, 1))
-    return Layout((target, source))
-
 
 @dataclass(frozen=True, eq=False)
 class Groups:
@@ -217,8 +202,7 @@ class Groups:
     label
         (B,) the group of each error.
     kinds, sensors
-        Of each group: what it is, and whose, 0 for the target and 1 for the source; None for the
-        radius.
+        Of each group: what it is, and which LiDAR's; None for the radius.
     """
 
     label: IntArray
@@ -227,27 +211,6 @@ class Groups:
 
 
 RADIUS_KIND = Kind("radius of the poles", "radius", "m")
-
-
-def groups_of(layout: Layout) -> Groups:
-    """Group the errors of a layout by kind and LiDAR."""
-    label = np.zeros(layout.size, dtype=np.int64)
-    kinds: list[Kind] = []
-    sensors: list[int | None] = []
-    for lidar in (0, 1):
-        for k, kind in enumerate(DEVICE_KINDS):
-            if not (k and DEVICE_KINDS[k - 1] == kind):
-                kinds.append(kind)
-                sensors.append(lidar)
-            label[layout.device(lidar).start + k] = len(kinds) - 1
-        for k, kind in enumerate(RING_KINDS):
-            kinds.append(kind)
-            sensors.append(lidar)
-            label[layout.rings(lidar, k)] = len(kinds) - 1
-    kinds.append(RADIUS_KIND)
-    sensors.append(None)
-    label[RADIUS] = len(kinds) - 1
-    return Groups(label, tuple(kinds), tuple(sensors))
 
 
 def band_of(rays: Array, axis: Array) -> IntArray:
@@ -309,18 +272,16 @@ def by_error(
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """What is known of the errors before the data: sizes for both LiDARs, 1 σ of the radius, m."""
+    """What is known of the errors before the data: sizes for each LiDAR, 1 σ of the radius, m."""
 
-    target: Sizes = Sizes()
-    source: Sizes = Sizes()
+    sizes: tuple[Sizes, ...] = (Sizes(), Sizes())
     radius_sigma: float = 0.0004
 
     def sigmas(self, groups: Groups) -> Array:
         """(G,) 1 σ of each group of errors, in its own unit."""
-        sizes = (self.target, self.source)
         known = np.array(
             [
-                self.radius_sigma if lidar is None else getattr(sizes[lidar], kind.field)
+                self.radius_sigma if lidar is None else getattr(self.sizes[lidar], kind.field)
                 for kind, lidar in zip(groups.kinds, groups.sensors, strict=True)
             ]
         )

@@ -17,11 +17,11 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal, UsageError, printable
 from ..base.reasons import Code
+from ..base.relative import joint_of, relative
 from ..result.site import SITE_SCHEMA, SiteDoc
 from ..result.site_parts import FrameDoc, LidarDoc
 from ..site.description import Frame
 from ..site.projection import Grid, grid_at
-from ..site.relative import joint_of, relative
 from ..site.world import geodetic, site_in_frame, to_frame
 from .found import Found
 from .transform import Transform

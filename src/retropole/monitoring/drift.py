@@ -149,7 +149,7 @@ def _is_astray(answer: CheckResult) -> bool:
 def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
     """Test the pose that the poles give, or else the scene, against the stored one."""
     stored, sensors = question.stored, question.sensors
-    model = ErrorModel(sizes_of(sensors[0]), sizes_of(sensors[1]))
+    model = ErrorModel((sizes_of(sensors[0]), sizes_of(sensors[1])))
     reasons = new.reasons
     found: NewPose | None = None
     if new.pose is not None:

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..alignment.factor import POSE
 from ..base import se3
-from ..base.datatypes import Array, IntArray
-from .descent import End, LinearProblem, RefinementProblem, settle
+from ..base.datatypes import Array
+from .descent import End, RefinementProblem, settle
 from .patch_pairs import part_of
+from .places import Places, places_of_poses
 
 MAX_SHARE = 0.3
 """Most of the information along any direction that one place may hold without a word."""
@@ -44,44 +44,6 @@ class Decisive:
     apart: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Places:
-    """What each place says of the pose, with the errors of the LiDARs eliminated.
-
-    Attributes
-    ----------
-    marginal
-        (6, 6) information of the pose, of poles and scene together.
-    information
-        (C, 6, 6) what each place has of it.
-    gradients
-        (C, 6) how it pulls at the answer.
-    moves
-        (C, 6) how far a step of all its residuals by 1 m moves the answer.
-    """
-
-    marginal: Array
-    information: Array
-    gradients: Array
-    moves: Array
-
-
-def places_of(linear: LinearProblem) -> Places:
-    """Sum what the pairs of patches of each place say."""
-    inverse, cluster = linear.inverse, linear.pairs.cluster
-    marginal = np.asarray(np.linalg.inv(inverse[:POSE, :POSE]))
-    J = linear.rows @ inverse[:, :POSE] @ marginal
-    residuals = linear.residuals + linear.rows[:, POSE:] @ linear.errors
-    JW = J * linear.weights[:, None]
-    outer = (JW[:, :, None] * J[:, None, :]).reshape(-1, POSE**2)
-    return Places(
-        marginal,
-        _summed(outer, cluster).reshape(-1, POSE, POSE),
-        _summed(JW * residuals[:, None], cluster),
-        _summed(JW, cluster) @ inverse[:POSE, :POSE],
-    )
-
-
 def leverage(places: Places) -> Array:
     """Largest share (C,) of the information along any direction that each place holds.
 
@@ -101,9 +63,9 @@ def without_decisive(
     Parameters
     ----------
     problem, end
-        The problem, and the answer.
+        The problem of a pair, and the answer.
     covariance
-        (6, 6) of the poles' pose.
+        (12, 12) of the poles' poses.
 
     Yields
     ------
@@ -111,20 +73,16 @@ def without_decisive(
         The place, and problem (but for its `few`) and answer without it; places without which the
         rest of the scene says nothing are left out.
     """
-    pairs = end.linear.pairs
-    shares = leverage(places_of(end.linear))
+    (term,), (scene,) = end.scene, problem.scenes
+    pairs = term.pairs
+    shares = leverage(places_of_poses(end))
     for c in np.argsort(-shares)[:MOST_LEFT_OUT]:
         if shares[c] <= MAX_SHARE:
             return
-        kept = problem.sets.clusters != pairs.places[c]
-        rest = replace(problem, sets=part_of(problem.sets, kept))
+        kept = scene.sets.clusters != pairs.places[c]
+        rest = replace(problem, scenes=(replace(scene, sets=part_of(scene.sets, kept)),))
         found = settle(rest, end, covariance)
-        if found is not None:
+        if found.scene:
             own = pairs.cluster == c
-            at = np.average(pairs.at[own], axis=0, weights=end.linear.weights[own])
-            yield Decisive(float(shares[c]), at, se3.local(end.T, found.T)), rest, found
-
-
-def _summed(rows: Array, label: IntArray) -> Array:
-    """Sums of rows (P, D) over each label."""
-    return np.stack([np.bincount(label, column) for column in rows.T], axis=1)
+            at = np.average(pairs.at[own], axis=0, weights=term.weights[own])
+            yield Decisive(float(shares[c]), at, se3.local(end.T[1], found.T[1])), rest, found

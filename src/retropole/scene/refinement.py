@@ -1,16 +1,9 @@
-"""Poles and scene in one problem: the pose that both agree on, with the LiDARs' errors in it.
+"""Poles and scene of a pair in one problem: the pose that both agree on.
 
 The poles give a quadratic form of the pose and of the errors of both LiDARs (`alignment.factor`);
 the scene adds the distances between surface patches that both LiDARs see, which the same errors
-move. Minimised together over the step x and the errors b:
-
-    Σ_i w_i ρ( n_i · (R c_i + t − d_i) + D_i b )  +  ½ zᵀΛz − ηᵀz  +  ½ bᵀB⁻¹b,    z = [x, b]
-
-with c_i the centre of a patch of the source, d_i of the target's surface near it, n_i the mean of
-their normals. A direction that the scene does not hold (along a corridor, over open ground) has no
-part in the first sum and stays where the poles put it. The sizes of the errors are estimated too,
-never below what the manufacturer states. Coarse to fine: a patch looks for its partner as far as
-the pose is still uncertain there.
+move (`descent`). Where the search may end at several poses it starts from several; where poles and
+scene disagree, what is stated covers both.
 """
 
 from __future__ import annotations
@@ -20,21 +13,35 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..alignment.certainty import Scatter, excess, stated
-from ..alignment.factor import POSE, PoleFactor, gaussian_factor
+from ..alignment.certainty import (
+    excess,
+    floors,
+    part_of,
+    parts_of_errors,
+    root_of,
+    scatter_of_poles,
+    uncertainty_of_pair,
+)
+from ..alignment.factor import PoleFactor, gaussian_factor, poses_of_pair
+from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
-from ..base.systematic import DEVICE_KINDS, ErrorModel, Layout, groups_of, joined
+from ..base.systematic import DEVICE_KINDS, ErrorModel
 from ..base.uncertainty import Uncertainty
-from .decisive import Decisive, places_of, without_decisive
-from .descent import FEW, End, RefinementProblem, approach, settle, support_of
-from .patch_pairs import MIN_PATCHES, prepare_patches, thinned, without_errors
+from .decisive import Decisive, without_decisive
+from .descent import End, RefinementProblem, approach, settle, support_of
+from .patch_pairs import without_errors
 from .patches import Patches, surface_patches
-from .starts import SEVERAL, approaches_from_afar, approaches_of_parts, distance_sq, elsewhere
-
-PLACE_BIAS = 0.0005
-"""1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the
-downsampling, which keeps more of the far tail of the noise than of the middle."""
+from .places import parts_of_surfaces
+from .starts import (
+    SEVERAL,
+    approaches_from_afar,
+    approaches_of_parts,
+    distance_sq,
+    elsewhere,
+    of_source,
+)
+from .terms import scene_pairs
 
 DOUBT = 6.0
 """Squared Mahalanobis distance from the poles' pose, the mean of χ² with 6 degrees of freedom, from
@@ -140,30 +147,28 @@ def refine(
     """
     assert poles.covariance is not None
     patches = surface_patches(target), surface_patches(source)
-    if min(len(one.centres) for one in patches) < MIN_PATCHES:
+    scenes = scene_pairs(patches, (0, 1))
+    if not scenes:
         return None
-    seen = Layout((np.unique(patches[0].bands), np.unique(patches[1].bands)))
     given = gaussian_factor(poles) if factor is None else factor
-    layout = joined(given.layout, seen)
-    groups = groups_of(layout)
+    factor = given.with_bands([np.unique(each.bands) for each in patches])
+    groups = factor.unknowns.groups()
     known = (ErrorModel() if model is None else model).sigmas(groups)
-    sets = prepare_patches(patches[0], patches[1], layout)
-    problem = RefinementProblem(
-        sets, thinned(sets, FEW), given.within(layout), groups, known, origins_known
-    )
-    first = poles.T_target_source if start is None else start
-    near = approach(problem, first, poles.covariance)
-    if near is None:
+    problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
+    first = poses_of_pair(poles.T_target_source if start is None else start)
+    covariance = of_source(poles.covariance)
+    near = approach(problem, first, covariance)
+    if not near.scene:
         return None
     starts = [near, *approaches_from_afar(problem, near, poles, source)]
-    settled = _settled(problem, starts, poles.covariance)
+    settled = _settled(problem, starts, covariance)
     if not settled:
         return None
     best = max(settled, key=support_of)
     mahalanobis_sq = _denial(problem, best, poles)
     if mahalanobis_sq > DOUBT:
-        starts = approaches_of_parts(problem, first, settled, poles.covariance)
-        settled += _settled(problem, starts, poles.covariance)
+        starts = approaches_of_parts(problem, first, settled, covariance)
+        settled += _settled(problem, starts, covariance)
         best = max(settled, key=support_of)
         mahalanobis_sq = _denial(problem, best, poles, within=True)
     highest = best
@@ -173,12 +178,12 @@ def refine(
         # less.
         share = POSE / mahalanobis_sq
         problem = replace(problem, factor=problem.factor.weakened(share))
-        best = _settled_anew(problem, best, poles.covariance / share) or best
-        moved = distance_sq(poles.covariance, poles.T_target_source, best.T)
+        best = _settled_anew(problem, best, covariance / share) or best
+        moved = distance_sq(poles.covariance, poles.T_target_source, best.T[1])
         mahalanobis_sq = max(mahalanobis_sq, moved)
     uncertainty = own = _uncertainty(best, problem, ())
     decisive, by_places = [], np.zeros((POSE, POSE))
-    for place, without, rest in without_decisive(problem, best, poles.covariance):
+    for place, without, rest in without_decisive(problem, best, covariance):
         decisive.append(place)
         less = excess(_uncertainty(rest, without, ()).covariance, own.covariance)
         by_places += less + np.outer(place.apart, place.apart)
@@ -187,28 +192,30 @@ def refine(
         # Which of both is not known: what is stated reaches from one to the other, and as far
         # beyond as the poles alone are unsure. Of 17 poses drawn from the poles' uncertainty under
         # a scene that denied them none was within what the scene and the line between them state.
-        e = se3.local(poles.T_target_source, best.T)
+        e = se3.local(poles.T_target_source, best.T[1])
         others.append(("poles and scene disagree", np.outer(e, e) + poles.covariance))
     if others:
         uncertainty = _uncertainty(best, problem, others)
-    pairs, weights = best.linear.pairs, best.linear.weights
-    rms = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
+    (term,) = best.scene
+    T = best.T[1]
     minima = [
-        se3.local(highest.T, one.T)
+        se3.local(highest.T[1], one.T[1])
         for one in settled
-        if distance_sq(own.covariance, highest.T, one.T) > SEVERAL
+        if distance_sq(own.covariance, highest.T[1], one.T[1]) > SEVERAL
     ]
+    rms = float(np.sqrt(np.average(term.pairs.residuals**2, weights=term.weights)))
+    errors = best.errors[term.place[2 * POSE :] - 2 * POSE]
     return Refinement(
-        PoseEstimate(best.T, uncertainty.covariance, rms),
+        PoseEstimate(T, uncertainty.covariance, rms),
         uncertainty,
-        len(weights),
+        len(term.weights),
         mahalanobis_sq,
-        se3.difference(poles.T_target_source, best.T),
+        se3.difference(poles.T_target_source, T),
         tuple(minima),
         best.converged,
         best.iterations,
         patches,
-        without_errors(sets, best.linear.errors),
+        without_errors(term.sets, errors),
         _scale_wanted(best, problem),
         tuple(decisive),
     )
@@ -217,7 +224,7 @@ def refine(
 def _settled(problem: RefinementProblem, starts: Sequence[End], covariance: Array) -> list[End]:
     """Settle each, and leave out what comes to nothing."""
     ends = [settle(problem, each, covariance) for each in starts]
-    return [each for each in ends if each is not None]
+    return [each for each in ends if each.scene]
 
 
 def _denial(
@@ -231,15 +238,15 @@ def _denial(
     """
     assert poles.covariance is not None
     T = poles.T_target_source
-    apart = distance_sq(poles.covariance, T, best.T)
+    apart = distance_sq(poles.covariance, T, best.T[1])
     alone = replace(problem, factor=problem.factor.weakened(UNSURE))
-    reach = [poles.covariance / UNSURE, best.search] if within else [poles.covariance / UNSURE]
-    found = [approach(alone, best.T, each) for each in reach]
-    far = max((each for each in found if each is not None), key=support_of, default=None)
+    wide = of_source(poles.covariance / UNSURE)
+    found = [approach(alone, best.T, each) for each in ((wide, best.search) if within else (wide,))]
+    far = max((each for each in found if each.scene), key=support_of, default=None)
     if far is None:
         return apart
     # What the scene alone does not hold is no denial.
-    return max(apart, distance_sq(poles.covariance + far.search, T, far.T))
+    return max(apart, distance_sq(poles.covariance + far.search[POSE:, POSE:], T, far.T[1]))
 
 
 def _settled_anew(problem: RefinementProblem, best: End, covariance: Array) -> End | None:
@@ -248,7 +255,7 @@ def _settled_anew(problem: RefinementProblem, best: End, covariance: Array) -> E
     A wider search may leave a good minimum for one with less support.
     """
     again = approach(problem, best.T, covariance)
-    starts = [best] if again is None or not elsewhere(again, [best]) else [best, again]
+    starts = [best, again] if again.scene and elsewhere(again, [best]) else [best]
     return max(_settled(problem, starts, covariance), key=support_of, default=None)
 
 
@@ -259,42 +266,29 @@ def _scale_wanted(end: End, problem: RefinementProblem) -> tuple[float, float] |
     its information is ``1/v − p``. Mean of freeing the target's and the source's.
     """
     found = []
+    unknowns = problem.factor.unknowns
     for lidar, sign in ((0, 1.0), (1, -1.0)):
-        k = problem.factor.layout.device(lidar).start + SCALE
-        variance = float(end.linear.inverse[POSE + k, POSE + k])
-        information = 1.0 / variance - float(end.linear.precision[k])
+        own = unknowns.device(lidar)[SCALE]
+        k = own - unknowns.poses
+        variance = float(end.inverse[own, own])
+        information = 1.0 / variance - float(end.precision[k])
         if information * MAX_SCALE_SIGMA**2 < 1.0:
             return None
-        found.append((sign * float(end.linear.errors[k]) / variance / information, information))
+        found.append((sign * float(end.errors[k]) / variance / information, information))
     return 1.0 + (found[0][0] + found[1][0]) / 2, max(one[1] ** -0.5 for one in found)
 
 
 def _uncertainty(
     end: End, problem: RefinementProblem, other: Sequence[tuple[str, Array]]
 ) -> Uncertainty:
-    """State the uncertainty of the minimum, of residuals that are far from independent.
-
-    ``Σ_c d_c d_cᵀ``: ``d_c = (S − S_c)⁻¹ g_c`` is how far the answer goes without all residuals at
-    one place, which may be correlated in any way (the jackknife over clusters, Bell and McCaffrey
-    2002), with the errors b eliminated from S and g.
-    """
-    linear, inverse = end.linear, end.linear.inverse
-    places = places_of(linear)
-    without = places.marginal - places.information
-    moves = np.linalg.solve(without, places.gradients[:, :, None])[:, :, 0]
-    size = np.sum(moves * (moves @ places.marginal), axis=1)
-    freedom = float(size.sum() ** 2 / max(float(np.sum(size**2)), 1e-300))
-    information = problem.factor.information
-    from_poles = inverse[:POSE] @ information @ inverse[:POSE].T
-    return stated(
-        problem.groups,
-        end.sigma,
-        linear.precision,
-        inverse,
-        linear.errors,
-        (
-            Scatter("scatter of the surfaces", moves.T @ moves, freedom),
-            Scatter("scatter of the poles' returns", from_poles, problem.factor.redundancy),
-        ),
-        (("surfaces that are not flat", places.moves.T @ places.moves * PLACE_BIAS**2), *other),
+    """State the uncertainty of the answer, with further systematic parts (6, 6), each named."""
+    factor = problem.factor.about(end.T)
+    return uncertainty_of_pair(
+        [
+            *parts_of_errors(problem.groups, end.sigma, end.precision, end.inverse, end.errors),
+            *parts_of_surfaces(end),
+            scatter_of_poles("scatter of the poles' returns", factor, end.inverse),
+            *(part_of(name, of_source(root_of(more))) for name, more in other),
+            *floors(end.T, factor.free),
+        ]
     )

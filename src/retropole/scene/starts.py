@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from ..alignment.factor import poses_of_pair
+from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
-from .descent import FEW, End, RefinementProblem, approach
+from .descent import End, RefinementProblem, approach
 from .patch_pairs import thinned
+from .terms import FEW
 
 WIDE, START_SIGMAS = 0.1, 2.0
 """From which 1 σ of the poles at the middle of the cloud, metres, the search is also started from
@@ -44,10 +48,14 @@ def approaches_from_afar(
         return []
     step = START_SIGMAS * widest * vectors[:, -1] * scale
     found = [
-        approach(problem, se3.retract(poles.T_target_source, sign * step), poles.covariance)
+        approach(
+            problem,
+            poses_of_pair(se3.retract(poles.T_target_source, sign * step)),
+            of_source(poles.covariance),
+        )
         for sign in (1.0, -1.0)
     ]
-    return [end for end in found if end is not None and elsewhere(end, [near])]
+    return [end for end in found if end.scene and elsewhere(end, [near])]
 
 
 def approaches_of_parts(
@@ -58,14 +66,21 @@ def approaches_of_parts(
     Few patches may hold a direction, the ground between two façades: a part of them leads past a
     minimum that the others are caught in, where other starts do not.
     """
-    parts = [replace(problem, few=thinned(problem.sets, FEW, k)) for k in range(1, FEW)]
+    (scene,) = problem.scenes
     kept: list[End] = []
-    for end in (approach(each, T, covariance) for each in parts):
-        if end is not None and elsewhere(end, [*known, *kept]):
+    for k in range(1, FEW):
+        part = replace(problem, scenes=(replace(scene, few=thinned(scene.sets, FEW, k)),))
+        end = approach(part, T, covariance)
+        if end.scene and elsewhere(end, [*known, *kept]):
             kept.append(end)
     return kept
 
 
 def elsewhere(end: End, known: Sequence[End]) -> bool:
     """Whether an end is another minimum than any that is known."""
-    return all(distance_sq(one.search, one.T, end.T) > SEVERAL for one in known)
+    return all(distance_sq(one.search[POSE:, POSE:], one.T[1], end.T[1]) > SEVERAL for one in known)
+
+
+def of_source(covariance: Array) -> Array:
+    """(12, 12) of both poses of a pair, of which the source's has a covariance (6, 6)."""
+    return np.asarray(block_diag(np.zeros((POSE, POSE)), covariance))

@@ -8,27 +8,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..alignment.adjustment import MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA, RADIUS_TOLERANCE
-from ..alignment.certainty import WORKING_SHARE
+from ..alignment.certainty import (
+    WORKING_SHARE,
+    Part,
+    floors,
+    joint_covariance,
+    parts_of_errors,
+    scatter_of_poles,
+)
 from ..alignment.climb import start_noise
+from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from ..base.errors import Refusal
-from ..base.systematic import MIN_ERROR_SIGMA, sizes_of
+from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, sizes_of
+from ..scene.descent import End, RefinementProblem, descend
 from ..scene.patches import Patches
+from ..scene.places import parts_of_surfaces
+from ..scene.terms import ScenePair
 from .answer import Test
 from .astray import astray
 from .axes import climb_from_lines
-from .certainty import Part, joint_covariance, parts_of, scene_root
 from .datum import Datum, without_poles
 from .description import Site
-from .network import Network, bands_of, observe
+from .network import Network, bands_of, factor_of, observe
 from .posterior import Sight, SitePriors, climb_site
-from .refinement import ScenePair, SiteEnd, refine_site
 from .scans import SiteScans
 from .shared import sights_of
 from .snooping import all_tests
 from .solved import Solved, solved
-from .state import POSE, SiteState
-from .unknowns import known_sigmas
+from .state import SiteState
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
 """A LiDAR's returns lie so much further from the common axes than from its own at most, beyond a
@@ -56,7 +64,7 @@ class Adjusted:
 
     datum: Datum
     network: Network
-    end: SiteEnd
+    end: End
     parts: tuple[Part, ...]
     covariance: Array
     solved: Solved
@@ -108,12 +116,22 @@ def adjust(
     none = np.zeros(0, dtype=np.int64)
     bands = bands_of(sights, [none if one is None else np.unique(one.bands) for one in patches])
     network = observe(climbed.point, sights, datum.poles, datum.surveyed, site, bands, datum.free)
-    groups = network.unknowns.groups()
-    end = refine_site(network, scenes, groups, known_sigmas(groups, sizes, radius_sigma), few=few)
-    parts = tuple(parts_of(network, end, groups))
+    factor, groups = factor_of(network), network.unknowns.groups()
+    known = ErrorModel(tuple(sizes), radius_sigma).sigmas(groups)
+    problem = RefinementProblem(factor, tuple(scenes), groups, known)
+    end = descend(problem, few=few)
+    surfaces = parts_of_surfaces(end)
+    parts = (
+        *parts_of_errors(groups, end.sigma, end.precision, end.inverse, end.errors),
+        scatter_of_poles(
+            "scatter of the poles' returns and of the survey", factor.about(end.T), end.inverse
+        ),
+        *surfaces,
+        *floors(end.T, factor.free),
+    )
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
-    at = solved(network, end, groups, scene_root(parts))
+    at = solved(network, end, groups, surfaces)
     beside = {(i, k): chi2 for i, k, chi2 in astray(climbed.point, network, sights)}
     tests = tuple(all_tests(at, site, datum.poles, beside))
     converged = climbed.converged and end.converged

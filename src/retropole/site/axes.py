@@ -21,14 +21,15 @@ from ..alignment.climb import (
     POLE_STEP,
     start_of,
 )
-from ..alignment.factor import POSE, expand_lidar, semidefinite
+from ..alignment.expansion import expand_lidar, semidefinite
 from ..alignment.observations import Beams, beams_of
 from ..alignment.posterior import SHARED, Posterior, Priors, State, evaluate
 from ..alignment.solver import levenberg_marquardt
+from ..alignment.unknowns import POSE, Unknowns
 from ..alignment.views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
 from ..base.datatypes import Array, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
-from ..base.systematic import RADIUS, ErrorModel, Layout, band_of, groups_of, sizes_of
+from ..base.systematic import RADIUS, ErrorModel, Layout, band_of, sizes_of
 
 FLOOR_POINT, FLOOR_LEAN = 0.002, 0.001
 """1 σ of an axis across itself and of its direction that no model names, metres and rad: glow
@@ -91,16 +92,18 @@ def find_axes(
     layout = Layout((np.unique(band_of(beams.directions, beams.axis)), nobody))
     information, gradient, _ = expand_lidar(state, 0, beams, view, layout)
     information = semidefinite(information, lambda size: np.maximum(size, 0.0))[POSE:, POSE:]
-    groups, sizes = groups_of(layout), sizes_of(sensor)
-    sigma = ErrorModel(sizes, sizes, max(radius_sigma, RADIUS_TOLERANCE * radius)).sigmas(groups)
-    precision = prior_precision(groups, sigma)
+    unknowns, sizes = Unknowns(layout.bands, 0, 0), sizes_of(sensor)
+    groups, order = unknowns.groups(), unknowns.of_layout(layout, (0, 1)) - unknowns.poses
+    model = ErrorModel((sizes, sizes), max(radius_sigma, RADIUS_TOLERANCE * radius))
+    sigma = model.sigmas(groups)
+    precision = prior_precision(groups, sigma)[order]
     errors = len(precision)
     whole = information.copy()
     whole[np.arange(errors), np.arange(errors)] += precision
     # Axes and errors together: what the returns show of an error is taken out of the axes.
     rows = np.linalg.inv(whole)[errors:]
     step = np.r_[np.zeros(SHARED), rows @ gradient[POSE:]]
-    passed = rows[:, :errors] * precision * sigma[groups.label]
+    passed = rows[:, :errors] * precision * sigma[groups.label][order]
     of_radius = passed[:, RADIUS].copy()
     passed[:, RADIUS] = 0.0
     floor = np.diag(np.tile([FLOOR_POINT, FLOOR_POINT, FLOOR_LEAN, FLOOR_LEAN], len(seen)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from ..alignment.unknowns import POSE
 from ..base.errors import Reason, Refusal
 from ..scene.agreement import MAX_AXES_CHI2
 from ..scene.starts import distance_sq
@@ -19,7 +20,6 @@ from .datum import Datum, without_poles, without_survey
 from .description import Site
 from .links import links
 from .shared import SharedPole
-from .state import POSE
 
 SIGNIFICANT, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
 """Normalised residual (w) from which an observation is a blunder, and from which it is told that it

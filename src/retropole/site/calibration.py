@@ -7,14 +7,16 @@ from functools import partial
 
 from threadpoolctl import threadpool_limits
 
+from ..alignment.certainty import budget_of
+from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from ..base.errors import Reason, Refusal
 from ..base.uncertainty import predicted_error
 from ..pipeline import timed
+from ..scene.terms import scene_pairs
 from .adjustment import Adjusted, adjust
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from .blunders import without_blunders, worst_test
-from .certainty import budget_of
 from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
@@ -22,10 +24,8 @@ from .description import Site
 from .doubtful import counting_doubtful, link_by_doubtful
 from .exchanged import check_exchanged, check_places
 from .pairs import Pair, find_pairs, poles_of
-from .refinement import patches_of, scene_pairs
-from .scans import SiteScans, Views, find_scans, poses_in_clouds, views_of
+from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
 from .shared import same_poles, shared_poles
-from .state import POSE
 from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
 from .without import without_placements
 

@@ -17,15 +17,16 @@ import numpy as np
 from scipy.special import chdtrc
 
 from ..alignment.certainty import excess
+from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..base.uncertainty import floor
+from ..scene.descent import End
+from ..scene.places import labels_of_places, moved_by, places_of
+from ..scene.terms import SceneTerm
 from .answer import LoopClosure
-from .certainty import moved_by_places, places_of
 from .network import Observation
-from .refinement import SceneTerm, SiteEnd
 from .solved import Solved
-from .state import POSE
 
 MOST_LOOPS = 60
 """So many loops are closed at most: of 8 LiDARs that all see each other, all 56 triangles."""
@@ -67,7 +68,7 @@ class _Edge:
     scatter: Array
 
 
-def close_loops(at: Solved, end: SiteEnd) -> Iterator[LoopClosure]:
+def close_loops(at: Solved, end: End) -> Iterator[LoopClosure]:
     """Close the loops of all pairs that have an answer of their own: triangles first."""
     edges = {each.lidars: each for each in _edges(at, end)}
     for loop in _loops(sorted({i for pair in edges for i in pair}), list(edges))[:MOST_LOOPS]:
@@ -109,10 +110,10 @@ def _shortest(a: int, b: int, neighbours: dict[int, set[int]]) -> tuple[int, ...
     return None
 
 
-def _edges(at: Solved, end: SiteEnd) -> Iterator[_Edge]:
+def _edges(at: Solved, end: End) -> Iterator[_Edge]:
     """Solve every pair by itself."""
     network = at.network
-    places = places_of(end) if end.scene else []
+    places = labels_of_places(end) if end.scene else []
     scenes = {term.lidars: (term, own) for term, own in zip(end.scene, places, strict=True)}
     count = 1 + max((int(own.max()) for own in places), default=-1)
     returns: dict[int, list[int]] = {}
@@ -131,7 +132,7 @@ def _edge(
     sources: tuple[int, ...],
     seen: tuple[SceneTerm, IntArray] | None,
     at: Solved,
-    end: SiteEnd,
+    end: End,
     count: int,
 ) -> _Edge | None:
     """Solve one pair with the first LiDAR held; None where it leaves its pose open."""
@@ -163,8 +164,8 @@ def _edge(
         of_scene = np.zeros((POSE, unknowns.size))
         of_scene[:, place] = gain
         by_term = of_scene[:, seen[0].place]
-        moved = moved_by_places(end, [seen[0]], [by_term], gain[:, of_pose], [seen[1]])
-        for kind, each in enumerate(moved):
+        own = places_of(end, [seen[0]], [by_term], gain[:, of_pose], [seen[1]])
+        for kind, each in enumerate(moved_by(own)):
             scatter[:, kind, : each.shape[1]] = each
     step = gain @ slope
     return _Edge(lidars, gain, place, sources, scene, step, scatter.reshape(POSE, -1))
@@ -183,7 +184,7 @@ def _closure(
     loop: tuple[int, ...],
     edges: dict[tuple[int, int], _Edge],
     at: Solved,
-    end: SiteEnd,
+    end: End,
 ) -> LoopClosure:
     """Add up the steps around a loop, with their joint covariance.
 

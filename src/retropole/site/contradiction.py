@@ -15,15 +15,15 @@ from typing import Protocol
 
 import numpy as np
 
+from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.errors import Refusal
-from ..scene.descent import FEW
+from ..scene.descent import End
 from ..scene.patch_pairs import pair_patches
+from ..scene.terms import FEW, SceneTerm
 from .adjustment import Adjusted
 from .datum import Datum, without_poles
 from .links import links
-from .refinement import SceneTerm, SiteEnd
-from .state import POSE
 
 CLOSE = 0.02
 """Patches that lie so far apart count by half, metres: twice what the range offset of a LiDAR is
@@ -41,7 +41,7 @@ benchmarks/site.py). Without one that made 33 answers of the former wrong by 0.1
 passed its own tests, 9 to 716 more coincided, 19 times as many or more."""
 
 
-def more_coincide(before: SiteEnd, after: SiteEnd, near: frozenset[int] | None = None) -> float:
+def more_coincide(before: End, after: End, near: frozenset[int] | None = None) -> float:
     """Count how many more patches coincide under another answer, of those it places differently.
 
     Each counts by how small its distance is, less what the estimated errors of both LiDARs make of
@@ -68,7 +68,7 @@ def more_coincide(before: SiteEnd, after: SiteEnd, near: frozenset[int] | None =
 
 
 def _coinciding(
-    end: SiteEnd, terms: Sequence[SceneTerm], other: SiteEnd, near: frozenset[int] | None
+    end: End, terms: Sequence[SceneTerm], other: End, near: frozenset[int] | None
 ) -> float:
     """Count what coincides under an answer of what another one places differently."""
     count = 0.0
@@ -88,7 +88,7 @@ def _coinciding(
     return count
 
 
-def least_denied(ends: Sequence[SiteEnd]) -> int:
+def least_denied(ends: Sequence[End]) -> int:
     """Find the answer that the surroundings deny least beside the others; of equals the first."""
     against = [
         max((more_coincide(one, other) for other in ends if other is not one), default=0.0)

@@ -16,11 +16,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from ..alignment.factor import POSE, expand_lidar, semidefinite
+from ..alignment.expansion import expand_lidar, semidefinite
+from ..alignment.factor import PoleFactor, steps_to
 from ..alignment.posterior import Posterior
+from ..alignment.unknowns import POSE, Unknowns
 from ..alignment.views import View, find_view
-from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.systematic import TAPE, Layout, band_of
 from .description import Site
@@ -28,7 +30,6 @@ from .posterior import Sight
 from .shared import SharedPole
 from .state import SiteState
 from .survey import Surveyed, survey_terms
-from .unknowns import Unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,32 +223,6 @@ def _of_unknowns(place: IntArray, state: SiteState, unknowns: Unknowns) -> IntAr
     return np.asarray(np.where(place < POSE * len(state.T), place, place + behind))
 
 
-def steps_to(network: Network, T: Array) -> tuple[Array, Array]:
-    """Give the unknowns of a network at some poses, and how they follow steps from there.
-
-    Parameters
-    ----------
-    network
-        Its unknowns are steps from its own poses.
-    T
-        (L, 4, 4) the poses.
-
-    Returns
-    -------
-    here
-        (Z,) the unknowns there; all but the poses are zero.
-    by_step
-        (Z, Z) their derivative by steps from there, and by all that are no poses.
-    """
-    unknowns = network.unknowns
-    here, by_step = np.zeros(unknowns.size), np.eye(unknowns.size)
-    for lidar, (a, b) in enumerate(zip(network.state.T, T, strict=True)):
-        own, step = unknowns.pose(lidar), se3.local(a, b)
-        here[own] = step
-        by_step[np.ix_(own, own)] = se3.local_jacobian(step)
-    return here, by_step
-
-
 def about(network: Network, T: Array) -> Network:
     """Express the same observations in steps from other poses, as the scene's terms are.
 
@@ -258,7 +233,10 @@ def about(network: Network, T: Array) -> Network:
     T
         (L, 4, 4) the poses.
     """
-    here, by_step = steps_to(network, T)
+    unknowns = network.unknowns
+    others = unknowns.size - unknowns.poses
+    away_by_pose, by_pose = steps_to(network.state.T, T)
+    here, by_step = np.r_[away_by_pose, np.zeros(others)], block_diag(by_pose, np.eye(others))
 
     def moved(one: Observation) -> Observation:
         J, away = by_step[np.ix_(one.place, one.place)], here[one.place]
@@ -276,10 +254,8 @@ def about(network: Network, T: Array) -> Network:
     return replace(network, state=replace(network.state, T=T), observations=observations)
 
 
-def marginal(network: Network, ridge: float = 0.0) -> tuple[Array, Array]:
-    """Eliminate axes and control points: Λ (K, K) and η (K,) of poses and errors.
-
-    ``log L = ηᵀ y − ½ yᵀ Λ y`` up to a constant, y the poses' steps and the errors.
+def factor_of(network: Network, ridge: float = 0.0) -> PoleFactor:
+    """Eliminate axes and control points: what poles and survey say of poses and errors.
 
     Parameters
     ----------
@@ -289,12 +265,20 @@ def marginal(network: Network, ridge: float = 0.0) -> tuple[Array, Array]:
         Precision that axes and points get which nothing is said of.
     """
     information, gradient = network.total()
+    unknowns = network.unknowns
     if ridge:
         nothing = np.flatnonzero(np.diag(information) <= 0.0)
-        nothing = nothing[nothing >= network.unknowns.kept]
+        nothing = nothing[nothing >= unknowns.kept]
         information[nothing, nothing] = ridge
-    kept, gone = slice(0, network.unknowns.kept), slice(network.unknowns.kept, None)
+    kept, gone = slice(0, unknowns.kept), slice(unknowns.kept, None)
     eliminated = np.linalg.solve(information[gone, gone], information[gone, kept])
     reduced = information[kept, kept] - information[kept, gone] @ eliminated
     vector = gradient[kept] - eliminated.T @ gradient[gone]
-    return (reduced + reduced.T) / 2, np.asarray(vector + reduced @ network.start[kept])
+    return PoleFactor(
+        network.state.T,
+        replace(unknowns, axes=0, control=0),
+        network.free,
+        (reduced + reduced.T) / 2,
+        np.asarray(vector + reduced @ network.start[kept]),
+        network.redundancy,
+    )

@@ -8,10 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
+from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, IntArray
 from .network import Observation
 from .solved import Solved
-from .state import POSE
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,10 @@ from ..alignment.climb import check_fit, maximise
 from ..alignment.observations import Beams
 from ..alignment.posterior import NOISE_STEP, SHARED, Posterior, evaluate_lidar
 from ..alignment.solver import Solution
+from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
-from .state import POSE, SiteState
+from .state import SiteState
 from .survey import Surveyed, survey_terms
 
 START_ROTATION, START_TRANSLATION = 0.3, 1.0

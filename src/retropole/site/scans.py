@@ -12,6 +12,7 @@ from ..base.errors import Refusal
 from ..matching.placements import merged
 from ..pipeline import find_poles
 from ..scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
+from ..scene.patches import Patches, surface_patches
 from ..scene.static import check_static, check_still
 from ..scene.visibility import View, compare_views, view_of
 from .description import Site, SiteLidar
@@ -181,3 +182,9 @@ def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array,
         poses.append(se3.from_rt(pose[:3, :3], pose[:3, 3] - arm))
     moved = back @ covariance @ back.T
     return np.stack(poses), np.asarray((moved + moved.T) / 2)
+
+
+def patches_of(scans: SiteScans) -> list[Patches | None]:
+    """Fit surface patches to what each LiDAR recorded; None where it recorded nothing."""
+    scenes = [scans.scene(lidar) for lidar in range(len(scans.by_lidar))]
+    return [None if scene is None else surface_patches(scene) for scene in scenes]

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import chdtrc, erfcinv
 
 from ..alignment.certainty import excess
+from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from .answer import Test
 from .description import Site
@@ -29,7 +30,6 @@ from .own_errors import (
 )
 from .shared import SharedPole
 from .solved import Solved
-from .state import POSE
 
 NONCENTRALITY = 17.07
 """Of a test at 0.1 % with a power of 80 %: (3.29 + 0.84)² (Baarda 1968)."""

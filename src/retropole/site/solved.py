@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from ..alignment.certainty import considered
+from ..alignment.certainty import Part, considered
 from ..base.datatypes import Array
 from ..base.systematic import Groups
+from ..scene.descent import End
 from .network import Network, Observation, about
-from .refinement import SiteEnd
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ class Solved:
         return np.asarray(one.gradient - one.information @ away)
 
 
-def solved(network: Network, end: SiteEnd, groups: Groups, scene_root: Array) -> Solved:
+def solved(network: Network, end: End, groups: Groups, surfaces: Sequence[Part]) -> Solved:
     """Solve for all unknowns, axes and control points too, at the answer.
 
     Parameters
@@ -70,8 +71,8 @@ def solved(network: Network, end: SiteEnd, groups: Groups, scene_root: Array) ->
         What was adjusted, and where it ended.
     groups
         The errors.
-    scene_root
-        (6 L, R) what the scene does to the poses (`certainty.scene_root`).
+    surfaces
+        What they do to the poses, from `scene.places.parts_of_surfaces`.
     """
     network = about(network, end.T)
     unknowns, poses = network.unknowns, network.unknowns.poses
@@ -99,7 +100,8 @@ def solved(network: Network, end: SiteEnd, groups: Groups, scene_root: Array) ->
     wide[poses + which, np.arange(len(which))] = sigma[which]
     # What moves the poses by so much takes all else along.
     moved = np.flatnonzero(network.free)
-    along = inverse[:, moved] @ np.linalg.solve(inverse[np.ix_(moved, moved)], scene_root[moved])
+    by_scene_moved = np.hstack([np.zeros((poses, 0)), *(part.root for part in surfaces)])[moved]
+    along = inverse[:, moved] @ np.linalg.solve(inverse[np.ix_(moved, moved)], by_scene_moved)
     return Solved(
         network, values, inverse, wide, end.sigma[groups.label], remainder, by_scene, along
     )

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..alignment.posterior import State
+from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-
-POSE = 6
-"""Parameters of a pose."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from .state import POSE, SiteState
+from .state import SiteState
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, IntArray
+from ..scene.descent import End
 from .answer import WithoutPlacement
-from .network import Network, about, marginal
-from .refinement import SiteEnd
-from .state import POSE
+from .network import Network, about, factor_of
 
 MAX_SIGMA = 0.5
 """Where a pose is left more open than this without a placement, m or rad, there is none."""
@@ -19,9 +19,7 @@ GONE = 1.0
 """Precision of axes that nothing is left of, to keep the equations solvable."""
 
 
-def without_placements(
-    network: Network, end: SiteEnd, placements: int
-) -> Iterator[WithoutPlacement]:
+def without_placements(network: Network, end: End, placements: int) -> Iterator[WithoutPlacement]:
     """Solve again without the returns of each placement; nothing of a site with one.
 
     Parameters
@@ -35,13 +33,14 @@ def without_placements(
         return
     unknowns, poses = network.unknowns, network.unknowns.poses
     index = np.arange(poses, unknowns.kept)
-    free = np.flatnonzero(np.r_[network.free, np.ones(unknowns.errors, dtype=bool)])
+    free = factor_of(network).estimated
     network = about(network, end.T)
     here = np.r_[np.zeros(poses), end.errors]
     for p in range(placements):
         left = {k for k, one in enumerate(network.observations) if one.placement == p}
-        information, vector = marginal(network.without(left), ridge=GONE)
-        slope = vector - information @ here
+        factor = factor_of(network.without(left), ridge=GONE)
+        information = factor.information
+        slope = factor.vector - information @ here
         information[index, index] += end.precision
         slope[index] -= end.precision * end.errors
         for term in end.scene:

@@ -9,18 +9,12 @@ from threadpoolctl import threadpool_limits
 
 from retropole.alignment.adjustment import align_beams
 from retropole.alignment.certainty import prior_precision, solve_factor
-from retropole.alignment.factor import (
-    MANY,
-    POSE,
-    AxesTest,
-    Expansion,
-    expand,
-    gaussian_factor,
-    pole_factor,
-)
+from retropole.alignment.expansion import AxesTest, Expansion, expand, pole_factor
+from retropole.alignment.factor import MANY, gaussian_factor
 from retropole.alignment.likelihood import arc_likelihood, passed_beam_likelihood
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import State, beam_geometry
+from retropole.alignment.unknowns import POSE, Unknowns
 from retropole.alignment.views import View, exact_view
 from retropole.base import se3
 from retropole.base.datatypes import Array, Pole, PoseEstimate
@@ -34,8 +28,6 @@ from retropole.base.systematic import (
     ErrorModel,
     Layout,
     band_of,
-    groups_of,
-    joined,
 )
 from retropole.simulation import EXACT, SimulatedPair, simulate_pair
 from retropole.simulation.recording import Arrangement, Recorders, record
@@ -219,8 +211,8 @@ def expansion() -> Expansion:
     return expand(state_near(pair), views, beams, pair.poles[0].radius)
 
 
-def weighed(layout: Layout) -> Array:
-    groups = groups_of(layout)
+def weighed(unknowns: Unknowns) -> Array:
+    groups = unknowns.groups()
     return prior_precision(groups, ErrorModel().sigmas(groups))
 
 
@@ -238,44 +230,67 @@ def test_errors_that_one_lidar_has_are_not_the_others(expansion: Expansion) -> N
 
 def test_eliminating_the_axes_leaves_pose_and_errors_as_they_are(expansion: Expansion) -> None:
     """The minimum, and its curvature, are those of the whole problem with the axes in it."""
-    axes, layout = POSE + expansion.layout.size, expansion.layout
-    precision = weighed(layout)
+    factor = pole_factor(expansion)
+    unknowns, axes = factor.unknowns, POSE + expansion.layout.size
+    place = np.r_[unknowns.pose(1), unknowns.of_layout(expansion.layout, (0, 1))]
+    precision = weighed(unknowns)
     whole = expansion.information[0] + expansion.information[1]
     gradient = expansion.gradient[0] + expansion.gradient[1]
     index = np.arange(POSE, axes)
-    whole[index, index] += precision
-    gradient[index] -= precision * expansion.errors
+    own = precision[place[POSE:] - unknowns.poses]
+    whole[index, index] += own
+    gradient[index] -= own * expansion.errors
     inverse = np.linalg.inv(whole)
-    step = inverse @ gradient
-    found = solve_factor(pole_factor(expansion), precision)
+    step = (inverse @ gradient)[:axes] + np.r_[np.zeros(POSE), expansion.errors]
+    found = solve_factor(factor, precision)
     scale = np.sqrt(np.diag(inverse)[:axes])
-    np.testing.assert_allclose(found.step / scale[:POSE], step[:POSE] / scale[:POSE], atol=1e-6)
-    errors = expansion.errors + step[index]
-    np.testing.assert_allclose(found.errors / scale[index], errors / scale[index], atol=1e-6)
+    values = np.r_[found.steps, found.errors][place]
+    np.testing.assert_allclose(values / scale, step / scale, atol=1e-6)
     np.testing.assert_allclose(
-        found.inverse / np.outer(scale, scale),
+        found.inverse[np.ix_(place, place)] / np.outer(scale, scale),
         inverse[:axes, :axes] / np.outer(scale, scale),
         atol=1e-6,
     )
+    # The target is the frame.
+    assert not found.inverse[unknowns.pose(0)].any()
 
 
-def test_within_more_bands_nothing_changes(expansion: Expansion) -> None:
+def test_with_more_bands_nothing_changes(expansion: Expansion) -> None:
     factor = pole_factor(expansion)
-    more = joined(factor.layout, Layout((np.array([-40, -2, 30]), np.array([-3, 50]))))
-    assert more.size > factor.layout.size
-    alone = solve_factor(factor, weighed(factor.layout))
-    wider = factor.within(more)
-    among = solve_factor(wider, weighed(more))
-    place = np.r_[np.arange(POSE), POSE + factor.layout.places_in(more)]
-    assert (wider.redundancy, wider.layout) == (factor.redundancy, more)
-    np.testing.assert_allclose(among.step, alone.step, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(among.errors[place[POSE:] - POSE], alone.errors, rtol=1e-6)
+    wider = factor.with_bands([np.array([-40, -2, 30]), np.array([-3, 50])])
+    assert wider.unknowns.kept > factor.unknowns.kept
+    alone = solve_factor(factor, weighed(factor.unknowns))
+    among = solve_factor(wider, weighed(wider.unknowns))
+    place = factor.unknowns.places_in(wider.unknowns)
+    errors, poses = place[factor.unknowns.poses :] - wider.unknowns.poses, wider.unknowns.poses
+    assert wider.redundancy == factor.redundancy
+    np.testing.assert_allclose(among.steps, alone.steps, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(among.errors[errors], alone.errors, rtol=1e-6)
     np.testing.assert_allclose(among.inverse[np.ix_(place, place)], alone.inverse, rtol=1e-6)
     # The bands that the poles have no returns in keep their prior.
-    new = np.setdiff1d(np.arange(more.size), place[POSE:] - POSE)
+    new = np.setdiff1d(np.arange(wider.unknowns.errors), errors)
     assert len(new) > 0
     np.testing.assert_allclose(among.errors[new], 0.0, atol=1e-15)
-    np.testing.assert_allclose(np.diag(among.inverse)[POSE + new], 1 / weighed(more)[new])
+    np.testing.assert_allclose(
+        np.diag(among.inverse)[poses + new], 1 / weighed(wider.unknowns)[new]
+    )
+
+
+def test_about_other_poses_the_answer_is_the_same(expansion: Expansion) -> None:
+    """To first order: their steps are counted from there."""
+    factor = pole_factor(expansion)
+    precision = weighed(factor.unknowns)
+    found = solve_factor(factor, precision)
+    step = 1e-4 * np.arange(1.0, 7.0)
+    other = factor.T.copy()
+    other[1] = se3.retract(factor.T[1], step)
+    again = solve_factor(factor.about(other), precision)
+    pose, pose_again = (
+        se3.retract(T[1], each.steps[POSE:]) for T, each in ((factor.T, found), (other, again))
+    )
+    sigma = np.sqrt(np.diag(found.inverse)[POSE : 2 * POSE])
+    assert np.abs(se3.local(pose, pose_again) / sigma).max() < 1e-3
+    np.testing.assert_allclose(again.errors, found.errors, rtol=1e-3, atol=1e-9)
 
 
 def test_the_offsets_and_the_radius_that_a_state_has_count_from_zero() -> None:
@@ -288,7 +303,10 @@ def test_the_offsets_and_the_radius_that_a_state_has_count_from_zero() -> None:
     assert np.count_nonzero(found.errors) == 3
     # Errors that are known to be what the state has them move nothing else: Λ here is the whole.
     factor = pole_factor(found)
-    known = factor.information @ np.r_[np.zeros(POSE), found.errors]
+    unknowns = factor.unknowns
+    errors = np.zeros(unknowns.kept)
+    errors[unknowns.of_layout(found.layout, (0, 1))] = found.errors
+    known = factor.information @ errors
     other = pole_factor(replace(found, errors=np.zeros_like(found.errors)))
     np.testing.assert_allclose(factor.vector - known, other.vector, rtol=1e-6, atol=1e-3)
 
@@ -300,13 +318,13 @@ def test_a_given_covariance_says_nothing_of_the_errors() -> None:
     pose = PoseEstimate(se3.random(rng), covariance, 0.0)
     factor = gaussian_factor(pose)
     assert factor.redundancy == MANY
-    precision = weighed(factor.layout)
+    precision, poses = weighed(factor.unknowns), factor.unknowns.poses
     found = solve_factor(factor, precision)
-    np.testing.assert_allclose(found.step, 0.0)
+    np.testing.assert_allclose(found.steps, 0.0)
     np.testing.assert_allclose(found.errors, 0.0)
-    np.testing.assert_allclose(found.inverse[:POSE, :POSE], covariance, rtol=1e-6)
-    np.testing.assert_allclose(found.inverse[POSE:, :POSE], 0.0, atol=1e-15)
-    np.testing.assert_allclose(np.diag(found.inverse)[POSE:], 1 / precision)
+    np.testing.assert_allclose(found.inverse[POSE:poses, POSE:poses], covariance, rtol=1e-6)
+    np.testing.assert_allclose(found.inverse[poses:, :poses], 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.diag(found.inverse)[poses:], 1 / precision)
 
 
 def axes_of(pair: SimulatedPair, beams: tuple[Beams, Beams], start: Array) -> AxesTest:

@@ -1,18 +1,21 @@
 """The order of the unknowns: everything has one place, and of a pair's layout the right one."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
+from retropole.alignment.unknowns import Unknowns
 from retropole.base.systematic import (
     DEVICE,
+    DEVICE_KINDS,
     MIN_ERROR_SIGMA,
     RADIUS,
     RING,
+    ErrorModel,
     Layout,
     Sizes,
-    groups_of,
 )
-from retropole.site.unknowns import Unknowns, known_sigmas
 
 BANDS = (np.array([-9, -3, 0, 4]), np.array([], dtype=np.int64), np.array([-3, 2]))
 UNKNOWNS = Unknowns(BANDS, axes=5, control=2)
@@ -55,24 +58,48 @@ def test_a_pairs_errors_go_to_those_of_its_lidars(lidars: tuple[int | None, int]
     assert len(np.unique(used)) == len(used)
 
 
-def test_groups_are_those_of_a_pair_where_there_are_two_lidars() -> None:
-    """Equal kinds have one size, and each LiDAR its own."""
-    bands = (np.array([-2, 1]), np.array([0, 3, 5]))
-    site, pair = Unknowns(bands, 0, 0), groups_of(Layout(bands))
-    groups = site.groups()
-    place = site.of_layout(Layout(bands), (0, 1)) - site.poses
-    assert len(groups.kinds) == len(pair.kinds)
-    for here, there in zip(groups.label[place], pair.label, strict=True):
-        assert groups.kinds[here] == pair.kinds[there]
-        assert groups.sensors[here] == pair.sensors[there]
-    # One group here is one there.
-    assert len(set(zip(groups.label[place], pair.label, strict=True))) == len(pair.kinds)
+def test_among_more_bands_everything_keeps_its_name() -> None:
+    more = tuple(np.union1d(bands, [-7, 2]) for bands in BANDS)
+    others = Unknowns(more, 0, 0)
+    place = UNKNOWNS.places_in(others)
+    assert len(place) == len(np.unique(place)) == UNKNOWNS.kept
+    for lidar, bands in enumerate(BANDS):
+        np.testing.assert_array_equal(place[UNKNOWNS.pose(lidar)], others.pose(lidar))
+        np.testing.assert_array_equal(place[UNKNOWNS.device(lidar)], others.device(lidar))
+        for kind in range(RING):
+            np.testing.assert_array_equal(
+                place[UNKNOWNS.rings(lidar, kind, bands)], others.rings(lidar, kind, bands)
+            )
+    assert place[UNKNOWNS.radius] == others.radius
+    np.testing.assert_array_equal(UNKNOWNS.places_in(UNKNOWNS), np.arange(UNKNOWNS.kept))
+
+
+def test_groups_have_one_kind_of_one_lidar() -> None:
+    groups = UNKNOWNS.groups()
+    assert len(groups.label) == UNKNOWNS.errors
+    np.testing.assert_array_equal(
+        np.unique(groups.label[UNKNOWNS.device(0) - UNKNOWNS.poses]),
+        np.arange(len({kind.field for kind in DEVICE_KINDS})),
+    )
+    for lidar, bands in enumerate(BANDS):
+        for own, kind in zip(UNKNOWNS.device(lidar), DEVICE_KINDS, strict=True):
+            group = groups.label[own - UNKNOWNS.poses]
+            assert (groups.kinds[group], groups.sensors[group]) == (kind, lidar)
+        for k, field in enumerate(("ring_range", "ring_elevation", "ring_azimuth")):
+            group_of = np.unique(groups.label[UNKNOWNS.rings(lidar, k, bands) - UNKNOWNS.poses])
+            assert len(group_of) == min(len(bands), 1)
+            for group in group_of:
+                assert (groups.kinds[group].field, groups.sensors[group]) == (field, lidar)
+    assert groups.sensors[groups.label[UNKNOWNS.radius - UNKNOWNS.poses]] is None
+    # Cosines and sines of one error have one size; nothing else of a LiDAR shares one.
+    assert len(groups.kinds) == 3 * (len({kind.field for kind in DEVICE_KINDS}) + RING) + 1
+    assert {kind.field for kind in groups.kinds} == {"radius", *(f.name for f in fields(Sizes))}
 
 
 def test_sizes_known_beforehand_are_those_of_each_lidar() -> None:
     groups = UNKNOWNS.groups()
     sizes = [Sizes(zero=0.001), Sizes(zero=0.002), Sizes(zero=0.003, tape=0.0)]
-    known = known_sigmas(groups, sizes, 0.0007)
+    known = ErrorModel(tuple(sizes), 0.0007).sigmas(groups)
     own = zip(groups.kinds, groups.sensors, known, strict=True)
     by = {(kind.field, lidar): sigma for kind, lidar, sigma in own}
     assert [by["zero", i] for i in range(3)] == [0.001, 0.002, 0.003]

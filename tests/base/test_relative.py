@@ -3,7 +3,7 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.site.relative import joint_of, relative
+from retropole.base.relative import joint_of, relative
 from tests.numeric import numeric_jacobian
 
 

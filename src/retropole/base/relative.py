@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base import se3
-from ..base.datatypes import Array
+from . import se3
+from .datatypes import Array
 
 
 class RelativePose(NamedTuple):

@@ -1,4 +1,4 @@
-"""The joint covariance of a site: a sum of parts, those of a pair where there are two LiDARs."""
+"""What places say, and the joint covariance of a site: a sum of parts, of two LiDARs the pair's."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,23 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.alignment.certainty import FLOOR
+from retropole.alignment.certainty import FLOOR, Part, budget_of, joint_covariance
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
+from retropole.base.relative import joint_of, relative
 from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
+from retropole.scene.places import labels_of_places, parts_of_surfaces, residuals_of
+from retropole.scene.terms import SceneTerm
 from retropole.simulation.sites import SimulatedSite
-from retropole.site import certainty
-from retropole.site.certainty import (
-    Part,
-    budget_of,
-    joint_covariance,
-    parts_of,
-    places_of,
-    residuals_of,
-)
-from retropole.site.refinement import SceneTerm, SiteEnd
-from retropole.site.relative import joint_of, relative
 from tests.site.adjusting import Steps
 
 
@@ -62,9 +54,8 @@ def part_at(parts: Sequence[Part], name: str, lidar: int | None) -> float:
 
 
 def test_parts_of_two_lidars_are_those_of_the_pair(
-    pair_site: SimulatedSite, pair_steps: Steps, monkeypatch: pytest.MonkeyPatch
+    pair_site: SimulatedSite, pair_steps: Steps
 ) -> None:
-    """All of them, the jackknife over places too where the places are the same."""
     (target,), (source,) = pair_site.clouds
     assert target is not None
     assert source is not None
@@ -72,22 +63,11 @@ def test_parts_of_two_lidars_are_those_of_the_pair(
     alone = calibrate(target, source, sensors=sensors)
     assert alone.uncertainty is not None
     assert alone.covariance is not None
-
-    def places_of_the_pair(end: SiteEnd) -> list[IntArray]:
-        (term,) = end.scene
-        return [term.pairs.cluster]
-
-    monkeypatch.setattr(certainty, "places_of", places_of_the_pair)
-    adjusted = pair_steps.adjusted
-    groups = adjusted.network.unknowns.groups()
-    parts = parts_of(adjusted.network, adjusted.end, groups)
+    parts = pair_steps.adjusted.parts
     whole = predicted_error(alone.covariance, (30.0,))[0][1]
     checked = 0
     for entry in alone.uncertainty.budget:
         name = entry.name
-        if name == "what no model names":
-            # Half of it turns the first LiDAR, about itself.
-            continue
         if name == "scatter of the poles' returns":
             name += " and of the survey"
         lidar = None if entry.sensor is None else ("target", "source").index(entry.sensor)
@@ -135,8 +115,8 @@ def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
     at = [np.asarray(each) for each in np.split(freed, np.cumsum([len(r) for r in residuals])[:-1])]
     fixed = [replace_residuals(term, values) for term, values in zip(end.scene, at, strict=True)]
     bare = replace(end, errors=np.zeros_like(end.errors), inverse=inverse, scene=tuple(fixed))
-    found, _ = certainty._of_surfaces(bare, poses)
-    expected = jackknife(rows[:, 6:], weights, freed, np.concatenate(places_of(end)))
+    found = parts_of_surfaces(bare)[0].root
+    expected = jackknife(rows[:, 6:], weights, freed, np.concatenate(labels_of_places(end)))
     scale = np.linalg.norm(found[6:]) / np.linalg.norm(expected)
     assert 1.0 <= scale < 1.5
     np.testing.assert_allclose(found[6:].T / scale, expected, rtol=1e-3, atol=1e-9)

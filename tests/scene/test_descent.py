@@ -5,20 +5,22 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.base.systematic import sizes_of
+from retropole.base.relative import relative_jacobian
+from retropole.base.systematic import ErrorModel, sizes_of
+from retropole.scene.descent import RefinementProblem, descend
 from retropole.scene.patch_pairs import pair_patches
-from retropole.site.network import marginal
-from retropole.site.refinement import refine_site, scene_pairs
-from retropole.site.relative import relative_jacobian
-from retropole.site.unknowns import known_sigmas
+from retropole.scene.terms import scene_pairs
+from retropole.site.network import factor_of
 from tests.numeric import numeric_jacobian
 from tests.site import geodetic
 from tests.site.adjusting import Steps
 
 
-def known_of(steps: Steps) -> Array:
-    groups = steps.adjusted.network.unknowns.groups()
-    return known_sigmas(groups, [sizes_of(each.sensor) for each in steps.site.lidars], 0.0004)
+def problem_of(steps: Steps) -> RefinementProblem:
+    network = steps.adjusted.network
+    groups = network.unknowns.groups()
+    model = ErrorModel(tuple(sizes_of(each.sensor) for each in steps.site.lidars), 0.0004)
+    return RefinementProblem(factor_of(network), tuple(steps.scenes), groups, model.sigmas(groups))
 
 
 def sigma_of(steps: Steps) -> Array:
@@ -37,7 +39,7 @@ def test_it_ends_at_the_same_poses_from_another_start(steps: Steps, seed: int) -
             for T, free in zip(end.T, network.free.reshape(-1, 6), strict=True)
         ]
     )
-    again = refine_site(network, steps.scenes, network.unknowns.groups(), known_of(steps), start)
+    again = descend(problem_of(steps), start)
     assert again.converged
     off = np.stack([se3.local(a, b) for a, b in zip(end.T, again.T, strict=True)])
     free = network.free.reshape(-1, 6)
@@ -54,10 +56,10 @@ def test_what_the_datum_holds_stays(steps: Steps, surveyed: Steps) -> None:
 def test_it_ends_where_nothing_slopes(surveyed: Steps) -> None:
     network, end = surveyed.adjusted.network, surveyed.adjusted.end
     poses = network.unknowns.poses
-    information, vector = marginal(network)
+    factor = factor_of(network)
     steps = [se3.local(a, b) for a, b in zip(network.state.T, end.T, strict=True)]
     here = np.r_[np.concatenate(steps), end.errors]
-    slope = vector - information @ here
+    slope = factor.vector - factor.information @ here
     slope[poses:] -= end.precision * end.errors
     for term in end.scene:
         errors = np.where(term.place >= poses, here[term.place], 0.0)

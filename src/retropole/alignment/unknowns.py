@@ -1,17 +1,15 @@
-"""The order of all that a site's adjustment estimates: poses, errors of LiDARs, axes, points."""
+"""The order of all that is estimated: poses, errors of LiDARs, axes of poles, control points."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.datatypes import Array, IntArray
+from ..base.datatypes import IntArray
 from ..base.systematic import (
     DEVICE,
     DEVICE_KINDS,
-    MIN_ERROR_SIGMA,
     RADIUS,
     RADIUS_KIND,
     RING,
@@ -19,9 +17,10 @@ from ..base.systematic import (
     Groups,
     Kind,
     Layout,
-    Sizes,
 )
-from .state import POSE
+
+POSE = 6
+"""Parameters of a pose: a rotation vector and a translation, ``[φ, δ]``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +94,18 @@ class Unknowns:
         """(3,) where a control point stands."""
         return np.asarray(self.kept + 4 * self.axes + 3 * number + np.arange(3))
 
+    def places_in(self, other: Unknowns) -> IntArray:
+        """(kept,) where each pose and error stands among those of others with all these bands."""
+        errors = [
+            part
+            for lidar, bands in enumerate(self.bands)
+            for part in (
+                other.device(lidar),
+                *(other.rings(lidar, kind, bands) for kind in range(RING)),
+            )
+        ]
+        return np.asarray(np.r_[np.arange(self.poses), *errors, other.radius])
+
     def of_layout(self, layout: Layout, lidars: tuple[int | None, int]) -> IntArray:
         """Where the errors of a pair's layout stand; −1 where the target is no LiDAR (None)."""
         place = np.full(layout.size, -1)
@@ -125,12 +136,3 @@ class Unknowns:
         sensors.append(None)
         label[-1] = len(kinds) - 1
         return Groups(label, tuple(kinds), tuple(sensors))
-
-
-def known_sigmas(groups: Groups, sizes: Sequence[Sizes], radius_sigma: float) -> Array:
-    """(G,) 1 σ of each group of errors as it is known beforehand, in its own unit."""
-    known = [
-        radius_sigma if lidar is None else getattr(sizes[lidar], kind.field)
-        for kind, lidar in zip(groups.kinds, groups.sensors, strict=True)
-    ]
-    return np.asarray(np.maximum(np.array(known), MIN_ERROR_SIGMA), dtype=np.float64)
