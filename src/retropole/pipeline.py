@@ -266,6 +266,7 @@ def align(
         radius=radius,
         radius_sigma=radius_sigma,
         sizes=(sizes_of(sensors[0]), sizes_of(sensors[1])),
+        placement=np.repeat(np.arange(len(paired)), [len(each.target_poles) for each in paired]),
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from retropole.alignment.expansion import AxesTest
+from retropole.alignment.axes_test import AxesTest
 from retropole.base.errors import Refusal
 from retropole.matching.placements import PairedPlacement
 from retropole.scene.agreement import MOST_LEFT_OUT, align_consistent

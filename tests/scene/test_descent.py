@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from retropole.alignment.network import factor_of
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.relative import relative_jacobian
@@ -10,7 +11,6 @@ from retropole.base.systematic import ErrorModel, sizes_of
 from retropole.scene.descent import RefinementProblem, descend
 from retropole.scene.patch_pairs import pair_patches
 from retropole.scene.terms import scene_pairs
-from retropole.site.network import factor_of
 from tests.numeric import numeric_jacobian
 from tests.site import geodetic
 from tests.site.adjusting import Steps

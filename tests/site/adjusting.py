@@ -8,6 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.site_blunders import Blunder, simulate_blunder
+from retropole.alignment.joint import Sight
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.relative import RelativePose, joint_of, relative
@@ -21,7 +22,6 @@ from retropole.site.choice import Choices, choose_poses
 from retropole.site.datum import Datum, find_datum
 from retropole.site.description import Site
 from retropole.site.pairs import Pair, find_pairs, poles_of
-from retropole.site.posterior import Sight
 from retropole.site.scans import SiteScans, Views, find_scans, patches_of, views_of
 from retropole.site.shared import SharedPole, shared_poles, sights_of
 

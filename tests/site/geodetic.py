@@ -4,32 +4,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from retropole.alignment.network import Network, Observation, factor_of, observe
 from retropole.alignment.posterior import Posterior
+from retropole.alignment.state import JointState
 from retropole.base.datatypes import Array
 from retropole.base.systematic import ErrorModel, Groups, Sizes
 from retropole.scene.descent import End, RefinementProblem, descend
-from retropole.site.description import Site, SiteLidar
-from retropole.site.network import Network, Observation, factor_of, observe
 from retropole.site.solved import Solved, solved
-from retropole.site.state import SiteState
-from tests.site.test_state import drawn
-from tests.site.test_survey import everything
+from tests.alignment.test_state import drawn
+from tests.alignment.test_survey import everything
 
 LIDARS, POINTS = 3, 5
 
 
 def network(*, first_held: bool = False) -> Network:
     """Five known points that three LiDARs see, and up of one; what is observed is exact."""
-    state: SiteState = drawn(LIDARS, axes=0, control=POINTS)
+    state: JointState = drawn(LIDARS, axes=0, control=POINTS)
     surveyed = everything(state, off=0.0, ends=False)
     end = Posterior(
         state, np.zeros((LIDARS, 2)), 0.0, np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0
     )
-    site = Site("points", tuple(SiteLidar(str(i), (None,)) for i in range(LIDARS)), ("1",))
     free = np.ones(6 * LIDARS, dtype=bool)
     free[:6] = not first_held
     bands = tuple(np.array([-1, 2]) for _ in range(LIDARS))
-    return observe(end, [], [], surveyed, site, bands, free)
+    placement = np.zeros(0, dtype=np.int64)
+    return observe(end, [], placement, surveyed, state.radius, bands, free)
 
 
 def with_errors(net: Network, errors: list[Array]) -> Network:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import gtsam
 import numpy as np
 
+from retropole.alignment.state import JointState
+from retropole.alignment.survey import Surveyed
 from retropole.base.datatypes import Array
 from retropole.site.adjustment import Adjusted
-from retropole.site.state import SiteState
-from retropole.site.survey import Surveyed
 from tests.site.gtsam_variables import POSE, Coordinates, Variable, coordinates_of, linear, moved
 
 
@@ -75,7 +75,7 @@ def _derivative(residual: Callable[[Array], Array], at: Array) -> Array:
 
 
 def _residuals(
-    surveyed: Surveyed, state: SiteState
+    surveyed: Surveyed, state: JointState
 ) -> list[tuple[list[tuple[str, int]], Callable[[Array], Array]]]:
     """What each is a function of, and the residual by their steps from the state."""
     tangents = state.of(0, np.arange(len(state.points))).tangents

@@ -9,9 +9,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, C, E, L, R
 
+from retropole.alignment.state import JointState
 from retropole.base.datatypes import Array, BoolArray
 from retropole.site.adjustment import Adjusted
-from retropole.site.state import SiteState
 
 POSE, AXIS, POINT = 6, 4, 3
 
@@ -124,7 +124,7 @@ def vector_of(key: int) -> Coordinates:
     return found
 
 
-def coordinates_of(one: Variable, number: int, state: SiteState) -> Coordinates:
+def coordinates_of(one: Variable, number: int, state: JointState) -> Coordinates:
     """Of a pose its step from the state, of all others their values."""
     return vector_of(one.key) if one.pose is None else pose_step(one.pose, state.T[number])
 
@@ -151,7 +151,7 @@ def linear(
 
 
 def of_unknowns(
-    rows: Array, constant: Array, variables: Sequence[Variable], state: SiteState
+    rows: Array, constant: Array, variables: Sequence[Variable], state: JointState
 ) -> gtsam.CustomFactor:
     """Residuals ``rows z + constant`` with rows (M, Z) over all unknowns."""
     parts = []

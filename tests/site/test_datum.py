@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.alignment.survey import Surveyed
 from retropole.base import se3
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.datum import find_datum, without_poles, without_survey
 from retropole.site.description import Site, Up
-from retropole.site.survey import Surveyed
+from tests.alignment.test_state import drawn
+from tests.alignment.test_survey import everything
 from tests.site.adjusting import Steps, with_lidar
-from tests.site.test_state import drawn
-from tests.site.test_survey import everything
 
 
 def with_up(simulated: SimulatedSite, *, off: float = 0.0) -> Site:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
+from retropole.alignment.network import Observation
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
 from retropole.site.datum import without_poles
-from retropole.site.network import Observation
 from retropole.site.own_errors import (
     OwnError,
     lidar_apart,

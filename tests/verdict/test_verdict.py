@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment
-from retropole.alignment.expansion import AxesTest
+from retropole.alignment.axes_test import AxesTest
 from retropole.alignment.factor import gaussian_factor
 from retropole.base.datatypes import (
     Array,

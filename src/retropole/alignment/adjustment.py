@@ -10,17 +10,20 @@ estimated with them. See docs/method.md, Beam model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import Array, PoseEstimate
+from ..base.datatypes import Array, BoolArray, IntArray, PoseEstimate
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..base.uncertainty import RadiusEstimate, Uncertainty
+from .axes_test import AxesTest, compare_axes
 from .certainty import (
+    WORKING_SHARE,
     considered,
     floors,
     group_scales,
@@ -31,12 +34,16 @@ from .certainty import (
     uncertainty_of_pair,
     working_sigma,
 )
-from .climb import climb, start_of
-from .expansion import AxesTest, Expansion, compare_axes, pole_factor
-from .factor import PoleFactor
+from .climb import lines_of
+from .factor import OF_SOURCE, PoleFactor, poses_of_pair
+from .joint import JointPriors, Sight, climb_joint, noise_of_start
+from .network import Network, bands_of, factor_of, observe
 from .observations import Beams
-from .posterior import Posterior, State
+from .posterior import Posterior
+from .radius import radius_of_returns
 from .solver import Solution
+from .state import JointState
+from .survey import NOTHING_SURVEYED, Surveyed
 
 RADIUS_TOLERANCE = 0.02
 """Least 1 σ of the radius, as a part of it: tubes differ by so much, and tape adds to them."""
@@ -50,19 +57,9 @@ MIN_RETURNS_PER_POLE = 3
 RADIUS_DENIED = 3.0
 """So many σ between the given radius and the returns, and it is the returns that are believed."""
 
-RADIUS_MODEL, RADIUS_EDGE = 0.0015, 0.12
-"""1 σ of the radius that the beam model itself leaves open, metres, and as a part of the one given:
-which returns from the edge of a pole are bright enough is not known. Where intensity falls with
-range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py) the returns alone gave
-18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and 3.6 σ with 0.06; with
-0.12 all of 24 diameters that were given for the radius are denied."""
-
 RADIUS_ROUNDS, MAX_RADIUS_CHANGE = 6, 0.5
 """So often a radius is put in the place of the one given, until the returns agree with it, and by
 no larger a part of the one before: far off, the returns overshoot."""
-
-MIN_RADIUS_PRECISION = 1e-2
-"""Of a prior of the radius that says nothing, 1/m²."""
 
 SCALE_ROUNDS = 3
 """So often the sizes of the errors are estimated; they settle in two."""
@@ -113,6 +110,29 @@ class BeamAlignment:
     iterations: int = 0
 
 
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Poses from shared cylinders, of two LiDARs or more.
+
+    Attributes
+    ----------
+    climbed
+        The maximum of the posterior.
+    network
+        The observations about it.
+    radius, radius_denied
+        As in `BeamAlignment`.
+    radius_sigma
+        1 σ of the radius that was taken in the end, metres.
+    """
+
+    climbed: Solution[Posterior[JointState]]
+    network: Network
+    radius: RadiusEstimate
+    radius_denied: float
+    radius_sigma: float
+
+
 def align_beams(
     target: Beams,
     source: Beams,
@@ -121,6 +141,7 @@ def align_beams(
     radius: float,
     radius_sigma: float = 0.0,
     sizes: tuple[Sizes, Sizes] = (Sizes(), Sizes()),
+    placement: IntArray | None = None,
 ) -> BeamAlignment:
     """Align matched poles by what both LiDARs' beams can have met.
 
@@ -135,6 +156,8 @@ def align_beams(
         returns deny it, they alone decide.
     sizes
         Of the systematic errors of both LiDARs.
+    placement
+        (K,) index of that which each pole stood in; None where there is one.
 
     Raises
     ------
@@ -144,33 +167,86 @@ def align_beams(
         ``poor_fit`` where most returns lie on no common pole.
     """
     _check_counts(target, source)
-    beams = (target, source)
     given_sigma = max(radius_sigma, RADIUS_TOLERANCE * radius, MIN_ERROR_SIGMA)
-    model = ErrorModel(sizes, given_sigma)
-    state, log_noise = start_of(target, source, T_start, radius)
-    found, expansion = climb(state, log_noise, beams, model, radius)
-    by_returns = _radius_of_returns(expansion, model, radius)
+    own = np.arange(int(target.pole.max()) + 1)
+    sights = Sight(0, target, own), Sight(1, source, own)
+    points, directions = lines_of(target, radius)
+    state = JointState(
+        poses_of_pair(T_start), np.zeros(2), radius, points, directions, np.zeros((0, 3))
+    )
+    stood = np.zeros(len(own), dtype=np.int64) if placement is None else placement
+    found = align_all(state, sights, ErrorModel(sizes, given_sigma), stood, OF_SOURCE)
+    return _answer(found, ErrorModel(sizes, found.radius_sigma))
+
+
+def align_all(
+    state: JointState,
+    sights: Sequence[Sight],
+    model: ErrorModel,
+    placement: IntArray,
+    free: BoolArray,
+    *,
+    surveyed: Surveyed = NOTHING_SURVEYED,
+    scene_bands: Sequence[IntArray] = (),
+    most_noise: Array | float = np.inf,
+) -> Aligned:
+    """Climb from a state, refuse what no shared poles explain, and expand about the maximum.
+
+    Parameters
+    ----------
+    state
+        Where to start, with the radius as it was given.
+    sights, surveyed
+        What was seen of the poles, and what else is known.
+    model
+        Of the errors.
+    placement
+        (K,) index of that which each pole stood in.
+    free
+        (6 L,) which parameters of the poses are estimated.
+    scene_bands
+        For each LiDAR, bands of elevation that it has returns in beside those on poles.
+    most_noise
+        As `joint.climb_joint` has it.
+
+    Raises
+    ------
+    Refusal
+        ``poor_fit`` where most returns lie on no common pole.
+    """
+    radius, given_sigma = state.radius, model.radius_sigma
+    none = np.zeros(0, dtype=np.int64)
+    bands = bands_of(sights, scene_bands or [none] * len(state.T))
+    offsets = np.array([WORKING_SHARE * np.hypot(size.zero, size.tape) for size in model.sizes])
+
+    def climbed(
+        start: JointState, log_noise: Array, sigma: float
+    ) -> tuple[Solution[Posterior[JointState]], Network]:
+        priors = JointPriors(state.T, offsets, start.radius, sigma, free)
+        found = climb_joint(start, log_noise, sights, surveyed, priors, most_noise)
+        assumed = start.radius
+        return found, observe(found.point, sights, placement, surveyed, assumed, bands, free)
+
+    found, network = climbed(state, noise_of_start(state, sights), given_sigma)
+    by_returns = radius_of_returns(network, model, radius)
     denied = by_returns.sigmas_below(radius, given_sigma)
-    if denied > RADIUS_DENIED:
-        # What was given has no say any more; the returns' own radius takes its place.
-        assumed = radius
-        for _ in range(RADIUS_ROUNDS):
-            change = np.clip(
-                by_returns.value / assumed - 1.0, -MAX_RADIUS_CHANGE, MAX_RADIUS_CHANGE
-            )
-            assumed = float(assumed * (1.0 + change))
-            model = replace(model, radius_sigma=by_returns.sigma)
-            start = replace(found.point.state, radius=assumed)
-            found, expansion = climb(start, found.point.log_noise, beams, model, assumed)
-            by_returns = _radius_of_returns(expansion, model, assumed)
-            if abs(by_returns.value - assumed) < by_returns.sigma:
-                break
-        estimate = RadiusEstimate(radius, given_sigma, assumed, model.radius_sigma)
-    else:
+    if denied <= RADIUS_DENIED:
         weights = np.array([given_sigma, by_returns.sigma]) ** -2.0
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
-    return _answer(found, expansion, model, estimate, denied)
+        return Aligned(found, network, estimate, denied, given_sigma)
+    # What was given has no say any more; the returns' own radius takes its place.
+    assumed, sigma = radius, given_sigma
+    for _ in range(RADIUS_ROUNDS):
+        change = np.clip(by_returns.value / assumed - 1.0, -MAX_RADIUS_CHANGE, MAX_RADIUS_CHANGE)
+        assumed, sigma = float(assumed * (1.0 + change)), by_returns.sigma
+        start = replace(found.point.state, radius=assumed)
+        found, network = climbed(start, found.point.log_noise, sigma)
+        by_returns = radius_of_returns(network, replace(model, radius_sigma=sigma), assumed)
+        if abs(by_returns.value - assumed) < by_returns.sigma:
+            break
+    estimate = RadiusEstimate(radius, given_sigma, assumed, sigma)
+    return Aligned(found, network, estimate, denied, sigma)
 
 
 def _check_counts(target: Beams, source: Beams) -> None:
@@ -186,50 +262,11 @@ def _check_counts(target: Beams, source: Beams) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _ReturnsRadius:
-    """The radius as the returns alone have it, and its 1 σ, metres."""
-
-    value: float
-    sigma: float
-
-    def sigmas_below(self, radius: float, sigma: float) -> float:
-        """By how many σ the returns want a thinner pole than one with a 1 σ of its own.
-
-        Thicker is no denial: tape glows, and beams beside a pole return as if they had met it.
-        """
-        return max(radius - self.value, 0.0) / float(np.hypot(self.sigma, sigma))
-
-
-def _radius_of_returns(expansion: Expansion, model: ErrorModel, radius: float) -> _ReturnsRadius:
-    """Ask the returns for the radius without what was given."""
-    factor = pole_factor(expansion)
-    groups, own = factor.unknowns.groups(), factor.unknowns.radius
-    poses = factor.unknowns.poses
-    known = model.sigmas(groups)
-    precision = prior_precision(groups, known)
-    precision[own - poses] = MIN_RADIUS_PRECISION
-    estimate = solve_factor(factor, precision)
-    row = estimate.inverse[own]
-    passed = row[poses:] * precision * considered(groups, known)
-    variance = float(row[own] + passed @ passed)
-    return _ReturnsRadius(
-        radius + float(estimate.errors[own - poses]),
-        float(np.sqrt(variance + RADIUS_MODEL**2 + (RADIUS_EDGE * radius) ** 2)),
-    )
-
-
-def _answer(
-    found: Solution[Posterior[State]],
-    expansion: Expansion,
-    model: ErrorModel,
-    radius: RadiusEstimate,
-    radius_denied: float,
-) -> BeamAlignment:
-    """Estimate pose and errors together from the expansion, and state how sure the pose is."""
-    end = found.point
+def _answer(found: Aligned, model: ErrorModel) -> BeamAlignment:
+    """Estimate pose and errors together about the maximum, and state how sure the pose is."""
+    end = found.climbed.point
     noise = np.exp(end.log_noise)
-    factor = pole_factor(expansion)
+    factor = factor_of(found.network)
     unknowns, groups = factor.unknowns, factor.unknowns.groups()
     known = model.sigmas(groups)
     sigma = known
@@ -257,10 +294,9 @@ def _answer(
             "(1 σ); lean one pole by 15° or more against the other",
             {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
         )
-    order = unknowns.of_layout(expansion.layout, (0, 1)) - unknowns.poses
     return BeamAlignment(
         PoseEstimate(
-            se3.retract(end.state.T, estimate.steps[unknowns.pose(1)]),
+            se3.retract(end.state.T[1], estimate.steps[unknowns.pose(1)]),
             covariance,
             float(np.sqrt(np.mean(noise[:, 0] ** 2))),
         ),
@@ -269,13 +305,11 @@ def _answer(
         np.asarray(np.linalg.inv(factor.information[np.ix_(unknowns.pose(1), unknowns.pose(1))])),
         end.state.points,
         end.state.directions,
-        radius,
-        radius_denied,
-        compare_axes(
-            expansion, prior_precision(groups, sigma)[order], considered(groups, sigma)[order]
-        ),
+        found.radius,
+        found.radius_denied,
+        compare_axes(found.network, prior_precision(groups, sigma), considered(groups, sigma)),
         (float(noise[0, 0]), float(noise[1, 0])),
         (float(noise[0, 1]), float(noise[1, 1])),
-        found.converged,
-        found.iterations,
+        found.climbed.converged,
+        found.climbed.iterations,
     )

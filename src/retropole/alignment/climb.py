@@ -9,13 +9,10 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import Refusal
-from ..base.systematic import ErrorModel
-from .certainty import WORKING_SHARE
-from .expansion import Expansion, expand
 from .observations import Beams
-from .posterior import Posterior, Priors, S, State, beam_geometry, evaluate
+from .posterior import Posterior, S, State, beam_geometry
 from .solver import Solution, levenberg_marquardt
-from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
+from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE
 
 START_NOISE = (0.005, 0.5)
 """Bounds of the noise that the search starts from, metres."""
@@ -116,26 +113,6 @@ def _with_true_curvature(now: Posterior[S]) -> Posterior[S]:
     return replace(now, curvature=now.information) if lowest > LEAST_CURVATURE else now
 
 
-def climb(
-    state: State,
-    log_noise: Array,
-    beams: tuple[Beams, Beams],
-    model: ErrorModel,
-    radius: float,
-) -> tuple[Solution[Posterior[State]], Expansion]:
-    """Climb from a state, refuse what no shared poles explain, and expand about the maximum."""
-    offsets = tuple(WORKING_SHARE * float(np.hypot(size.zero, size.tape)) for size in model.sizes)
-    priors = Priors((offsets[0], offsets[1]), radius, model.radius_sigma)
-    found = maximise(state, log_noise, lambda state, noise: evaluate(state, noise, beams, priors))
-    end = found.point
-    check_fit(end, sum(len(one.pole) for one in beams), "the returns")
-    views = [
-        find_view(end.state, lidar, one, np.exp(end.log_noise[lidar]))
-        for lidar, one in enumerate(beams)
-    ]
-    return found, expand(end.state, views, beams, radius)
-
-
 def check_fit(end: Posterior[S], total: int, returns: str) -> None:
     """Refuse a maximum at which most returns lie on no common pole.
 
@@ -164,21 +141,25 @@ def check_fit(end: Posterior[S], total: int, returns: str) -> None:
     )
 
 
-def start_of(target: Beams, source: Beams, T_start: Array, radius: float) -> tuple[State, Array]:
-    """Start from lines fitted to the target's returns, moved back from its facing side."""
+def lines_of(beams: Beams, radius: float) -> tuple[Array, Array]:
+    """Fit lines to the returns on each pole, moved back from its facing side.
+
+    Returns
+    -------
+    points, directions
+        (K, 3) each, in the LiDAR's frame.
+    """
     centres, directions = [], []
-    returns = target.origin + target.ranges[:, None] * target.directions
-    for k in range(int(target.pole.max()) + 1):
-        xyz = returns[target.pole == k]
+    returns = beams.origin + beams.ranges[:, None] * beams.directions
+    for k in range(int(beams.pole.max()) + 1):
+        xyz = returns[beams.pole == k]
         centre = xyz.mean(axis=0)
         n = np.linalg.svd(xyz - centre, full_matrices=False)[2][0]
-        away = centre - target.origin
+        away = centre - beams.origin
         away = away - (away @ n) * n
         centres.append(centre + np.pi / 4 * radius * away / max(np.linalg.norm(away), 1e-9))
         directions.append(n)
-    state = State(np.asarray(T_start), np.zeros(2), radius, np.array(centres), np.array(directions))
-    noise = [start_noise(state, lidar, one) for lidar, one in enumerate((target, source))]
-    return state, np.array([[each, each] for each in noise])
+    return np.array(centres), np.array(directions)
 
 
 def start_noise(state: State, lidar: int, beams: Beams) -> float:

@@ -1,165 +1,22 @@
-"""The likelihood of the returns on poles to second order: by poses, LiDARs' errors, and axes.
-
-`pole_factor` eliminates the axes; `compare_axes` asks whether both LiDARs saw them stand alike.
-"""
+"""The likelihood of a LiDAR's returns on poles to second order: by pose, its errors, and axes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from ..base.datatypes import Array, IntArray
-from ..base.systematic import DEVICE, RADIUS, RING, TAPE, WIDTH, Layout, band_of, by_error
-from .factor import OF_SOURCE, PoleFactor, poses_of_pair
+from ..base.systematic import RADIUS, RING, WIDTH, Layout, band_of, by_error
 from .likelihood import closest_approach
 from .observations import Beams
 from .posterior import SHARED, BeamGeometry, State, own_geometry
-from .unknowns import POSE, Unknowns
+from .unknowns import POSE
 from .views import Average, View, average_passed, average_returns
 
 WIDTH_STEP = 0.01
 """Of the logarithm of the width of a beam, over which its derivatives are taken as differences."""
-
-
-@dataclass(frozen=True, eq=False)
-class Expansion:
-    """Second-order expansion of the likelihood of the returns about a state, LiDAR by LiDAR.
-
-    Attributes
-    ----------
-    state, layout
-        Where, and the order of the errors.
-    errors
-        (B,) the errors that the state already has: offsets on tape, and of the radius.
-    information, gradient
-        For the target and the source, (P, P) and (P,) over pose, errors and axes; the gradient is
-        that of the logarithm of the likelihood.
-    inliers
-        (2, K) how many returns of each LiDAR lie on each pole.
-    """
-
-    state: State
-    layout: Layout
-    errors: Array
-    information: tuple[Array, Array]
-    gradient: tuple[Array, Array]
-    inliers: Array
-
-
-def expand(state: State, views: Sequence[View], beams: Sequence[Beams], radius: float) -> Expansion:
-    """Expand the likelihood of the returns, averaged over what each LiDAR's beams leave open.
-
-    Parameters
-    ----------
-    state
-        The maximum of the posterior.
-    views
-        Of the target and of the source, about that state.
-    beams
-        Of the target and of the source.
-    radius
-        Of the poles as given, metres, from which its error counts.
-    """
-    bands = [np.unique(band_of(one.directions, one.axis)) for one in beams]
-    layout = Layout((bands[0], bands[1]))
-    errors = np.zeros(layout.size)
-    errors[TAPE], errors[DEVICE + TAPE] = state.offsets
-    errors[RADIUS] = state.radius - radius
-    found = [
-        expand_lidar(state, lidar, one, views[lidar], layout) for lidar, one in enumerate(beams)
-    ]
-    # What curves upwards says nothing.
-    information = [semidefinite(each[0], lambda size: np.maximum(size, 0.0)) for each in found]
-    return Expansion(
-        state,
-        layout,
-        errors,
-        (information[0], information[1]),
-        (found[0][1], found[1][1]),
-        np.array([found[lidar][2] for lidar in (0, 1)]),
-    )
-
-
-def pole_factor(expansion: Expansion) -> PoleFactor:
-    """Eliminate the axes of the poles from an expansion."""
-    axes = POSE + expansion.layout.size
-    information = expansion.information[0] + expansion.information[1]
-    gradient = expansion.gradient[0] + expansion.gradient[1]
-    kept, gone = slice(0, axes), slice(axes, len(gradient))
-    eliminated = np.linalg.solve(information[gone, gone], information[gone, kept])
-    marginal = information[kept, kept] - information[kept, gone] @ eliminated
-    vector = gradient[kept] - eliminated.T @ gradient[gone]
-    here = np.r_[np.zeros(POSE), expansion.errors]
-    redundancy = float(expansion.inliers.sum()) - POSE - 4.0 * len(expansion.state.points)
-    unknowns = Unknowns(expansion.layout.bands, 0, 0)
-    place = np.r_[unknowns.pose(1), unknowns.of_layout(expansion.layout, (0, 1))]
-    whole, of_whole = np.zeros((unknowns.kept, unknowns.kept)), np.zeros(unknowns.kept)
-    whole[np.ix_(place, place)] = marginal
-    of_whole[place] = vector + marginal @ here
-    T = poses_of_pair(expansion.state.T)
-    return PoleFactor(T, unknowns, OF_SOURCE, whole, of_whole, max(redundancy, 1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class AxesTest:
-    """Whether both LiDARs see the poles stand to each other alike.
-
-    Attributes
-    ----------
-    chi2, freedom
-        By how much freeing the axes for each LiDAR would raise twice the logarithm of the
-        posterior, and how many more parameters that has: χ² where the poles stand alike.
-    by_pole
-        (K,) the same where only that pole's axis is freed.
-    """
-
-    chi2: float
-    freedom: int
-    by_pole: Array
-
-
-def compare_axes(expansion: Expansion, precision: Array, considered: Array) -> AxesTest:
-    """Test whether the poles stood alike when each LiDAR recorded them (score test, Rao 1948).
-
-    The source's axes get a displacement of their own, beside pose, errors and common axes. Six of
-    its directions are the pose's; two poles leave two to test, their angle and their distance.
-
-    Parameters
-    ----------
-    expansion
-        About the maximum.
-    precision
-        (B,) of the prior of the errors.
-    considered
-        (B,) 1 σ of errors that are not estimated, and may be the cause all the same; 0 of others.
-    """
-    axes = POSE + expansion.layout.size
-    poles = len(expansion.state.points)
-    both = expansion.information[0] + expansion.information[1]
-    errors = POSE + np.flatnonzero(considered)
-    by_errors = both[:, errors]
-    gradient = expansion.gradient[0] + expansion.gradient[1]
-    index = np.arange(POSE, axes)
-    both[index, index] += precision
-    gradient[index] -= precision * expansion.errors
-    source = expansion.information[1]
-
-    def gain(own: slice) -> float:
-        cross = source[:, own]
-        known = np.linalg.solve(both, np.column_stack([cross, gradient]))
-        score = expansion.gradient[1][own] - cross.T @ known[:, -1]
-        left = source[own, own] - cross.T @ known[:, :-1]
-        # What is considered moves the score by so much.
-        by = (source[own, errors] - known[:, :-1].T @ by_errors) * considered[errors - POSE]
-        left = left + by @ by.T
-        return float(score @ np.linalg.pinv(left, rcond=1e-9, hermitian=True) @ score)
-
-    by_pole = [gain(slice(axes + 4 * k, axes + 4 * k + 4)) for k in range(poles)]
-    return AxesTest(
-        gain(slice(axes, axes + 4 * poles)), max(4 * poles - POSE, 1), np.array(by_pole)
-    )
 
 
 def expand_lidar(
@@ -167,7 +24,7 @@ def expand_lidar(
 ) -> tuple[Array, Array, Array]:
     """Expand the likelihood of one LiDAR's beams: information, gradient, inliers on each pole.
 
-    Over pose, errors and axes, as in `Expansion`; the target (0) has no part in the pose. In some
+    Over pose, errors and axes; the target (0) has no part in the pose. In some
     directions there may be less information than none; see `semidefinite`.
     """
     seen, beside = own_geometry(state, lidar, one)

@@ -7,7 +7,6 @@ radius, and the axes of the poles in the target frame. Derivatives are analytic,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, Protocol, TypeVar
@@ -32,9 +31,6 @@ NOISE_CURVATURE = 0.05
 
 NOISE_STEP = (-1.0, 0.5)
 """Bounds of a step of the logarithm of the noise: at most e times less, 1.6 times more."""
-
-MIN_PRIOR_SIGMA = 1e-9
-"""A parameter with less prior 1 σ than this, metres, is known: its prior has this width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,59 +195,6 @@ class Posterior(Generic[S]):
     curvature: Array
     noise_step: Array
     inliers: float
-
-
-@dataclass(frozen=True)
-class Priors:
-    """1 σ of the range offset of each LiDAR and of the radius, metres, and the radius itself."""
-
-    offsets: tuple[float, float]
-    radius: float
-    radius_sigma: float
-
-
-def evaluate(
-    state: State, log_noise: Array, beams: Sequence[Beams], priors: Priors
-) -> Posterior[State]:
-    """Evaluate the posterior of a state under given noise, and where the noise should go.
-
-    Parameters
-    ----------
-    state
-        Pose, offsets, radius and axes.
-    log_noise
-        (2, 2) logarithm of the noise, metres, in depth and sideways, of each LiDAR.
-    beams
-        Of the target and of the source.
-    priors
-        Of range offsets and radius.
-    """
-    size = SHARED + 4 * len(state.points)
-    x, prior = np.zeros(size), np.zeros(size)
-    x[6:8], x[8] = state.offsets, state.radius - priors.radius
-    sigmas = np.maximum([*priors.offsets, priors.radius_sigma], MIN_PRIOR_SIGMA)
-    prior[6:9] = 1.0 / sigmas**2
-    log, score = -0.5 * float(prior @ x**2), -prior * x
-    information, lifted = np.diag(prior), np.diag(prior)
-    noise_step, inliers = np.zeros((2, 2)), 0.0
-    for lidar, one in enumerate(beams):
-        terms, on_poles = evaluate_lidar(state, lidar, one, np.exp(log_noise[lidar]))
-        noise_step[lidar] = on_poles.noise_step
-        inliers += on_poles.inliers
-        log += terms.log
-        score = score + terms.score
-        information = information + terms.information
-        lifted = lifted + terms.lifted
-    return Posterior(
-        state,
-        log_noise,
-        -log,
-        -score,
-        information,
-        lifted,
-        np.clip(noise_step, *NOISE_STEP),
-        inliers,
-    )
 
 
 @dataclass(frozen=True, eq=False)

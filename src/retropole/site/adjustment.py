@@ -7,16 +7,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..alignment.adjustment import MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA, RADIUS_TOLERANCE
+from ..alignment.adjustment import (
+    MAX_ROTATION_SIGMA,
+    MAX_TRANSLATION_SIGMA,
+    RADIUS_TOLERANCE,
+    Aligned,
+    align_all,
+)
 from ..alignment.certainty import (
-    WORKING_SHARE,
     Part,
     floors,
     joint_covariance,
     parts_of_errors,
     scatter_of_poles,
 )
-from ..alignment.climb import start_noise
+from ..alignment.joint import Sight
+from ..alignment.network import Network, factor_of
+from ..alignment.state import JointState
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from ..base.errors import Refusal
@@ -30,13 +37,10 @@ from .astray import astray
 from .axes import climb_from_lines
 from .datum import Datum, without_poles
 from .description import Site
-from .network import Network, bands_of, factor_of, observe
-from .posterior import Sight, SitePriors, climb_site
 from .scans import SiteScans
 from .shared import sights_of
 from .snooping import all_tests
 from .solved import Solved, solved
-from .state import SiteState
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
 """A LiDAR's returns lie so much further from the common axes than from its own at most, beyond a
@@ -52,8 +56,8 @@ class Adjusted:
     ----------
     datum
         What it started from.
-    network, end
-        The observations, and where poles, survey and scenes ended together.
+    aligned, end
+        Where the poles and the survey ended, and the scenes with them.
     parts, covariance
         Every source of error, and (6 L, 6 L) of all poses.
     solved, tests
@@ -63,13 +67,18 @@ class Adjusted:
     """
 
     datum: Datum
-    network: Network
+    aligned: Aligned
     end: End
     parts: tuple[Part, ...]
     covariance: Array
     solved: Solved
     tests: tuple[Test, ...]
     converged: bool
+
+    @property
+    def network(self) -> Network:
+        """The observations but those of the scene."""
+        return self.aligned.network
 
 
 def adjust(
@@ -100,24 +109,22 @@ def adjust(
         ``poor_fit``; ``degenerate_poles`` or ``survey_too_weak`` where a pose is left all but free.
     """
     sights = sights_of(scans, datum.poles)
-    sizes = [sizes_of(lidar.sensor) for lidar in site.lidars]
-    state = _start(site, datum)
+    sizes = tuple(sizes_of(lidar.sensor) for lidar in site.lidars)
     radius_sigma = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
-    offsets = np.array([WORKING_SHARE * np.hypot(size.zero, size.tape) for size in sizes])
-    priors = SitePriors(state.T, offsets, site.radius, radius_sigma, datum.free)
-    climbed = climb_site(
-        state,
-        _start_noise(state, sights),
-        sights,
-        datum.surveyed,
-        priors,
-        _most_noise(sights, site),
-    )
     none = np.zeros(0, dtype=np.int64)
-    bands = bands_of(sights, [none if one is None else np.unique(one.bands) for one in patches])
-    network = observe(climbed.point, sights, datum.poles, datum.surveyed, site, bands, datum.free)
+    aligned = align_all(
+        _start(site, datum),
+        sights,
+        ErrorModel(sizes, radius_sigma),
+        np.array([pole.placement for pole in datum.poles], dtype=np.int64),
+        datum.free,
+        surveyed=datum.surveyed,
+        scene_bands=[none if one is None else np.unique(one.bands) for one in patches],
+        most_noise=_most_noise(sights, site),
+    )
+    network = aligned.network
     factor, groups = factor_of(network), network.unknowns.groups()
-    known = ErrorModel(tuple(sizes), radius_sigma).sigmas(groups)
+    known = ErrorModel(sizes, aligned.radius_sigma).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known)
     end = descend(problem, few=few)
     surfaces = parts_of_surfaces(end)
@@ -132,15 +139,15 @@ def adjust(
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
     at = solved(network, end, groups, surfaces)
-    beside = {(i, k): chi2 for i, k, chi2 in astray(climbed.point, network, sights)}
+    beside = {(i, k): chi2 for i, k, chi2 in astray(aligned.climbed.point, network, sights)}
     tests = tuple(all_tests(at, site, datum.poles, beside))
-    converged = climbed.converged and end.converged
-    return Adjusted(datum, network, end, parts, covariance, at, tests, converged)
+    converged = aligned.climbed.converged and end.converged
+    return Adjusted(datum, aligned, end, parts, covariance, at, tests, converged)
 
 
-def _start(site: Site, datum: Datum) -> SiteState:
+def _start(site: Site, datum: Datum) -> JointState:
     count = len(site.lidars)
-    return SiteState(
+    return JointState(
         np.stack([datum.poses.get(i, np.eye(4)) for i in range(count)]),
         np.zeros(count),
         site.radius,
@@ -148,14 +155,6 @@ def _start(site: Site, datum: Datum) -> SiteState:
         np.array([pole.direction for pole in datum.poles]).reshape(-1, 3),
         np.array([point.at for point in datum.surveyed.known]).reshape(-1, 3),
     )
-
-
-def _start_noise(state: SiteState, sights: Sequence[Sight]) -> Array:
-    """(L, 2) logarithm of how far the returns lie from where the search starts."""
-    noise = np.zeros((len(state.T), 2))
-    for sight in sights:
-        noise[sight.lidar] = start_noise(state.of(sight.lidar, sight.own), 1, sight.beams)
-    return noise
 
 
 def _most_noise(sights: Sequence[Sight], site: Site) -> Array:

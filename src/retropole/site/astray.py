@@ -11,17 +11,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..alignment.climb import MIN_INLIER_SHARE
+from ..alignment.joint import Sight
+from ..alignment.network import Network
 from ..alignment.posterior import Posterior, State, evaluate_lidar
+from ..alignment.state import JointState
 from ..base import se3
 from ..base.datatypes import Array
 from .axes import climb_from_lines
-from .network import Network
-from .posterior import Sight
-from .state import SiteState
 
 
 def astray(
-    end: Posterior[SiteState], network: Network, sights: Sequence[Sight]
+    end: Posterior[JointState], network: Network, sights: Sequence[Sight]
 ) -> Iterator[tuple[int, int, float]]:
     """Find the poles beside which most of a LiDAR's returns on them lie.
 
@@ -49,7 +49,7 @@ def astray(
             yield one.lidar, int(pole), _gain(end, by_lidar[one.lidar], int(pole))
 
 
-def _gain(end: Posterior[SiteState], sight: Sight, pole: int) -> float:
+def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
     """Twice the logarithm of the likelihood that an axis of its own gains a LiDAR's returns."""
     beams = sight.beams.of_poles(np.flatnonzero(sight.own == pole))
     state, log_noise = end.state, end.log_noise[sight.lidar]

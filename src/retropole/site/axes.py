@@ -19,17 +19,21 @@ from ..alignment.climb import (
     POLE_GAIN,
     POLE_SLACK,
     POLE_STEP,
-    start_of,
+    lines_of,
+    start_noise,
 )
 from ..alignment.expansion import expand_lidar, semidefinite
+from ..alignment.joint import JointPriors, Sight, evaluate_joint
 from ..alignment.observations import Beams, beams_of
-from ..alignment.posterior import SHARED, Posterior, Priors, State, evaluate
+from ..alignment.posterior import SHARED, Posterior, State
 from ..alignment.solver import levenberg_marquardt
+from ..alignment.state import JointState
+from ..alignment.survey import NOTHING_SURVEYED
 from ..alignment.unknowns import POSE, Unknowns
 from ..alignment.views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
 from ..base.datatypes import Array, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
-from ..base.systematic import RADIUS, ErrorModel, Layout, band_of, sizes_of
+from ..base.systematic import ErrorModel, Layout, band_of, sizes_of
 
 FLOOR_POINT, FLOOR_LEAN = 0.002, 0.001
 """1 σ of an axis across itself and of its direction that no model names, metres and rad: glow
@@ -87,25 +91,28 @@ def find_axes(
     """
     beams = beams_of(seen, sensor)
     state, noise = climb_from_lines(beams, radius)
-    view = find_view(state, 0, beams, noise)
+    view = find_view(state, 1, beams, noise)
+    # As the source of a pair whose target has no returns.
     nobody: IntArray = np.zeros(0, dtype=np.int64)
-    layout = Layout((np.unique(band_of(beams.directions, beams.axis)), nobody))
-    information, gradient, _ = expand_lidar(state, 0, beams, view, layout)
-    information = semidefinite(information, lambda size: np.maximum(size, 0.0))[POSE:, POSE:]
-    unknowns, sizes = Unknowns(layout.bands, 0, 0), sizes_of(sensor)
-    groups, order = unknowns.groups(), unknowns.of_layout(layout, (0, 1)) - unknowns.poses
-    model = ErrorModel((sizes, sizes), max(radius_sigma, RADIUS_TOLERANCE * radius))
+    unknowns = Unknowns((np.unique(band_of(beams.directions, beams.axis)),), 0, 0)
+    layout = Layout((nobody, unknowns.bands[0]))
+    information, gradient, _ = expand_lidar(state, 1, beams, view, layout)
+    place = unknowns.of_layout(layout, (None, 0))
+    errors = np.argsort(place)[np.count_nonzero(place < 0) :]
+    kept = POSE + np.r_[errors, np.arange(len(place), len(gradient) - POSE)]
+    information = semidefinite(information[np.ix_(kept, kept)], lambda size: np.maximum(size, 0.0))
+    groups, count = unknowns.groups(), unknowns.errors
+    model = ErrorModel((sizes_of(sensor),), max(radius_sigma, RADIUS_TOLERANCE * radius))
     sigma = model.sigmas(groups)
-    precision = prior_precision(groups, sigma)[order]
-    errors = len(precision)
+    precision = prior_precision(groups, sigma)
     whole = information.copy()
-    whole[np.arange(errors), np.arange(errors)] += precision
+    whole[np.arange(count), np.arange(count)] += precision
     # Axes and errors together: what the returns show of an error is taken out of the axes.
-    rows = np.linalg.inv(whole)[errors:]
-    step = np.r_[np.zeros(SHARED), rows @ gradient[POSE:]]
-    passed = rows[:, :errors] * precision * sigma[groups.label][order]
-    of_radius = passed[:, RADIUS].copy()
-    passed[:, RADIUS] = 0.0
+    rows = np.linalg.inv(whole)[count:]
+    step = np.r_[np.zeros(SHARED), rows @ gradient[kept]]
+    passed = rows[:, :count] * precision * sigma[groups.label]
+    of_radius = passed[:, -1].copy()
+    passed[:, -1] = 0.0
     floor = np.diag(np.tile([FLOOR_POINT, FLOOR_POINT, FLOOR_LEAN, FLOOR_LEAN], len(seen)))
     return OwnAxes(
         state.moved(step),
@@ -130,9 +137,9 @@ def climb_from_lines(
     log_noise
         As there; None is what the lines leave.
     """
-    # Both are the same LiDAR: what is said of the second is not used.
-    start, by_lines = start_of(beams, beams, np.eye(4), radius)
-    return climb_alone(start, beams, by_lines[0] if log_noise is None else log_noise)
+    start = State(np.eye(4), np.zeros(2), radius, *lines_of(beams, radius))
+    by_lines = np.full(2, start_noise(start, 1, beams))
+    return climb_alone(start, beams, by_lines if log_noise is None else log_noise)
 
 
 def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Array]:
@@ -152,18 +159,30 @@ def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Ar
     state, noise
         There, and the noise (2,), metres.
     """
-    priors = Priors((0.0, 0.0), state.radius, 0.0)
+    own = np.arange(len(state.points))
+    joint = JointState(
+        np.eye(4)[None],
+        state.offsets[1:],
+        state.radius,
+        state.points,
+        state.directions,
+        np.zeros((0, 3)),
+    )
+    sights, held = [Sight(0, beams, own)], np.zeros(POSE, dtype=bool)
+    priors = JointPriors(joint.T, np.zeros(1), state.radius, 0.0, held)
 
-    def advance(now: Posterior[State], step: Array, damping: float) -> Posterior[State]:
+    def at(state: JointState, log_noise: Array) -> Posterior[JointState]:
+        return evaluate_joint(state, log_noise, sights, NOTHING_SURVEYED, priors)
+
+    def advance(now: Posterior[JointState], step: Array, damping: float) -> Posterior[JointState]:
         noise = now.log_noise + now.noise_step / (1.0 + damping)
         depth = max(noise[0, 0], np.log(MIN_NOISE))
         bounds = depth + np.log([MIN_LATERAL_NOISE, MAX_LATERAL_NOISE])
         noise[0] = depth, np.clip(noise[0, 1], *bounds)
-        return evaluate(now.state.moved(step), noise, [beams], priors)
+        return at(now.state.moved(step), noise)
 
-    start = evaluate(state, np.tile(log_noise, (2, 1)), [beams], priors)
     found = levenberg_marquardt(
-        start,
+        at(joint, log_noise[None]),
         advance,
         lambda step: step.gain < POLE_GAIN,
         tolerance=POLE_STEP,
@@ -172,4 +191,4 @@ def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Ar
         slack=POLE_SLACK,
         max_iterations=MAX_POLE_ITERATIONS,
     )
-    return found.point.state, np.exp(found.point.log_noise[0])
+    return found.point.state.of(0, own), np.exp(found.point.log_noise[0])

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from ..alignment.certainty import excess
+from ..alignment.network import Observation
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
@@ -25,7 +26,6 @@ from ..scene.descent import End
 from ..scene.places import labels_of_places, moved_by, places_of
 from ..scene.terms import SceneTerm
 from .answer import LoopClosure
-from .network import Observation
 from .solved import Solved
 
 MOST_LOOPS = 60

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..alignment.survey import KnownPoint, MeasuredUp, SeenPoint, Surveyed, SurveyedEnd
 from ..base import se3
 from ..base.datatypes import Array, BoolArray
 from ..base.quantities import counted
 from .description import Site
 from .onto_survey import on_survey, pole_at, transformed
 from .shared import SharedPole
-from .survey import KnownPoint, MeasuredUp, SeenPoint, Surveyed, SurveyedEnd
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from itertools import combinations
 
 import numpy as np
 
+from ..alignment.network import Observation
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, IntArray
-from .network import Observation
 from .solved import Solved
 
 

@@ -148,7 +148,7 @@ def _of_placement(
         cloud = scan.cloud.select(frames == number)
         beams = beams_of([(pole, cloud) for pole in part], scan.sensor)
         state, noise = climb_alone(start, beams, np.log(axes.noise))
-        view = find_view(state, 0, beams, noise)
+        view = find_view(state, 1, beams, noise)
         state = state.moved(np.r_[np.zeros(SHARED), view.shift.reshape(-1)])
         lengths, by_axes = distances_of(state, [own])
         found.append((lengths, by_axes @ block_diag(*view.covariance) @ by_axes.T))

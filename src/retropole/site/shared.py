@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..alignment.joint import Sight
 from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Pole
 from .description import Site
-from .posterior import Sight
 from .scans import SiteScans
 
 SAME_DISTANCE, SAME_ANGLE = 0.5, np.radians(10.0)

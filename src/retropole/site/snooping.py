@@ -139,9 +139,11 @@ def all_tests(
             yield _test(one.kind, one.name, one.lidar, None, None, error, outcome(at, error, unit))
             continue
         assert one.lidar is not None
+        assert one.placement is not None
         stood = placement_moved(at, one)
+        name = f"{names[one.lidar]} in placement {site.placements[one.placement]}"
         yield _test(
-            "placement", one.name, one.lidar, one.placement, None, stood, outcome(at, stood, 1.0)
+            "placement", name, one.lidar, one.placement, None, stood, outcome(at, stood, 1.0)
         )
     for lidar in range(len(names)):
         apart = lidar_apart(at, lidar)

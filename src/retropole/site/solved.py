@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from ..alignment.certainty import Part, considered
+from ..alignment.network import Network, Observation, about
 from ..base.datatypes import Array
 from ..base.systematic import Groups
 from ..scene.descent import End
-from .network import Network, Observation, about
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..alignment.network import Network, about, factor_of
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, IntArray
 from ..scene.descent import End
 from .answer import WithoutPlacement
-from .network import Network, about, factor_of
 
 MAX_SIGMA = 0.5
 """Where a pose is left more open than this without a placement, m or rad, there is none."""

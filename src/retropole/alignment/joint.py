@@ -1,8 +1,7 @@
-"""The posterior of poles that many LiDARs see: all poses, range offsets, the radius and the axes.
+"""The posterior of poles that two LiDARs or more see: all poses, range offsets, radius and axes.
 
-Each LiDAR's beams say of the poles in the frame of the site what the source's say of them in the
-target's frame where there are two (`alignment.posterior`). Survey and inertial sensors add what
-they say of axes and poses.
+Each LiDAR's beams say of the poles what `posterior` has; survey and inertial sensors add what they
+say of axes and poses. Of a pair the target's pose is held: its frame is that of the poles.
 """
 
 from __future__ import annotations
@@ -12,23 +11,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..alignment.climb import check_fit, maximise
-from ..alignment.observations import Beams
-from ..alignment.posterior import NOISE_STEP, SHARED, Posterior, evaluate_lidar
-from ..alignment.solver import Solution
-from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
-from .state import SiteState
+from .climb import check_fit, maximise, start_noise
+from .observations import Beams
+from .posterior import NOISE_STEP, SHARED, Posterior, evaluate_lidar
+from .solver import Solution
+from .state import JointState
 from .survey import Surveyed, survey_terms
+from .unknowns import POSE
 
 START_ROTATION, START_TRANSLATION = 0.3, 1.0
 """1 σ about the poses that the search starts from, rad and m: wide enough to say nothing where the
 poles do, and the climb has a way where the poles of a LiDAR leave it free."""
 
+MIN_PRIOR_SIGMA = 1e-9
+"""A parameter with less prior 1 σ than this, metres, is known: its prior has this width."""
+
 
 @dataclass(frozen=True, eq=False)
-class SitePriors:
+class JointPriors:
     """What is known before: the start with its width, 1 σ of offsets (L,), the radius, the datum.
 
     `free` (6 L,) tells which parameters of the poses are estimated; the others are the datum.
@@ -50,13 +52,13 @@ class Sight:
     own: IntArray
 
 
-def evaluate_site(
-    state: SiteState,
+def evaluate_joint(
+    state: JointState,
     log_noise: Array,
     sights: Sequence[Sight],
     surveyed: Surveyed,
-    priors: SitePriors,
-) -> Posterior[SiteState]:
+    priors: JointPriors,
+) -> Posterior[JointState]:
     """Evaluate the posterior, and where the noise (L, 2) of the LiDARs should go."""
     count, size = len(state.T), state.size
     x, prior = np.zeros(size), np.zeros(size)
@@ -66,9 +68,11 @@ def evaluate_site(
         np.repeat([START_ROTATION**-2.0, START_TRANSLATION**-2.0], 3), count
     )
     offsets = slice(POSE * count, (POSE + 1) * count)
-    x[offsets], prior[offsets] = state.offsets, priors.offsets**-2.0
+    x[offsets] = state.offsets
+    prior[offsets] = np.maximum(priors.offsets, MIN_PRIOR_SIGMA) ** -2.0
     radius = state.first_axis - 1
-    x[radius], prior[radius] = state.radius - priors.radius, priors.radius_sigma**-2.0
+    x[radius] = state.radius - priors.radius
+    prior[radius] = max(priors.radius_sigma, MIN_PRIOR_SIGMA) ** -2.0
     log, score = -0.5 * float(prior @ x**2), -prior * x
     information, lifted = np.diag(prior), np.diag(prior)
     noise_step, inliers = np.zeros((count, 2)), 0.0
@@ -110,7 +114,7 @@ def evaluate_site(
     )
 
 
-def place_of(state: SiteState, sight: Sight) -> IntArray:
+def place_of(state: JointState, sight: Sight) -> IntArray:
     """Where pose, offset, radius and axes of a LiDAR's terms stand in a step of the site."""
     count = len(state.T)
     parts = np.r_[
@@ -122,14 +126,22 @@ def place_of(state: SiteState, sight: Sight) -> IntArray:
     return np.asarray(parts, dtype=np.int64)
 
 
-def climb_site(
-    state: SiteState,
+def noise_of_start(state: JointState, sights: Sequence[Sight]) -> Array:
+    """(L, 2) logarithm of how far the returns lie from where the search starts."""
+    noise = np.zeros((len(state.T), 2))
+    for sight in sights:
+        noise[sight.lidar] = start_noise(state.of(sight.lidar, sight.own), 1, sight.beams)
+    return noise
+
+
+def climb_joint(
+    state: JointState,
     log_noise: Array,
     sights: Sequence[Sight],
     surveyed: Surveyed,
-    priors: SitePriors,
+    priors: JointPriors,
     most_noise: Array | float = np.inf,
-) -> Solution[Posterior[SiteState]]:
+) -> Solution[Posterior[JointState]]:
     """Climb to the nearest maximum of the posterior.
 
     Parameters
@@ -148,8 +160,8 @@ def climb_site(
         ``poor_fit`` where most returns lie on no common pole.
     """
 
-    def evaluate(state: SiteState, log_noise: Array) -> Posterior[SiteState]:
-        return evaluate_site(state, log_noise, sights, surveyed, priors)
+    def evaluate(state: JointState, log_noise: Array) -> Posterior[JointState]:
+        return evaluate_joint(state, log_noise, sights, surveyed, priors)
 
     found = maximise(state, log_noise, evaluate)
     if np.any(np.exp(found.point.log_noise) > most_noise):

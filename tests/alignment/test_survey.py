@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from retropole.base import se3
-from retropole.base.datatypes import Array
-from retropole.site.state import SiteState
-from retropole.site.survey import (
+from retropole.alignment.state import JointState
+from retropole.alignment.survey import (
     KnownPoint,
     MeasuredUp,
     SeenPoint,
@@ -14,11 +12,13 @@ from retropole.site.survey import (
     SurveyedEnd,
     survey_terms,
 )
+from retropole.base import se3
+from retropole.base.datatypes import Array
+from tests.alignment.test_state import drawn
 from tests.numeric import numeric_jacobian
-from tests.site.test_state import drawn
 
 
-def everything(state: SiteState, *, off: float, ends: bool = True) -> Surveyed:
+def everything(state: JointState, *, off: float, ends: bool = True) -> Surveyed:
     """A survey of a state, each LiDAR but one seeing every point: true where `off` is zero."""
     rng = np.random.default_rng(3)
 

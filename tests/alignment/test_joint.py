@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.alignment.joint import JointPriors, Sight, climb_joint, evaluate_joint, place_of
 from retropole.alignment.posterior import Posterior
+from retropole.alignment.state import JointState
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
-from retropole.site.posterior import Sight, SitePriors, climb_site, evaluate_site, place_of
-from retropole.site.state import SiteState
 from tests.numeric import numeric_jacobian
 from tests.site.adjusting import Steps
 
 
-def at_answer(steps: Steps) -> tuple[SiteState, Array, SitePriors]:
+def at_answer(steps: Steps) -> tuple[JointState, Array, JointPriors]:
     """A state a little off the answer, where no derivative vanishes; noise, and priors."""
     network = steps.adjusted.network
     rng = np.random.default_rng(1)
@@ -22,19 +22,19 @@ def at_answer(steps: Steps) -> tuple[SiteState, Array, SitePriors]:
     step[network.state.first_axis - 1] = 0.0
     state = network.state.moved(step)
     log_noise = np.log(np.tile([0.01, 0.006], (len(state.T), 1)))
-    priors = SitePriors(
+    priors = JointPriors(
         network.state.T, np.full(len(state.T), 0.004), 0.02, 0.0004, steps.datum.free
     )
     return state, log_noise, priors
 
 
 def evaluated(
-    state: SiteState, log_noise: Array, steps: Steps, sights: list[Sight], priors: SitePriors
-) -> Posterior[SiteState]:
-    return evaluate_site(state, log_noise, sights, steps.datum.surveyed, priors)
+    state: JointState, log_noise: Array, steps: Steps, sights: list[Sight], priors: JointPriors
+) -> Posterior[JointState]:
+    return evaluate_joint(state, log_noise, sights, steps.datum.surveyed, priors)
 
 
-@pytest.mark.parametrize("which", ["steps", "surveyed"])
+@pytest.mark.parametrize("which", ["steps", "surveyed", "pair_steps"])
 def test_gradient_and_information_are_those_of_finite_differences(
     which: str, request: pytest.FixtureRequest
 ) -> None:
@@ -42,7 +42,7 @@ def test_gradient_and_information_are_those_of_finite_differences(
     state, log_noise, priors = at_answer(steps)
     # What the datum holds has no part in it: the first LiDAR's pose where nothing was surveyed.
     free = np.flatnonzero(np.r_[priors.free, np.ones(state.size - len(priors.free), dtype=bool)])
-    assert (len(free) < state.size) == (which == "steps")
+    assert (len(free) < state.size) == (which != "surveyed")
     sights = steps.sights
     here = evaluated(state, log_noise, steps, sights, priors)
     rng = np.random.default_rng(2)
@@ -110,7 +110,7 @@ def test_it_climbs_back_to_the_maximum(steps: Steps) -> None:
     by[~np.r_[priors.free, np.ones(state.size - len(priors.free), dtype=bool)]] = 0.0
     by[state.first_axis - 1] = 0.0
     held = network.state.moved(by)
-    found = climb_site(held, log_noise, steps.sights, steps.datum.surveyed, priors)
+    found = climb_joint(held, log_noise, steps.sights, steps.datum.surveyed, priors)
     assert found.converged
     end = found.point
     assert end.cost <= evaluated(held, end.log_noise, steps, steps.sights, priors).cost
@@ -125,5 +125,5 @@ def test_returns_on_no_common_pole_are_refused(steps: Steps) -> None:
     wild = replace(beams, ranges=beams.ranges + rng.normal(0, 1.0, len(beams.ranges)))
     sights = [replace(steps.sights[1], beams=wild)]
     with pytest.raises(Refusal) as refused:
-        climb_site(state, np.zeros((3, 2)), sights, steps.datum.surveyed, priors)
+        climb_joint(state, np.zeros((3, 2)), sights, steps.datum.surveyed, priors)
     assert refused.value.code == "poor_fit"

@@ -18,18 +18,16 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import block_diag
 
-from ..alignment.expansion import expand_lidar, semidefinite
-from ..alignment.factor import PoleFactor, steps_to
-from ..alignment.posterior import Posterior
-from ..alignment.unknowns import POSE, Unknowns
-from ..alignment.views import View, find_view
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.systematic import TAPE, Layout, band_of
-from .description import Site
-from .posterior import Sight
-from .shared import SharedPole
-from .state import SiteState
+from .expansion import expand_lidar, semidefinite
+from .factor import PoleFactor, steps_to
+from .joint import Sight
+from .posterior import Posterior
+from .state import JointState
 from .survey import Surveyed, survey_terms
+from .unknowns import POSE, Unknowns
+from .views import View, find_view
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class Observation:
     Attributes
     ----------
     kind, name
-        ``returns`` of a LiDAR in a placement, or as in `survey.SurveyTerm`; in words.
+        ``returns`` of a LiDAR in a placement, which have no name, or as in `survey.SurveyTerm`.
     place
         (P,) which unknowns.
     information, gradient
@@ -89,7 +87,7 @@ class Network:
     """
 
     unknowns: Unknowns
-    state: SiteState
+    state: JointState
     start: Array
     observations: tuple[Observation, ...]
     free: BoolArray
@@ -109,6 +107,13 @@ class Network:
             gradient[each.place] += each.gradient
         return information, gradient
 
+    def of_lidar(self, lidar: int) -> Network:
+        """Give what one LiDAR's returns say."""
+        kept = tuple(
+            one for one in self.observations if one.lidar == lidar and one.poles is not None
+        )
+        return replace(self, observations=kept)
+
     def without(self, left_out: set[int]) -> Network:
         """Give the same without some observations."""
         kept = tuple(one for k, one in enumerate(self.observations) if k not in left_out)
@@ -125,11 +130,11 @@ def bands_of(sights: Sequence[Sight], scene_bands: Sequence[IntArray]) -> tuple[
 
 
 def observe(
-    end: Posterior[SiteState],
+    end: Posterior[JointState],
     sights: Sequence[Sight],
-    poles: Sequence[SharedPole],
+    placement: IntArray,
     surveyed: Surveyed,
-    site: Site,
+    radius: float,
     bands: tuple[IntArray, ...],
     free: BoolArray,
 ) -> Network:
@@ -139,29 +144,31 @@ def observe(
     ----------
     end
         The maximum.
-    sights, poles, surveyed
-        What was seen of the poles, and what is known of the site.
-    site
-        For names, and the radius as it was given.
+    sights, surveyed
+        What was seen of the poles, and what else is known.
+    placement
+        (K,) index of that which each pole stood in.
+    radius
+        Of the poles as it was given, metres.
     bands
         From `bands_of`.
     free
         (6 L,) which parameters of the poses are estimated.
     """
     state = end.state
-    unknowns = Unknowns(bands, len(poles), len(state.control))
+    unknowns = Unknowns(bands, len(placement), len(state.control))
     start = np.zeros(unknowns.size)
-    start[unknowns.radius] = state.radius - site.radius
+    start[unknowns.radius] = state.radius - radius
     for lidar in range(unknowns.lidars):
         start[unknowns.device(lidar)[TAPE]] = state.offsets[lidar]
     found: list[Observation] = []
     for sight in sights:
         noise = np.exp(end.log_noise[sight.lidar])
         view = find_view(state.of(sight.lidar, sight.own), 1, sight.beams, noise)
-        placement = np.array([poles[k].placement for k in sight.own])
-        for p in np.unique(placement):
-            some = np.flatnonzero(placement == p)
-            found.append(_returns(state, sight, some, view, int(p), unknowns, site))
+        own = placement[sight.own]
+        for p in np.unique(own):
+            some = np.flatnonzero(own == p)
+            found.append(_returns(state, sight, some, view, int(p), unknowns))
     for term in survey_terms(state, surveyed):
         J, residual = term.jacobian / term.sigma[:, None], term.residual / term.sigma
         found.append(
@@ -179,13 +186,12 @@ def observe(
 
 
 def _returns(
-    state: SiteState,
+    state: JointState,
     sight: Sight,
     some: IntArray,
     view: View,
     placement: int,
     unknowns: Unknowns,
-    site: Site,
 ) -> Observation:
     """Expand a LiDAR's returns in one placement: on some of its poles."""
     beams, own = sight.beams.of_poles(some), sight.own[some]
@@ -202,10 +208,9 @@ def _returns(
     errors = unknowns.of_layout(layout, (None, sight.lidar))
     place = np.r_[unknowns.pose(sight.lidar), errors, unknowns.axis(own)]
     kept = np.flatnonzero(place >= 0)
-    name = f"{site.lidars[sight.lidar].name} in placement {site.placements[placement]}"
     return Observation(
         "returns",
-        name,
+        "",
         place[kept],
         information[np.ix_(kept, kept)],
         gradient[kept],
@@ -217,7 +222,7 @@ def _returns(
     )
 
 
-def _of_unknowns(place: IntArray, state: SiteState, unknowns: Unknowns) -> IntArray:
+def _of_unknowns(place: IntArray, state: JointState, unknowns: Unknowns) -> IntArray:
     """Where parameters of a step of the state stand among the unknowns: poses, axes and points."""
     behind = unknowns.kept - state.first_axis
     return np.asarray(np.where(place < POSE * len(state.T), place, place + behind))

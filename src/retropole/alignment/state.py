@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..alignment.posterior import State
-from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
+from .posterior import State
+from .unknowns import POSE
 
 
 @dataclass(frozen=True, eq=False)
-class SiteState:
+class JointState:
     """What is estimated from the poles.
 
     Attributes
@@ -65,14 +65,14 @@ class SiteState:
             self.directions[own],
         )
 
-    def moved(self, step: Array) -> SiteState:
+    def moved(self, step: Array) -> JointState:
         """Move by a step: poses (6 each), offsets, radius, axes (4 each), control points (3)."""
         count = len(self.T)
         steps = step[: POSE * count].reshape(-1, POSE)
         whole = State(np.eye(4), np.zeros(2), self.radius, self.points, self.directions)
         axes = step[self.first_axis : self.first_axis + 4 * len(self.points)]
         moved = whole.moved(np.r_[np.zeros(8), step[self.first_axis - 1], axes])
-        return SiteState(
+        return JointState(
             np.stack([se3.retract(T, one) for T, one in zip(self.T, steps, strict=True)]),
             self.offsets + step[POSE * count : (POSE + 1) * count],
             moved.radius,

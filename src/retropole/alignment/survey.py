@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from .state import SiteState
+from .state import JointState
+from .unknowns import POSE
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +64,9 @@ class Surveyed:
     up: tuple[MeasuredUp, ...] = ()
 
 
+NOTHING_SURVEYED = Surveyed()
+
+
 @dataclass(frozen=True, eq=False)
 class SurveyTerm:
     """One observation: residual (M,), its derivative (M, P) by parameters at `place`, 1 σ (M,).
@@ -86,7 +89,7 @@ class SurveyTerm:
     axis: int | None = field(default=None)
 
 
-def survey_terms(state: SiteState, surveyed: Surveyed) -> Iterator[SurveyTerm]:
+def survey_terms(state: JointState, surveyed: Surveyed) -> Iterator[SurveyTerm]:
     """Hold what was surveyed against a state."""
     tangents = state.of(0, np.arange(len(state.points))).tangents
     for end in surveyed.ends:

@@ -2,16 +2,16 @@
 
 import numpy as np
 
+from retropole.alignment.state import JointState
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.site.state import SiteState
 from tests.numeric import numeric_jacobian
 
 
-def drawn(lidars: int = 3, axes: int = 4, control: int = 2) -> SiteState:
+def drawn(lidars: int = 3, axes: int = 4, control: int = 2) -> JointState:
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(axes, 3))
-    return SiteState(
+    return JointState(
         np.stack([se3.random(rng) for _ in range(lidars)]),
         rng.normal(size=lidars) * 0.01,
         0.02,
@@ -21,7 +21,7 @@ def drawn(lidars: int = 3, axes: int = 4, control: int = 2) -> SiteState:
     )
 
 
-def values_of(state: SiteState) -> Array:
+def values_of(state: JointState) -> Array:
     """Everything in a state, one after the other."""
     parts = (state.T, state.offsets, [state.radius], state.points, state.directions, state.control)
     return np.concatenate([np.asarray(part).reshape(-1) for part in parts])

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from retropole.alignment.network import about, bands_of, factor_of
 from retropole.alignment.unknowns import Unknowns
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.systematic import band_of
-from retropole.site.network import about, bands_of, factor_of
 from tests.site import geodetic
 from tests.site.adjusting import Steps
 
