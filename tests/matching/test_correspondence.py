@@ -136,7 +136,9 @@ def test_parallel_poles_are_refused_with_their_angle(
         match_poles(poles, poles)
     assert refusal.value.code == "parallel_poles"
     assert refusal.value.values["angle_deg"] == pytest.approx(angle_deg, abs=0.1)
-    assert widest_angle(poles) == pytest.approx(np.radians(angle_deg), abs=1e-6)
+    assert widest_angle([pole.direction for pole in poles]) == pytest.approx(
+        np.radians(angle_deg), abs=1e-6
+    )
 
 
 def test_poles_of_another_shape_do_not_match(make_pole: PoleMaker) -> None:

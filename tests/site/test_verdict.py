@@ -28,15 +28,15 @@ def codes(reasons: object) -> list[str]:
 
 
 def test_a_site_in_groups_is_refused_with_their_names(steps: Steps) -> None:
-    check_linked(steps.site, [[0, 1, 2]], steps.pairs)
+    check_linked(steps.site, steps.scans, [[0, 1, 2]], steps.pairs)
     with pytest.raises(Refusal) as refused:
-        check_linked(steps.site, [[0, 2], [1]], steps.pairs)
+        check_linked(steps.site, steps.scans, [[0, 2], [1]], steps.pairs)
     assert refused.value.code == "disconnected"
     assert "posts-1, posts-3; posts-2" in refused.value.message
     why = Reason("no_match", "nothing fits", {})
     alone = [Pair((0, 1), (), False, why), Pair((0, 2), (), False), Pair((1, 2), (), False)]
     with pytest.raises(Refusal) as refused:
-        check_linked(steps.site, [[0], [1], [2]], alone)
+        check_linked(steps.site, steps.scans, [[0], [1], [2]], alone)
     assert refused.value.code == "too_few_lidars"
     assert "nothing fits" in refused.value.message
 
@@ -69,13 +69,15 @@ LOOP = LoopClosure((0, 1, 2), 1e-4, 1e-3, 6.0, 6, 0.4)
 
 
 def test_a_sound_site_has_no_weakness(steps: Steps) -> None:
-    assert not list(weaknesses(steps.site, steps.adjusted, [LOOP], lidar_poses(steps)))
+    assert not list(weaknesses(steps.site, steps.scans, steps.adjusted, [LOOP], lidar_poses(steps)))
     assert not list(confirm_links(steps.site, steps.scans, steps.adjusted, steps.pairs))
 
 
 def test_a_loop_that_does_not_close_is_told(steps: Steps) -> None:
     open_loop = replace(LOOP, chi2=90.0, probability=OPEN / 2)
-    found = list(weaknesses(steps.site, steps.adjusted, [LOOP, open_loop], lidar_poses(steps)))
+    found = list(
+        weaknesses(steps.site, steps.scans, steps.adjusted, [LOOP, open_loop], lidar_poses(steps))
+    )
     assert codes(found) == ["loop_open"]
     assert "1 of 2 loops" in found[0].message
     assert "posts-1 – posts-2 – posts-3" in found[0].message
@@ -89,28 +91,28 @@ def test_a_lidar_that_nothing_checks_is_told(steps: Steps) -> None:
         for test in steps.adjusted.tests
     )
     unchecked = replace(steps.adjusted, tests=tests)
-    found = list(weaknesses(steps.site, unchecked, [LOOP], lidar_poses(steps)))
+    found = list(weaknesses(steps.site, steps.scans, unchecked, [LOOP], lidar_poses(steps)))
     assert codes(found) == ["not_checked"]
     assert found[0].values["lidar"] == "posts-2"
 
 
 def test_poses_that_still_move_are_told(steps: Steps) -> None:
     moving = replace(steps.adjusted, converged=False)
-    found = list(weaknesses(steps.site, moving, [LOOP], lidar_poses(steps)))
+    found = list(weaknesses(steps.site, steps.scans, moving, [LOOP], lidar_poses(steps)))
     assert codes(found) == ["not_converged"]
 
 
 def test_a_need_is_asked_of_every_lidar(steps: Steps) -> None:
     need = replace(steps, site=replace(steps.site, need=Need(1e-4, 30.0)))
-    found = list(weaknesses(need.site, need.adjusted, [LOOP], lidar_poses(need)))
+    found = list(weaknesses(need.site, need.scans, need.adjusted, [LOOP], lidar_poses(need)))
     assert codes(found) == ["not_fit_for_purpose"]
     assert "posts-2, posts-3" in found[0].message
     loose = replace(steps, site=replace(steps.site, need=Need(1.0, 30.0)))
-    assert not list(weaknesses(loose.site, loose.adjusted, [LOOP], lidar_poses(loose)))
+    assert not list(weaknesses(loose.site, loose.scans, loose.adjusted, [LOOP], lidar_poses(loose)))
     # Without a need, being usable is asked alone.
-    assert codes(weaknesses(steps.site, steps.adjusted, [], lidar_poses(steps, 1e6))) == [
-        "not_fit_for_purpose"
-    ]
+    assert codes(
+        weaknesses(steps.site, steps.scans, steps.adjusted, [], lidar_poses(steps, 1e6))
+    ) == ["not_fit_for_purpose"]
 
 
 def test_a_scene_that_denies_an_answer_refuses_it(steps: Steps) -> None:

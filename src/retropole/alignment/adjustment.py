@@ -23,6 +23,7 @@ from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
 from ..base.uncertainty import RadiusEstimate, Uncertainty
 from .axes_test import AxesTest, compare_axes
 from .certainty import (
+    POLES,
     WORKING_SHARE,
     considered,
     floors,
@@ -176,7 +177,7 @@ def align_beams(
     )
     stood = np.zeros(len(own), dtype=np.int64) if placement is None else placement
     found = align_all(state, sights, ErrorModel(sizes, given_sigma), stood, OF_SOURCE)
-    return _answer(found, ErrorModel(sizes, found.radius_sigma))
+    return pose_of_pair(found, ErrorModel(sizes, found.radius_sigma))
 
 
 def align_all(
@@ -262,8 +263,21 @@ def _check_counts(target: Beams, source: Beams) -> None:
         )
 
 
-def _answer(found: Aligned, model: ErrorModel) -> BeamAlignment:
-    """Estimate pose and errors together about the maximum, and state how sure the pose is."""
+def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
+    """Estimate the pose of a pair and all errors together, and state how sure the pose is.
+
+    Parameters
+    ----------
+    found
+        Of two LiDARs, the target's pose held.
+    model
+        Of the errors, with the 1 σ of the radius that was taken.
+
+    Raises
+    ------
+    Refusal
+        ``degenerate_poles`` where the poles leave the pose all but free in some direction.
+    """
     end = found.climbed.point
     noise = np.exp(end.log_noise)
     factor = factor_of(found.network)
@@ -278,7 +292,7 @@ def _answer(found: Aligned, model: ErrorModel) -> BeamAlignment:
     uncertainty = uncertainty_of_pair(
         [
             *parts_of_errors(groups, sigma, precision, estimate.inverse, estimate.errors),
-            scatter_of_poles("scatter of the poles' returns", factor, estimate.inverse),
+            scatter_of_poles(POLES, factor, estimate.inverse),
             *floors(factor.T, factor.free),
         ]
     )

@@ -24,6 +24,9 @@ from .unknowns import POSE
 FLOOR = "what no model names"
 """What the budget calls that: nothing makes it smaller."""
 
+POLES = "scatter of the poles' returns"
+"""What it calls that."""
+
 WORKING_SHARE, POLES_ONLY = 0.25, ("tape", "radius")
 """The estimate is drawn to the prior of errors that only poles show as if they had this part of
 their 1 σ; what is stated counts them whole. A few poles cannot tell an offset from a translation:

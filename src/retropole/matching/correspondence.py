@@ -66,7 +66,7 @@ def all_pairs(poles: Sequence[Pole]) -> Pairs:
     index, frames, rows = [], [], []
     for i, j in combinations(range(len(poles)), 2):
         first, second = poles[i], poles[j]
-        if _angle_between(first, second) < MIN_ANGLE:
+        if _angle_between(first.direction, second.direction) < MIN_ANGLE:
             continue
         pair = line_pair(first.point, first.direction, second.point, second.direction)
         sigma = float(np.hypot(direction_sigma(first), direction_sigma(second)))
@@ -97,14 +97,13 @@ def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
     return [(int(rows[k]), int(columns[k])) for k in best]
 
 
-def _angle_between(a: Pole, b: Pole) -> float:
-    sine = float(np.linalg.norm(np.cross(a.direction, b.direction)))
-    return float(np.arctan2(sine, abs(a.direction @ b.direction)))
+def _angle_between(a: Array, b: Array) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), abs(a @ b)))
 
 
-def widest_angle(poles: Sequence[Pole]) -> float:
-    """Largest angle between any two poles, radians; 0 for fewer than two."""
-    return max((_angle_between(a, b) for a, b in combinations(poles, 2)), default=0.0)
+def widest_angle(directions: Sequence[Array]) -> float:
+    """Largest angle between any two directions (3,) of poles, radians; 0 for fewer than two."""
+    return max((_angle_between(a, b) for a, b in combinations(directions, 2)), default=0.0)
 
 
 class EveryMatch(NamedTuple):
@@ -250,7 +249,7 @@ def _check_poles(target: Sequence[Pole], source: Sequence[Pole], needed: int) ->
                 {"lidar": name, "poles": len(poles), "needed": needed},
             )
     for name, poles in (("target", target), ("source", source)):
-        angle = widest_angle(poles)
+        angle = widest_angle([pole.direction for pole in poles])
         if angle < MIN_ANGLE:
             raise Refusal(
                 "parallel_poles",

@@ -10,6 +10,7 @@ from ..alignment.adjustment import RADIUS_DENIED, BeamAlignment
 from ..base.datatypes import Array
 from ..base.errors import Reason, Refusal
 from ..base.quantities import error, value, value_and_error
+from ..base.uncertainty import RadiusEstimate
 from ..matching.placements import PairedPlacement
 from .refinement import Refinement
 
@@ -143,14 +144,13 @@ def check_contradiction(refined: Refinement | None) -> None:
     )
 
 
-def check_radius(aligned: BeamAlignment) -> Iterator[Reason]:
-    """Warn where the returns deny the radius that was given."""
-    radius = aligned.radius
-    if aligned.radius_denied > RADIUS_DENIED:
+def check_radius(radius: RadiusEstimate, denied: float) -> Iterator[Reason]:
+    """Warn where the returns deny the radius that was given, by so many σ."""
+    if denied > RADIUS_DENIED:
         yield Reason(
             "radius_differs",
             f"the returns deny the given radius, {value(radius.given, radius.sigma)}, by "
-            f"{aligned.radius_denied:.0f} σ and have "
+            f"{denied:.0f} σ and have "
             f"{value_and_error(radius.estimated, radius.sigma)}: is --radius a diameter? The "
             "answer uses what the returns have",
             {"given_m": radius.given, "estimated_m": radius.estimated, "sigma_m": radius.sigma},

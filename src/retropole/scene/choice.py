@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -96,22 +97,43 @@ def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
     check_overlap(best)
     rivals = [h for h in hypotheses[1:] if _is_rival(h, best)]
     if rivals:
-        rival = max(rivals, key=lambda h: h.score)
-        raise Refusal(
-            "ambiguous",
-            f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
-            f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
-            f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): add a third "
-            "pole, or move the poles, a car or a box so that the surroundings are not symmetric "
-            "about the poles",
-            {
-                "rivals": len(rivals),
-                "overlap": best.overlap,
-                "rival_overlap": rival.overlap,
-                "free_space": best.free_space_violation,
-                "rival_free_space": rival.free_space_violation,
-            },
-        )
+        raise ambiguous(best, rivals)
+
+
+class Scored(Protocol):
+    """What the scene says of a hypothesis."""
+
+    @property
+    def overlap(self) -> float:
+        """Share of the points that have a neighbour in the other cloud."""
+
+    @property
+    def free_space_violation(self) -> float:
+        """Share of them that stand where the other LiDAR looked through."""
+
+    @property
+    def score(self) -> float:
+        """The one less the other."""
+
+
+def ambiguous(best: Scored, rivals: Sequence[Scored]) -> Refusal:
+    """Say that the scene does not tell some hypotheses apart from the best."""
+    rival = max(rivals, key=lambda h: h.score)
+    return Refusal(
+        "ambiguous",
+        f"the scene does not tell {1 + len(rivals)} hypotheses apart (overlap "
+        f"{best.overlap:.2f} and {rival.overlap:.2f}, free space violated by "
+        f"{best.free_space_violation:.3f} and {rival.free_space_violation:.3f}): add a third "
+        "pole, or move the poles, a car or a box so that the surroundings are not symmetric "
+        "about the poles",
+        {
+            "rivals": len(rivals),
+            "overlap": best.overlap,
+            "rival_overlap": rival.overlap,
+            "free_space": best.free_space_violation,
+            "rival_free_space": rival.free_space_violation,
+        },
+    )
 
 
 def _is_rival(hypothesis: Hypothesis, best: Hypothesis) -> bool:

@@ -14,10 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..alignment.certainty import Part, few_freedom, part_of
+from ..alignment.certainty import (
+    POLES,
+    Part,
+    few_freedom,
+    floors,
+    part_of,
+    parts_of_errors,
+    scatter_of_poles,
+)
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from .descent import End
+from .descent import End, RefinementProblem
 from .patch_pairs import CLUSTER_SIDE, labels_of
 from .terms import SceneTerm
 
@@ -151,3 +159,22 @@ def parts_of_surfaces(end: End) -> list[Part]:
         root[free] = moved
         found.append(part_of(name, root, is_random=name == SCATTER))
     return found
+
+
+def parts_of(problem: RefinementProblem, end: End, scatter: str = POLES) -> tuple[Part, ...]:
+    """Say what every source of error does to all poses.
+
+    Parameters
+    ----------
+    problem, end
+        What was minimised, and where it ended.
+    scatter
+        What that of the poles' returns is called.
+    """
+    factor = problem.factor.about(end.T)
+    return (
+        *parts_of_errors(problem.groups, end.sigma, end.precision, end.inverse, end.errors),
+        *parts_of_surfaces(end),
+        scatter_of_poles(scatter, factor, end.inverse),
+        *floors(end.T, factor.free),
+    )

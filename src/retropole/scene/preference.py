@@ -34,7 +34,7 @@ recordings of the simulator's field (six scenes, seeds 0 to 7) the mean differen
 most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
 
 
-def check_near_poles(aligned: BeamAlignment, refined: Refinement | None) -> None:
+def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) -> None:
     """Refuse a refined pose under which ground and walls near the poles lie further apart.
 
     Far surfaces may lead the refinement away; near the poles their own pose is hardly off, and what
@@ -51,7 +51,7 @@ def check_near_poles(aligned: BeamAlignment, refined: Refinement | None) -> None
     Refusal
         ``scene_contradicts``.
     """
-    if refined is None:
+    if aligned is None or refined is None:
         return
     T, T_poles = refined.pose.T_target_source, aligned.pose.T_target_source
     tree = cKDTree(aligned.axis_points)

@@ -14,12 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..alignment.certainty import (
+    Part,
     excess,
-    floors,
     part_of,
-    parts_of_errors,
     root_of,
-    scatter_of_poles,
     uncertainty_of_pair,
 )
 from ..alignment.factor import PoleFactor, gaussian_factor, poses_of_pair
@@ -32,7 +30,7 @@ from .decisive import Decisive, without_decisive
 from .descent import End, RefinementProblem, approach, settle, support_of
 from .patch_pairs import without_errors
 from .patches import Patches, surface_patches
-from .places import parts_of_surfaces
+from .places import parts_of
 from .starts import (
     SEVERAL,
     approaches_from_afar,
@@ -90,6 +88,8 @@ class Refinement:
         Patches of the target and the source, each in its own frame.
     corrected
         The same without the errors that were found of the LiDARs.
+    end, parts
+        Where the search ended, and every source of error.
     scale
         By which factor the source would have to be scaled, and its 1 σ, as if nothing were known of
         the error of its ranges' scale; None where nothing tells.
@@ -107,6 +107,8 @@ class Refinement:
     iterations: int
     surfaces: tuple[Patches, Patches]
     corrected: tuple[Patches, Patches]
+    end: End
+    parts: tuple[Part, ...]
     scale: tuple[float, float] | None = None
     decisive: tuple[Decisive, ...] = ()
 
@@ -155,12 +157,44 @@ def refine(
     groups = factor.unknowns.groups()
     known = (ErrorModel() if model is None else model).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known, origins_known)
+    lever = float(np.median(se3.lengths(source.xyz - source.origin)))
+    return refine_pair(problem, poles, (patches[0], patches[1]), lever, start)
+
+
+def refine_pair(
+    problem: RefinementProblem,
+    poles: PoseEstimate,
+    patches: tuple[Patches, Patches],
+    lever: float,
+    start: Array | None = None,
+) -> Refinement | None:
+    """Search the pose that poles and scene agree on from several starts, and say how sure it is.
+
+    Parameters
+    ----------
+    problem
+        Of two LiDARs, the first one's pose held.
+    poles
+        The poles' pose of the second and its covariance.
+    patches
+        Of both, each in its own frame.
+    lever
+        Half of the second's points lie beyond this range, metres.
+    start
+        (4, 4) where the search starts; None takes the poles' pose.
+
+    Returns
+    -------
+    Refinement or None
+        None where the scene has nothing to say.
+    """
+    assert poles.covariance is not None
     first = poses_of_pair(poles.T_target_source if start is None else start)
     covariance = of_source(poles.covariance)
     near = approach(problem, first, covariance)
     if not near.scene:
         return None
-    starts = [near, *approaches_from_afar(problem, near, poles, source)]
+    starts = [near, *approaches_from_afar(problem, near, poles, lever)]
     settled = _settled(problem, starts, covariance)
     if not settled:
         return None
@@ -181,11 +215,12 @@ def refine(
         best = _settled_anew(problem, best, covariance / share) or best
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T[1])
         mahalanobis_sq = max(mahalanobis_sq, moved)
-    uncertainty = own = _uncertainty(best, problem, ())
+    parts = parts_of(problem, best)
+    own = uncertainty_of_pair(parts).covariance
     decisive, by_places = [], np.zeros((POSE, POSE))
     for place, without, rest in without_decisive(problem, best, covariance):
         decisive.append(place)
-        less = excess(_uncertainty(rest, without, ()).covariance, own.covariance)
+        less = excess(uncertainty_of_pair(parts_of(without, rest)).covariance, own)
         by_places += less + np.outer(place.apart, place.apart)
     others = [("one place that decides", by_places)] if decisive else []
     if disagree:
@@ -194,14 +229,14 @@ def refine(
         # a scene that denied them none was within what the scene and the line between them state.
         e = se3.local(poles.T_target_source, best.T[1])
         others.append(("poles and scene disagree", np.outer(e, e) + poles.covariance))
-    if others:
-        uncertainty = _uncertainty(best, problem, others)
+    parts += tuple(part_of(name, of_source(root_of(more))) for name, more in others)
+    uncertainty = uncertainty_of_pair(parts)
     (term,) = best.scene
     T = best.T[1]
     minima = [
         se3.local(highest.T[1], one.T[1])
         for one in settled
-        if distance_sq(own.covariance, highest.T[1], one.T[1]) > SEVERAL
+        if distance_sq(own, highest.T[1], one.T[1]) > SEVERAL
     ]
     rms = float(np.sqrt(np.average(term.pairs.residuals**2, weights=term.weights)))
     errors = best.errors[term.place[2 * POSE :] - 2 * POSE]
@@ -216,6 +251,8 @@ def refine(
         best.iterations,
         patches,
         without_errors(term.sets, errors),
+        best,
+        parts,
         _scale_wanted(best, problem),
         tuple(decisive),
     )
@@ -276,19 +313,3 @@ def _scale_wanted(end: End, problem: RefinementProblem) -> tuple[float, float] |
             return None
         found.append((sign * float(end.errors[k]) / variance / information, information))
     return 1.0 + (found[0][0] + found[1][0]) / 2, max(one[1] ** -0.5 for one in found)
-
-
-def _uncertainty(
-    end: End, problem: RefinementProblem, other: Sequence[tuple[str, Array]]
-) -> Uncertainty:
-    """State the uncertainty of the answer, with further systematic parts (6, 6), each named."""
-    factor = problem.factor.about(end.T)
-    return uncertainty_of_pair(
-        [
-            *parts_of_errors(problem.groups, end.sigma, end.precision, end.inverse, end.errors),
-            *parts_of_surfaces(end),
-            scatter_of_poles("scatter of the poles' returns", factor, end.inverse),
-            *(part_of(name, of_source(root_of(more))) for name, more in other),
-            *floors(end.T, factor.free),
-        ]
-    )

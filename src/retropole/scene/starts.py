@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from ..alignment.factor import poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.datatypes import Array, PointCloud, PoseEstimate
+from ..base.datatypes import Array, PoseEstimate
 from .descent import End, RefinementProblem, approach
 from .patch_pairs import thinned
 from .terms import FEW
@@ -32,7 +32,7 @@ def distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
 
 
 def approaches_from_afar(
-    problem: RefinementProblem, near: End, poles: PoseEstimate, source: PointCloud
+    problem: RefinementProblem, near: End, poles: PoseEstimate, lever: float
 ) -> list[End]:
     """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
@@ -40,7 +40,6 @@ def approaches_from_afar(
     depend on where it started.
     """
     assert poles.covariance is not None
-    lever = float(np.median(se3.lengths(source.xyz - source.origin)))
     scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
     values, vectors = np.linalg.eigh(poles.covariance / np.outer(scale, scale))
     widest = float(np.sqrt(max(values[-1], 0.0)))

@@ -12,25 +12,24 @@ from ..alignment.adjustment import (
     MAX_TRANSLATION_SIGMA,
     RADIUS_TOLERANCE,
     Aligned,
+    BeamAlignment,
     align_all,
+    pose_of_pair,
 )
-from ..alignment.certainty import (
-    Part,
-    floors,
-    joint_covariance,
-    parts_of_errors,
-    scatter_of_poles,
-)
+from ..alignment.certainty import POLES, Part, joint_covariance
+from ..alignment.factor import OF_SOURCE
 from ..alignment.joint import Sight
 from ..alignment.network import Network, factor_of
 from ..alignment.state import JointState
 from ..alignment.unknowns import POSE
-from ..base.datatypes import Array
+from ..base import se3
+from ..base.datatypes import Array, Scan
 from ..base.errors import Refusal
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, sizes_of
 from ..scene.descent import End, RefinementProblem, descend
 from ..scene.patches import Patches
-from ..scene.places import parts_of_surfaces
+from ..scene.places import parts_of
+from ..scene.refinement import Refinement, refine_pair
 from ..scene.terms import ScenePair
 from .answer import Test
 from .astray import astray
@@ -41,6 +40,9 @@ from .scans import SiteScans
 from .shared import sights_of
 from .snooping import all_tests
 from .solved import Solved, solved
+
+POLES_AND_SURVEY = f"{POLES} and of the survey"
+"""What the budget calls their scatter."""
 
 MORE_NOISE, LEAST_BOUND = 1.5, 0.005
 """A LiDAR's returns lie so much further from the common axes than from its own at most, beyond a
@@ -58,6 +60,8 @@ class Adjusted:
         What it started from.
     aligned, end
         Where the poles and the survey ended, and the scenes with them.
+    poles, refined
+        Of two LiDARs in the frame of the first, what the poles say, and the scene with them.
     parts, covariance
         Every source of error, and (6 L, 6 L) of all poses.
     solved, tests
@@ -68,6 +72,8 @@ class Adjusted:
 
     datum: Datum
     aligned: Aligned
+    poles: BeamAlignment | None
+    refined: Refinement | None
     end: End
     parts: tuple[Part, ...]
     covariance: Array
@@ -126,23 +132,23 @@ def adjust(
     factor, groups = factor_of(network), network.unknowns.groups()
     known = ErrorModel(sizes, aligned.radius_sigma).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known)
-    end = descend(problem, few=few)
-    surfaces = parts_of_surfaces(end)
-    parts = (
-        *parts_of_errors(groups, end.sigma, end.precision, end.inverse, end.errors),
-        scatter_of_poles(
-            "scatter of the poles' returns and of the survey", factor.about(end.T), end.inverse
-        ),
-        *surfaces,
-        *floors(end.T, factor.free),
-    )
+    poles = _poles_of_pair(aligned, ErrorModel(sizes, aligned.radius_sigma))
+    refined = None
+    if poles is not None and scenes and not few:
+        own, far = patches[0], patches[1]
+        assert own is not None
+        assert far is not None
+        lever = float(np.median(np.concatenate([_ranges(scan) for scan in scans.used(1)])))
+        refined = refine_pair(problem, poles.pose, (own, far), lever)
+    end = descend(problem, few=few) if refined is None else refined.end
+    parts = parts_of(problem, end, POLES_AND_SURVEY) if refined is None else refined.parts
     covariance = joint_covariance(parts)
     check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
-    at = solved(network, end, groups, surfaces)
+    at = solved(network, end, groups, parts)
     beside = {(i, k): chi2 for i, k, chi2 in astray(aligned.climbed.point, network, sights)}
     tests = tuple(all_tests(at, site, datum.poles, beside))
     converged = aligned.climbed.converged and end.converged
-    return Adjusted(datum, aligned, end, parts, covariance, at, tests, converged)
+    return Adjusted(datum, aligned, poles, refined, end, parts, covariance, at, tests, converged)
 
 
 def _start(site: Site, datum: Datum) -> JointState:
@@ -155,6 +161,21 @@ def _start(site: Site, datum: Datum) -> JointState:
         np.array([pole.direction for pole in datum.poles]).reshape(-1, 3),
         np.array([point.at for point in datum.surveyed.known]).reshape(-1, 3),
     )
+
+
+def _poles_of_pair(aligned: Aligned, model: ErrorModel) -> BeamAlignment | None:
+    """What the poles say of two LiDARs in the frame of the first; None where they leave it open."""
+    if not np.array_equal(aligned.network.free, OF_SOURCE):
+        return None
+    try:
+        return pose_of_pair(aligned, model)
+    except Refusal:
+        # Without a pole that moved one may be left, and the scene holds the rest.
+        return None
+
+
+def _ranges(scan: Scan) -> Array:
+    return se3.lengths(scan.cloud.xyz - scan.cloud.origin)
 
 
 def _most_noise(sights: Sequence[Sight], site: Site) -> Array:

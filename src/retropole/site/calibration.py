@@ -13,6 +13,8 @@ from ..base.datatypes import Array
 from ..base.errors import Reason, Refusal
 from ..base.uncertainty import predicted_error
 from ..pipeline import timed
+from ..scene.agreement import check_contradiction
+from ..scene.preference import check_near_poles
 from ..scene.terms import scene_pairs
 from .adjustment import Adjusted, adjust
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
@@ -73,7 +75,7 @@ def calibrate_site(
                     )
                     at = [poles_of(scans, lidar) for lidar in range(count)]
                 check_exchanged(site, scans, views, pairs, choices.best, at)
-                check_linked(site, groups, pairs)
+                check_linked(site, scans, groups, pairs)
                 check_decided(site, choices, pairs, at)
             with step("adjust"):
                 poles = shared_poles(scans, choices.best.poses, site.radius)
@@ -91,6 +93,8 @@ def calibrate_site(
             with step("test"):
                 adjusted, blunders = without_blunders(site, adjusted, adjust_from)
             with step("confirm"):
+                check_contradiction(adjusted.refined)
+                check_near_poles(adjusted.poles, adjusted.refined)
                 unconfirmed = list(confirm_links(site, scans, adjusted, pairs))
         except Refusal as refusal:
             return refused(site, scans, pairs, groups, refusal, blunders, seconds)
@@ -131,7 +135,7 @@ def answered(
     poses, covariance = poses_in_clouds(end.T, adjusted.covariance, scans.origins)
     lidars = tuple(_lidar_pose(site, adjusted, i, T, covariance) for i, T in enumerate(poses))
     loops = tuple(close_loops(adjusted.solved, end))
-    reasons = (*found, *weaknesses(site, adjusted, loops, lidars))
+    reasons = (*found, *weaknesses(site, scans, adjusted, loops, lidars))
     return SiteCalibration(
         status="warn" if reasons else "ok",
         reasons=reasons,
@@ -163,7 +167,7 @@ def refused(
     reason = Reason(refusal.code, refusal.message, refusal.values)
     return SiteCalibration(
         status="refused",
-        reasons=(reason, *unusable(site, scans), *blunders),
+        reasons=(reason, *unusable(site, scans, refusal), *blunders),
         site=site,
         datum="",
         scans=scans.by_lidar,
@@ -179,9 +183,11 @@ def refused(
     )
 
 
-def unusable(site: Site, scans: SiteScans) -> Iterator[Reason]:
-    """Say which recordings could not be used."""
+def unusable(site: Site, scans: SiteScans, told: Refusal | None = None) -> Iterator[Reason]:
+    """Say which recordings could not be used, but for the one whose fault is `told`."""
     for (lidar, placement), refusal in scans.faults:
+        if told is not None and refusal.message == told.message:
+            continue
         name, where = site.lidars[lidar].name, site.placements[placement]
         yield Reason(
             "recording_unusable",

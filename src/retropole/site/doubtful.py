@@ -77,7 +77,7 @@ def _with_own_doubtful(scan: Scan, radius: float) -> Scan:
 
 def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[int, int]]:
     """Pairs of LiDARs of different groups: those first whose recordings have most poles, sure and
-    doubtful.
+    doubtful. Where one of them has two sure ones, a lower threshold may show those of the other.
     """
     groups = linked_groups(len(scans.by_lidar), pairs)
     of = {i: k for k, group in enumerate(groups) for i in group}
@@ -85,10 +85,12 @@ def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[i
     for pair in pairs:
         i, j = pair.lidars
         if of[i] != of[j]:
-            counts[i, j] = max(
-                (min(_candidates(a), _candidates(b)) for a, b in _both(scans, i, j)), default=0
-            )
-    yield from (lidars for lidars in sorted(counts, key=lambda k: -counts[k]) if counts[lidars])
+            both = list(_both(scans, i, j))
+            sure = any(max(len(a.poles), len(b.poles)) >= ENOUGH_SURE for a, b in both)
+            most = max((min(_candidates(a), _candidates(b)) for a, b in both), default=0)
+            if most or sure:
+                counts[i, j] = most
+    yield from sorted(counts, key=lambda k: -counts[k])
 
 
 def _both(scans: SiteScans, i: int, j: int) -> Iterator[tuple[Scan, Scan]]:
@@ -153,5 +155,6 @@ def _with_poles(
 def _counting(scan: Scan, poles: Sequence[Pole]) -> Scan:
     assert scan.detection is not None
     new = [pole for pole in poles if not any(pole is own for own in scan.poles)]
-    counted = replace(scan.detection, poles=(*scan.detection.poles, *new))
+    found = scan.detection
+    counted = replace(found, poles=(*found.poles, *new), doubtful=(*found.doubtful, *new))
     return replace(scan, detection=counted)

@@ -87,12 +87,15 @@ class Pair:
         Whether the scenes overlap under the best, so that they can be asked.
     refusal
         Why there is no hypothesis; None where there is one.
+    no_overlap
+        What the scenes say where they do not overlap.
     """
 
     lidars: tuple[int, int]
     hypotheses: tuple[PairHypothesis, ...]
     overlaps: bool
     refusal: Reason | None = None
+    no_overlap: Refusal | None = None
 
     @property
     def standing(self) -> tuple[PairHypothesis, ...]:
@@ -208,7 +211,7 @@ def _scored(
         rows.append((hypothesis, tuple(placements), poles))
     rows.sort(key=lambda row: -row[0].score)
     best = rows[0][0]
-    overlaps = _overlaps(best)
+    no_overlap = _no_overlap(best)
     return Pair(
         lidars,
         tuple(
@@ -224,16 +227,17 @@ def _scored(
             )
             for each, placements, poles in rows
         ),
-        overlaps,
+        no_overlap is None,
+        no_overlap=no_overlap,
     )
 
 
-def _overlaps(best: Hypothesis) -> bool:
+def _no_overlap(best: Hypothesis) -> Refusal | None:
     try:
         check_overlap(best)
-    except Refusal:
-        return False
-    return True
+    except Refusal as refusal:
+        return refusal
+    return None
 
 
 def _stands(each: Hypothesis, best: Hypothesis) -> bool:

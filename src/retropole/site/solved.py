@@ -13,6 +13,7 @@ from ..alignment.network import Network, Observation, about
 from ..base.datatypes import Array
 from ..base.systematic import Groups
 from ..scene.descent import End
+from ..scene.places import FLAT, SCATTER
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class Solved:
         return np.asarray(one.gradient - one.information @ away)
 
 
-def solved(network: Network, end: End, groups: Groups, surfaces: Sequence[Part]) -> Solved:
+def solved(network: Network, end: End, groups: Groups, parts: Sequence[Part]) -> Solved:
     """Solve for all unknowns, axes and control points too, at the answer.
 
     Parameters
@@ -71,8 +72,8 @@ def solved(network: Network, end: End, groups: Groups, surfaces: Sequence[Part])
         What was adjusted, and where it ended.
     groups
         The errors.
-    surfaces
-        What they do to the poses, from `scene.places.parts_of_surfaces`.
+    parts
+        Every source of error, those of the surfaces among them.
     """
     network = about(network, end.T)
     unknowns, poses = network.unknowns, network.unknowns.poses
@@ -100,7 +101,8 @@ def solved(network: Network, end: End, groups: Groups, surfaces: Sequence[Part])
     wide[poses + which, np.arange(len(which))] = sigma[which]
     # What moves the poses by so much takes all else along.
     moved = np.flatnonzero(network.free)
-    by_scene_moved = np.hstack([np.zeros((poses, 0)), *(part.root for part in surfaces)])[moved]
+    surfaces = [part.root for part in parts if part.name in (SCATTER, FLAT)]
+    by_scene_moved = np.hstack([np.zeros((poses, 0)), *surfaces])[moved]
     along = inverse[:, moved] @ np.linalg.solve(inverse[np.ix_(moved, moved)], by_scene_moved)
     return Solved(
         network, values, inverse, wide, end.sigma[groups.label], remainder, by_scene, along

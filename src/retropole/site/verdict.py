@@ -13,7 +13,10 @@ from ..base.quantities import at_most
 from ..base.uncertainty import Confirmation
 from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from ..matching.placements import PairedPlacement
+from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
+from ..scene.choice import ambiguous
 from ..scene.confirmation import MAX_WRONG, check_confirmation, confirm
+from ..verdict import doubtful_sensor, nearly_parallel, noisy_poles, thin_evidence
 from .adjustment import Adjusted
 from .answer import LidarPose, LoopClosure, Test
 from .blunders import POOR, place_of, worst_test
@@ -31,16 +34,23 @@ CHECKED = 0.01
 among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
 
 
-def check_linked(site: Site, groups: Sequence[Sequence[int]], pairs: Sequence[Pair]) -> None:
+def check_linked(
+    site: Site, scans: SiteScans, groups: Sequence[Sequence[int]], pairs: Sequence[Pair]
+) -> None:
     """Refuse a site that falls into groups, or has no two LiDARs with poles.
 
     Raises
     ------
     Refusal
-        ``too_few_lidars`` or ``disconnected``.
+        ``too_few_lidars`` or ``disconnected``; of two LiDARs why they have no pose.
     """
     if len(groups) == 1:
         return
+    if len(site.lidars) == 2:
+        # As of a pair: what keeps it from an answer is no matter of the site.
+        for refusal in (*(refusal for _, refusal in scans.faults), pairs[0].refusal):
+            if refusal is not None:
+                raise Refusal(refusal.code, refusal.message, refusal.values)
     named = "; ".join(", ".join(site.lidars[i].name for i in group) for group in groups)
     first = next((pair.refusal for pair in pairs if pair.refusal is not None), None)
     why = "" if first is None else f" ({first.message})"
@@ -66,8 +76,10 @@ def check_decided(
     Raises
     ------
     Refusal
-        ``ambiguous_loop``.
+        ``ambiguous_loop``; of two LiDARs ``ambiguous`` or ``no_overlap``.
     """
+    if len(site.lidars) == 2 and pairs[0].no_overlap is not None:
+        raise pairs[0].no_overlap
     if choices.complete and not choices.rivals:
         return
     if not choices.rivals:
@@ -77,6 +89,9 @@ def check_decided(
             "placement that several of them see",
             {"rivals": 0},
         )
+    if len(site.lidars) == 2:
+        best, *others = pairs[0].standing
+        raise ambiguous(best, others)
     moved = sorted(
         {i for one in choices.rivals for i in where_they_differ(choices.best, one, poles)}
     )
@@ -180,9 +195,18 @@ def _hypothesis(T: Array, pairs: tuple[tuple[int, int], ...]) -> Hypothesis:
 
 
 def weaknesses(
-    site: Site, adjusted: Adjusted, loops: Sequence[LoopClosure], lidars: Sequence[LidarPose]
+    site: Site,
+    scans: SiteScans,
+    adjusted: Adjusted,
+    loops: Sequence[LoopClosure],
+    lidars: Sequence[LidarPose],
 ) -> Iterator[Reason]:
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
+    yield from _by_lidars(site, scans, adjusted)
+    yield from check_radius(adjusted.aligned.radius, adjusted.aligned.radius_denied)
+    yield from check_agreement(adjusted.refined)
+    yield from check_minima(adjusted.refined)
+    yield from check_decisive(adjusted.refined)
     yield from _poor_fit(site, adjusted)
     yield from _open_loops(site, loops)
     yield from _unchecked(site, adjusted.tests)
@@ -193,6 +217,48 @@ def weaknesses(
             {"stage": "site", "iterations": adjusted.end.iterations},
         )
     yield from _not_fit(site, lidars)
+
+
+def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
+    """Say what makes the poles of single LiDARs, and of two that they link, weak."""
+    poles = adjusted.datum.poles
+    noise = np.exp(adjusted.aligned.climbed.point.log_noise[:, 0])
+    for i, lidar in enumerate(site.lidars):
+        for scan in scans.used(i)[:1]:
+            yield from doubtful_sensor(lidar.name, scan)
+        seen = [pole.seen[i] for pole in poles if i in pole.seen]
+        if seen:
+            yield from thin_evidence(lidar.name, seen)
+            yield from noisy_poles(lidar.name, lidar.sensor, float(noise[i]))
+    for link in links(adjusted):
+        names = f"{site.lidars[link.lidars[0]].name} and {site.lidars[link.lidars[1]].name}"
+        if len(link.poles) > 1:
+            yield from nearly_parallel([poles[k].direction for k in link.poles], names)
+    yield from _doubtful(site, scans, adjusted)
+
+
+def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
+    """Say how many of each LiDAR's poles are doubtful by themselves."""
+    counts = {}
+    for i, lidar in enumerate(site.lidars):
+        own = [
+            pole
+            for scan in scans.used(i)
+            if scan.detection is not None
+            for pole in scan.detection.doubtful
+        ]
+        seen = [pole.seen[i] for pole in adjusted.datum.poles if i in pole.seen]
+        count = sum(any(pole is each for each in own) for pole in seen)
+        if count:
+            counts[lidar.name] = count
+    if counts:
+        told = ", ".join(f"{count} of {name}'s" for name, count in counts.items())
+        yield Reason(
+            "doubtful_poles",
+            f"{told} poles are doubtful by themselves, near a wall, beside something bright, with "
+            "few returns or dim tape; other LiDARs see the same, and the scenes coincide",
+            {"poles": sum(counts.values()), "lidars": ", ".join(counts)},
+        )
 
 
 def _poor_fit(site: Site, adjusted: Adjusted) -> Iterator[Reason]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from ..alignment.adjustment import BeamAlignment
 from ..base import quantities
-from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, Scan
+from ..base.datatypes import Array, Calibration, Hypothesis, Placement, Pole, Scan
 from ..base.errors import Reason, Refusal
+from ..base.sensors import Sensor
 from ..base.uncertainty import Confirmation, WeakDirection
 from ..extraction.sensor_pattern import sensor_doubt
 from ..matching.confirmation import doubtful_reasons
@@ -74,11 +75,15 @@ def weaknesses(
         *doubtful_reasons(paired, hypotheses),
         *_left_out(paired),
         *_weak_choice(hypotheses),
-        *_doubtful_sensors(paired),
-        *_weak_poles(paired),
-        *_noisy_poles(paired[0], aligned),
+        *doubtful_sensor("target", paired[0].placement.target),
+        *doubtful_sensor("source", paired[0].placement.source),
+        *nearly_parallel([pole.direction for each in paired for pole in each.target_poles]),
+        *thin_evidence("target", [pole for each in paired for pole in each.target_poles]),
+        *thin_evidence("source", [pole for each in paired for pole in each.source_poles]),
+        *noisy_poles("target", paired[0].placement.target.sensor, aligned.noise[0]),
+        *noisy_poles("source", paired[0].placement.source.sensor, aligned.noise[1]),
         *_weak_pose(aligned, weakest),
-        *check_radius(aligned),
+        *check_radius(aligned.radius, aligned.radius_denied),
         *check_agreement(refined),
         *check_minima(refined),
         *check_decisive(refined),
@@ -112,62 +117,61 @@ def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
             )
 
 
-def _doubtful_sensors(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
-    """Say which LiDARs' clouds show more than the sensors that were named can see."""
-    first = paired[0].placement
-    for lidar, scan in (("target", first.target), ("source", first.source)):
-        doubt = sensor_doubt(scan.cloud, scan.sensor)
-        if doubt and scan.sensor is not None:
-            yield Reason("sensor_doubtful", doubt, {"lidar": lidar, "sensor": scan.sensor.name})
+def doubtful_sensor(lidar: str, scan: Scan) -> Iterator[Reason]:
+    """Say that a LiDAR's cloud shows more than the sensor that was named can see."""
+    doubt = sensor_doubt(scan.cloud, scan.sensor)
+    if doubt and scan.sensor is not None:
+        yield Reason("sensor_doubtful", doubt, {"lidar": lidar, "sensor": scan.sensor.name})
 
 
-def _weak_poles(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
-    target = [pole for each in paired for pole in each.target_poles]
-    source = [pole for each in paired for pole in each.source_poles]
-    angle = widest_angle(target)
+def nearly_parallel(directions: Sequence[Array], lidars: str = "") -> Iterator[Reason]:
+    """Say that poles (3,) each are nearly parallel that link two LiDARs, of a site by name."""
+    angle = widest_angle(directions)
     if angle < WEAK_ANGLE:
         degrees = float(np.degrees(angle))
+        of = lidars and f" that link {lidars}"
         yield Reason(
             "nearly_parallel_poles",
-            f"the poles are {degrees:.1f}° apart, which leaves height weak; lean one by 15° "
+            f"the poles{of} are {degrees:.1f}° apart, which leaves height weak; lean one by 15° "
             "or more",
             {"angle_deg": degrees},
         )
-    yield from _thin_evidence("target", target)
-    yield from _thin_evidence("source", source)
 
 
-def _thin_evidence(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
-    """Say which LiDAR has little to tell of a pole."""
-    points, rings = min(len(p.xyz) for p in poles), min(p.rings for p in poles)
+def thin_evidence(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
+    """Say that a LiDAR has little to tell of its poles; two hold a pose: the second best counts."""
+    points, rings = (
+        sorted(of_poles)[-2:][0]
+        for of_poles in ([len(p.xyz) for p in poles], [p.rings for p in poles])
+    )
     if points < FEW_POINTS:
         yield Reason(
             "few_points",
             f"a pole has {quantities.counted(points, 'return')} from the {lidar} LiDAR; move it "
-            f"nearer or record more "
-            "frames",
+            "nearer or record more frames",
             {"lidar": lidar, "points": points},
         )
     elif rings <= FEW_RINGS:
         yield Reason(
             "few_rings",
             f"a pole is met by {quantities.counted(rings, 'ring')} of the {lidar} LiDAR; move "
-            f"it nearer, or use a longer "
-            "one",
+            "it nearer, or use a longer one",
             {"lidar": lidar, "rings": rings},
         )
 
 
-def _noisy_poles(paired: PairedPlacement, aligned: BeamAlignment) -> Iterator[Reason]:
-    target, source = aligned.noise
-    yield from _noisy("target", paired.placement.target, target)
-    yield from _noisy("source", paired.placement.source, source)
+def noisy_poles(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Reason]:
+    """Say that a LiDAR's returns on the poles scatter more than its manufacturer's figure allows.
 
-
-def _noisy(lidar: str, scan: Scan, noise: float) -> Iterator[Reason]:
-    """Say which LiDAR's returns on the poles scatter more than its manufacturer's figure allows."""
-    expected = ANY_NOISE if scan.sensor is None else scan.sensor.range_noise
-    allowed = ANY_NOISE if scan.sensor is None else NOISE_RATIO * scan.sensor.range_noise
+    Parameters
+    ----------
+    lidar, sensor
+        Its name, and what it is.
+    noise
+        1 σ of its returns along the beam, metres.
+    """
+    expected = ANY_NOISE if sensor is None else sensor.range_noise
+    allowed = ANY_NOISE if sensor is None else NOISE_RATIO * sensor.range_noise
     if noise > allowed:
         yield Reason(
             "noisy_poles",
