@@ -39,6 +39,7 @@ from retropole.scene.confirmation import (
     check_confirmation,
     unconfirmed,
 )
+from retropole.scene.descent import End
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import Refinement
 from retropole.verdict import weaknesses
@@ -63,6 +64,8 @@ AXES = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.
 
 
 NO_PATCHES = surface_patches(PointCloud(np.ones((1, 3))))
+TWO, NOTHING = np.stack([np.eye(4)] * 2), np.zeros(0)
+NOWHERE = End(TWO, TWO, NOTHING, NOTHING, NOTHING, np.eye(12), np.eye(12), ())
 
 
 def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.01) -> BeamAlignment:
@@ -96,6 +99,8 @@ def a_refinement(
         iterations=40,
         surfaces=(NO_PATCHES, NO_PATCHES),
         corrected=(NO_PATCHES, NO_PATCHES),
+        end=NOWHERE,
+        parts=(),
     )
 
 

@@ -78,8 +78,11 @@ def check_decided(
     Refusal
         ``ambiguous_loop``; of two LiDARs ``ambiguous`` or ``no_overlap``.
     """
-    if len(site.lidars) == 2 and pairs[0].no_overlap is not None:
-        raise pairs[0].no_overlap
+    # More poles than two, other placements and a survey vouch for themselves.
+    is_pair = len(site.lidars) == 2 and not (site.poles or site.points)
+    no_overlap = pairs[0].no_overlap
+    if is_pair and no_overlap and max(each.evidence for each in pairs[0].possible) <= 1:
+        raise no_overlap
     if choices.complete and not choices.rivals:
         return
     if not choices.rivals:
@@ -159,25 +162,22 @@ def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmat
     """Count what stands in the scenes of two LiDARs, under their adjusted poses and others."""
     i, j = pair.lidars
     T = se3.inverse(adjusted.end.T[i]) @ adjusted.end.T[j]
-    at = {p for p in range(len(scans.by_lidar[0])) if _both(scans, i, j, p)}
     shared = [pole for pole in adjusted.datum.poles if {i, j} <= pole.seen.keys()]
-    first = max(at, key=lambda p: sum(pole.placement == p for pole in shared))
-    target, source = scans.by_lidar[i][first], scans.by_lidar[j][first]
-    assert target is not None
-    assert source is not None
-    pairs = tuple(
-        (_index(target.poles, pole.seen[i]), _index(source.poles, pole.seen[j]))
-        for pole in shared
-        if pole.placement == first
-    )
-    hypothesis = _hypothesis(T, pairs)
-    paired = [PairedPlacement(Placement(target, source), hypothesis)]
-    others = [_hypothesis(each.T, ()) for each in pair.hypotheses[:4] if _is_other(each.T, T)]
+    paired = []
+    for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
+        if target is None or source is None:
+            continue
+        pairs = tuple(
+            (_index(target.poles, pole.seen[i]), _index(source.poles, pole.seen[j]))
+            for pole in shared
+            if pole.placement == p
+        )
+        paired.append(PairedPlacement(Placement(target, source), _hypothesis(T, pairs)))
+    # What does not recur in all placements is no rival.
+    most = max((len(each.placements) for each in pair.hypotheses), default=0)
+    recurring = [each for each in pair.hypotheses if len(each.placements) == most]
+    others = [_hypothesis(each.T, ()) for each in recurring[:4] if _is_other(each.T, T)]
     return confirm(paired, T, others, np.random.default_rng(0), trusted=len(shared) > 2)
-
-
-def _both(scans: SiteScans, i: int, j: int, placement: int) -> bool:
-    return scans.by_lidar[i][placement] is not None and scans.by_lidar[j][placement] is not None
 
 
 def _index(poles: Sequence[object], pole: object) -> int:
@@ -265,7 +265,9 @@ def _poor_fit(site: Site, adjusted: Adjusted) -> Iterator[Reason]:
     """Say which observation fits worst, where one fits poorly and none was left out for it."""
     # A LiDAR's test takes those of all its poles along: it is told where none of them says more.
     single = [test for test in adjusted.tests if test.kind != "lidar"]
-    worst = worst_test(single, POOR) or worst_test(adjusted.tests, POOR)
+    # Of two LiDARs alone `check_agreement` says how the scene agrees with the poles.
+    every = single if adjusted.refined is not None else adjusted.tests
+    worst = worst_test(single, POOR) or worst_test(every, POOR)
     if worst is None:
         return
     values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}
