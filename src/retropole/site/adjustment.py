@@ -23,7 +23,7 @@ from ..alignment.network import Network, factor_of
 from ..alignment.state import JointState
 from ..alignment.unknowns import POSE
 from ..base import se3
-from ..base.datatypes import Array, Scan
+from ..base.datatypes import Array
 from ..base.errors import Refusal
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, sizes_of
 from ..scene.descent import End, RefinementProblem, descend
@@ -58,28 +58,29 @@ class Adjusted:
     ----------
     datum
         What it started from.
-    aligned, end
-        Where the poles and the survey ended, and the scenes with them.
-    poles, refined
-        Of two LiDARs in the frame of the first, what the poles say, and the scene with them.
+    aligned, problem, end
+        Where the poles and the survey ended, what the scenes add, and where all ended together.
     parts, covariance
         Every source of error, and (6 L, 6 L) of all poses.
     solved, tests
         All unknowns at the answer, and every test of an observation.
     converged
         Whether poles and refinement came to rest.
+    poles, refined
+        From `searched_as_pair`.
     """
 
     datum: Datum
     aligned: Aligned
-    poles: BeamAlignment | None
-    refined: Refinement | None
+    problem: RefinementProblem
     end: End
     parts: tuple[Part, ...]
     covariance: Array
     solved: Solved
     tests: tuple[Test, ...]
     converged: bool
+    poles: BeamAlignment | None = None
+    refined: Refinement | None = None
 
     @property
     def network(self) -> Network:
@@ -128,27 +129,66 @@ def adjust(
         scene_bands=[none if one is None else np.unique(one.bands) for one in patches],
         most_noise=_most_noise(sights, site),
     )
-    network = aligned.network
-    factor, groups = factor_of(network), network.unknowns.groups()
+    factor, groups = factor_of(aligned.network), aligned.network.unknowns.groups()
     known = ErrorModel(sizes, aligned.radius_sigma).sigmas(groups)
     problem = RefinementProblem(factor, tuple(scenes), groups, known)
+    end = descend(problem, few=few)
+    parts = parts_of(problem, end, POLES_AND_SURVEY)
+    check_held(site, joint_covariance(parts), is_surveyed=bool(site.poles or site.points))
+    return _tested(site, scans, datum, aligned, problem, end, parts)
+
+
+def searched_as_pair(
+    site: Site, scans: SiteScans, adjusted: Adjusted, patches: Sequence[Patches | None]
+) -> Adjusted:
+    """Search the pose of two LiDARs from several starts, and state it as that of a pair.
+
+    Where there are more, or the first one's frame is not that of the site, others and the survey
+    hold what a pair alone may not; the adjustment then stays as it is.
+
+    Parameters
+    ----------
+    site, scans, patches
+        As for `adjust`.
+    adjusted
+        The site, without what did not fit.
+    """
+    aligned, problem = adjusted.aligned, adjusted.problem
+    sizes = tuple(sizes_of(lidar.sensor) for lidar in site.lidars)
     poles = _poles_of_pair(aligned, ErrorModel(sizes, aligned.radius_sigma))
-    refined = None
-    if poles is not None and scenes and not few:
-        own, far = patches[0], patches[1]
-        assert own is not None
-        assert far is not None
-        lever = float(np.median(np.concatenate([_ranges(scan) for scan in scans.used(1)])))
-        refined = refine_pair(problem, poles.pose, (own, far), lever)
-    end = descend(problem, few=few) if refined is None else refined.end
-    parts = parts_of(problem, end, POLES_AND_SURVEY) if refined is None else refined.parts
-    covariance = joint_covariance(parts)
-    check_held(site, covariance, is_surveyed=bool(site.poles or site.points))
-    at = solved(network, end, groups, parts)
-    beside = {(i, k): chi2 for i, k, chi2 in astray(aligned.climbed.point, network, sights)}
+    if poles is None or not problem.scenes:
+        return adjusted
+    own, far = patches[0], patches[1]
+    assert own is not None
+    assert far is not None
+    ranges = [se3.lengths(scan.cloud.xyz - scan.cloud.origin) for scan in scans.used(1)]
+    lever = float(np.median(np.concatenate(ranges)))
+    refined = refine_pair(problem, poles.pose, (own, far), lever)
+    if refined is None:
+        return adjusted
+    end, parts = refined.end, refined.parts
+    found = _tested(site, scans, adjusted.datum, aligned, problem, end, parts)
+    return replace(found, poles=poles, refined=refined)
+
+
+def _tested(
+    site: Site,
+    scans: SiteScans,
+    datum: Datum,
+    aligned: Aligned,
+    problem: RefinementProblem,
+    end: End,
+    parts: tuple[Part, ...],
+) -> Adjusted:
+    """Test every observation at the answer."""
+    at = solved(aligned.network, end, problem.groups, parts)
+    sights = sights_of(scans, datum.poles)
+    astray_at = astray(aligned.climbed.point, aligned.network, sights)
+    beside = {(i, k): chi2 for i, k, chi2 in astray_at}
     tests = tuple(all_tests(at, site, datum.poles, beside))
     converged = aligned.climbed.converged and end.converged
-    return Adjusted(datum, aligned, poles, refined, end, parts, covariance, at, tests, converged)
+    covariance = joint_covariance(parts)
+    return Adjusted(datum, aligned, problem, end, parts, covariance, at, tests, converged)
 
 
 def _start(site: Site, datum: Datum) -> JointState:
@@ -172,10 +212,6 @@ def _poles_of_pair(aligned: Aligned, model: ErrorModel) -> BeamAlignment | None:
     except Refusal:
         # Without a pole that moved one may be left, and the scene holds the rest.
         return None
-
-
-def _ranges(scan: Scan) -> Array:
-    return se3.lengths(scan.cloud.xyz - scan.cloud.origin)
 
 
 def _most_noise(sights: Sequence[Sight], site: Site) -> Array:

@@ -16,7 +16,7 @@ from ..pipeline import timed
 from ..scene.agreement import check_contradiction
 from ..scene.preference import check_near_poles
 from ..scene.terms import scene_pairs
-from .adjustment import Adjusted, adjust
+from .adjustment import Adjusted, adjust, searched_as_pair
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from .blunders import without_blunders, worst_test
 from .choice import Choices, choose_poses, linked_groups
@@ -92,6 +92,7 @@ def calibrate_site(
                     adjusted = adjust_from(find_datum(site, scans.origins, poses, again))
             with step("test"):
                 adjusted, blunders = without_blunders(site, adjusted, adjust_from)
+                adjusted = searched_as_pair(site, scans, adjusted, patches)
             with step("confirm"):
                 check_contradiction(adjusted.refined)
                 check_near_poles(adjusted.poles, adjusted.refined)
