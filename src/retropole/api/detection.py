@@ -5,9 +5,9 @@ from __future__ import annotations
 from ..base.datatypes import Detection
 from ..base.errors import Refusal
 from ..extraction.poles import extract_poles
-from ..io.units import unit_named
 from ..result import DEFAULT_CONFIG
-from .inputs import CloudSource, Input, check_radius, intensity_hint, read_input
+from .inputs import CloudSource, Input, intensity_hint, read_input
+from .options import run_config
 
 
 def detect(
@@ -56,17 +56,18 @@ def detect(
     ReadError, MissingExtraError
         Where the file cannot be read.
     """
-    check_radius(radius)
-    given = read_input(
-        cloud,
-        sensor=sensor,
-        threshold=threshold,
-        topic=topic,
-        frames=frames,
-        max_points=max_points,
-        unit=unit_named(unit),
+    config = run_config(
+        {
+            "radius": radius,
+            "sensor_target": sensor,
+            "threshold_target": threshold,
+            "target_topic": topic,
+            "frames": frames,
+            "max_points": max_points,
+            "unit": unit,
+        }
     )
-    return detect_in(given, radius)
+    return detect_in(read_input(cloud, config.of_target), config.radius_m)
 
 
 def detect_in(given: Input, radius: float) -> Detection:

@@ -6,9 +6,9 @@ import numpy as np
 
 from ..base.datatypes import MAX_POLES
 from ..base.errors import UsageError
-from ..result import DEFAULT_CONFIG
+from ..result import DEFAULT_CONFIG, RunConfig
 from ..simulation import NOISE_MODELS, SimulatedPair, simulate_pair
-from .inputs import check_radius
+from .options import checked_options
 
 
 def simulate(
@@ -61,7 +61,7 @@ def simulate(
         raise UsageError(f"no nuisances {nuisances!r}; there are {', '.join(NOISE_MODELS)}")
     if not 1 <= poles <= MAX_POLES:
         raise UsageError(f"poles is {poles}, expected a number from 1 to {MAX_POLES}")
-    check_radius(radius)
+    checked_options(RunConfig(radius_m=radius))
     return simulate_pair(
         scene,
         np.random.default_rng(seed),

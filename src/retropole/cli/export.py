@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMATS, TREE_FORMATS
-from .common import CLOUD, CONTEXT, echo_warning, say, show
+from .common import CONTEXT, echo_warning, say, show
+from .options import CLOUD, FILE
 
 if TYPE_CHECKING:
     from ..export import Transform, Tree
 
-FILE = click.Path(path_type=Path, dir_okay=False)
 MCAP = "mcap"
 """The one that holds the clouds too; it is written to a file, and no transform is read from it."""
 

@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from ..base.datatypes import MAX_POLES
-from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
+from .common import CONTEXT, progress_on_terminal, show
+from .options import OUT, run_options
 
 
 @click.command("site", context_settings=CONTEXT)
@@ -23,7 +24,7 @@ from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
     "--poles", type=click.IntRange(2, MAX_POLES), help="In each placement.  [default: 3; ring: 2]"
 )
 @click.option("--sensor", "sensors", multiple=True, help="Name; several are taken in turn.")
-@radius_option
+@run_options("radius_m")
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
@@ -43,7 +44,7 @@ def simulate_site(
     placements: int | None,
     poles: int | None,
     sensors: tuple[str, ...],
-    radius: float,
+    radius_m: float,
     nuisances: str,
     survey: bool,
     quiet: bool,
@@ -77,7 +78,7 @@ def simulate_site(
             placements=placements,
             poles=poles,
             sensors=sensors or None,
-            radius=radius,
+            radius=radius_m,
             noise=NOISE_MODELS[nuisances],
             survey=Survey(placements=(0,), points=4) if survey else None,
         )
@@ -136,7 +137,7 @@ class _OrSite(click.Group):
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
 @click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2, show_default=True)
-@radius_option
+@run_options("radius_m")
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
@@ -151,7 +152,7 @@ def simulate(
     sensor_target: str | None,
     sensor_source: str | None,
     poles: int,
-    radius: float,
+    radius_m: float,
     nuisances: str | None,
     quiet: bool,
 ) -> int:
@@ -176,7 +177,7 @@ def simulate(
             sensor_target=sensor_target,
             sensor_source=sensor_source,
             poles=poles,
-            radius=radius,
+            radius=radius_m,
             nuisances=nuisances,
         )
         write_pair(pair, out)

@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from .common import (
-    CLOUD,
     CONTEXT,
     EXIT_REFUSED,
     EXIT_WARNED,
-    OUT,
     command_line,
     echo_left_out,
     echo_refusal,
@@ -25,6 +23,7 @@ from .common import (
     show,
 )
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
+from .options import CLOUD, FILE, OUT
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
@@ -48,7 +47,7 @@ def site() -> None:
 @click.argument("folder", type=CLOUD)
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="The site file to write.  [default: site.toml in FOLDER]",
 )
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
@@ -162,13 +161,10 @@ def calibrate(
 
 def _echo_doubts(given: Input) -> None:
     """Say on stderr what was left out unasked, and what cannot be right."""
-    from ..io.coordinates import oddity_of
-
     read = given.read
     chosen = read is not None and len(read.asked) < read.recording.count
-    frames = slice(None) if chosen else None
-    echo_left_out(given, frames, to_keep="max_points = N", to_choose='frames = "A:B"')
-    odd = oddity_of(given.cloud)
+    echo_left_out(given, asked=chosen, to_keep="max_points = N", to_choose='frames = "A:B"')
+    odd = given.oddity
     if odd is None:
         echo_sensor_doubt(given)
         return
