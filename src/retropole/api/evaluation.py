@@ -17,7 +17,7 @@ from ..evaluation.methods import ALL_METHODS
 from ..evaluation.metrics import Alignment
 from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
-from ..export import read_transform as read_transform
+from ..export import read_transform
 from ..extraction.extent import check_coordinates
 from ..result import RunConfig
 from .inputs import CloudSource, Input, read_pair

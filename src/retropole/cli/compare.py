@@ -90,7 +90,7 @@ def compare(
 ) -> int:
     """Run the methods, print a table or JSON, and tell by the exit code whether one answered."""
     from ..api.evaluation import compare as run
-    from ..api.evaluation import read_transform
+    from ..api.transforms import read_transform
     from ..base.files import path_in_text
 
     names = list(ALL_METHODS) if methods is None else [name.strip() for name in methods.split(",")]

@@ -71,7 +71,8 @@ def evaluate(
     import numpy as np
     from msgspec import to_builtins
 
-    from ..api.evaluation import errors_of, evaluate_with, read_transform
+    from ..api.evaluation import errors_of, evaluate_with
+    from ..api.transforms import read_transform
     from ..result import confirmation_document
 
     config = RunConfig(**options)

@@ -34,7 +34,7 @@ def info(file: Path, as_json: bool, **options: Any) -> int:
       0    looked
       2    the file or an option is wrong
     """
-    from ..io.contents import describe
+    from ..api.contents import describe
     from ..report.contents_text import describe_info
     from ..result import encode
 

@@ -55,9 +55,9 @@ def report(
       130  interrupted
     """
     from ..api.result import load_result
+    from ..api.stored import placements_of
     from ..base.errors import printable
     from ..report import write_report
-    from ..report.inputs import placements_of
     from ..result.folder import REPORT_FILE, result_file
 
     file = result_file(result)
