@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ..base.datatypes import Detection
 from ..base.errors import Refusal
 from ..extraction.poles import extract_poles
@@ -85,3 +87,10 @@ def detect_in(given: Input, radius: float) -> Detection:
     except Refusal as refusal:
         hint = intensity_hint(refusal.code, [given])
         raise Refusal(refusal.code, refusal.message + hint, refusal.values) from None
+
+
+def finder(given: Input, radius: float) -> Callable[[float | None], Detection]:
+    """Give what finds the poles of a radius, metres, in a cloud, from a threshold up or its own."""
+    return lambda threshold: extract_poles(
+        given.cloud, sensor=given.sensor, threshold=threshold, radius=radius
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,16 +11,13 @@ import click
 from ..result import RunConfig
 from .common import (
     CONTEXT,
-    EXIT_REFUSED,
-    EXIT_WARNED,
     command_line,
-    echo_refusal,
     echo_sensor_doubt,
-    echo_warning,
     in_colour,
     progress_on_terminal,
     show,
     told,
+    verdict_told,
 )
 from .older import DEFAULT_OUT, SettingAside, older_set_aside
 from .options import (
@@ -118,16 +114,7 @@ def calibrate(
         paths = [str(path) for path in written]
         words = describe_result(result.document, paths, following, verbose=verbose)
         show(in_colour(words, result.status))
-    if result.status == "refused":
-        # Who sees stdout has read it there.
-        unseen = quiet or as_json
-        for reason in result.reasons if unseen or not sys.stdout.isatty() else ():
-            echo_refusal(reason.code, reason.message, advise=unseen)
-        return EXIT_REFUSED
-    if quiet or as_json:
-        for reason in result.reasons:
-            echo_warning(reason.code, reason.message)
-    return EXIT_WARNED if strict and result.status == "warn" else 0
+    return verdict_told(result, unseen=quiet or as_json, strict=strict)
 
 
 def placed_pairs(

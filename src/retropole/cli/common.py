@@ -20,6 +20,8 @@ from ..base.reasons import explain, page, plain
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
+    from ..api.result import CalibrationResult
+    from ..api.site import SiteResult
 
 EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED, EXIT_PIPE = 1, 2, 3, 130, 141
 """The first is for --strict alone; the last is 128 + SIGPIPE, as of any program whose reader is
@@ -177,6 +179,30 @@ def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:
 def echo_warning(code: str, message: str) -> None:
     """Say on stderr what an answer warns of."""
     say(f"retropole: warning ({code}): {message}")
+
+
+def verdict_told(result: CalibrationResult | SiteResult, *, unseen: bool, strict: bool) -> int:
+    """Say on stderr what a verdict that is no plain ok rests on, and give the exit code.
+
+    Parameters
+    ----------
+    result
+        Of two LiDARs or of a site.
+    unseen
+        Whether the result was not printed in words.
+    strict
+        Whether a warning is an error.
+    """
+    refused = result.status == "refused"
+    for reason in result.reasons:
+        if refused and (unseen or not sys.stdout.isatty()):
+            # Who sees stdout has read it there.
+            echo_refusal(reason.code, reason.message, advise=unseen)
+        elif unseen and not refused:
+            echo_warning(reason.code, reason.message)
+    if refused:
+        return EXIT_REFUSED
+    return EXIT_WARNED if strict and result.status == "warn" else 0
 
 
 def command_line(*words: str | Path) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,17 +9,14 @@ import click
 
 from .common import (
     CONTEXT,
-    EXIT_REFUSED,
-    EXIT_WARNED,
     command_line,
     echo_left_out,
-    echo_refusal,
     echo_sensor_doubt,
-    echo_warning,
     in_colour,
     progress_on_terminal,
     say,
     show,
+    verdict_told,
 )
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
 from .options import CLOUD, FILE, OUT
@@ -147,16 +143,7 @@ def calibrate(
         following = {"next": command_line("export", written[0], "--to", "urdf")}
         words = describe_site(result.document, paths, following, verbose=verbose)
         show(in_colour(words, result.status))
-    if result.status == "refused":
-        # Who sees stdout has read it there.
-        unseen = quiet or as_json
-        for reason in result.reasons if unseen or not sys.stdout.isatty() else ():
-            echo_refusal(reason.code, reason.message, advise=unseen)
-        return EXIT_REFUSED
-    if quiet or as_json:
-        for reason in result.reasons:
-            echo_warning(reason.code, reason.message)
-    return EXIT_WARNED if strict and result.status == "warn" else 0
+    return verdict_told(result, unseen=quiet or as_json, strict=strict)
 
 
 def _echo_doubts(given: Input) -> None:

@@ -52,6 +52,7 @@ def view(files: tuple[Path, ...], port: int, quiet: bool, **options: Any) -> int
     """
     import time
 
+    from ..api.detection import finder
     from ..api.inputs import read_input
     from ..report.viewer import Shown, serve
 
@@ -62,10 +63,10 @@ def view(files: tuple[Path, ...], port: int, quiet: bool, **options: Any) -> int
         inputs = [read_input(file, config.of_target, on_read=tell) for file in files]
         progress("extract")
         shown = [
-            Shown(str(file), given.cloud, given.sensor, given.threshold)
+            Shown(str(file), given.cloud, finder(given, config.radius_m), given.threshold)
             for file, given in zip(files, inputs, strict=True)
         ]
-        viewer = serve(shown, radius=config.radius_m, port=port)
+        viewer = serve(shown, port=port)
     try:
         show(viewer.url)
         if not quiet:
