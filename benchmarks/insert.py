@@ -17,10 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from insertion import InsertedPair, insert_poles, write_inserted
-from retropole.api.inputs import CloudSource, check_radius, read_input
+from retropole.api.inputs import CloudSource, read_pair
+from retropole.api.options import checked_options
 from retropole.base.datatypes import DEFAULT_RADIUS, MAX_POLES, Array
 from retropole.base.errors import RetropoleError, UsageError, printable
 from retropole.export import read_transform
+from retropole.result import RunConfig
 
 
 def insert(
@@ -64,8 +66,8 @@ def insert(
     """
     if not 1 <= poles <= MAX_POLES:
         raise UsageError(f"poles is {poles}, expected a number from 1 to {MAX_POLES}")
-    check_radius(radius)
-    given = read_input(target, sensor=sensors[0]), read_input(source, sensor=sensors[1])
+    config = RunConfig(radius_m=radius, sensor_target=sensors[0], sensor_source=sensors[1])
+    given = read_pair(target, source, checked_options(config))
     if isinstance(transform, str | Path):
         transform = read_transform(Path(transform)).T_parent_child
     return insert_poles(

@@ -26,6 +26,19 @@ LAYERS = (
 PUBLIC = {("api",), ("result",), ("base", "errors"), ("base", "files"), ("base", "version")}
 """What others may build on, and `fleet` builds on alone."""
 
+DOORS = {
+    # `fleet` for its own commands, `report` for words and pictures.
+    "cli": {"api", "base", "fleet", "report", "result"},
+    # Of the steps, what a page works out of clouds that it is handed; no recording is read here.
+    "report": {
+        *("base", "result", "export", "site"),
+        *("extraction", "alignment", "matching", "scene"),
+    },
+    # A recording is written in the frames that one is read in, a tree in the frames of a site.
+    "export": {"base", "io", "result", "site"},
+}
+"""Rooms that what stands outermost may import; with time fewer."""
+
 FILES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
 
 
@@ -72,6 +85,13 @@ def test_a_fleet_stands_on_what_is_public(path: Path) -> None:
     for name in imports_of(path):
         public = {name[:1], name[:2]} & {("fleet",), *PUBLIC}
         assert public, f"{path} imports {'.'.join(name)}"
+
+
+@pytest.mark.parametrize("room", DOORS)
+def test_doors_are_narrow(room: str) -> None:
+    """Neither a door that is not allowed, nor one that is allowed and not used."""
+    used = {name[0] for own, path in MODULES.items() if own[0] == room for name in imports_of(path)}
+    assert used - {room} == DOORS[room]
 
 
 def test_no_import_cycle() -> None:

@@ -10,8 +10,9 @@ import click
 
 from retropole.base.errors import Refusal, RetropoleError, printable
 from retropole.base.files import write_atomically
-from retropole.cli.common import CONTEXT, OUT, never_fail_to_encode, progress_on_terminal, show
+from retropole.cli.common import CONTEXT, never_fail_to_encode, progress_on_terminal, show
 from retropole.cli.errors import failure_of, tell
+from retropole.cli.options import OUT
 from studies.paper import Exhibit, experiments, reproduce, write_exhibit
 
 COMMAND = "python -m studies.paper"

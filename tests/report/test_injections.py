@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from retropole.base.datatypes import Detection, Placement, PointCloud, RejectedCluster, Scan
-from retropole.report import render_report, viewer
+from retropole.report import render_report
 from retropole.report.viewer import Shown, Viewer, serve
 from retropole.result import ResultDoc
 from retropole.result.bounded import Status
@@ -175,7 +175,7 @@ def hostile_viewer() -> Iterator[Viewer]:
     pytest.importorskip("viser", reason="viser is not installed (extra 'view')")
     count = 0
 
-    def found(cloud: PointCloud, **_: object) -> Detection:
+    def found(_: float | None) -> Detection:
         nonlocal count
         count += 3
         rejected = tuple(
@@ -185,9 +185,7 @@ def hostile_viewer() -> Iterator[Viewer]:
         return Detection((), rejected, 200.0, injection(count), 9)
 
     cloud = PointCloud(np.eye(3), np.arange(3.0))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(viewer, "extract_poles", found)
-        served = serve([Shown(name, cloud) for name in NAMES], port=9010)
+    served = serve([Shown(name, cloud, found) for name in NAMES], port=9010)
     yield served
     served.stop()
 

@@ -45,6 +45,11 @@ def two_poles(dim: float = 120.0) -> PointCloud:
     return PointCloud(np.concatenate(parts), np.concatenate(levels))
 
 
+def shown(name: str, cloud: PointCloud, threshold: float | None = None) -> Shown:
+    """A cloud with what finds its poles."""
+    return Shown(name, cloud, lambda level: extract_poles(cloud, threshold=level), threshold)
+
+
 def wait_for(said: Callable[[], str], words: str) -> None:
     until = time.monotonic() + 20
     while words not in said():
@@ -115,19 +120,19 @@ def test_debounced_runs_once_after_the_last_call() -> None:
 @pytest.mark.skipif(HAS_VISER, reason="viser is installed")
 def test_without_viser_the_extra_is_named() -> None:
     with pytest.raises(MissingExtraError, match=r"retropole\[view\]"):
-        serve([Shown("x", two_poles())])
+        serve([shown("x", two_poles())])
 
 
 @needs_viser
 def test_no_intensity_is_refused() -> None:
     with pytest.raises(Refusal, match="no intensity"):
-        serve([Shown("x", PointCloud(np.ones((5, 3))))])
+        serve([shown("x", PointCloud(np.ones((5, 3))))])
 
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    shown = [Shown("<script>a</script>", two_poles(), threshold=200.0), Shown("b", two_poles(90.0))]
-    viewer = serve(shown, port=8950)
+    clouds = shown("<script>a</script>", two_poles(), 200.0), shown("b", two_poles(90.0))
+    viewer = serve(clouds, port=8950)
     yield viewer
     viewer.stop()
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from retropole.base.errors import UsageError
-from retropole.report.viewer import Shown, Viewer, serve
+from retropole.report.viewer import Viewer, serve
 from retropole.report.viewer_access import guarded
 from tests.report.browser import Browser, WebDriverWait, needs_browser
-from tests.report.test_viewer import two_poles
+from tests.report.test_viewer import shown, two_poles
 
 viser = pytest.importorskip("viser", reason="viser is not installed (extra 'view')")
 websockets = pytest.importorskip("websockets")
@@ -27,7 +27,7 @@ PROTOCOL = f"viser-v{viser.__version__}"
 
 @pytest.fixture(scope="module")
 def viewer() -> Iterator[Viewer]:
-    viewer = serve([Shown("a.pcd", two_poles(), threshold=200.0)], port=8990)
+    viewer = serve([shown("a.pcd", two_poles(), 200.0)], port=8990)
     yield viewer
     viewer.stop()
 
@@ -120,15 +120,15 @@ def test_the_page_may_load_nothing_from_elsewhere(viewer: Viewer) -> None:
 
 
 def test_a_file_whose_name_is_no_text_is_shown() -> None:
-    shown = serve([Shown("a\udcff.pcd", two_poles())], port=8994)
+    served = serve([shown("a\udcff.pcd", two_poles())], port=8994)
     try:
-        assert received(shown) > 12 * len(two_poles())  # type: ignore[operator]
+        assert received(served) > 12 * len(two_poles())  # type: ignore[operator]
     finally:
-        shown.stop()
+        served.stop()
 
 
 def test_two_viewers_have_two_tokens(viewer: Viewer) -> None:
-    other = serve([Shown("b.pcd", two_poles())], port=viewer.server.get_port())
+    other = serve([shown("b.pcd", two_poles())], port=viewer.server.get_port())
     try:
         assert other.server.get_port() != viewer.server.get_port()
         assert received(other, viewer.token) == "refused 403"

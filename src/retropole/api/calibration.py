@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from operator import index
 
-from ..base.datatypes import MAX_RADIUS, Placement, Scan
-from ..base.errors import UsageError
-from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED, USABLE, Need
-from ..io.thinning import LEAST_POINTS
-from ..io.units import unit_named
+from ..base.datatypes import Placement, Scan
+from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
-from ..scene.choice import is_hypothesis_name
 from ..verdict import refused
 from .inputs import (
     CloudSource,
     Input,
-    check_radius,
     input_documents,
     intensity_hint,
     read_placements,
     repeated,
 )
+from .options import checked_options, run_config
 from .result import CalibrationResult
-
-MIN_POLES = 2
-"""One pole leaves the rotation about it, and the place along it, free."""
 
 
 def calibrate(
@@ -116,34 +107,12 @@ def calibrate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    try:
-        # The result document holds Python's own numbers, also where NumPy's are given.
-        config = RunConfig(
-            radius_m=float(radius),
-            radius_sigma_m=float(radius_sigma),
-            up=bool(up),
-            prior_rpy_deg=None if prior_rpy_deg is None else _three(prior_rpy_deg),
-            prior_sigma_deg=float(prior_sigma_deg),
-            hypothesis=hypothesis,
-            poles=None if poles is None else index(poles),
-            refine=bool(refine),
-            trust_poles=bool(trust_poles),
-            need_m=None if need is None else float(need),
-            at_m=None if at is None else float(at),
-            threshold_target=None if threshold_target is None else float(threshold_target),
-            threshold_source=None if threshold_source is None else float(threshold_source),
-            sensor_target=sensor_target,
-            sensor_source=sensor_source,
-            target_topic=target_topic,
-            source_topic=source_topic,
-            frames=None if frames is None else _parts(frames),
-            max_points=index(max_points),
-            unit=unit_named(unit),
-            unit_source=None if unit_source is None else unit_named(unit_source),
-        )
-    except (TypeError, ValueError, AttributeError) as error:
-        raise UsageError(f"an option has a value of the wrong type: {error}") from None
-    return calibrate_with(target, source, config, progress=progress)
+    options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
+    return calibrate_with(target, source, run_config(options), progress=progress)
+
+
+NO_OPTIONS = ("target", "source", "progress")
+"""All that `calibrate` takes besides options of `RunConfig`."""
 
 
 def calibrate_with(
@@ -173,13 +142,11 @@ def calibrate_with(
     UsageError, ReadError, MissingExtraError
         As `calibrate`.
     """
-    check_options(config)
+    config = checked_options(config)
     progress("read")
     start = time.perf_counter()
-    pairs = read_placements(target, source, config, progress)
+    pairs = read_placements(target, source, config, progress, on_read)
     inputs = [each for pair in pairs for each in pair]
-    for each in inputs:
-        on_read(each)
     documents = input_documents(inputs)
     seconds_read = time.perf_counter() - start
     twice = repeated(pairs, documents)
@@ -226,67 +193,3 @@ def _need(config: RunConfig) -> Need | None:
     if config.need_m is None:
         return None
     return Need(config.need_m, DEFAULT_AT if config.at_m is None else config.at_m)
-
-
-def _three(values: Sequence[float]) -> tuple[float, float, float]:
-    roll, pitch, yaw = values
-    return float(roll), float(pitch), float(yaw)
-
-
-def _parts(frames: slice) -> tuple[int | None, int | None, int | None]:
-    start, stop, step = (
-        None if value is None else index(value)
-        for value in (frames.start, frames.stop, frames.step)
-    )
-    return start, stop, step
-
-
-def check_options(config: RunConfig) -> None:
-    """Refuse options that make no sense, before anything is read.
-
-    Raises
-    ------
-    UsageError
-        Naming the option and what is expected.
-    """
-    check_radius(config.radius_m)
-    if config.at_m is not None and config.need_m is None:
-        raise UsageError("at is the distance for need, how accurate the answer must be: give both")
-    poles = MIN_POLES if config.poles is None else config.poles
-    need = _need(config) or USABLE
-    for name, value, allowed, expected in (
-        (
-            "radius_sigma",
-            config.radius_sigma_m,
-            0 <= config.radius_sigma_m <= MAX_RADIUS,
-            f"from 0 to {MAX_RADIUS:g} m",
-        ),
-        (
-            "prior_sigma_deg",
-            config.prior_sigma_deg,
-            0 < config.prior_sigma_deg <= 180,
-            "above 0, 180 at most",
-        ),
-        (
-            "need",
-            need.within,
-            0 < need.within <= LARGEST_NEED,
-            f"above 0, {LARGEST_NEED:g} m at most",
-        ),
-        ("at", need.at, 0 < need.at <= FARTHEST, f"above 0, {FARTHEST:g} m at most"),
-        ("poles", poles, poles >= MIN_POLES, f"from {MIN_POLES} up"),
-        (
-            "max_points",
-            config.max_points,
-            config.max_points >= LEAST_POINTS,
-            f"from {LEAST_POINTS} up",
-        ),
-    ):
-        if not (allowed and math.isfinite(value)):
-            raise UsageError(f"{name} is {value}, expected a number {expected}")
-    if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):
-        raise UsageError(
-            f"hypothesis is {config.hypothesis!r}, expected a letter of the list of hypotheses, "
-            "such as a"
-        )
-    rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)

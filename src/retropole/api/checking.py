@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace as replace_options
 
 from ..base.datatypes import PoseEstimate
 from ..base.errors import Reason, Refusal
@@ -16,14 +18,17 @@ from ..base.uncertainty import Uncertainty
 from ..export import inverted, read_transform
 from ..export.documents import is_result
 from ..io import sha256_of, topics_of
+from ..io.units import Unit
+from ..monitoring.certainty import FALSE_ALARM as FALSE_ALARM
 from ..monitoring.drift import check
-from ..monitoring.movement import CheckResult
+from ..monitoring.movement import CheckResult as CheckResult
+from ..monitoring.movement import Movement as Movement
 from ..monitoring.swapped import swap
 from ..monitoring.tolerance import NOT_ASKED, Asked
 from ..result import DEFAULT_CONFIG, RunConfig, uncertainty_of
 from ..result.decoding import decode
 from ..result.folder import result_file
-from .inputs import Input, read_input
+from .inputs import Input, read_pair
 
 
 class Stored(NamedTuple):
@@ -127,6 +132,12 @@ def check_recordings(
     *,
     rotation: float | None = None,
     translation: float | None = None,
+    target_topic: str | None = None,
+    source_topic: str | None = None,
+    unit: Unit | None = None,
+    unit_source: Unit | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
 ) -> CheckResult:
     """Read new recordings with the options of the stored run, and check them against it.
 
@@ -138,6 +149,12 @@ def check_recordings(
         What `io.read_cloud` reads.
     rotation, translation
         Movement that matters, rad and m; None for as little as the data tell.
+    target_topic, source_topic, unit, unit_source
+        Of the new recordings; None takes those of the stored run. A unit is that of both.
+    progress
+        Called with the name of each step as it starts.
+    on_read
+        Called with each cloud once it is read.
 
     Raises
     ------
@@ -146,22 +163,19 @@ def check_recordings(
     Refusal
         As `checked`.
     """
-    config = stored.config
-    of_target = read_input(
-        target,
-        sensor=config.sensor_target,
-        threshold=config.threshold_target,
-        topic=topic_for(target, None, config.target_topic),
-        unit=config.unit,
+    known = stored.config
+    config = replace_options(
+        known,
+        target_topic=topic_for(target, target_topic, known.target_topic),
+        source_topic=topic_for(source, source_topic, known.source_topic),
+        frames=None,
+        max_points=DEFAULT_CONFIG.max_points,
+        unit=unit or known.unit,
+        unit_source=unit_source or unit or known.source_unit,
     )
-    of_source = read_input(
-        source,
-        sensor=config.sensor_source,
-        threshold=config.threshold_source,
-        topic=topic_for(source, None, config.source_topic),
-        unit=config.source_unit,
-    )
-    return checked(stored, of_target, of_source, Asked(rotation, translation))
+    pair = read_pair(target, source, config, progress=progress, on_read=on_read)
+    progress("check")
+    return checked(stored, *pair, Asked(rotation, translation))
 
 
 def files_swapped(stored: Stored, target: Input, source: Input) -> Reason | None:

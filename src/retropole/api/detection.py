@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ..base.datatypes import Detection
 from ..base.errors import Refusal
 from ..extraction.poles import extract_poles
-from ..io.units import unit_named
 from ..result import DEFAULT_CONFIG
-from .inputs import CloudSource, Input, check_radius, intensity_hint, read_input
+from .inputs import CloudSource, Input, intensity_hint, read_input
+from .options import run_config
 
 
 def detect(
@@ -56,17 +58,18 @@ def detect(
     ReadError, MissingExtraError
         Where the file cannot be read.
     """
-    check_radius(radius)
-    given = read_input(
-        cloud,
-        sensor=sensor,
-        threshold=threshold,
-        topic=topic,
-        frames=frames,
-        max_points=max_points,
-        unit=unit_named(unit),
+    config = run_config(
+        {
+            "radius": radius,
+            "sensor_target": sensor,
+            "threshold_target": threshold,
+            "target_topic": topic,
+            "frames": frames,
+            "max_points": max_points,
+            "unit": unit,
+        }
     )
-    return detect_in(given, radius)
+    return detect_in(read_input(cloud, config.of_target), config.radius_m)
 
 
 def detect_in(given: Input, radius: float) -> Detection:
@@ -84,3 +87,10 @@ def detect_in(given: Input, radius: float) -> Detection:
     except Refusal as refusal:
         hint = intensity_hint(refusal.code, [given])
         raise Refusal(refusal.code, refusal.message + hint, refusal.values) from None
+
+
+def finder(given: Input, radius: float) -> Callable[[float | None], Detection]:
+    """Give what finds the poles of a radius, metres, in a cloud, from a threshold up or its own."""
+    return lambda threshold: extract_poles(
+        given.cloud, sensor=given.sensor, threshold=threshold, radius=radius
+    )

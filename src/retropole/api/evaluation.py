@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,18 @@ import numpy as np
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
 from ..base.se3 import rigid
+from ..evaluation.comparison import Compared as Compared
+from ..evaluation.comparison import compare as compare_clouds
 from ..evaluation.entropy import KERNEL_WIDTH
+from ..evaluation.methods import ALL_METHODS
 from ..evaluation.metrics import Alignment
+from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..export import read_transform
 from ..extraction.extent import check_coordinates
-from ..io.units import unit_named
-from .inputs import CloudSource, read_input
+from ..result import RunConfig
+from .inputs import CloudSource, Input, read_pair
+from .options import run_config
 from .result import CalibrationResult
 
 
@@ -64,18 +70,98 @@ def evaluate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
+    options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
+    return evaluate_with(target, source, T_target_source, run_config(options), sigma=sigma)
+
+
+NO_OPTIONS = ("target", "source", "T_target_source", "sigma")
+"""All that `evaluate` takes besides options of `RunConfig`."""
+
+
+def evaluate_with(
+    target: CloudSource,
+    source: CloudSource,
+    T_target_source: Array | CalibrationResult | str | Path,
+    config: RunConfig,
+    *,
+    sigma: float = KERNEL_WIDTH,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> Alignment:
+    """Score a transform as `evaluate` does, with the options of a run.
+
+    Parameters
+    ----------
+    target, source, T_target_source, sigma
+        As `evaluate` takes them.
+    config
+        The options: what is read, and the seed.
+    progress
+        Called with the name of each step as it starts.
+    on_read
+        Called with each cloud once it is read.
+
+    Raises
+    ------
+    UsageError, Refusal, ReadError, MissingExtraError
+        As `evaluate`.
+    """
     T = _transform(T_target_source)
-    given = [
-        read_input(cloud, topic=topic, frames=frames, unit=unit_named(each), role=role)
-        for cloud, topic, each, role in (
-            (target, target_topic, unit, "target"),
-            (source, source_topic, unit_source or unit, "source"),
-        )
-    ]
-    for each in given:
+    progress("read")
+    pair = read_pair(target, source, config, progress=progress, on_read=on_read)
+    for each in pair:
         check_coordinates(each.cloud)
-    rng = np.random.default_rng(seed)
-    return score(given[0].cloud, given[1].cloud, T, rng=rng, sigma=sigma)
+    progress("evaluate")
+    rng = np.random.default_rng(config.seed)
+    return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma)
+
+
+def compare(
+    target: CloudSource,
+    source: CloudSource,
+    config: RunConfig,
+    methods: Sequence[str] = ALL_METHODS,
+    *,
+    T_true: Array | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> list[Compared]:
+    """Run our method and its rivals on the same clouds, and score their answers alike.
+
+    Parameters
+    ----------
+    target, source
+        As `evaluate` takes them.
+    config
+        The options: what is read, the seed of the rivals, and radius, sensors and thresholds of
+        our own method.
+    methods, T_true
+        As `evaluation.comparison.compare` takes them.
+    progress
+        Called with the name of each step as it starts.
+    on_read
+        Called with each cloud once it is read.
+
+    Raises
+    ------
+    UsageError
+        For an unknown method, and as `api.inputs.read_input`.
+    ReadError, MissingExtraError
+        Where a file cannot be read.
+    """
+    progress("read")
+    pair = read_pair(target, source, config, progress=progress, on_read=on_read)
+    return compare_clouds(
+        pair.target.cloud,
+        pair.source.cloud,
+        methods,
+        T_true=T_true,
+        radius=config.radius_m,
+        sensors=(pair.target.sensor, pair.source.sensor),
+        thresholds=(config.threshold_target, config.threshold_source),
+        seed=config.seed,
+        progress=progress,
+    )
 
 
 def _transform(given: Array | CalibrationResult | str | Path) -> Array:

@@ -5,21 +5,21 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.datatypes import MAX_RADIUS, MIN_RADIUS, PER_POINT, PointCloud
+from ..base.datatypes import PER_POINT, PointCloud
 from ..base.errors import ReadError, Refusal, UsageError
 from ..base.files import path_in_text
 from ..base.quantities import counted
 from ..base.sensors import Sensor, sensor_or_auto
+from ..extraction.sensor_pattern import sensor_doubt
 from ..io import (
     ARRAY_SOURCE,
-    MAX_POINTS,
     ReadRecording,
     cloud_from_array,
     only_returns,
@@ -27,8 +27,11 @@ from ..io import (
     sha256_of,
     thinned,
 )
-from ..io.units import Unit, in_metres, unit_named
-from ..result import InputDoc, RunConfig
+from ..io.beam_origin import with_beam_origin
+from ..io.coordinates import Oddity, oddity_of
+from ..io.rings import with_trusted_rings
+from ..io.units import in_metres, unit_named
+from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig
 from ..scene.copies import what_to_give
 
 CloudSource = str | Path | PointCloud | NDArray[Any]
@@ -72,6 +75,18 @@ class Input:
         """Of a bag, the topic that was read."""
         return None if self.read is None else self.read.recording.topic
 
+    @property
+    def oddity(self) -> Oddity | None:
+        """Why its coordinates cannot be metres about the LiDAR; None where they can."""
+        return oddity_of(self.cloud)
+
+    @property
+    def sensor_doubt(self) -> str:
+        """Why it is hardly of the sensor that was named; empty where it may be."""
+        if self.sensor is None:
+            return ""
+        return sensor_doubt(with_beam_origin(with_trusted_rings(self.cloud)), self.sensor)
+
 
 class InputPair(NamedTuple):
     """Target and source of one placement of the poles."""
@@ -80,32 +95,13 @@ class InputPair(NamedTuple):
     source: Input
 
 
-def check_radius(radius: float) -> None:
-    """Refuse a radius, metres, that no taped pole has.
-
-    Raises
-    ------
-    UsageError
-        With what is expected.
-    """
-    if not MIN_RADIUS <= radius <= MAX_RADIUS:
-        raise UsageError(
-            f"radius is {radius}, expected a number from {MIN_RADIUS:g} to {MAX_RADIUS:g} m: half "
-            "the thickness of the poles"
-        )
-
-
 def read_input(
     given: CloudSource,
+    how: Reading = DEFAULT_CONFIG.of_target,
     *,
-    sensor: str = "auto",
-    threshold: float | None = None,
-    topic: str | None = None,
-    frames: slice | None = None,
-    max_points: int = MAX_POINTS,
-    unit: Unit = "m",
     role: str = "cloud",
     progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
 ) -> Input:
     """Take a cloud as the user gives it, and look up its sensor.
 
@@ -114,20 +110,14 @@ def read_input(
     given
         A path, a cloud or an array. Points of any of them that are not finite or at zero range are
         dropped and counted.
-    sensor
-        Name of the sensor, or ``auto``.
-    threshold
-        Intensity from which a return counts as retro-reflective; None to find it.
-    topic, frames
-        Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
-    max_points
-        Of a cloud with more, so many are kept, as `io.read_cloud` does.
-    unit
-        Of the coordinates, of a path, a cloud or an array: ``m``, ``cm`` or ``mm``.
+    how
+        Of which sensor and in which unit it is, and what is read of a recording.
     role
         What messages call it: ``target``.
     progress
         Called as each of several frames is about to be read, with which of how many it is.
+    on_read
+        Called with it once it is read.
 
     Raises
     ------
@@ -137,25 +127,59 @@ def read_input(
     ReadError, MissingExtraError
         As `io.read_cloud`.
     """
-    known, unit = sensor_or_auto(sensor), unit_named(unit)
+    sensor, unit, read = sensor_or_auto(how.sensor), unit_named(how.unit), None
     if isinstance(given, str | Path):
         read = read_recording(
-            given, topic=topic, frames=frames, max_points=max_points, unit=unit, progress=progress
+            given,
+            topic=how.topic,
+            frames=how.frames,
+            max_points=how.max_points,
+            unit=unit,
+            progress=progress,
         )
-        return Input(given, read.cloud, known, threshold, read)
-    if not isinstance(given, PointCloud) and not hasattr(given, "__array__"):
+        cloud = read.cloud
+    elif not isinstance(given, PointCloud) and not hasattr(given, "__array__"):
         raise UsageError(
             f"{role}: of type {type(given).__name__}, expected a path, a PointCloud, or an array "
             "of shape (N, 3) or (N, 4)"
         )
-    if topic is not None or frames is not None:
+    elif how.topic is not None or how.frames is not None:
         raise UsageError(f"{role}: a topic or frames can be chosen in a file, not in an array")
-    if isinstance(given, PointCloud):
-        returns = in_metres(only_returns(given, role), unit)
-        return Input(given, thinned(returns, max_points), known, threshold)
-    array = np.asarray(given)
-    cloud = in_metres(cloud_from_array(array, role), unit)
-    return Input(array, thinned(cloud, max_points), known, threshold)
+    else:
+        if not isinstance(given, PointCloud):
+            given = np.asarray(given)
+        cloud = (
+            only_returns(given, role)
+            if isinstance(given, PointCloud)
+            else cloud_from_array(given, role)
+        )
+        cloud = thinned(in_metres(cloud, unit), how.max_points)
+    taken = Input(given, cloud, sensor, how.threshold, read)
+    on_read(taken)
+    return taken
+
+
+def read_pair(
+    target: CloudSource,
+    source: CloudSource,
+    config: RunConfig,
+    *,
+    which: str = "",
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> InputPair:
+    """Take a target and a source, with the options of a run; see `read_input`.
+
+    Parameters
+    ----------
+    which
+        What messages add to their names: ``of placement 2`` and a space before it.
+    """
+    read = partial(read_input, progress=progress, on_read=on_read)
+    return InputPair(
+        read(target, config.of_target, role=f"target{which}"),
+        read(source, config.of_source, role=f"source{which}"),
+    )
 
 
 def read_placements(
@@ -163,6 +187,7 @@ def read_placements(
     source: CloudSource | Sequence[CloudSource],
     config: RunConfig,
     progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
 ) -> tuple[InputPair, ...]:
     """Take the target and the source of every placement, with the options of a run.
 
@@ -180,36 +205,16 @@ def read_placements(
             f"given, expected one of each "
             "for every placement"
         )
-    frames = None if config.frames is None else slice(*config.frames)
-    pairs = []
-    for k, (of_target, of_source) in enumerate(zip(targets, sources, strict=True), 1):
-        which = f" of placement {k}" if len(targets) > 1 else ""
-        pair = InputPair(
-            read_input(
-                of_target,
-                sensor=config.sensor_target,
-                threshold=config.threshold_target,
-                topic=config.target_topic,
-                frames=frames,
-                max_points=config.max_points,
-                unit=config.unit,
-                role=f"target{which}",
-                progress=progress,
-            ),
-            read_input(
-                of_source,
-                sensor=config.sensor_source,
-                threshold=config.threshold_source,
-                topic=config.source_topic,
-                frames=frames,
-                max_points=config.max_points,
-                unit=config.source_unit,
-                role=f"source{which}",
-                progress=progress,
-            ),
+    return tuple(
+        read_pair(
+            *pair,
+            config,
+            which=f" of placement {k}" if len(targets) > 1 else "",
+            progress=progress,
+            on_read=on_read,
         )
-        pairs.append(pair)
-    return tuple(pairs)
+        for k, pair in enumerate(zip(targets, sources, strict=True), 1)
+    )
 
 
 def _each(given: CloudSource | Sequence[CloudSource]) -> Sequence[CloudSource]:

@@ -21,7 +21,6 @@ from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
 from ..export.documents import is_site_document
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
-from ..report.inputs import StoredInputs, placements_of
 from ..result import (
     ErrorAtRange,
     FitnessDoc,
@@ -35,6 +34,7 @@ from ..result import (
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
 from ..scene.consistency import contradicting_points, standing_in
+from .stored import StoredInputs, placements_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..base.datatypes import MAX_POLES
 from ..base.errors import UsageError
-from ..result import DEFAULT_CONFIG
-from ..simulation import NOISE_MODELS, SimulatedPair, simulate_pair
-from .inputs import check_radius
+from ..result import DEFAULT_CONFIG, RunConfig
+from ..simulation import NOISE_MODELS, SimulatedPair, SimulatedSite, Survey, simulate_pair
+from ..simulation import simulate_site as draw_site
+from ..simulation import write_pair as write_pair
+from ..simulation import write_site as write_site
+from .options import checked_options
 
 
 def simulate(
@@ -61,7 +66,7 @@ def simulate(
         raise UsageError(f"no nuisances {nuisances!r}; there are {', '.join(NOISE_MODELS)}")
     if not 1 <= poles <= MAX_POLES:
         raise UsageError(f"poles is {poles}, expected a number from 1 to {MAX_POLES}")
-    check_radius(radius)
+    checked_options(RunConfig(radius_m=radius))
     return simulate_pair(
         scene,
         np.random.default_rng(seed),
@@ -72,4 +77,46 @@ def simulate(
         noise=None if nuisances is None else NOISE_MODELS[nuisances],
         frames=frames,
         symmetric=symmetric,
+    )
+
+
+def simulate_site(
+    kind: str,
+    seed: int = 0,
+    *,
+    lidars: int = 4,
+    placements: int | None = None,
+    poles: int | None = None,
+    sensors: Sequence[str] = (),
+    radius: float = DEFAULT_CONFIG.radius_m,
+    nuisances: str = "typical",
+    survey: bool = False,
+) -> SimulatedSite:
+    """Draw a site of several LiDARs with taped poles, and scan it.
+
+    Parameters
+    ----------
+    kind
+        ``posts``, ``crane``, ``truck`` or ``ring``.
+    seed, radius, nuisances
+        As `simulate` takes them.
+    lidars
+        How many.
+    placements, poles
+        How many placements, and poles in each; None takes as many as the kind needs.
+    sensors
+        Names of sensors, taken in turn; none takes those of the kind.
+    survey
+        Survey the poles of the first placement and four control points.
+    """
+    return draw_site(
+        kind,
+        np.random.default_rng(seed),
+        lidars=lidars,
+        placements=placements,
+        poles=poles,
+        sensors=sensors or None,
+        radius=radius,
+        noise=NOISE_MODELS[nuisances],
+        survey=Survey(placements=(0,), points=4) if survey else None,
     )

@@ -16,15 +16,15 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
+from ..base.datatypes import DEFAULT_RADIUS
 from ..base.errors import ReadError, RetropoleError
 from ..base.se3 import FARTHEST
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
-from ..io.recordings import frames_named
-from ..io.thinning import LEAST_POINTS, MAX_POINTS
+from ..io.thinning import MAX_POINTS
 from ..io.units import Unit
+from ..result.options import Intensity, MaxPoints, Radius, RadiusSigma, frames_named
 
 SITE_FILE = "site.toml"
 """What a site file is called in its folder."""
@@ -50,8 +50,6 @@ Place = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
 Sigma = Annotated[float, Meta(ge=1e-4, le=10.0)]
 """1 σ of a coordinate, metres: no survey is surer than 0.1 mm, and none so poor helps."""
 
-RADIUS = Meta(ge=MIN_RADIUS, le=MAX_RADIUS)
-
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of the site file: what it does not know is a slip."""
@@ -60,8 +58,8 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class PolesTable(_Table, frozen=True, kw_only=True):
     """What all poles have in common."""
 
-    radius_m: Annotated[float, RADIUS] = DEFAULT_RADIUS
-    radius_sigma_m: Annotated[float, Meta(ge=0.0, le=MAX_RADIUS)] = 0.0
+    radius_m: Radius = DEFAULT_RADIUS
+    radius_sigma_m: RadiusSigma = 0.0
 
 
 class ReferenceTable(_Table, frozen=True, kw_only=True):
@@ -92,7 +90,7 @@ class LidarTable(_Table, frozen=True, kw_only=True):
     ]
     sensor: Name = "auto"
     serial: Annotated[str, Meta(max_length=100)] = ""
-    threshold: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None
+    threshold: Intensity | None = None
     unit: Unit = "m"
     topic: Annotated[str, Meta(min_length=1, max_length=1000)] | None = None
     frames: Annotated[str, Meta(min_length=1, max_length=60)] | None = None
@@ -141,7 +139,7 @@ class SiteFile(_Table, frozen=True, kw_only=True):
     poles: PolesTable = PolesTable()
     reference: ReferenceTable = ReferenceTable()
     need: NeedTable | None = None
-    max_points: Annotated[int, Meta(ge=LEAST_POINTS, le=2**53)] = MAX_POINTS
+    max_points: MaxPoints = MAX_POINTS
     lidar: Annotated[list[LidarTable], Meta(min_length=2, max_length=MOST_LIDARS)]
     surveyed_pole: Annotated[list[SurveyedPoleTable], Meta(max_length=MOST_SURVEYED)] = []
     control_point: Annotated[list[ControlPointTable], Meta(max_length=MOST_SURVEYED)] = []

@@ -16,8 +16,8 @@ from ..base.quantities import step_of
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import Need
 from ..io import sha256_of
-from ..io.recordings import frames_named
-from ..result import InputDoc
+from ..result import InputDoc, Reading
+from ..result.options import frames_named
 from ..result.site import SiteConfig
 from ..site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole, Up
 from ..site.projection import projected
@@ -104,11 +104,10 @@ def read_site(
     for count, ((k, n), recording) in enumerate(wanted.items(), 1):
         progress(step_of("read", count, len(wanted)))
         try:
-            given = _read(recording, file.lidar[k], file.max_points, progress)
+            inputs[k, n] = read_input(recording, _reading(file, k), progress=progress)
         except (ReadError, UsageError) as error:
             raise ReadError(f"{_where(path, file, k, n)}: {error}") from None
-        on_read(given)
-        inputs[k, n] = given
+        on_read(inputs[k, n])
     try:
         site = in_metres(site_of(file, inputs))
     except (ReadError, UsageError) as error:
@@ -123,19 +122,11 @@ def _where(path: Path, file: SiteFile, k: int, n: int) -> str:
     return f"{path}: lidar {file.lidar[k].name}, placement {file.placements[n]}"
 
 
-def _read(
-    recording: Path, lidar: LidarTable, max_points: int, progress: Callable[[str], None]
-) -> Input:
-    return read_input(
-        recording,
-        sensor=lidar.sensor,
-        threshold=lidar.threshold,
-        topic=lidar.topic,
-        frames=None if lidar.frames is None else frames_named(lidar.frames),
-        max_points=max_points,
-        unit=lidar.unit,
-        progress=progress,
-    )
+def _reading(file: SiteFile, k: int) -> Reading:
+    lidar = file.lidar[k]
+    frames = None if lidar.frames is None else frames_named(lidar.frames)
+    most = file.max_points
+    return Reading(lidar.sensor, lidar.threshold, lidar.topic, frames, most, lidar.unit)
 
 
 def inputs_of(site: Site) -> SiteInputs:

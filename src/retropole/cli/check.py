@@ -4,31 +4,20 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 from msgspec import to_builtins
 
-from ..io.units import Unit
-from ..monitoring.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
+from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc, confirmation_document
-from .common import (
-    CLOUD,
-    CONTEXT,
-    DEGREES,
-    EXIT_REFUSED,
-    METRES,
-    SAME_FOR_SOURCE,
-    TOPIC_HELP,
-    in_colour,
-    progress_on_terminal,
-    read_input,
-    show,
-)
+from ..result.options import OPTIONS
+from .common import CONTEXT, EXIT_REFUSED, in_colour, progress_on_terminal, show, told
+from .options import CLOUD, DEGREES, METRES, run_option
 
 if TYPE_CHECKING:
+    from ..api.checking import CheckResult, Movement
     from ..base.datatypes import Array
-    from ..monitoring.movement import CheckResult, Movement
 
 EXIT_MOVED = 4
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
@@ -55,18 +44,17 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
-@click.option(
-    "--target-topic",
-    metavar="NAME",
-    help=f"{TOPIC_HELP}  [default: that of RESULT, where TARGET is a bag]",
+@run_option(
+    "target_topic",
+    help=f"{OPTIONS['target_topic'].help}  [default: that of RESULT, where TARGET is a bag]",
 )
-@click.option("--source-topic", metavar="NAME", help=SAME_FOR_SOURCE)
-@click.option(
-    "--unit",
-    type=click.Choice(get_args(Unit)),
+@run_option("source_topic")
+@run_option(
+    "unit",
+    default=None,
     help="Unit of the new recordings' coordinates.  [default: that of RESULT]",
 )
-@click.option("--unit-source", type=click.Choice(get_args(Unit)), help="The same for SOURCE alone.")
+@run_option("unit_source", help="The same for SOURCE alone.")
 @click.option("--tolerance-deg", type=DEGREES, help=TOLERANCE_DEG_HELP)
 @click.option("--tolerance-m", type=METRES, help=TOLERANCE_M_HELP)
 @click.option(
@@ -81,16 +69,13 @@ def check(
     result: Path,
     target: Path,
     source: Path,
-    target_topic: str | None,
-    source_topic: str | None,
-    unit: Unit | None,
-    unit_source: Unit | None,
     tolerance_deg: float | None,
     tolerance_m: float | None,
     sigma_deg: float | None,
     sigma_m: float | None,
     as_json: bool,
     quiet: bool,
+    **reading: Any,
 ) -> int:
     """Tell whether the LiDARs still stand as they stood when RESULT was made.
 
@@ -114,19 +99,15 @@ def check(
       4    moved
       130  interrupted
     """
-    import numpy as np
-
-    from ..api.checking import checked, read_stored, topic_for
+    from ..api.checking import CheckResult, check_recordings, read_stored
     from ..base.errors import Reason, Refusal
     from ..base.reasons import prefixed
-    from ..monitoring.movement import CheckResult
-    from ..monitoring.tolerance import Asked
 
     if (sigma_deg is None) != (sigma_m is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
     sigma = None
     if sigma_deg is not None and sigma_m is not None:
-        sigma = float(np.radians(sigma_deg)), sigma_m
+        sigma = math.radians(sigma_deg), sigma_m
     with progress_on_terminal(quiet or as_json) as progress:
         progress("read")
         try:
@@ -135,28 +116,16 @@ def check(
             code = prefixed("stored", refusal.code)
             answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
         else:
-            config = stored.config
-            of_target = read_input(
+            answer = check_recordings(
+                stored,
                 target,
-                config.sensor_target,
-                config.threshold_target,
-                topic=topic_for(target, target_topic, config.target_topic),
-                unit=unit or config.unit,
-                quiet=quiet,
-                progress=progress,
-            )
-            of_source = read_input(
                 source,
-                config.sensor_source,
-                config.threshold_source,
-                topic=topic_for(source, source_topic, config.source_topic),
-                unit=unit_source or unit or config.source_unit,
-                quiet=quiet,
+                rotation=None if tolerance_deg is None else math.radians(tolerance_deg),
+                translation=tolerance_m,
                 progress=progress,
+                on_read=told(quiet, None),
+                **reading,
             )
-            progress("check")
-            angle = None if tolerance_deg is None else math.radians(tolerance_deg)
-            answer = checked(stored, of_target, of_source, Asked(angle, tolerance_m))
     if as_json:
         show(json_line(answer))
     elif not quiet:
@@ -170,7 +139,7 @@ def json_line(answer: CheckResult) -> str:
 
     import numpy as np
 
-    from ..monitoring.certainty import FALSE_ALARM
+    from ..api.checking import FALSE_ALARM
 
     rotation, translation = answer.rotation, answer.translation
     tolerance = answer.tolerance
@@ -202,9 +171,9 @@ def json_line(answer: CheckResult) -> str:
 
 def in_words(answer: CheckResult) -> str:
     """Write the answer as a person reads it."""
+    from ..api.checking import FALSE_ALARM
     from ..base.errors import printable
     from ..base.quantities import value_and_error
-    from ..monitoring.certainty import FALSE_ALARM
     from ..report.layout import wrapped
     from ..report.text import reason_lines
 

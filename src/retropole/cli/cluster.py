@@ -7,7 +7,7 @@ from collections.abc import Callable
 import click
 
 from ..fleet import TIME_LIMIT
-from .common import Number
+from .options import Number
 
 
 def cluster_options(command: Callable[..., int]) -> Callable[..., int]:

@@ -1,10 +1,9 @@
-"""What the commands share: options, reading, refusals, progress."""
+"""What the commands share: what is said of readings and refusals, progress."""
 
 from __future__ import annotations
 
 import codecs
 import io
-import math
 import os
 import shlex
 import sys
@@ -12,21 +11,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import list2cmdline
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING
 
 import click
 
-from ..base.datatypes import MAX_RADIUS, MIN_RADIUS
 from ..base.errors import escaped, printable
 from ..base.reasons import explain, page, plain
-from ..base.sensors import SENSORS
-from ..io.recordings import frames_named
-from ..io.thinning import LEAST_POINTS
-from ..io.units import Unit
-from ..result import DEFAULT_CONFIG
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
+    from ..api.result import CalibrationResult
+    from ..api.site import SiteResult
 
 EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED, EXIT_PIPE = 1, 2, 3, 130, 141
 """The first is for --strict alone; the last is 128 + SIGPIPE, as of any program whose reader is
@@ -37,125 +32,6 @@ ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "
 """What stands for our own signs where a terminal has them not."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-
-CLOUD = click.Path(path_type=Path)
-OUT = click.Path(path_type=Path, file_okay=False)
-SENSOR_HELP = f"Sensor's name ({', '.join(SENSORS)}), or auto."
-TOPIC_HELP = "Topic of the bag; needed where it has several of point clouds."
-SAME_FOR_SOURCE = "The same for SOURCE."
-
-
-class Number(click.FloatRange):
-    """A finite number within bounds: click lets nan through any, and inf where there is none."""
-
-    name = "number"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Take a number as click does, but no nan."""
-        number = float(super().convert(value, param, ctx))
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is no number.", param, ctx)
-        return number
-
-
-DEGREES = Number(min=0, min_open=True, max=180)
-METRES = Number(min=0, min_open=True, max=1000)
-ANGLE = Number(min=-360, max=360)
-INTENSITY = Number(min=0, min_open=True, max=1e9)
-
-radius_option = click.option(
-    "--radius",
-    type=Number(min=MIN_RADIUS, max=MAX_RADIUS),
-    default=DEFAULT_CONFIG.radius_m,
-    show_default=True,
-    help="Radius of the poles, m: half their thickness, tape included.",
-)
-
-topic_option = click.option("--topic", metavar="NAME", help=TOPIC_HELP)
-
-
-def sensor_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command --sensor-* and --threshold-*, each for the target and the source."""
-    for option in (
-        click.option("--threshold-source", type=INTENSITY, help=SAME_FOR_SOURCE),
-        click.option(
-            "--threshold-target",
-            type=INTENSITY,
-            help="Intensity from which a return is retro-reflective, on the file's own scale.  "
-            "[default: from the sensor or the cloud]",
-        ),
-        click.option(
-            "--sensor-source",
-            default=DEFAULT_CONFIG.sensor_source,
-            show_default=True,
-            help=SAME_FOR_SOURCE,
-        ),
-        click.option(
-            "--sensor-target",
-            default=DEFAULT_CONFIG.sensor_target,
-            show_default=True,
-            help=SENSOR_HELP,
-        ),
-    ):
-        command = option(command)
-    return command
-
-
-def topic_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command --target-topic and --source-topic."""
-    of_target = click.option("--target-topic", metavar="NAME", help=TOPIC_HELP)
-    of_source = click.option("--source-topic", metavar="NAME", help=SAME_FOR_SOURCE)
-    return of_target(of_source(command))
-
-
-def _slice(context: click.Context, option: click.Parameter, value: str | None) -> slice | None:
-    """Turn ``A:B``, ``A:B:STEP`` or ``N`` into a slice."""
-    if value is None:
-        return None
-    frames = frames_named(value)
-    if frames is None:
-        raise click.BadParameter(f"{value!r}: expected A:B, A:B:STEP or the number of a frame")
-    return frames
-
-
-frames_option = click.option(
-    "--frames",
-    callback=_slice,
-    metavar="A:B",
-    help="Frames of a recording to read, as Python slices: 0:20, -50:, ::10, 7.  "
-    "[default: evenly spread, about a million points]",
-)
-
-
-max_points_option = click.option(
-    "--max-points",
-    type=click.IntRange(min=LEAST_POINTS),
-    default=DEFAULT_CONFIG.max_points,
-    show_default=True,
-    help="Of a cloud with more points, read so many: fewer frames, or the brightest points and "
-    "the others evenly.",
-)
-
-
-unit_option = click.option(
-    "--unit",
-    type=click.Choice(get_args(Unit)),
-    default=DEFAULT_CONFIG.unit,
-    show_default=True,
-    help="Unit of the coordinates, where they are not metres; 'retropole info' tells.",
-)
-
-
-def unit_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command --unit and --unit-source."""
-    of_source = click.option(
-        "--unit-source",
-        type=click.Choice(get_args(Unit)),
-        help="The same for SOURCE, where it is another.  [default: that of --unit]",
-    )
-    return unit_option(of_source(command))
 
 
 def never_fail_to_encode() -> None:
@@ -210,42 +86,32 @@ def say(line: str) -> None:
         click.echo(printable(line), err=True)
 
 
-def read_input(
-    path: Path,
-    sensor_name: str,
-    threshold: float | None,
-    *,
-    topic: str | None = None,
-    frames: slice | None = None,
-    max_points: int = DEFAULT_CONFIG.max_points,
-    unit: Unit = DEFAULT_CONFIG.unit,
-    quiet: bool = False,
-    progress: Callable[[str], None] = lambda step: None,
-) -> Input:
-    """Read a cloud and look up its sensor; say on stderr what was left out unasked."""
-    from ..api.inputs import read_input as read
+def told(
+    quiet: bool, frames: object, doubts: Callable[[Input], None] | None = None
+) -> Callable[[Input], None]:
+    """Make what says on stderr, of each cloud once it is read, what was left out and is odd.
 
-    given = read(
-        path,
-        sensor=sensor_name,
-        threshold=threshold,
-        topic=topic,
-        frames=frames,
-        max_points=max_points,
-        unit=unit,
-        progress=progress,
-    )
-    if not quiet:
-        echo_left_out(given, frames)
-        echo_doubts(given)
-    return given
+    Parameters
+    ----------
+    quiet
+        Says nothing.
+    frames
+        Which were asked for; None for none.
+    doubts
+        Says what is odd; without, the unit of the coordinates and the sensor are doubted.
+    """
+
+    def tell(given: Input) -> None:
+        if not quiet:
+            echo_left_out(given, asked=frames is not None)
+            (doubts or echo_doubts)(given)
+
+    return tell
 
 
 def echo_doubts(given: Input) -> None:
     """Say on stderr what cannot be right: the unit of the coordinates, or the sensor's name."""
-    from ..io.coordinates import oddity_of
-
-    odd = oddity_of(given.cloud)
+    odd = given.oddity
     if odd is not None:
         options = " or ".join(f"--unit {unit}" for unit in odd.units)
         advice = f"; if they are, read them with {options}" if options else ""
@@ -256,21 +122,14 @@ def echo_doubts(given: Input) -> None:
 
 def echo_sensor_doubt(given: Input) -> None:
     """Say on stderr where a cloud is hardly of the sensor that was named."""
-    from ..extraction.sensor_pattern import sensor_doubt
-    from ..io.beam_origin import with_beam_origin
-    from ..io.rings import with_trusted_rings
-
-    if given.sensor is None:
-        return
-    doubt = sensor_doubt(with_beam_origin(with_trusted_rings(given.cloud)), given.sensor)
-    if doubt:
-        say(f"retropole: {doubt}")
+    if given.sensor_doubt:
+        say(f"retropole: {given.sensor_doubt}")
 
 
 def echo_left_out(
     given: Input,
-    frames: slice | None,
     *,
+    asked: bool,
     to_keep: str = "--max-points N",
     to_choose: str = "--frames A:B",
 ) -> None:
@@ -278,8 +137,8 @@ def echo_left_out(
 
     Parameters
     ----------
-    given, frames
-        What was read, and which frames were asked for; None for none.
+    given, asked
+        What was read, and whether its frames were asked for.
     to_keep, to_choose
         What a user gives to keep more points, and to read other frames.
     """
@@ -291,7 +150,7 @@ def echo_left_out(
             f"{read.numbers.step // read.asked.step}, since all have too many points; "
             f"{to_keep} reads more"
         )
-    elif read is not None and frames is None and not read.is_whole:
+    elif read is not None and not asked and not read.is_whole:
         lines.append(
             f"read {len(read.numbers)} of {read.recording.count} frames, every "
             f"{read.numbers.step}th; {to_choose} reads others"
@@ -320,6 +179,30 @@ def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:
 def echo_warning(code: str, message: str) -> None:
     """Say on stderr what an answer warns of."""
     say(f"retropole: warning ({code}): {message}")
+
+
+def verdict_told(result: CalibrationResult | SiteResult, *, unseen: bool, strict: bool) -> int:
+    """Say on stderr what a verdict that is no plain ok rests on, and give the exit code.
+
+    Parameters
+    ----------
+    result
+        Of two LiDARs or of a site.
+    unseen
+        Whether the result was not printed in words.
+    strict
+        Whether a warning is an error.
+    """
+    refused = result.status == "refused"
+    for reason in result.reasons:
+        if refused and (unseen or not sys.stdout.isatty()):
+            # Who sees stdout has read it there.
+            echo_refusal(reason.code, reason.message, advise=unseen)
+        elif unseen and not refused:
+            echo_warning(reason.code, reason.message)
+    if refused:
+        return EXIT_REFUSED
+    return EXIT_WARNED if strict and result.status == "warn" else 0
 
 
 def command_line(*words: str | Path) -> str:

@@ -7,36 +7,20 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from msgspec import to_builtins
 
-from ..evaluation.methods import ALL_METHODS, OURS
-from ..evaluation.rivals import RIVALS
-from ..result import confirmation_document
-from .common import (
-    CLOUD,
-    CONTEXT,
-    EXIT_REFUSED,
-    EXIT_USAGE,
-    frames_option,
-    progress_on_terminal,
-    radius_option,
-    read_input,
-    say,
-    sensor_options,
-    show,
-    topic_options,
-    unit_options,
-)
+from ..api.choices import ALL_METHODS, OURS, RIVALS
+from ..result import RunConfig, confirmation_document
+from .common import CONTEXT, EXIT_REFUSED, EXIT_USAGE, progress_on_terminal, say, show, told
+from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
 
 if TYPE_CHECKING:
+    from ..api.evaluation import Compared
     from ..base.datatypes import Array
-    from ..evaluation.comparison import Compared
-    from ..io.units import Unit
 
 COMPARE_SCHEMA = "retropole/compare/1"
 
@@ -91,18 +75,8 @@ Exit code:
     metavar="NAMES",
     help=f"Names between commas: {', '.join(ALL_METHODS)}.  [default: all]",
 )
-@radius_option
-@sensor_options
-@topic_options
-@frames_option
-@unit_options
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Seed of what methods draw, and of the points that they are scored on.",
-)
+@run_options("radius_m", *SENSORS, *TOPICS, "frames", "unit", "unit_source")
+@run_option("seed", help="Seed of what methods draw, and of the points that they are scored on.")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 def compare(
@@ -110,24 +84,14 @@ def compare(
     source: Path,
     truth: Path | None,
     methods: str | None,
-    radius: float,
-    sensor_target: str,
-    sensor_source: str,
-    threshold_target: float | None,
-    threshold_source: float | None,
-    target_topic: str | None,
-    source_topic: str | None,
-    frames: slice | None,
-    unit: Unit,
-    unit_source: Unit | None,
-    seed: int,
     as_json: bool,
     quiet: bool,
+    **options: Any,
 ) -> int:
     """Run the methods, print a table or JSON, and tell by the exit code whether one answered."""
+    from ..api.evaluation import compare as run
+    from ..api.transforms import read_transform
     from ..base.files import path_in_text
-    from ..evaluation.comparison import compare as run
-    from ..export import read_transform
 
     names = list(ALL_METHODS) if methods is None else [name.strip() for name in methods.split(",")]
     for name in names:
@@ -135,37 +99,24 @@ def compare(
             raise click.UsageError(
                 f"no method is called {name!r}; there are {', '.join(ALL_METHODS)}"
             )
+    config = RunConfig(**options)
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
-        progress("read")
-        read = partial(read_input, frames=frames, quiet=quiet, progress=progress)
-        inputs = (
-            read(target, sensor_target, threshold_target, topic=target_topic, unit=unit),
-            read(
-                source,
-                sensor_source,
-                threshold_source,
-                topic=source_topic,
-                unit=unit_source or unit,
-            ),
-        )
         found = run(
-            inputs[0].cloud,
-            inputs[1].cloud,
+            target,
+            source,
+            config,
             names,
             T_true=T_true,
-            radius=radius,
-            sensors=(inputs[0].sensor, inputs[1].sensor),
-            thresholds=(threshold_target, threshold_source),
-            seed=seed,
             progress=progress,
+            on_read=told(quiet, config.frames),
         )
     if as_json:
         document = {
             "schema": COMPARE_SCHEMA,
             "inputs": [path_in_text(target), path_in_text(source)],
             "truth": None if truth is None else path_in_text(truth),
-            "seed": seed,
+            "seed": config.seed,
             "methods": [_document(each) for each in found],
         }
         show(json.dumps(document, indent=1))

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from .common import (
-    CLOUD,
-    CONTEXT,
-    INTENSITY,
-    OUT,
-    SENSOR_HELP,
-    frames_option,
-    max_points_option,
-    progress_on_terminal,
-    radius_option,
-    read_input,
-    say,
-    show,
-    topic_option,
-    unit_option,
-)
-
-if TYPE_CHECKING:
-    from ..io.units import Unit
+from ..result import RunConfig
+from .common import CONTEXT, progress_on_terminal, say, show, told
+from .options import CLOUD, OUT, run_option, run_options
 
 
 @click.command(context_settings=CONTEXT)
@@ -37,30 +21,16 @@ if TYPE_CHECKING:
     show_default=True,
     help="Folder for detect.png.",
 )
-@radius_option
-@click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
-@click.option(
-    "--threshold", type=INTENSITY, help="Intensity from which a return is retro-reflective."
+@run_options("radius_m")
+@run_option("sensor_target", "--sensor")
+@run_option(
+    "threshold_target", "--threshold", help="Intensity from which a return is retro-reflective."
 )
-@topic_option
-@frames_option
-@max_points_option
-@unit_option
+@run_option("target_topic", "--topic")
+@run_options("frames", "max_points", "unit")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def detect(
-    file: Path,
-    out: Path,
-    radius: float,
-    sensor: str,
-    threshold: float | None,
-    topic: str | None,
-    frames: slice | None,
-    max_points: int,
-    unit: Unit,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) -> int:
     """Show the poles in FILE, and why every other retro-reflective object is rejected.
 
     Writes a picture, detect.png (needs the extra 'figures').
@@ -81,27 +51,19 @@ def detect(
     from dataclasses import replace
 
     from ..api.detection import detect_in
-    from ..api.inputs import input_documents
+    from ..api.inputs import input_documents, read_input
     from ..base.errors import MissingExtraError, printable
     from ..report.figures import draw_detection
     from ..report.text import describe_detection
     from ..result import detection_document, encode
 
+    config = RunConfig(**options)
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        given = read_input(
-            file,
-            sensor,
-            threshold,
-            topic=topic,
-            frames=frames,
-            max_points=max_points,
-            unit=unit,
-            quiet=quiet,
-            progress=progress,
-        )
+        tell = told(quiet, config.frames)
+        given = read_input(file, config.of_target, progress=progress, on_read=tell)
         progress("extract")
-        found = detect_in(given, radius)
+        found = detect_in(given, config.radius_m)
         written: list[str] = []
         progress("draw")
         try:

@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from .common import (
-    CLOUD,
-    CONTEXT,
-    METRES,
-    frames_option,
-    progress_on_terminal,
-    read_input,
-    show,
-    topic_options,
-    unit_options,
-)
-
-if TYPE_CHECKING:
-    from ..io.units import Unit
+from ..result import RunConfig
+from .common import CONTEXT, progress_on_terminal, show, told
+from .options import CLOUD, METRES, TOPICS, run_options
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -45,9 +33,7 @@ TRANSFORM = click.Path(path_type=Path)
     show_default=True,
     help="Kernel width of the entropy, m.",
 )
-@topic_options
-@frames_option
-@unit_options
+@run_options(*TOPICS, "frames", "unit", "unit_source")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 def evaluate(
     target: Path,
@@ -55,12 +41,8 @@ def evaluate(
     transform: Path,
     truth: Path | None,
     sigma: float,
-    target_topic: str | None,
-    source_topic: str | None,
-    frames: slice | None,
-    unit: Unit,
-    unit_source: Unit | None,
     as_json: bool,
+    **options: Any,
 ) -> int:
     """Score a transform from SOURCE to TARGET, whatever tool found it, by the clouds it aligns.
 
@@ -89,24 +71,18 @@ def evaluate(
     import numpy as np
     from msgspec import to_builtins
 
-    from ..evaluation.metrics import errors_of
-    from ..evaluation.metrics import evaluate as score
-    from ..export import read_transform
+    from ..api.evaluation import errors_of, evaluate_with
+    from ..api.transforms import read_transform
     from ..result import confirmation_document
 
+    config = RunConfig(**options)
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(as_json) as progress:
-        progress("read")
-        read = partial(
-            read_input, sensor_name="auto", threshold=None, frames=frames, progress=progress
+        tell = told(False, config.frames)
+        aligned = evaluate_with(
+            target, source, T, config, sigma=sigma, progress=progress, on_read=tell
         )
-        clouds = (
-            read(target, topic=target_topic, unit=unit).cloud,
-            read(source, topic=source_topic, unit=unit_source or unit).cloud,
-        )
-        progress("evaluate")
-        aligned = score(*clouds, T, rng=np.random.default_rng(0), sigma=sigma)
     figures: dict[str, float | None] = {
         "overlap": aligned.overlap,
         "plane_residual_m": aligned.plane_residual,

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..export import FORMATS, TREE_FORMATS
-from .common import CLOUD, CONTEXT, echo_warning, say, show
+from ..api.transforms import FORMATS, TREE_FORMATS
+from .common import CONTEXT, echo_warning, say, show
+from .options import CLOUD, FILE
 
 if TYPE_CHECKING:
-    from ..export import Transform, Tree
+    from ..api.inputs import Input
+    from ..api.transforms import Transform
 
-FILE = click.Path(path_type=Path, dir_okay=False)
 MCAP = "mcap"
 """The one that holds the clouds too; it is written to a file, and no transform is read from it."""
 
@@ -105,8 +106,7 @@ def export(
     into: Path | None,
 ) -> int:
     """Read the transform, invert it where asked, write it."""
-    from ..base.files import write_atomically
-    from ..export import inverted, read_transform, read_tree
+    from ..api.transforms import inverted, read_transform, read_tree, write_transforms
 
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
@@ -126,7 +126,13 @@ def export(
                     "apply"
                 )
             _warn(result)
-            _write_tree(tree, fmt or "", out)
+            if fmt not in TREE_TITLES:
+                raise click.UsageError(
+                    f"--to {fmt} holds one transform; name two frames of the site with --parent "
+                    f"and --child, or write all of them: --to {', '.join(TREE_TITLES)}"
+                )
+            is_mcap = fmt == MCAP
+            _write(write_transforms(tree.edges) if is_mcap else TREE_FORMATS[fmt].write(tree), out)
             return 0
     if fmt not in (None, *TITLES):
         raise click.UsageError(f"--to {fmt} takes all of a site: site-result.json")
@@ -136,93 +142,54 @@ def export(
         transform = inverted(transform)
     if into is not None:
         _put_into(into, transform, out)
-        return 0
-    if fmt == MCAP and out is not None:
-        write_atomically(out, _with_clouds(transform, result, clouds))
-        return 0
-    text = FORMATS[fmt or "urdf"].write(transform)
-    if out is None:
-        show(text)
+    elif fmt == MCAP:
+        from ..api.stored import recording_of
+
+        _write(recording_of(transform, result, clouds, note=_note, on_read=_tell_origin), out)
     else:
-        write_atomically(out, text.encode())
+        _write(FORMATS[fmt or "urdf"].write(transform), out)
     return 0
 
 
-def _write_tree(tree: Tree, fmt: str, out: Path | None) -> None:
-    """Write all frames of a site, or print them."""
+def _write(words: str | bytes, out: Path | None) -> None:
+    """Write to a file, or print."""
     from ..base.files import write_atomically
-    from ..export.recording import write_transforms
 
-    if fmt not in TREE_TITLES:
-        raise click.UsageError(
-            f"--to {fmt} holds one transform; name two frames of the site with --parent and "
-            f"--child, or write all of them: --to {', '.join(TREE_TITLES)}"
-        )
-    if fmt == MCAP and out is not None:
-        write_atomically(out, write_transforms(tree.edges))
-        return
-    text = TREE_FORMATS[fmt].write(tree)
     if out is None:
-        show(text)
+        show(words)
     else:
-        write_atomically(out, text.encode())
+        write_atomically(out, words if isinstance(words, bytes) else words.encode())
 
 
 def _warn(path: Path) -> None:
     """Say on stderr what a result warns of; other files hold no verdict."""
-    from ..export import read_verdict
+    from ..api.transforms import read_verdict
 
     for reason in read_verdict(path):
         echo_warning(reason.code, reason.message)
 
 
-def _with_clouds(transform: Transform, result: Path, given: tuple[Path, ...]) -> bytes:
-    """Read the clouds of the first placement as its run did, and write them with the transform."""
-    from ..base.errors import UsageError
-    from ..base.files import read_document
-    from ..export.documents import is_result
-    from ..export.recording import frames_of, write_mcap
-    from ..io import read_recording
-    from ..report.inputs import differing, find_inputs
-    from ..result import DEFAULT_CONFIG
-    from ..result.decoding import decode
-    from ..result.folder import any_result_file
+def _note(words: str) -> None:
+    say(f"retropole: {words}")
 
-    file = any_result_file(result)
-    data = read_document(file)
-    paths, config = list(given), DEFAULT_CONFIG
-    if is_result(data):
-        document = decode(data)
-        config, paths = document.config, find_inputs(document, file.parent, given)
-        for note in differing(document, paths):
-            say(f"retropole: {note}")
-        if len(paths) > 2:
-            say(f"retropole: of {len(paths) // 2} placements, the first is written")
-    elif len(paths) != 2:
-        raise UsageError(f"{file} names no clouds; give TARGET and SOURCE")
-    frames = []
-    topics = config.target_topic, config.source_topic
-    units = config.unit, config.source_unit
-    kept, most = None if config.frames is None else slice(*config.frames), config.max_points
-    for path, topic, unit in zip(paths[:2], topics, units, strict=True):
-        read = read_recording(path, topic=topic, frames=kept, max_points=most, unit=unit)
-        if read.cloud.origin.any():
-            say(
-                f"retropole: {path}: its beams start at {read.cloud.origin.tolist()}, which a "
-                "PointCloud2 does not say: look at the copy, and calibrate from the original"
-            )
-        frames.append(frames_of(read))
-    return write_mcap(transform, *frames)
+
+def _tell_origin(given: Input) -> None:
+    """Say on stderr where the beams of a cloud start elsewhere than at its origin."""
+    if given.cloud.origin.any():
+        _note(
+            f"{given.name}: its beams start at {given.cloud.origin.tolist()}, which a PointCloud2 "
+            "does not say: look at the copy, and calibrate from the original"
+        )
 
 
 def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:
     """Edit a URDF, in place through links and with its permissions, or write it elsewhere."""
+    from ..api.transforms import put_into_urdf
     from ..base.errors import ReadError, UsageError
-    from ..base.files import read_document, write_atomically
-    from ..export import put_into_urdf
+    from ..base.files import read_document
 
     try:
         data = put_into_urdf(read_document(robot), transform)
     except (ReadError, UsageError) as error:
         raise type(error)(f"{robot}: {error}") from None
-    write_atomically(robot if out is None else out, data)
+    _write(data, robot if out is None else out)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from .cluster import check_cluster, cluster_options
-from .common import CONTEXT, EXIT_WARNED, progress_on_terminal, radius_option, sensor_options, show
+from .common import CONTEXT, EXIT_WARNED, progress_on_terminal, show
 from .fleet_check import fleet_check
 from .fleet_network import fleet_network
 from .fleet_report import fleet_report
+from .options import SENSORS, run_options
 
 if TYPE_CHECKING:
     from ..fleet.batch import FleetSummary
@@ -46,8 +47,7 @@ fleet.add_command(fleet_network)
 @click.option("--report", metavar="FILE", help="Write the report of the fleet, one HTML page.")
 @click.option("--retry", is_flag=True, help="Try sites that ended in an error again.")
 @click.option("--drop-others", is_flag=True, help="Remove rows of sites that are not in SITES.")
-@radius_option
-@sensor_options
+@run_options("radius_m", *SENSORS)
 @click.option("--strict", is_flag=True, help="Exit with 1 where a site is not ok.")
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -61,14 +61,10 @@ def calibrate(
     report: str | None,
     retry: bool,
     drop_others: bool,
-    radius: float,
-    sensor_target: str,
-    sensor_source: str,
-    threshold_target: float | None,
-    threshold_source: float | None,
     strict: bool,
     as_json: bool,
     quiet: bool,
+    **options: Any,
 ) -> int:
     """Calibrate every site of SITES, and write a row of each to DATASET.
 
@@ -103,16 +99,9 @@ def calibrate(
     from ..result import RunConfig
 
     check_cluster(scheduler, workers)
-    config = RunConfig(
-        radius_m=radius,
-        sensor_target=sensor_target,
-        sensor_source=sensor_source,
-        threshold_target=threshold_target,
-        threshold_source=threshold_source,
-    )
     with progress_on_terminal(quiet or as_json) as progress:
         progress("find the sites")
-        found = find_sites(sites, config)
+        found = find_sites(sites, RunConfig(**options))
         progress("start the workers")
         with connected(scheduler, workers) as client:
             summary = calibrate_fleet(

@@ -10,7 +10,8 @@ import click
 
 from .check import EXIT_MOVED, TOLERANCE_DEG_HELP, TOLERANCE_M_HELP
 from .cluster import check_cluster, cluster_options
-from .common import CONTEXT, DEGREES, EXIT_REFUSED, METRES, progress_on_terminal, show
+from .common import CONTEXT, EXIT_REFUSED, progress_on_terminal, show
+from .options import DEGREES, METRES
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from .common import CLOUD, CONTEXT, frames_option, progress_on_terminal, show, unit_option
-
-if TYPE_CHECKING:
-    from ..io.units import Unit
+from ..result import RunConfig
+from .common import CONTEXT, progress_on_terminal, show
+from .options import CLOUD, run_option, run_options
 
 
 @click.command(context_settings=CONTEXT)
 @click.argument("file", type=CLOUD)
-@click.option("--topic", metavar="NAME", help="Topic of a bag.  [default: all of point clouds]")
-@frames_option
-@unit_option
+@run_option("target_topic", "--topic", help="Topic of a bag.  [default: all of point clouds]")
+@run_options("frames", "unit")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON, and only that.")
-def info(file: Path, topic: str | None, frames: slice | None, unit: Unit, as_json: bool) -> int:
+def info(file: Path, as_json: bool, **options: Any) -> int:
     """Say what FILE holds: topics, frames, fields, intensities, and which sensor it may be of.
 
     FILE is whatever calibrate reads: a point cloud, a folder of them, a bag, or packets.
@@ -36,12 +34,13 @@ def info(file: Path, topic: str | None, frames: slice | None, unit: Unit, as_jso
       0    looked
       2    the file or an option is wrong
     """
-    from ..io.contents import describe
+    from ..api.contents import describe
     from ..report.contents_text import describe_info
     from ..result import encode
 
+    how = RunConfig(**options).of_target
     with progress_on_terminal(as_json) as progress:
         progress("read")
-        document = describe(file, topic=topic, frames=frames, unit=unit)
+        document = describe(file, topic=how.topic, frames=how.frames, unit=how.unit)
     show(encode(document) if as_json else describe_info(document))
     return 0

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from .common import CLOUD, CONTEXT, progress_on_terminal, say, show
+from .common import CONTEXT, progress_on_terminal, say, show
+from .options import CLOUD, FILE
 
 
 @click.command(context_settings=CONTEXT)
@@ -14,7 +15,7 @@ from .common import CLOUD, CONTEXT, progress_on_terminal, say, show
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]...")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="File to write.  [default: report.html beside RESULT]",
 )
 @click.option("--site", default="", help="Where it was calibrated, for the certificate.")
@@ -54,9 +55,9 @@ def report(
       130  interrupted
     """
     from ..api.result import load_result
+    from ..api.stored import placements_of
     from ..base.errors import printable
     from ..report import write_report
-    from ..report.inputs import placements_of
     from ..result.folder import REPORT_FILE, result_file
 
     file = result_file(result)

@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from ..base.datatypes import MAX_POLES
-from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
+from .common import CONTEXT, progress_on_terminal, show
+from .options import OUT, run_options
 
 
 @click.command("site", context_settings=CONTEXT)
@@ -23,7 +24,7 @@ from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
     "--poles", type=click.IntRange(2, MAX_POLES), help="In each placement.  [default: 3; ring: 2]"
 )
 @click.option("--sensor", "sensors", multiple=True, help="Name; several are taken in turn.")
-@radius_option
+@run_options("radius_m")
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
@@ -35,19 +36,7 @@ from .common import CONTEXT, OUT, progress_on_terminal, radius_option, show
     "--survey", is_flag=True, help="Survey the poles of placement 1 and four control points."
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def simulate_site(
-    kind: str,
-    out: Path,
-    seed: int,
-    lidars: int,
-    placements: int | None,
-    poles: int | None,
-    sensors: tuple[str, ...],
-    radius: float,
-    nuisances: str,
-    survey: bool,
-    quiet: bool,
-) -> int:
+def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: Any) -> int:
     """Make the recordings of a site of several LiDARs whose true poses are known.
 
     KIND is where they stand: on posts at a street or a crossing, at a harbour crane, on a truck; or
@@ -60,27 +49,13 @@ def simulate_site(
       retropole simulate site crane --lidars 8 --placements 4 --survey --out s
       retropole simulate site truck --lidars 5 --nuisances field --out s
     """
-    import numpy as np
-
+    from ..api.simulation import simulate_site as run
+    from ..api.simulation import write_site
     from ..base.errors import printable
-    from ..simulation import NOISE_MODELS
-    from ..simulation import simulate_site as run
-    from ..simulation.site_survey import Survey
-    from ..simulation.site_writing import write_site
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
-        site = run(
-            kind,
-            np.random.default_rng(seed),
-            lidars=lidars,
-            placements=placements,
-            poles=poles,
-            sensors=sensors or None,
-            radius=radius,
-            noise=NOISE_MODELS[nuisances],
-            survey=Survey(placements=(0,), points=4) if survey else None,
-        )
+        site = run(kind, radius=radius_m, **scene)
         write_site(site, out)
     if not quiet:
         files = sum(cloud is not None for own in site.clouds for cloud in own)
@@ -136,7 +111,7 @@ class _OrSite(click.Group):
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
 @click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2, show_default=True)
-@radius_option
+@run_options("radius_m")
 @click.option(
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
@@ -144,17 +119,7 @@ class _OrSite(click.Group):
     "or none.  [default: typical; for paper the paper's noise]",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-def simulate(
-    scene: str,
-    out: Path,
-    seed: int,
-    sensor_target: str | None,
-    sensor_source: str | None,
-    poles: int,
-    radius: float,
-    nuisances: str | None,
-    quiet: bool,
-) -> int:
+def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) -> int:
     """Make two scans of taped poles whose true transform is known.
 
     \b
@@ -165,20 +130,12 @@ def simulate(
       retropole simulate harbor --sensor-target VLP-16 --sensor-source VLP-16 --poles 3
     """
     from ..api.simulation import simulate as run
+    from ..api.simulation import write_pair
     from ..base.errors import printable
-    from ..simulation import write_pair
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
-        pair = run(
-            scene,
-            seed,
-            sensor_target=sensor_target,
-            sensor_source=sensor_source,
-            poles=poles,
-            radius=radius,
-            nuisances=nuisances,
-        )
+        pair = run(scene, radius=radius_m, **drawn)
         write_pair(pair, out)
     if not quiet:
         names = ", ".join(str(out / name) for name in ("lidar0.pcd", "lidar1.pcd", "truth.json"))

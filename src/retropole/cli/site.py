@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from .common import (
-    CLOUD,
     CONTEXT,
-    EXIT_REFUSED,
-    EXIT_WARNED,
-    OUT,
     command_line,
     echo_left_out,
-    echo_refusal,
     echo_sensor_doubt,
-    echo_warning,
     in_colour,
     progress_on_terminal,
     say,
     show,
+    verdict_told,
 )
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
+from .options import CLOUD, FILE, OUT
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
@@ -48,7 +43,7 @@ def site() -> None:
 @click.argument("folder", type=CLOUD)
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="The site file to write.  [default: site.toml in FOLDER]",
 )
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
@@ -148,27 +143,15 @@ def calibrate(
         following = {"next": command_line("export", written[0], "--to", "urdf")}
         words = describe_site(result.document, paths, following, verbose=verbose)
         show(in_colour(words, result.status))
-    if result.status == "refused":
-        # Who sees stdout has read it there.
-        unseen = quiet or as_json
-        for reason in result.reasons if unseen or not sys.stdout.isatty() else ():
-            echo_refusal(reason.code, reason.message, advise=unseen)
-        return EXIT_REFUSED
-    if quiet or as_json:
-        for reason in result.reasons:
-            echo_warning(reason.code, reason.message)
-    return EXIT_WARNED if strict and result.status == "warn" else 0
+    return verdict_told(result, unseen=quiet or as_json, strict=strict)
 
 
 def _echo_doubts(given: Input) -> None:
     """Say on stderr what was left out unasked, and what cannot be right."""
-    from ..io.coordinates import oddity_of
-
     read = given.read
     chosen = read is not None and len(read.asked) < read.recording.count
-    frames = slice(None) if chosen else None
-    echo_left_out(given, frames, to_keep="max_points = N", to_choose='frames = "A:B"')
-    odd = oddity_of(given.cloud)
+    echo_left_out(given, asked=chosen, to_keep="max_points = N", to_choose='frames = "A:B"')
+    odd = given.oddity
     if odd is None:
         echo_sensor_doubt(given)
         return

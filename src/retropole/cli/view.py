@@ -3,39 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from .common import (
-    CLOUD,
-    CONTEXT,
-    INTENSITY,
-    SENSOR_HELP,
-    frames_option,
-    progress_on_terminal,
-    radius_option,
-    read_input,
-    say,
-    show,
-    topic_option,
-    unit_option,
-)
-
-if TYPE_CHECKING:
-    from ..io.units import Unit
+from ..result import RunConfig
+from .common import CONTEXT, progress_on_terminal, say, show, told
+from .options import CLOUD, run_option, run_options
 
 
 @click.command(context_settings=CONTEXT)
 @click.argument("files", type=CLOUD, nargs=-1, required=True)
-@radius_option
-@click.option("--sensor", default="auto", show_default=True, help=SENSOR_HELP)
-@click.option(
-    "--threshold", type=INTENSITY, help="Where the sliders start.  [default: as in detect]"
+@run_options("radius_m")
+@run_option("sensor_target", "--sensor")
+@run_option(
+    "threshold_target",
+    "--threshold",
+    help="Where the sliders start.  [default: as in detect]",
 )
-@topic_option
-@frames_option
-@unit_option
+@run_option("target_topic", "--topic")
+@run_options("frames", "unit")
 @click.option(
     "--port",
     type=click.IntRange(1, 65535),
@@ -44,17 +31,7 @@ if TYPE_CHECKING:
     help="Port on this machine; the next free one where it is in use.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the address and errors.")
-def view(
-    files: tuple[Path, ...],
-    radius: float,
-    sensor: str,
-    threshold: float | None,
-    topic: str | None,
-    frames: slice | None,
-    unit: Unit,
-    port: int,
-    quiet: bool,
-) -> int:
+def view(files: tuple[Path, ...], port: int, quiet: bool, **options: Any) -> int:
     """Look at FILES live in a browser: move the threshold, see which poles are found.
 
     Every rejected cluster is marked with its reason. The page is for this machine alone
@@ -75,20 +52,21 @@ def view(
     """
     import time
 
+    from ..api.detection import finder
+    from ..api.inputs import read_input
     from ..report.viewer import Shown, serve
 
+    config = RunConfig(**options)
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        inputs = [
-            read_input(file, sensor, threshold, topic=topic, frames=frames, unit=unit, quiet=quiet)
-            for file in files
-        ]
+        tell = told(quiet, config.frames)
+        inputs = [read_input(file, config.of_target, on_read=tell) for file in files]
         progress("extract")
         shown = [
-            Shown(str(file), given.cloud, given.sensor, threshold)
+            Shown(str(file), given.cloud, finder(given, config.radius_m), given.threshold)
             for file, given in zip(files, inputs, strict=True)
         ]
-        viewer = serve(shown, radius=radius, port=port)
+        viewer = serve(shown, port=port)
     try:
         show(viewer.url)
         if not quiet:

@@ -13,7 +13,7 @@ from ..base.datatypes import Array, BoolArray, PointCloud
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.sensors import Sensor
-from ..io.contents import guess_sensors
+from ..io.recognition import guess_sensors
 from ..io.rings import MAX_RING_SPREAD, elevations, ring_spread
 
 MIN_RING_POINTS = 20

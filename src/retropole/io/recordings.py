@@ -160,20 +160,6 @@ class ReadRecording:
         return len(self.numbers) == self.recording.count
 
 
-def frames_named(text: str) -> slice | None:
-    """Take frames as they are typed, ``A:B``, ``A:B:STEP`` or ``N``; None for anything else."""
-    try:
-        parts = [int(part) if part.strip() else None for part in text.split(":")]
-    except ValueError:
-        return None
-    if len(parts) == 1 and parts[0] is not None:
-        return slice(parts[0], parts[0] + 1 or None)
-    step = parts[2] if len(parts) == 3 else None
-    if len(parts) not in (2, 3) or (step is not None and step < 1):
-        return None
-    return slice(*parts)
-
-
 def chosen_frames(recording: Recording, frames: slice | None = None) -> range:
     """Choose the frames to read: the given ones, else evenly spread ones.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.quantities import counted
-from ..io.contents import CloudDoc, InfoDoc, IntensityDoc
+from ..result.contents import CloudDoc, InfoDoc, IntensityDoc
 from .layout import legible, table
 
 BAR = 40

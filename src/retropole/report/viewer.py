@@ -19,11 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.datatypes import DEFAULT_RADIUS, Array, Detection, PointCloud, Pole
+from ..base.datatypes import Array, Detection, PointCloud, Pole
 from ..base.errors import MissingExtraError, printable
 from ..base.quantities import counted
-from ..base.sensors import Sensor
-from ..extraction.poles import extract_poles
 from .viewer_access import guarded
 
 if TYPE_CHECKING:
@@ -57,15 +55,15 @@ class Shown:
         What to call it, its file for example.
     cloud
         Points with intensity.
-    sensor
-        What recorded it; None where not known.
+    find
+        Finds the poles from a threshold up; None for the one that the sensor or the cloud has.
     threshold
-        Where the slider starts; None asks the sensor, or else the cloud.
+        Where the slider starts; None as for `find`.
     """
 
     name: str
     cloud: PointCloud
-    sensor: Sensor | None = None
+    find: Callable[[float | None], Detection]
     threshold: float | None = None
 
 
@@ -177,15 +175,13 @@ def debounced(action: Callable[[], None], wait: float = DEBOUNCE_SECONDS) -> Cal
     return request
 
 
-def serve(shown: Sequence[Shown], *, radius: float = DEFAULT_RADIUS, port: int = 8080) -> Viewer:
+def serve(shown: Sequence[Shown], *, port: int = 8080) -> Viewer:
     """Serve clouds with a threshold slider each, until the viewer's server is stopped.
 
     Parameters
     ----------
     shown
         The clouds; the first is visible at once, each in its own frame.
-    radius
-        Of the poles, metres.
     port
         Port on 127.0.0.1; the next free one is taken where it is in use.
 
@@ -201,9 +197,7 @@ def serve(shown: Sequence[Shown], *, radius: float = DEFAULT_RADIUS, port: int =
     except ImportError:
         raise MissingExtraError("view", "the live viewer") from None
 
-    found = [
-        extract_poles(s.cloud, sensor=s.sensor, threshold=s.threshold, radius=radius) for s in shown
-    ]
+    found = [each.find(each.threshold) for each in shown]
     token = secrets.token_urlsafe()
     with _silence(), guarded(token):
         server = viser.ViserServer(host=HOST, port=port, label="retropole view", verbose=False)
@@ -216,9 +210,7 @@ def serve(shown: Sequence[Shown], *, radius: float = DEFAULT_RADIUS, port: int =
         "Yellow: bright points. Green: poles. Red: rejected, with the reason. Move a threshold to "
         "search again."
     )
-    parts = [
-        _add(server, k, s, d, radius) for k, (s, d) in enumerate(zip(shown, found, strict=True))
-    ]
+    parts = [_add(server, k, s, d) for k, (s, d) in enumerate(zip(shown, found, strict=True))]
     _look_at(server, shown[0].cloud, found[0])
     return Viewer(server, token, tuple(p[0] for p in parts), tuple(p[1] for p in parts))
 
@@ -233,9 +225,7 @@ def _largest(detection: Detection) -> list[int]:
     return sorted(range(len(detection.rejected)), key=lambda k: -len(detection.rejected[k].index))
 
 
-def _add(
-    server: viser.ViserServer, number: int, shown: Shown, first: Detection, radius: float
-) -> tuple[Any, Any]:
+def _add(server: viser.ViserServer, number: int, shown: Shown, first: Detection) -> tuple[Any, Any]:
     """Add a cloud, its slider and its text; it is searched again when the slider rests."""
     cloud, intensity = shown.cloud, shown.cloud.intensity
     assert intensity is not None
@@ -278,9 +268,7 @@ def _add(
             text.content = describe(detection)
 
     def search() -> None:
-        threshold = float(slider.value)
-        sensor = shown.sensor
-        show(extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius))
+        show(shown.find(float(slider.value)))
 
     search_soon = debounced(search)
 

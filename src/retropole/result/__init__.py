@@ -14,10 +14,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..base.datatypes import DEFAULT_RADIUS, Calibration, Hypothesis, Placement, PoseEstimate
+from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate
 from ..base.version import __version__
-from ..io.thinning import LEAST_POINTS, MAX_POINTS
-from ..io.units import Unit
 from .bounded import (
     LONGEST_LIST,
     Count,
@@ -59,6 +57,7 @@ from .detected import (
     detection_document,
     pole_documents,
 )
+from .options import DEFAULT_CONFIG, Reading, RunConfig
 
 __all__ = [
     "COVARIANCE_FRAME",
@@ -78,6 +77,7 @@ __all__ = [
     "PolesDoc",
     "PoseEstimateDoc",
     "RadiusDoc",
+    "Reading",
     "ReasonDoc",
     "RejectedDoc",
     "ResultDoc",
@@ -98,46 +98,6 @@ __all__ = [
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
 COVARIANCE_FRAME = "target axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
-
-
-class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """The options of a run, as the command line takes them.
-
-    None stands for what was not asked for: any number of poles, no prior, the scene's own choice,
-    the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
-    that is needed, for the source the unit of the target. Frames are start, stop and step.
-    """
-
-    radius_m: Size = DEFAULT_RADIUS
-    radius_sigma_m: Size = 0.0
-    up: bool = False
-    prior_rpy_deg: tuple[Number, Number, Number] | None = None
-    prior_sigma_deg: Size = 10.0
-    hypothesis: Text | None = None
-    poles: Count | None = None
-    refine: bool = True
-    trust_poles: bool = False
-    need_m: Size | None = None
-    at_m: Size | None = None
-    seed: int = 0
-    threshold_target: Number | None = None
-    threshold_source: Number | None = None
-    sensor_target: Text = "auto"
-    sensor_source: Text = "auto"
-    target_topic: Text | None = None
-    source_topic: Text | None = None
-    frames: tuple[int | None, int | None, int | None] | None = None
-    max_points: Annotated[int, Meta(ge=LEAST_POINTS, le=2**53)] = MAX_POINTS
-    unit: Unit = "m"
-    unit_source: Unit | None = None
-
-    @property
-    def source_unit(self) -> Unit:
-        """Unit of the source: its own, or else that of the target."""
-        return self.unit_source or self.unit
-
-
-DEFAULT_CONFIG = RunConfig()
 
 
 class ReasonDoc(msgspec.Struct, frozen=True):

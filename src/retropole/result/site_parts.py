@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from ..base.datatypes import Array, Scan
 from ..base.errors import Reason, Refusal
-from ..io.thinning import LEAST_POINTS, MAX_POINTS
+from ..io.thinning import MAX_POINTS
 from ..io.units import Unit
 from ..site.answer import LidarPose, SitePole
 from ..site.description import ControlPoint, Frame, SiteLidar, SurveyedPole
@@ -30,6 +30,7 @@ from .certainty import (
     matrix_rows,
 )
 from .detected import InputDoc, PoleDoc, RejectedDoc, pole_documents, rejected_documents
+from .options import Frames, MaxPoints
 
 MOST_LIDARS = 100
 """Of one document: its joint covariance has then 360,000 numbers."""
@@ -45,8 +46,8 @@ class SiteConfig(msgspec.Struct, frozen=True, kw_only=True):
 
     site_file: Text = ""
     site_sha256: Text = ""
-    frames: tuple[int | None, int | None, int | None] | None = None
-    max_points: Annotated[int, Meta(ge=LEAST_POINTS, le=2**53)] = MAX_POINTS
+    frames: Frames | None = None
+    max_points: MaxPoints = MAX_POINTS
     unit: Unit = "m"
 
 

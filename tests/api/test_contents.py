@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from retropole.api.contents import describe
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.sensors import SENSORS, auto_threshold
 from retropole.io import read_cloud, write_pcd
-from retropole.io.contents import describe, guess_sensors
+from retropole.io.recognition import guess_sensors
 from retropole.report.contents_text import describe_info
 from retropole.simulation import simulate_pair
 from tests.io.files import required

@@ -10,12 +10,17 @@ import numpy as np
 
 from ..base.datatypes import Placement, PointCloud, Scan
 from ..base.errors import ReadError, UsageError, printable
-from ..base.files import path_of_text
+from ..base.files import path_of_text, read_document
 from ..base.sensors import sensor_or_auto
-from ..io import ARRAY_SOURCE, read_cloud, sha256_of
-from ..io.units import Unit
+from ..export import Transform
+from ..export.documents import is_result
+from ..export.recording import frames_of, write_mcap
+from ..io import ARRAY_SOURCE, sha256_of
 from ..pipeline import find_poles
-from ..result import InputDoc, PoleDoc, ResultDoc, RunConfig
+from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc, RunConfig
+from ..result.decoding import decode
+from ..result.folder import any_result_file
+from .inputs import Input, read_input
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -75,18 +80,13 @@ def placements_of(
     paths, config = find_inputs(result, beside, given), result.config
     progress("read")
     notes = differing(result, paths)
-    target = [_read(path, config.target_topic, config.unit, config) for path in paths[::2]]
-    of_source = config.source_topic, config.source_unit
-    source = [_read(path, *of_source, config) for path in paths[1::2]]
+    reads = (config.of_target, config.of_source)
+    clouds = [read_input(path, reads[k % 2]).cloud for k, path in enumerate(paths)]
     progress("extract")
-    placements = [
-        Placement(_search(*of_target, config), _search(*of_source, config))
-        for of_target, of_source in zip(
-            zip(target, result.inputs[::2], strict=True),
-            zip(source, result.inputs[1::2], strict=True),
-            strict=True,
-        )
+    scans = [
+        _search(cloud, item, config) for cloud, item in zip(clouds, result.inputs, strict=True)
     ]
+    placements = [Placement(*pair) for pair in zip(scans[::2], scans[1::2], strict=True)]
     first = Placement(
         _agreeing(placements[0].target, result.poles.target),
         _agreeing(placements[0].source, result.poles.source),
@@ -132,11 +132,58 @@ def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
     )
 
 
-def _read(path: Path, topic: str | None, unit: Unit, config: RunConfig) -> PointCloud:
-    """Read a recording in its unit, of a bag the topic and frames of the run."""
-    frames = None if config.frames is None else slice(*config.frames)
-    most = config.max_points
-    return read_cloud(path, topic=topic, frames=frames, max_points=most, unit=unit)
+def recording_of(
+    transform: Transform,
+    result: Path,
+    given: Sequence[Path] = (),
+    *,
+    note: Callable[[str], None] = lambda note: None,
+    on_read: Callable[[Input], None] = lambda given: None,
+) -> bytes:
+    """Read the clouds of the first placement as their run did, and write them with a transform.
+
+    Parameters
+    ----------
+    transform
+        Of the result.
+    result
+        A result document, the folder that holds it, or another file of a transform.
+    given
+        Where the clouds are, target and source of each placement; without, they are looked for as
+        `find_inputs` does.
+    note
+        Called with what is to be known of what is written.
+    on_read
+        Called with each cloud once it is read.
+
+    Returns
+    -------
+    bytes
+        An MCAP file.
+
+    Raises
+    ------
+    ReadError, UsageError, MissingExtraError
+        Where a cloud is not found or cannot be read, or too few or too many are given.
+    """
+    file = any_result_file(result)
+    data = read_document(file)
+    paths, config = list(given), DEFAULT_CONFIG
+    if is_result(data):
+        document = decode(data)
+        config, paths = document.config, find_inputs(document, file.parent, given)
+        for each in differing(document, paths):
+            note(each)
+        if len(paths) > 2:
+            note(f"of {len(paths) // 2} placements, the first is written")
+    elif len(paths) != 2:
+        raise UsageError(f"{file} names no clouds; give TARGET and SOURCE")
+    frames = []
+    for path, how in zip(paths[:2], (config.of_target, config.of_source), strict=True):
+        read = read_input(path, how, on_read=on_read).read
+        assert read is not None
+        frames.append(frames_of(read))
+    return write_mcap(transform, *frames)
 
 
 def _search(cloud: PointCloud, item: InputDoc, config: RunConfig) -> Scan:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from retropole.api.stored import find_inputs, placements_of
 from retropole.base.datatypes import Placement, PointCloud
 from retropole.base.errors import ReadError, UsageError
 from retropole.io import ARRAY_SOURCE, read_cloud, sha256_of, write_pcd
 from retropole.pipeline import calibrate
 from retropole.report import render_report
-from retropole.report.inputs import find_inputs, placements_of
 from retropole.result import InputDoc, PolesDoc, ResultDoc, RunConfig, result_document
 from retropole.simulation import simulate_pair
 

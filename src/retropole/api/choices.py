@@ -1,0 +1,17 @@
+"""What a user may choose from, without loading what works with it: a command lists it in its help.
+
+Methods that `compare` runs, and the movements that a check must not miss where nothing else is
+asked for.
+"""
+
+from ..evaluation.methods import ALL_METHODS, OURS
+from ..evaluation.rivals import RIVALS
+from ..monitoring.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
+
+__all__ = [
+    "ALL_METHODS",
+    "DEFAULT_TOLERANCE",
+    "OURS",
+    "RIVALS",
+    "WIDEST_TOLERANCE",
+]

@@ -1,0 +1,115 @@
+"""What a recording contains: frames, fields, intensities, and which sensors it may be from."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..base.datatypes import Array
+from ..base.files import path_in_text
+from ..base.sensors import auto_threshold
+from ..io import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
+from ..io.beam_origin import with_beam_origin
+from ..io.coordinates import oddity_of
+from ..io.recognition import guess_sensors
+from ..io.rings import rings_fault, with_trusted_rings
+from ..io.units import Unit
+from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
+
+INTENSITY_BINS = 16
+"""Bins of the histogram of intensities: what fits a terminal."""
+
+
+def describe(
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    frames: slice | None = None,
+    unit: Unit = "m",
+) -> InfoDoc:
+    """Describe a recording without calibrating anything.
+
+    Parameters
+    ----------
+    path
+        Whatever `io.read_cloud` reads.
+    topic
+        Of a bag, the topic to describe; None takes every topic of point clouds.
+    frames
+        The frames to read; None takes those that `io.read_cloud` would.
+    unit
+        Of the coordinates.
+
+    Raises
+    ------
+    ReadError, UsageError, MissingExtraError
+        As `io.read_cloud`.
+    """
+    path = Path(path)
+    topics = topics_of(path)
+    names: list[str | None] = [topic]
+    if topic is None:
+        names = [own.name for own in topics if own.of_clouds and own.count] or [None]
+    read = partial(read_recording, path, frames=frames, max_points=MAX_POINTS, unit=unit)
+    return InfoDoc(
+        path=path_in_text(path),
+        topics=[TopicDoc(own.name, own.kind, own.count) for own in topics],
+        clouds=[_cloud(read(topic=name)) for name in names],
+    )
+
+
+def _cloud(read: ReadRecording) -> CloudDoc:
+    given, count = read.cloud, read.recording.count
+    cloud = with_beam_origin(with_trusted_rings(given))
+    rate = _rate(read.headers[0], read.headers[-1])
+    odd = oddity_of(cloud)
+    ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
+    return CloudDoc(
+        topic=read.recording.topic,
+        frame_id=read.headers[0].frame_id or None,
+        frames=count,
+        frames_read=len(read.numbers),
+        step=read.numbers.step,
+        rate_hz=rate,
+        duration_s=None if rate is None else (count - 1) / rate,
+        fields=dict(cloud.fields),
+        points=len(cloud) + cloud.thinned,
+        dropped=cloud.dropped,
+        notes=list(cloud.notes),
+        rings=None if given.ring is None else len(np.unique(given.ring)),
+        rings_ignored=rings_fault(given),
+        beam_origin_m=cloud.origin.tolist(),
+        told_by_rings=cloud is not given and cloud.ring is not None,
+        range_m=[float(value) for value in np.quantile(ranges, [0, 0.5, 1])],
+        intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
+        sensors=guess_sensors(cloud),
+        odd_coordinates="" if odd is None else odd.words,
+        units=[] if odd is None else list(odd.units),
+    )
+
+
+def _rate(first: FrameHeader, last: FrameHeader) -> float | None:
+    """Frames a second between two frames; None where their times do not give it."""
+    if first.stamp is None or last.stamp is None or last.stamp <= first.stamp:
+        return None
+    return (last.number - first.number) / (last.stamp - first.stamp)
+
+
+def _intensity(intensity: Array) -> IntensityDoc:
+    low, high = min(0.0, float(intensity.min())), float(intensity.max())
+    counts, edges = np.histogram(intensity, INTENSITY_BINS, (low, high if high > low else low + 1))
+    # Where all intensities are the same there is no threshold, and extraction refuses the cloud.
+    threshold = auto_threshold(intensity) if np.ptp(intensity) > 0 else None
+    median, p95 = np.quantile(intensity, [0.5, 0.95])
+    return IntensityDoc(
+        median=float(median),
+        p95=float(p95),
+        max=high,
+        bin_edges=[float(edge) for edge in edges],
+        counts=[int(count) for count in counts],
+        threshold=threshold.value if threshold else None,
+        threshold_source=threshold.found if threshold else "none: all intensities are the same",
+        retro_points=int(np.count_nonzero(intensity >= threshold.value)) if threshold else 0,
+    )

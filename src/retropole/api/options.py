@@ -1,0 +1,88 @@
+"""Options of a run as Python takes them: by the names of `RunConfig`, whose unit is left out.
+
+``radius`` is `RunConfig.radius_m`. What a value may be is said there alone.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import msgspec
+from msgspec import inspect
+
+from ..base.errors import UsageError
+from ..matching.prior import rotation_prior
+from ..result import RunConfig
+from ..result.options import OPTIONS, UNITS
+from ..scene.choice import is_hypothesis_name
+
+
+def keyword(field: str) -> str:
+    """Name an option as a keyword of Python."""
+    return field.removesuffix("_m")
+
+
+def run_config(options: Mapping[str, object]) -> RunConfig:
+    """Take options by their keywords; numbers of NumPy are as good as Python's.
+
+    Raises
+    ------
+    UsageError
+        Naming the option and what is expected.
+    """
+    named = {f: options[keyword(f)] for f in RunConfig.__struct_fields__ if keyword(f) in options}
+    frames = named.get("frames")
+    if isinstance(frames, slice):
+        named["frames"] = frames.start, frames.stop, frames.step
+    return checked_options(RunConfig(**named))  # type: ignore[arg-type]  # that is what is checked
+
+
+def checked_options(config: RunConfig) -> RunConfig:
+    """Refuse options that make no sense, before anything is read.
+
+    Returns
+    -------
+    RunConfig
+        The same, of Python's own types: the result document holds no others.
+
+    Raises
+    ------
+    UsageError
+        Naming the option and what is expected.
+    """
+    try:
+        plain = msgspec.to_builtins(config, enc_hook=lambda value: value.tolist())
+        config = msgspec.convert(plain, RunConfig, strict=False)
+    except msgspec.ValidationError as error:
+        raise UsageError(_in_words(str(error), config)) from None
+    except (TypeError, AttributeError, OverflowError) as error:
+        raise UsageError(f"an option has a value of the wrong type: {error}") from None
+    if config.at_m is not None and config.need_m is None:
+        raise UsageError("at is the distance for need, how accurate the answer must be: give both")
+    if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):
+        raise UsageError(f"hypothesis is {config.hypothesis!r}, expected {LETTER}")
+    rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
+    return config
+
+
+LETTER = "a letter of the list of hypotheses, such as a"
+
+
+def _in_words(message: str, config: RunConfig) -> str:
+    """Say which option is wrong, and what is expected there."""
+    what, _, where = message.partition(" - at `$.")
+    field = re.split(r"\W", where)[0]
+    given, kind = f"{keyword(field)} is {getattr(config, field)!r}", OPTIONS[field].kind
+    if isinstance(kind, inspect.LiteralType):
+        return f"{given}, expected {', '.join(UNITS)}"
+    if field == "hypothesis":
+        return f"{given}, expected {LETTER}"
+    if "got" in what or not isinstance(kind, inspect.FloatType | inspect.IntType):
+        return f"{given}, of the wrong type: {what[0].lower()}{what[1:]}"
+    unit = " m" if field.endswith("_m") else ""
+    if isinstance(kind, inspect.IntType):
+        return f"{given}, expected a number from {kind.ge} up"
+    if kind.ge is None:
+        return f"{given}, expected a number above {kind.gt:g}, {kind.le:g}{unit} at most"
+    return f"{given}, expected a number from {kind.ge:g} to {kind.le:g}{unit}"

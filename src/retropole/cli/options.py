@@ -1,0 +1,151 @@
+"""Options of commands, those of a run made of the fields of `RunConfig`: bounds and help are there.
+
+A command takes them by these fields: ``RunConfig(**options)``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from msgspec import inspect
+
+from ..result import DEFAULT_CONFIG
+from ..result.options import OPTIONS, UNITS, Frames, frames_named
+
+Command = Callable[..., int]
+
+CLOUD = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
+OUT = click.Path(path_type=Path, file_okay=False)
+
+
+class Number(click.FloatRange):
+    """A finite number within bounds: click lets nan through any, and inf where there is none."""
+
+    name = "number"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Take a number as click does, but no nan."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no number.", param, ctx)
+        return number
+
+
+class Centimetres(Number):
+    """A length that is typed in centimetres and is metres inside."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Take a number, and give metres."""
+        return super().convert(value, param, ctx) / 100
+
+
+def _frames(context: click.Context, option: click.Parameter, value: str | None) -> Frames | None:
+    """Turn ``A:B``, ``A:B:STEP`` or ``N`` into start, stop and step."""
+    if value is None:
+        return None
+    frames = frames_named(value)
+    if frames is None:
+        raise click.BadParameter(f"{value!r}: expected A:B, A:B:STEP or the number of a frame")
+    return frames.start, frames.stop, frames.step
+
+
+DEGREES = Number(min=0, min_open=True, max=180)
+METRES = Number(min=0, min_open=True, max=1000)
+
+METAVARS = {
+    "prior_rpy_deg": "R P Y",
+    "hypothesis": "LETTER",
+    "target_topic": "NAME",
+    "source_topic": "NAME",
+    "frames": "A:B",
+}
+"""What stands for the values of options in the help, where their type says too little."""
+
+NAMES = {"need_m": "--need-cm", "at_m": "--at-m", "refine": "--no-refine"}
+"""Options that are not called as their fields without the unit."""
+
+SENSORS = ("sensor_target", "sensor_source", "threshold_target", "threshold_source")
+TOPICS = ("target_topic", "source_topic")
+
+
+def placement_arguments(command: Command) -> Command:
+    """Give a command TARGET and SOURCE, and --placement instead for each of several placements."""
+    placement = click.option(
+        "--placement",
+        "placements",
+        type=(CLOUD, CLOUD),
+        multiple=True,
+        metavar="TARGET SOURCE",
+        help="Instead of TARGET and SOURCE: one placement of the poles of several; repeat it.",
+    )
+    target, source = (click.argument(n, type=CLOUD, required=False) for n in ("target", "source"))
+    return target(source(placement(command)))
+
+
+def run_option(field: str, name: str | None = None, **changes: Any) -> Callable[[Command], Command]:
+    """Make a command's option of a field of `RunConfig`.
+
+    Parameters
+    ----------
+    field
+        Of `RunConfig`; the command gets the value under this name.
+    name
+        Another name than the field's: ``--sensor``.
+    changes
+        What is another here, as `click.option` takes it.
+    """
+    kind, words = OPTIONS[field]
+    name = name or NAMES.get(field, f"--{field.removesuffix('_m').replace('_', '-')}")
+    default = getattr(DEFAULT_CONFIG, field)
+    settings: dict[str, Any] = {"help": words, "metavar": METAVARS.get(field)}
+    if isinstance(kind, inspect.BoolType):
+        settings |= {"is_flag": True, "flag_value": not default, "default": default}
+    else:
+        settings |= {"type": _type(field, kind), "default": default}
+        settings["show_default"] = default is not None
+    if field == "frames":
+        settings["callback"] = _frames
+    return click.option(name, field, **settings | changes)
+
+
+def run_options(*fields: str) -> Callable[[Command], Command]:
+    """Give a command the options of several fields of `RunConfig`, in this order."""
+
+    def add(command: Command) -> Command:
+        for field in reversed(fields):
+            command = run_option(field)(command)
+        return command
+
+    return add
+
+
+def _type(field: str, kind: inspect.Type) -> Any:
+    """Give the type of an option on the command line, with the bounds of its field."""
+    if field == "need_m":
+        return _number(kind, Centimetres, 100)
+    if field == "prior_rpy_deg":
+        return (_number(kind),) * 3
+    match kind:
+        case inspect.LiteralType():
+            return click.Choice(UNITS)
+        case inspect.IntType() if field != "frames":
+            return click.IntRange(min=kind.ge)
+        case inspect.FloatType():
+            return _number(kind)
+    return None
+
+
+def _number(kind: inspect.Type, made: type[Number] = Number, scale: int = 1) -> Number:
+    assert isinstance(kind, inspect.FloatType)
+    assert kind.le is not None
+    open_ = kind.ge is None
+    return made(min=kind.gt if open_ else kind.ge, min_open=open_, max=scale * kind.le)

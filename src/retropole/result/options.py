@@ -1,0 +1,217 @@
+"""The options of a run: what each is called, of which type and within which bounds, and its help.
+
+The command line makes its options of these fields and the Python interface checks its keywords by
+them, so that bounds, defaults and help stand here alone.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple, get_args
+
+import msgspec
+from msgspec import Meta, inspect
+
+from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
+from ..base.sensors import SENSORS
+from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
+from ..io.thinning import LEAST_POINTS, MAX_POINTS
+from ..io.units import Unit
+from .bounded import Text
+
+UNITS = get_args(Unit)
+"""That coordinates may have."""
+
+LARGEST_WHOLE = 2**53
+"""Of a whole number: JSON of other programs holds none beyond."""
+
+MIN_POLES = 2
+"""One pole leaves the rotation about it, and the place along it, free."""
+
+MaxPoints = Annotated[int, Meta(ge=LEAST_POINTS, le=LARGEST_WHOLE)]
+Radius = Annotated[float, Meta(ge=MIN_RADIUS, le=MAX_RADIUS)]
+RadiusSigma = Annotated[float, Meta(ge=0, le=MAX_RADIUS)]
+Intensity = Annotated[float, Meta(gt=0, le=1e9)]
+Angle = Annotated[float, Meta(ge=-360, le=360)]
+Poles = Annotated[int, Meta(ge=MIN_POLES, le=LARGEST_WHOLE)]
+NeededError = Annotated[float, Meta(gt=0, le=LARGEST_NEED)]
+Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
+PriorSigma = Annotated[float, Meta(gt=0, le=180)]
+Seed = Annotated[int, Meta(ge=0, le=LARGEST_WHOLE)]
+Frames = tuple[int | None, int | None, int | None]
+
+
+def told(text: str) -> Meta:
+    """Say what an option is, in the words of the command line's help."""
+    return Meta(description=text)
+
+
+SAME = told("The same for SOURCE.")
+
+
+def frames_named(text: str) -> slice | None:
+    """Take frames as they are typed, ``A:B``, ``A:B:STEP`` or ``N``; None for anything else."""
+    try:
+        parts = [int(part) if part.strip() else None for part in text.split(":")]
+    except ValueError:
+        return None
+    if len(parts) == 1 and parts[0] is not None:
+        return slice(parts[0], parts[0] + 1 or None)
+    step = parts[2] if len(parts) == 3 else None
+    if len(parts) not in (2, 3) or (step is not None and step < 1):
+        return None
+    return slice(*parts)
+
+
+class Reading(NamedTuple):
+    """How the recordings of one LiDAR are read.
+
+    Attributes
+    ----------
+    sensor
+        Name of the sensor, or ``auto``.
+    threshold
+        Intensity from which a return counts as retro-reflective; None to find it.
+    topic, frames
+        Of a recording, the topic of a bag and the frames, as `io.read_cloud` takes them.
+    max_points
+        Of a cloud with more, so many are kept, as `io.read_cloud` does.
+    unit
+        Of the coordinates: ``m``, ``cm`` or ``mm``.
+    """
+
+    sensor: str = "auto"
+    threshold: float | None = None
+    topic: str | None = None
+    frames: slice | None = None
+    max_points: int = MAX_POINTS
+    unit: Unit = "m"
+
+
+class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """The options of a run, as the command line takes them.
+
+    None stands for what was not asked for: any number of poles, no prior, the scene's own choice,
+    the sensor's or the cloud's own threshold, the only topic, frames evenly spread, no accuracy
+    that is needed, for the source the unit of the target. Frames are start, stop and step.
+    """
+
+    radius_m: Annotated[
+        Radius, told("Radius of the poles, m: half their thickness, tape included.")
+    ] = DEFAULT_RADIUS
+    radius_sigma_m: Annotated[
+        RadiusSigma, told("1 sigma of the radius, m; at least 2 % of it is taken.")
+    ] = 0.0
+    up: Annotated[bool, told("Both LiDARs stand roughly upright: choose by it.")] = False
+    prior_rpy_deg: Annotated[
+        tuple[Angle, Angle, Angle] | None,
+        told("Expected roll, pitch and yaw of the source in the target's frame: choose by it."),
+    ] = None
+    prior_sigma_deg: Annotated[PriorSigma, told("1 sigma of --up or --prior-rpy-deg.")] = 10.0
+    hypothesis: Annotated[
+        Text | None,
+        told(
+            "Take the hypothesis of this letter in the list that the same run prints "
+            "without: warn at best, and refused where the scene denies it."
+        ),
+    ] = None
+    poles: Annotated[
+        Poles | None,
+        told(f"Exact number of poles that both see.  [default: any, at least {MIN_POLES}]"),
+    ] = None
+    refine: Annotated[bool, told("Use the poles only.")] = True
+    trust_poles: Annotated[
+        bool, told("Vouch for two poles where the scene has too little to confirm them.")
+    ] = False
+    need_m: Annotated[
+        NeededError | None,
+        told(
+            "Accuracy that is needed, cm: the verdict says whether no point up to "
+            "--at-m away is off by more, 95 % sure."
+        ),
+    ] = None
+    at_m: Annotated[
+        Distance | None,
+        told(f"Distance up to which --need-cm must hold, m.  [default: {DEFAULT_AT:g}]"),
+    ] = None
+    seed: Annotated[Seed, told("Seed of whatever is drawn at random.")] = 0
+    threshold_target: Annotated[
+        Intensity | None,
+        told(
+            "Intensity from which a return is retro-reflective, on the file's own "
+            "scale.  [default: from the sensor or the cloud]"
+        ),
+    ] = None
+    threshold_source: Annotated[Intensity | None, SAME] = None
+    sensor_target: Annotated[Text, told(f"Sensor's name ({', '.join(SENSORS)}), or auto.")] = "auto"
+    sensor_source: Annotated[Text, SAME] = "auto"
+    target_topic: Annotated[
+        Text | None, told("Topic of the bag; needed where it has several of point clouds.")
+    ] = None
+    source_topic: Annotated[Text | None, SAME] = None
+    frames: Annotated[
+        Frames | None,
+        told(
+            "Frames of a recording to read, as Python slices: 0:20, -50:, ::10, 7.  "
+            "[default: evenly spread, about a million points]"
+        ),
+    ] = None
+    max_points: Annotated[
+        MaxPoints,
+        told(
+            "Of a cloud with more points, read so many: fewer frames, or the brightest "
+            "points and the others evenly."
+        ),
+    ] = MAX_POINTS
+    unit: Annotated[
+        Unit, told("Unit of the coordinates, where they are not metres; 'retropole info' tells.")
+    ] = "m"
+    unit_source: Annotated[
+        Unit | None, told("The same for SOURCE, where it is another.  [default: that of --unit]")
+    ] = None
+
+    @property
+    def source_unit(self) -> Unit:
+        """Unit of the source: its own, or else that of the target."""
+        return self.unit_source or self.unit
+
+    @property
+    def of_target(self) -> Reading:
+        """How recordings of the target are read."""
+        sensor, threshold, topic = self.sensor_target, self.threshold_target, self.target_topic
+        return Reading(sensor, threshold, topic, self._slice, self.max_points, self.unit)
+
+    @property
+    def of_source(self) -> Reading:
+        """How recordings of the source are read."""
+        sensor, threshold, topic = self.sensor_source, self.threshold_source, self.source_topic
+        return Reading(sensor, threshold, topic, self._slice, self.max_points, self.source_unit)
+
+    @property
+    def _slice(self) -> slice | None:
+        return None if self.frames is None else slice(*self.frames)
+
+
+DEFAULT_CONFIG = RunConfig()
+
+
+class Option(NamedTuple):
+    """What an option may be: its type with the bounds, of several values that of each, and help."""
+
+    kind: inspect.Type
+    help: str
+
+
+def _option(kind: inspect.Type) -> Option:
+    assert isinstance(kind, inspect.Metadata)
+    said, inner = kind.extra_json_schema or {}, kind.type
+    if isinstance(inner, inspect.UnionType):
+        inner = inner.types[0]
+    if isinstance(inner, inspect.TupleType):
+        inner = inner.item_types[0]
+    return Option(inner, said["description"])
+
+
+_RUN = inspect.type_info(RunConfig)
+assert isinstance(_RUN, inspect.StructType)
+OPTIONS = {field.name: _option(field.type) for field in _RUN.fields}
+"""Every option of a run, by its field of `RunConfig`."""
