@@ -34,7 +34,7 @@ from retropole.site import calibration
 from retropole.site.answer import LoopClosure, SiteCalibration
 from retropole.site.closures import close_loops
 from retropole.site.description import Site, SiteLidar
-from retropole.site.refinement import SiteEnd
+from retropole.scene.descent import End
 from retropole.site.solved import Solved
 from semireal import PAIRS, WEAK, Loaded, load
 from wrong_files import REACH, VOXEL, registered
@@ -113,7 +113,7 @@ def run(job: tuple[int, str, Path]) -> Outcome:
         return Outcome(seed, "no place", messages=(str(error),))
     by_poles: list[float] = []
 
-    def close(at: Solved, end: SiteEnd) -> list[LoopClosure]:
+    def close(at: Solved, end: End) -> list[LoopClosure]:
         by_poles.extend(loop.chi2 for loop in close_loops(at, replace(end, scene=())))
         return list(close_loops(at, end))
 

@@ -30,6 +30,8 @@ default_role = "py:obj"
 
 napoleon_google_docstring = False
 napoleon_use_ivar = True
+# Attributes of several classes have one name, and napoleon refers to each by that alone.
+suppress_warnings = ["ref.python"]
 autodoc_member_order = "bysource"
 autodoc_type_aliases = {name: name for name in ("Array", "IntArray", "BoolArray")}
 # Inside other types, as in a union, an alias is written by its repr.
