@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
+from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report
 from retropole.result import ReasonDoc
-from retropole.result.bounded import Status
 from retropole.simulation import simulate_pair
 from tests.report.browser import Browser, Picture, needs_browser
 from tests.report.made_up import HOSTILE, made_up

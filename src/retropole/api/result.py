@@ -18,18 +18,15 @@ from ..base.errors import ReadError, Refusal
 from ..base.files import read_document, write_together
 from ..base.quantities import error
 from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
+from ..base.uncertainty.purpose import Fitness
 from ..export.documents import is_site_document
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
 from ..result import (
     ErrorAtRange,
-    FitnessDoc,
     ReasonDoc,
     ResultDoc,
-    confirmation_of,
     encode,
-    radius_of,
-    uncertainty_of,
 )
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
@@ -90,12 +87,12 @@ class CalibrationResult:
 
         None when refused, and of a result of a version that did not state it.
         """
-        return uncertainty_of(self.document.uncertainty, self.document.budget)
+        return self.document.whole_uncertainty
 
     @property
     def radius(self) -> RadiusEstimate | None:
         """The poles' radius as given and as estimated, metres; None as `uncertainty` is."""
-        return radius_of(self.document.radius)
+        return self.document.radius
 
     @property
     def confirmation(self) -> Confirmation | None:
@@ -104,10 +101,10 @@ class CalibrationResult:
         None where the run was refused before the scene was asked, and of a result of a version
         that did not state it.
         """
-        return confirmation_of(self.document.confirmation)
+        return self.document.confirmation
 
     @property
-    def fitness(self) -> FitnessDoc | None:
+    def fitness(self) -> Fitness | None:
         """Whether it is as accurate as was asked for (`answer`, `probability`, `bound_m`).
 
         None where nothing was asked for, and when refused.

@@ -23,7 +23,6 @@ from ..result import ReasonDoc, encode
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
 from ..result.site_decoding import decode_site
-from ..result.site_parts import lidar_pose_of
 from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
 from ..site.description import Site
@@ -82,7 +81,7 @@ class SiteResult:
             Where the calibration was refused.
         """
         k = self._index(name)
-        pose = lidar_pose_of(self.document.lidars[k], k)
+        pose = self.document.lidars[k].pose(k)
         if pose is None:
             unknown = ReasonDoc("refused", "the result gives no reason", {})
             why = next(iter(self.reasons), unknown)
@@ -163,7 +162,7 @@ class SiteResult:
     @cached_property
     def _joint(self) -> Array:
         """(6 L, 6 L) covariance of all poses together."""
-        return np.array(self.document.joint_covariance, dtype=float)
+        return np.asarray(self.document.joint_covariance)
 
     def _index(self, name: str) -> int:
         if name not in self.lidars:

@@ -15,12 +15,12 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
+from ..base.bounded import LARGEST
 from ..base.datatypes import Array
 from ..base.errors import MissingExtraError, ReadError, Refusal
 from ..base.reasons import Code
 from ..base.se3 import rigid
 from ..result import COVARIANCE_ORDER, ResultDoc
-from ..result.bounded import LARGEST
 from ..result.decoding import check_covariance, decode
 from ..result.site import SiteDoc
 from ..result.site_decoding import decode_site

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from ..base.datatypes import Placement, Scan
-from ..result import Matrix, PoleDoc, ResultDoc, pole_documents
+from ..base.datatypes import Array, Placement, Scan
+from ..result import PoleDoc, ResultDoc, plain, pole_documents
 from ..scene.consistency import contradicting_points, standing_in
 from .names import LIDARS, hypothesis_name, pole_name
 from .points import MAX_SHOWN_RANGE, PackedCloud, PackedPoints, pack_cloud, pack_points
@@ -56,7 +56,7 @@ class PoseView(msgspec.Struct, frozen=True):
 
     id: str
     label: str
-    T: Matrix
+    T: Array
 
 
 class EllipsoidView(msgspec.Struct, frozen=True):
@@ -71,7 +71,7 @@ class EllipsoidView(msgspec.Struct, frozen=True):
     """
 
     centre: list[float]
-    axes: Matrix
+    axes: Array
     factor: float
 
 
@@ -123,7 +123,7 @@ def page_view(
 
 def embed_json(value: object) -> str:
     """Write JSON that no content can lead out of its script element; not-a-number becomes null."""
-    text = msgspec.json.encode(value).decode()
+    text = msgspec.json.encode(value, enc_hook=plain).decode()
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text

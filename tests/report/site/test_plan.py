@@ -33,7 +33,7 @@ def turned(of: SiteDoc, R: np.ndarray) -> SiteDoc:
         ],
         poles=[
             msgspec.structs.replace(
-                each, point_m=(R @ each.point_m).tolist(), direction=(R @ each.direction).tolist()
+                each, point=(R @ each.point).tolist(), direction=(R @ each.direction).tolist()
             )
             for each in of.poles
         ],
