@@ -114,7 +114,7 @@ def test_numbers_of_numpy_are_written_as_numbers() -> None:
     assert document.budget is not None
     (found,) = document.budget
     assert (found.sigma, found.estimated, found.share_at_30m) == (1e-4, 2e-5, 1.0)
-    assert encode(decode(encode(document))) == encode(document)
+    assert decode(encode(document)) == document
 
 
 @pytest.mark.parametrize("missing", ["null", "absent"])

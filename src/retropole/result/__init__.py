@@ -57,6 +57,7 @@ __all__ = [
     "RESULT_SCHEMA",
     "BudgetEntry",
     "DetectionDoc",
+    "Document",
     "ErrorAtRange",
     "HypothesisDoc",
     "InputDoc",
@@ -126,7 +127,17 @@ class PlacementDoc(msgspec.Struct, frozen=True):
     left_out_translation_m: Size | None
 
 
-class ResultDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+class Document(msgspec.Struct, frozen=True, eq=False):
+    """A whole document; one that is written the same is the same."""
+
+    def __eq__(self, other: object) -> bool:  # noqa: D105
+        return isinstance(other, type(self)) and encode(self) == encode(other)
+
+    def __hash__(self) -> int:  # noqa: D105
+        return hash(encode(self))
+
+
+class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
     """The whole document."""
 
     schema: Literal["retropole/result/1"] = RESULT_SCHEMA

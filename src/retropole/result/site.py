@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 
@@ -21,7 +20,7 @@ from ..base.uncertainty.purpose import Need
 from ..base.version import __version__
 from ..site.answer import MOST_LIDARS, Indices, SiteCalibration, SitePole, WithoutPlacement
 from ..site.description import ControlPoint, Frame, SurveyedPole
-from . import COVARIANCE_ORDER, ReasonDoc, reason_document
+from . import COVARIANCE_ORDER, Document, ReasonDoc, reason_document
 from .detected import InputDoc
 from .site_checks import LoopDoc, PairDoc, TestDoc, check_document
 from .site_parts import (
@@ -47,7 +46,7 @@ SITE_SCHEMA: Literal["retropole/site-result/1"] = "retropole/site-result/1"
 SITE_COVARIANCE_FRAME = "site axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
 
 
-class SiteDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
     """The whole document.
 
     `joint_covariance` is that of all poses together: 6 rows for each, in the order of
