@@ -13,7 +13,6 @@ from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.base.relative import joint_of, relative
-from retropole.result import encode
 from retropole.result.site_decoding import decode_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.description import Site

@@ -8,13 +8,13 @@ from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Placement
-from ..base.errors import ReadError, Refusal
+from ..base.errors import ReadError
 from ..base.files import read_document, write_together
 from ..base.quantities import error
 from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
@@ -27,6 +27,7 @@ from ..result import (
     ReasonDoc,
     ResultDoc,
     encode,
+    refusal_of,
 )
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
@@ -35,8 +36,6 @@ from .stored import StoredInputs, placements_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from ..base.reasons import Code
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,9 +125,7 @@ class CalibrationResult:
         """
         T = self.T_target_source
         if T is None:
-            unknown = ReasonDoc("refused", "the result gives no reason", {})
-            why = next(iter(self.reasons), unknown)
-            raise Refusal(cast("Code", why.code), why.message, why.values)
+            raise refusal_of(self.reasons)
         return T
 
     def __repr__(self) -> str:

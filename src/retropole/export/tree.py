@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
-from ..base.errors import Refusal, UsageError, printable
-from ..base.reasons import Code
+from ..base.errors import UsageError, printable
 from ..base.relative import joint_of, relative
+from ..result import refusal_of
 from ..result.site import SITE_SCHEMA, SiteDoc
 from ..result.site_parts import LidarDoc
 from ..site.description import Frame
@@ -101,12 +101,7 @@ def tree_of(document: SiteDoc) -> Tree:
 
 def _poses(document: SiteDoc) -> list[Array]:
     if document.status == "refused":
-        why = document.reasons[0] if document.reasons else None
-        raise Refusal(
-            cast("Code", why.code) if why else "refused",
-            f"the site was refused, there are no poses: {why.message if why else '–'}",
-            why.values if why else None,
-        )
+        raise refusal_of(document.reasons, "the site was refused, there are no poses: ")
     return [se3.rigid(np.array(lidar.T_site_lidar, dtype=float)) for lidar in document.lidars]
 
 

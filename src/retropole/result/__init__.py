@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 import msgspec
-from msgspec import Meta
+from msgspec import Meta, structs
 
 from ..base.bounded import (
     LONGEST_LIST,
@@ -27,8 +27,9 @@ from ..base.bounded import (
     Vector,
     Whole,
 )
-from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate
+from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal
+from ..base.reasons import Code
 from ..base.uncertainty import (
     BudgetEntry,
     Confirmation,
@@ -76,8 +77,12 @@ __all__ = [
     "plain",
     "pole_documents",
     "reason_document",
+    "refusal_of",
     "result_document",
+    "with_threshold",
 ]
+
+Input = TypeVar("Input", bound=InputDoc)
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
@@ -174,7 +179,7 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
     @property
     def whole_uncertainty(self) -> Uncertainty | None:
         """`uncertainty` with the budget; None where they are not stated."""
-        return self.uncertainty and msgspec.structs.replace(
+        return self.uncertainty and structs.replace(
             self.uncertainty, budget=tuple(self.budget or ())
         )
 
@@ -210,17 +215,6 @@ def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
     ]
 
 
-def _with_thresholds(inputs: Sequence[InputDoc], placements: Sequence[Placement]) -> list[InputDoc]:
-    """Add the threshold that was used to each input; target and source alternate."""
-    scans = [scan for placement in placements for scan in (placement.target, placement.source)]
-    return [
-        item
-        if scan.detection is None
-        else msgspec.structs.replace(item, threshold=scan.detection.threshold)
-        for item, scan in zip(inputs, scans, strict=True)
-    ]
-
-
 def result_document(
     calibration: Calibration,
     *,
@@ -243,13 +237,14 @@ def result_document(
     """
     answered = calibration.status != "refused"
     first, uncertainty = calibration.placements[0], calibration.uncertainty
+    scans = [scan for each in calibration.placements for scan in (each.target, each.source)]
     return ResultDoc(
         status=calibration.status,
         reasons=[reason_document(reason) for reason in calibration.reasons],
         T_target_source=calibration.T_target_source,
         covariance=calibration.covariance,
         # The budget stands beside it.
-        uncertainty=uncertainty and msgspec.structs.replace(uncertainty, budget=()),
+        uncertainty=uncertainty and structs.replace(uncertainty, budget=()),
         budget=None if uncertainty is None else list(uncertainty.budget),
         predicted_error=list(calibration.predicted_error) or None,
         weakest=calibration.weakest,
@@ -265,7 +260,7 @@ def result_document(
         vertical=calibration.vertical,
         poles=PolesDoc(pole_documents(first.target.poles), pole_documents(first.source.poles)),
         placements=_placements(calibration.placements),
-        inputs=_with_thresholds(inputs, calibration.placements),
+        inputs=[with_threshold(*each) for each in zip(inputs, scans, strict=True)],
         config=config,
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -285,6 +280,18 @@ def reason_document(reason: Reason | Refusal) -> ReasonDoc:
         for name, value in reason.values.items()
     }
     return ReasonDoc(reason.code, reason.message, values)
+
+
+def refusal_of(reasons: Sequence[ReasonDoc], words: str = "") -> Refusal:
+    """Give the refusal that a document holds: its first reason, after some words."""
+    why = next(iter(reasons), ReasonDoc("refused", "the result gives no reason", {}))
+    return Refusal(cast("Code", why.code), words + why.message, why.values)
+
+
+def with_threshold(source: Input, scan: Scan | None) -> Input:
+    """Add the threshold that was used to what was read."""
+    found = None if scan is None else scan.detection
+    return source if found is None else structs.replace(source, threshold=finite(found.threshold))
 
 
 def encode(document: msgspec.Struct) -> bytes:

@@ -6,8 +6,10 @@ covariances are covariances that agree with each other, and every index finds wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from ..base.errors import ReadError
@@ -17,6 +19,14 @@ from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
 
 BLOCKS_AGREE = 1e-6
 """A LiDAR's covariance is its block of the joint one, but for this part of the largest number."""
+
+INDEX_OF = {
+    **dict.fromkeys(("reference", "groups", "lidar", "lidars", "seen_by"), "lidars"),
+    "placement": "placements",
+    "pole": "poles",
+    "surveyed": "surveyed_poles",
+}
+"""Fields that hold indices, wherever they stand, and the list that each points into."""
 
 
 def decode_site(data: bytes) -> SiteDoc:
@@ -60,16 +70,10 @@ def _there(answered: bool, status: str) -> str:
 
 def _check_indices(document: SiteDoc) -> None:
     """Let every index find a LiDAR, a placement or a pole."""
-    counts = {
-        "lidar": len(document.lidars),
-        "placement": len(document.placements),
-        "pole": len(document.poles),
-        "surveyed": len(document.surveyed_poles),
-    }
-    for name, of, indices in _indices(document):
-        beyond = [index for index in indices if index is not None and index >= counts[of]]
-        if beyond:
-            raise ReadError(f"{name}: {beyond[0]}, there are {counts[of]}")
+    for name, of, index in _indices(document):
+        count = len(getattr(document, of))
+        if index >= count:
+            raise ReadError(f"{name}: {index}, there are {count}")
     for k, pair in enumerate(document.pairs):
         if pair.lidars[0] >= pair.lidars[1]:
             raise ReadError(f"pairs[{k}].lidars: expected two, the lower first")
@@ -88,33 +92,17 @@ def _check_indices(document: SiteDoc) -> None:
         raise ReadError("inputs: two of the same LiDAR and placement")
 
 
-def _indices(document: SiteDoc) -> Iterator[tuple[str, str, Sequence[int | None]]]:
-    """Every index: the name of its field, of what it is one, and the indices."""
-    yield "reference", "lidar", (document.reference,)
-    for k, group in enumerate(document.groups):
-        yield f"groups[{k}]", "lidar", group
-    for k, pole in enumerate(document.poles):
-        yield f"poles[{k}].placement", "placement", (pole.placement,)
-        yield f"poles[{k}].seen_by", "lidar", pole.seen_by
-        yield f"poles[{k}].surveyed", "surveyed", (pole.surveyed,)
-    for k, pair in enumerate(document.pairs):
-        yield f"pairs[{k}].lidars", "lidar", pair.lidars
-    for k, loop in enumerate(document.loops):
-        yield f"loops[{k}].lidars", "lidar", loop.lidars
-    for k, test in enumerate(document.tests):
-        yield f"tests[{k}].lidar", "lidar", (test.lidar,)
-        yield f"tests[{k}].placement", "placement", (test.placement,)
-        yield f"tests[{k}].pole", "pole", (test.pole,)
-    for k, without in enumerate(document.without):
-        yield f"without[{k}].placement", "placement", (without.placement,)
-        yield f"without[{k}].lidar", "lidar", (without.lidar,)
-    for k, surveyed in enumerate(document.surveyed_poles):
-        yield f"surveyed_poles[{k}].placement", "placement", (surveyed.placement,)
-    for k, point in enumerate(document.control_points):
-        yield f"control_points[{k}].seen", "lidar", [each.lidar for each in point.seen]
-    for k, source in enumerate(document.inputs):
-        yield f"inputs[{k}].lidar", "lidar", (source.lidar,)
-        yield f"inputs[{k}].placement", "placement", (source.placement,)
+def _indices(value: Any, name: str = "", of: str = "") -> Iterator[tuple[str, str, int]]:
+    """Every index: the name of its field, the list that it points into, and the index."""
+    if isinstance(value, msgspec.Struct):
+        for field in value.__struct_fields__:
+            place = f"{name}.{field}" if name else field
+            yield from _indices(getattr(value, field), place, INDEX_OF.get(field, ""))
+    elif isinstance(value, list | tuple):
+        for k, each in enumerate(value):
+            yield from _indices(each, f"{name}[{k}]", of)
+    elif of and type(value) is int:
+        yield name, of, value
 
 
 def _check_joint(document: SiteDoc) -> None:

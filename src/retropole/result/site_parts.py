@@ -15,7 +15,7 @@ from ..io.thinning import MAX_POINTS
 from ..io.units import Unit
 from ..site.answer import LidarPose
 from ..site.description import SiteLidar, Up
-from . import ReasonDoc, finite, reason_document
+from . import ReasonDoc, finite, reason_document, with_threshold
 from .detected import InputDoc, PoleDoc, RejectedDoc, pole_documents, rejected_documents
 from .options import Frames, MaxPoints
 
@@ -123,7 +123,4 @@ def recording_document(
     """Write what was read of a LiDAR and placement, with the threshold that was used."""
     recording = RecordingDoc(**msgspec.structs.asdict(source), lidar=lidar, placement=placement)
     # A run that was refused early has looked at no scan.
-    scan = scans[lidar][placement] if scans else None
-    if scan is None or scan.detection is None:
-        return recording
-    return msgspec.structs.replace(recording, threshold=finite(scan.detection.threshold))
+    return with_threshold(recording, scans[lidar][placement] if scans else None)
