@@ -157,7 +157,7 @@ def made_up_hypotheses(answered: bool) -> list[HypothesisDoc]:
     return [
         HypothesisDoc(
             pairs=[(0, 0), (1, 1)] if k in (0, 3) else [(0, 1), (1, 0)],
-            T_target_source=(pose @ T_TRUE).tolist(),
+            T_target_source=pose @ T_TRUE,
             pole_rms_m=0.0142 + 0.0001 * k,
             exact=True,
             icp_rotation_rad=e_r,

@@ -6,9 +6,10 @@ import json
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from msgspec import structs
+from msgspec import structs, to_builtins
 
 from ..base.errors import printable
+from ..result import plain
 from ..result.site_parts import LidarDoc
 from ..site.description import Geodetic
 from ..site.world import heading, on_wgs84, pose_in_frame
@@ -47,13 +48,7 @@ def _urdf(tree: Tree) -> str:
 def _json(tree: Tree) -> str:
     """Write the transforms, and where each LiDAR is in the user's frame and on the earth."""
     frame, grid = tree.frame, grid_of(tree)
-    about: dict[str, Any] = {
-        "name": frame.name,
-        "surveyed": frame.surveyed,
-        "offset_m": frame.offset.tolist(),
-        "epsg": frame.epsg,
-        "geodetic": frame.geodetic and structs.asdict(frame.geodetic),
-    }
+    about: dict[str, Any] = to_builtins(frame, enc_hook=plain)
     if grid is not None:
         about |= {
             "scale": grid.scale,

@@ -153,7 +153,7 @@ def _contradicting(
 ) -> dict[str, list[PackedPoints]]:
     """Pack the points that contradict each pose, at most so many of each cloud."""
     target, source = (standing_in(s.cloud, rng) for s in (placement.target, placement.source))
-    found = {p.id: contradicting_points(target, source, np.array(p.T)) for p in poses}
+    found = {p.id: contradicting_points(target, source, p.T) for p in poses}
     return {
         name: [pack_points(points[:: 1 + len(points) // max_points]) for points in each]
         for name, each in found.items()
@@ -168,7 +168,7 @@ def _shown(lidar: str, cloud: PackedCloud) -> str:
 def _lines(lidar: str, poles: Sequence[PoleDoc]) -> list[LineView]:
     lines = []
     for k, pole in enumerate(poles):
-        point, half = np.array(pole.point_m), 0.5 * pole.length_m * np.array(pole.direction)
+        point, half = pole.point_m, 0.5 * pole.length_m * pole.direction
         lines.append(
             LineView((point - half).tolist(), (point + half).tolist(), pole_name(lidar, k))
         )
@@ -206,10 +206,10 @@ def _poses(result: ResultDoc) -> list[PoseView]:
 def _ellipsoid(result: ResultDoc) -> EllipsoidView | None:
     if result.covariance is None or result.T_target_source is None:
         return None
-    values, vectors = np.linalg.eigh(np.array(result.covariance)[3:, 3:])
+    values, vectors = np.linalg.eigh(result.covariance[3:, 3:])
     sigma = np.sqrt(np.maximum(values, 0.0))
     if not sigma[-1] > 0:
         return None
     factor = 10.0 ** max(0, round(float(np.log10(SEEN_SIGMA / sigma[-1]))))
     centre = [row[3] for row in result.T_target_source[:3]]
-    return EllipsoidView(centre, (vectors * sigma * factor).T.tolist(), factor)
+    return EllipsoidView(centre, (vectors * sigma * factor).T, factor)

@@ -74,9 +74,7 @@ def test_places_are_in_the_coordinates_of_the_frame() -> None:
 
 def test_one_lidar_upon_another_is_drawn_all_the_same() -> None:
     same = [
-        msgspec.structs.replace(
-            each, T_site_lidar=np.eye(4).tolist(), covariance=np.zeros((6, 6)).tolist()
-        )
+        msgspec.structs.replace(each, T_site_lidar=np.eye(4), covariance=np.zeros((6, 6)))
         for each in DOCUMENT.lidars
     ]
     alone = msgspec.structs.replace(DOCUMENT, lidars=same, poles=[])

@@ -205,7 +205,7 @@ def _caption(document: SiteDoc, plan: Plan, factor: float | None) -> str:
 
 def _places(document: SiteDoc) -> str:
     """List where each LiDAR stands in the frame's own coordinates, each with its 1 σ."""
-    offset = np.array(document.frame.offset)
+    offset = document.frame.offset
     rows = []
     for lidar in document.lidars:
         at = np.array(lidar.T_site_lidar)[:3, 3] + offset
@@ -224,12 +224,12 @@ def _places(document: SiteDoc) -> str:
 def _poles(document: SiteDoc) -> str:
     if not document.poles:
         return ""
-    offset = np.array(document.frame.offset)
+    offset = document.frame.offset
     rows = [
         (
             label,
             pole.name,
-            *(number(v, 3) for v in (np.array(pole.point) + offset).tolist()),
+            *(number(v, 3) for v in (pole.point + offset).tolist()),
             number(pole.length, 2),
             ", ".join(document.lidars[k].name for k in pole.seen_by),
         )
