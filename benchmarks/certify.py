@@ -104,14 +104,14 @@ def run(job: tuple[str, str, int]) -> Outcome:
     if fault:
         pair = with_fault(pair, fault, np.random.default_rng([seed, 1]), frames)
     answer = tested(pair, named)
-    ratios = [abs(each.difference) / (2 * each.u) for each in answer.distances]
+    ratios = [abs(each.difference_m) / (2 * each.u_end_m) for each in answer.distances]
     return Outcome(
         group,
         seed,
         answer.status,
         max(ratios, default=np.nan),
         answer.z,
-        float(np.median([2 * each.u for each in answer.distances])) if ratios else np.nan,
+        float(np.median([2 * each.u_end_m for each in answer.distances])) if ratios else np.nan,
         any(not each.passed for each in answer.distances),
         None if answer.spread is None else not answer.spread.passed,
     )

@@ -147,7 +147,7 @@ def run(job: tuple[str, NoiseModel, int, tuple[str, ...], bool]) -> Outcome:
 
 
 def at_30m(covariance: Array) -> float:
-    return predicted_error(covariance, (30.0,))[0][1]
+    return predicted_error(covariance, (30.0,))[0].sigma_m
 
 
 def main() -> None:

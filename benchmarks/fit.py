@@ -97,7 +97,7 @@ def run(job: tuple[str, int]) -> Outcome:
         answer.status,
         fit.answer,
         off <= needed.within,
-        None if fit.bound is None else off <= fit.bound,
+        None if fit.bound_m is None else off <= fit.bound_m,
         displacement_bound(answer.covariance, USABLE.at),
     )
 

@@ -128,7 +128,7 @@ DEVICES = 3
 
 def displacement(covariance: Array) -> float:
     """1 σ at `AT`, metres."""
-    return predicted_error(covariance, (AT,))[0][1]
+    return predicted_error(covariance, (AT,))[0].sigma_m
 
 
 def planted(pairs: Sequence[Pair], data: Path, seeds: range) -> Answers:

@@ -28,13 +28,13 @@ from scipy.stats import chi2
 from insertion import InsertedSite, insert_into_site
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Array
+from retropole.scene.descent import End
 from retropole.scene.registration import prepare, register
 from retropole.simulation import SimulationError
 from retropole.site import calibration
 from retropole.site.answer import LoopClosure, SiteCalibration
 from retropole.site.closures import close_loops
 from retropole.site.description import Site, SiteLidar
-from retropole.scene.descent import End
 from retropole.site.solved import Solved
 from semireal import PAIRS, WEAK, Loaded, load
 from wrong_files import REACH, VOXEL, registered

@@ -19,12 +19,13 @@ import argparse
 import pickle
 import time
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, structs
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud
@@ -73,8 +74,8 @@ def cloud_of(plain: Plain | None) -> PointCloud | None:
 
 def plain(thing: Any) -> Any:
     """A data class of what was surveyed as names and values."""
-    if is_dataclass(thing):
-        own = {field.name: plain(getattr(thing, field.name)) for field in fields(thing)}
+    if isinstance(thing, Struct):
+        own = {name: plain(each) for name, each in structs.asdict(thing).items()}
         return {"class": type(thing).__name__, **own}
     return tuple(plain(each) for each in thing) if isinstance(thing, tuple) else thing
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+from msgspec import structs
 from scipy.linalg import block_diag
 
 from retropole.base import se3
@@ -322,7 +323,7 @@ def _moved(stated: Surveyed, which: int, offset: Array, checked: bool) -> tuple[
     surveyed, points = list(stated[0]), list(stated[1])
     k = which - 2 * len(surveyed)
     if k >= 0:
-        points[k] = replace(points[k], at=points[k].at + offset)
+        points[k] = structs.replace(points[k], at=points[k].at + offset)
         blunder = Blunder(
             "control",
             f"control point {points[k].name} off by 0.1 m",
@@ -337,9 +338,9 @@ def _moved(stated: Surveyed, which: int, offset: Array, checked: bool) -> tuple[
     assert own.top is not None
     end: Literal["foot", "top"] = "top" if which % 2 else "foot"
     surveyed[k] = (
-        replace(own, foot=own.foot + offset)
+        structs.replace(own, foot=own.foot + offset)
         if end == "foot"
-        else replace(own, top=own.top + offset)
+        else structs.replace(own, top=own.top + offset)
     )
     blunder = Blunder(
         "control",

@@ -81,7 +81,7 @@ def run(job: tuple[str, str, int]) -> Run:
         return Run(answer.reasons[0].code, np.nan, np.nan)
     off = se3.local(T, pairs[0].T_target_source)
     predicted, made = (
-        predicted_error(covariance, (RANGE,))[0][1]
+        predicted_error(covariance, (RANGE,))[0].sigma_m
         for covariance in (answer.covariance, np.outer(off, off))
     )
     return Run(answer.status, predicted, made)

@@ -34,7 +34,7 @@ def sigma_at_10_m(degrees: float, distance: float, spacing: float, seed: int, na
         found = sorted(extract_poles(cloud, sensor=sensor).poles, key=lambda pole: pole.point[1])
         beams.append(beams_of([(pole, cloud) for pole in found], sensor))
     pose = align_beams(*beams, se3.inverse(LIDARS[0]) @ LIDARS[1], radius=radius).pose
-    return predicted_error(pose.covariance, (10.0,))[0][1]
+    return predicted_error(pose.covariance, (10.0,))[0].sigma_m
 
 
 SWEEPS = {

@@ -2,16 +2,17 @@
 
 from pathlib import Path
 
-from retropole.result import Matrix, PolesDoc, ReasonDoc, ResultDoc, RunConfig, StagesDoc, encode
-from retropole.result.bounded import Status
+from retropole.base.bounded import Status
+from retropole.base.datatypes import Array
+from retropole.result import PolesDoc, ReasonDoc, ResultDoc, RunConfig, StagesDoc, encode
 
 
 def write_result(
     folder: Path,
     status: Status,
     reasons: list[ReasonDoc],
-    pose: Matrix | None = None,
-    covariance: Matrix | None = None,
+    pose: Array | None = None,
+    covariance: Array | None = None,
 ) -> Path:
     """Write ``result.json`` and say where it is."""
     document = ResultDoc(

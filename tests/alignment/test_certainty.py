@@ -109,7 +109,7 @@ def test_shares_make_the_whole() -> None:
     for part in (said.random, said.systematic):
         assert np.linalg.eigvalsh(part).min() > 0
     scatter = next(entry for entry in said.budget if entry.name == "noise")
-    random, whole = (predicted_error(c, (30.0,))[0][1] for c in (said.random, said.covariance))
+    random, whole = (predicted_error(c, (30.0,))[0].sigma_m for c in (said.random, said.covariance))
     assert scatter.share_at_30m == pytest.approx((random / whole) ** 2)
     assert scatter.sigma == pytest.approx(random)
 

@@ -77,7 +77,7 @@ def test_an_offset_of_kilometres_changes_nothing_but_the_frame() -> None:
     apart = se3.difference(near.T_target_source, back)
     assert apart.rotation < np.radians(0.02)
     assert apart.translation < 0.002
-    sigmas = np.array([[sigma for _, sigma in each.predicted_error] for each in (near, far)])
+    sigmas = np.array([[e.sigma_m for e in each.predicted_error] for each in (near, far)])
     np.testing.assert_allclose(sigmas[0], sigmas[1], rtol=0.3)
 
 

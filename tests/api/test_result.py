@@ -103,7 +103,7 @@ def test_certainty_is_given_back_in_its_two_kinds() -> None:
     np.testing.assert_allclose(made.uncertainty.covariance, made.covariance, rtol=1e-12)
     assert made.uncertainty.budget == BUDGET
     assert made.radius == RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042)
-    assert made.confirmation == Confirmation(412, 3)
+    assert made.confirmation == Confirmation(agreeing=412, contradicting=3)
     for line in (
         "predicted error  ± 5.6 mm at 1 m, ± 6.2 mm at 10 m, ± 9.5 mm at 30 m, ± 16 mm at 60 m",
         "largest error    range offset of the source LiDAR: 58 % of the variance of ± 9.5 mm",

@@ -9,10 +9,10 @@ import pytest
 import retropole as rp
 from retropole.api import site as api_site
 from retropole.base import se3
+from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.base.relative import joint_of, relative
-from retropole.result.bounded import Status
 from retropole.result.site_decoding import decode_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.description import Site

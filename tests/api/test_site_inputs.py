@@ -95,7 +95,7 @@ def test_frames_are_named(tmp_path: Path) -> None:
         assert frame.epsg == (25832 if "epsg" in head else None)
     frame = site_of(decode_site_file((text + enu).encode()), {}).frame
     assert frame.geodetic is not None
-    np.testing.assert_allclose(frame.geodetic, [*np.radians([52, 4.5]), 7])
+    np.testing.assert_allclose(frame.geodetic.array, [*np.radians([52, 4.5]), 7])
 
 
 def test_a_survey_in_a_projected_system_is_taken_to_metres_on_the_ground(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
+from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.export import FORMATS, read_transform
-from retropole.result import Matrix, ReasonDoc
-from retropole.result.bounded import Status
+from retropole.result import ReasonDoc
 from tests import results
 from tests.cli.commands import Done, retropole_here
 
@@ -21,9 +21,9 @@ def export(*words: object) -> Done:
     return retropole_here("export", *words)
 
 
-def write_result(folder: Path, status: Status = "ok", pose: Matrix | None = None) -> Path:
+def write_result(folder: Path, status: Status = "ok", pose: Array | None = None) -> Path:
     reasons = [] if status == "ok" else [ReasonDoc("weak_geometry", "sigma is 0.2 m", {})]
-    covariance = None if pose is None else np.diag([1.0, 2, 3, 4, 5, 6]).tolist()
+    covariance = None if pose is None else np.diag([1.0, 2, 3, 4, 5, 6])
     return results.write_result(folder, status, reasons, pose, covariance)
 
 
@@ -36,7 +36,7 @@ def read_back(text: str, folder: Path, fmt: str) -> tuple[Array, str, str]:
 
 @pytest.mark.parametrize("fmt", FORMATS)
 def test_export_and_its_inverse(fmt: str, tmp_path: Path) -> None:
-    result = write_result(tmp_path, pose=T.tolist())
+    result = write_result(tmp_path, pose=T)
     done = export(tmp_path, "--to", fmt, "--parent", "front", "--child", "rear")
     assert done.returncode == 0
     assert done.stderr == ""
@@ -50,7 +50,7 @@ def test_export_and_its_inverse(fmt: str, tmp_path: Path) -> None:
 
 
 def test_one_format_into_another_through_files(tmp_path: Path) -> None:
-    source: Path = write_result(tmp_path, pose=T.tolist())
+    source: Path = write_result(tmp_path, pose=T)
     for fmt in FORMATS:
         out = tmp_path / "new" / f"x_{fmt}"
         assert export(source, "--to", fmt, "--out", out).returncode == 0
@@ -68,7 +68,7 @@ def test_a_refused_result_exits_with_3_and_writes_nothing(tmp_path: Path) -> Non
 
 
 def test_a_warning_is_said_on_stderr_alone(tmp_path: Path) -> None:
-    path = write_result(tmp_path, "warn", T.tolist())
+    path = write_result(tmp_path, "warn", T)
     done = export(path, "--to", "json")
     assert done.returncode == 0
     assert "warning (weak_geometry): sigma is 0.2 m" in done.stderr
@@ -86,7 +86,7 @@ def test_the_truth_of_a_simulation_is_read(tmp_path: Path) -> None:
 
 
 def test_into_a_robot_in_place_or_elsewhere(tmp_path: Path) -> None:
-    path = write_result(tmp_path, pose=T.tolist())
+    path = write_result(tmp_path, pose=T)
     robot = tmp_path / "robot.urdf"
     text = '<robot name="r">\r\n\t<link name="front"/>\r\n</robot>\r\n'
     robot.write_bytes(text.encode())
@@ -116,13 +116,13 @@ def test_into_a_robot_in_place_or_elsewhere(tmp_path: Path) -> None:
     ],
 )
 def test_bad_usage_says_why(words: tuple[str, ...], reason: str, tmp_path: Path) -> None:
-    done = export(write_result(tmp_path, pose=T.tolist()), *words)
+    done = export(write_result(tmp_path, pose=T), *words)
     assert done.returncode == 2
     assert reason in done.stderr
 
 
 def test_a_robot_without_the_parent_stays_as_it_is(tmp_path: Path) -> None:
-    path = write_result(tmp_path, pose=T.tolist())
+    path = write_result(tmp_path, pose=T)
     robot = tmp_path / "robot.urdf"
     robot.write_text('<robot name="r"><link name="base"/></robot>')
     before = robot.read_bytes()

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from retropole.api import site as api_site
+from retropole.base.bounded import Status
 from retropole.cli import run
-from retropole.result.bounded import Status
 from retropole.result.site_decoding import decode_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.description import Site

@@ -470,10 +470,10 @@ def test_a_refused_result_holds_no_transform(tmp_path: Path) -> None:
         with pytest.raises(Refusal, match="1 pole, 2 are needed") as caught:
             read_transform(place)
         assert caught.value.code == "too_few_poles"
-    write_result(tmp_path, "refused", reasons, np.eye(4).tolist(), np.eye(6).tolist())
+    write_result(tmp_path, "refused", reasons, np.eye(4), np.eye(6))
     with pytest.raises(ReadError, match="the status is refused"):
         read_transform(tmp_path)
-    write_result(tmp_path, "warn", reasons, np.eye(4).tolist(), np.eye(6).tolist())
+    write_result(tmp_path, "warn", reasons, np.eye(4), np.eye(6))
     back = read_transform(tmp_path, parent="a")
     assert (back.parent, back.child) == ("a", "source")
     np.testing.assert_array_equal(back.covariance, np.eye(6))

@@ -17,7 +17,7 @@ from retropole.fleet.dataset import (
     partition_of,
     write_partition,
 )
-from retropole.result import BudgetEntryDoc, ErrorAtRange
+from retropole.result import BudgetEntry, ErrorAtRange
 
 HOW: tuple[tuple[Status, str, str, float], ...] = (
     ("ok", "", "", 0.85),
@@ -43,8 +43,8 @@ def made_up_row(name: str, rng: np.random.Generator, *, placed: bool = True) -> 
         covariance=np.diag(np.full(6, 1e-6)).ravel().tolist(),
         predicted_error=[ErrorAtRange(10.0, sigma / 2), ErrorAtRange(30.0, sigma)],
         budget=[
-            BudgetEntryDoc("range offset", "source", 0.01, "m", None, 0.7),
-            BudgetEntryDoc("scatter of the surfaces", None, 0.003, "m", None, 0.3),
+            BudgetEntry("range offset", "source", 0.01, "m", None, 0.7),
+            BudgetEntry("scatter of the surfaces", None, 0.003, "m", None, 0.3),
         ],
     )
     answered = status in ("ok", "warn")

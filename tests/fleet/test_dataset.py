@@ -22,7 +22,7 @@ from retropole.fleet.dataset import (
     read_runs,
     write_partition,
 )
-from retropole.result import BudgetEntryDoc, ErrorAtRange
+from retropole.result import BudgetEntry, ErrorAtRange
 
 EMPTY = Row(id="a", kind="pair", status="error", version="1", libraries="numpy 2")
 RUN = Run(id="a", started="2026-01-01T00:00:00", seconds=0.5, host="h", memory_bytes=1)
@@ -52,7 +52,7 @@ def full(name: str, rng: np.random.Generator) -> Row:
                 T=rng.normal(size=16).tolist(),
                 covariance=rng.normal(size=36).tolist(),
                 predicted_error=[ErrorAtRange(30.0, rng.uniform())],
-                budget=[BudgetEntryDoc("scale", None, rng.uniform(), "1", None, rng.uniform())],
+                budget=[BudgetEntry("scale", None, rng.uniform(), "1", None, rng.uniform())],
             )
         ],
         sigma_30m_m=rng.uniform(),

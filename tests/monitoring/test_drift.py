@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from retropole import pipeline
 from retropole.base import se3
@@ -149,7 +150,7 @@ def test_a_pose_that_fits_no_better_than_the_stored_one_is_no_movement(
         found = refine(*args, **options)
         assert found is not None
         T = se3.retract(found.pose.T_target_source, np.r_[0, 0, 0, 0, 0, 0.05])
-        return replace(found, pose=replace(found.pose, T_target_source=T))
+        return replace(found, pose=structs.replace(found.pose, T_target_source=T))
 
     again = record_again(street, np.random.default_rng(21), poles=False)
     monkeypatch.setattr(new_pose, "refine", elsewhere)
@@ -222,7 +223,7 @@ def test_hardly_any_points_cannot_tell(
 
 def test_a_pose_without_covariance_is_refused(street: SimulatedPair, stored: PoseEstimate) -> None:
     with pytest.raises(UsageError):
-        check(replace(stored, covariance=None), street.target, street.source)
+        check(structs.replace(stored, covariance=None), street.target, street.source)
 
 
 def test_recording_again_moves_the_source_alone(street: SimulatedPair) -> None:

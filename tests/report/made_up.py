@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
 from html.parser import HTMLParser
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from retropole.base import se3
+from retropole.base.bounded import Status
 from retropole.base.datatypes import (
     Array,
     Detection,
@@ -18,28 +18,28 @@ from retropole.base.datatypes import (
     Placement,
     PointCloud,
     Pole,
+    PoseEstimate,
     RejectedCluster,
     Scan,
 )
-from retropole.base.uncertainty import BudgetEntry, predicted_error
+from retropole.base.uncertainty import (
+    BudgetEntry,
+    Confirmation,
+    RadiusEstimate,
+    Uncertainty,
+    WeakDirection,
+    predicted_error,
+)
 from retropole.result import (
-    BudgetEntryDoc,
-    ConfirmationDoc,
-    ErrorAtRange,
     HypothesisDoc,
     InputDoc,
     PolesDoc,
-    PoseEstimateDoc,
-    RadiusDoc,
     ReasonDoc,
     ResultDoc,
     RunConfig,
     StagesDoc,
-    UncertaintyDoc,
-    WeakestDoc,
     pole_documents,
 )
-from retropole.result.bounded import Status
 
 HOSTILE = "</script><script>window.injected=1</script>\u2028<!--'\"&"
 """Text that would run, were it not escaped."""
@@ -157,7 +157,7 @@ def made_up_hypotheses(answered: bool) -> list[HypothesisDoc]:
     return [
         HypothesisDoc(
             pairs=[(0, 0), (1, 1)] if k in (0, 3) else [(0, 1), (1, 0)],
-            T_target_source=(pose @ T_TRUE).tolist(),
+            T_target_source=pose @ T_TRUE,
             pole_rms_m=0.0142 + 0.0001 * k,
             exact=True,
             icp_rotation_rad=e_r,
@@ -173,32 +173,29 @@ def made_up_hypotheses(answered: bool) -> list[HypothesisDoc]:
     ]
 
 
+HEIGHT = "height along the poles: 6.0 mm"
+
+
 def made_up(status: Status = "ok", count: int = 4000) -> Run:
     """Make up a run of one placement."""
     placement = Placement(observed(np.eye(4), 1, count), observed(T_TRUE, 2, count))
     answered = status != "refused"
-    T, covariance = T_TRUE.tolist(), RANDOM + SYSTEMATIC
-    from_poles = PoseEstimateDoc(T, covariance.tolist(), 0.0142)
+    T, covariance = T_TRUE, RANDOM + SYSTEMATIC
+    from_poles = PoseEstimate(T, covariance, 0.0142)
     result = ResultDoc(
         status=status,
         reasons=REASONS[status],
         T_target_source=T if answered else None,
-        covariance=covariance.tolist() if answered else None,
-        uncertainty=UncertaintyDoc(RANDOM.tolist(), SYSTEMATIC.tolist()) if answered else None,
-        budget=[BudgetEntryDoc(*astuple(entry)) for entry in BUDGET] if answered else None,
-        predicted_error=[ErrorAtRange(*each) for each in predicted_error(covariance)]
-        if answered
-        else None,
-        weakest=WeakestDoc([0.0, 0.0, 1.0], 0.006, "height along the poles: 6.0 mm", 11.0)
-        if answered
-        else None,
-        radius=RadiusDoc(0.02, 0.0005, 0.02031, 0.00042) if answered else None,
-        confirmation=ConfirmationDoc(agreeing=412, contradicting=3, contradicted=3 / 415)
-        if answered
-        else None,
+        covariance=covariance if answered else None,
+        uncertainty=Uncertainty(RANDOM, SYSTEMATIC) if answered else None,
+        budget=list(BUDGET) if answered else None,
+        predicted_error=list(predicted_error(covariance)) if answered else None,
+        weakest=WeakDirection(np.array([0.0, 0.0, 1.0]), 0.006, HEIGHT, 11.0) if answered else None,
+        radius=RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042) if answered else None,
+        confirmation=Confirmation(agreeing=412, contradicting=3) if answered else None,
         stages=StagesDoc(
             from_poles if answered else None,
-            replace(from_poles, rms_m=0.0098) if status == "ok" else None,
+            replace(from_poles, rms=0.0098) if status == "ok" else None,
         ),
         hypotheses=made_up_hypotheses(answered),
         margin=0.51 if answered else 0.005,

@@ -12,8 +12,8 @@ from typing import Any, cast
 
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.report import render_report
-from retropole.result.bounded import Status
 from tests.report.browser import Browser, needs_browser
 from tests.report.made_up import made_up
 from tests.report.test_missing import lacking

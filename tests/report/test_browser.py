@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
+from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report
 from retropole.result import ReasonDoc
-from retropole.result.bounded import Status
 from retropole.simulation import simulate_pair
 from tests.report.browser import Browser, Picture, needs_browser
 from tests.report.made_up import HOSTILE, made_up
@@ -103,9 +103,9 @@ def test_marks_what_contradicts_the_pose_in_red(browser: Browser, tmp_path: Path
     placement = Placement(Scan(pair.target), Scan(pair.source))
     off = se3.retract(pair.T_target_source, np.r_[0.0, 0.0, 0.0, 2.0, 1.0, 0.0])
     made = made_up(count=500).result
-    hypotheses = [msgspec.structs.replace(made.hypotheses[0], T_target_source=off.tolist())]
+    hypotheses = [msgspec.structs.replace(made.hypotheses[0], T_target_source=off)]
     result = msgspec.structs.replace(
-        made, T_target_source=pair.T_target_source.tolist(), hypotheses=hypotheses
+        made, T_target_source=pair.T_target_source, hypotheses=hypotheses
     )
     browser.open(tmp_path, render_report(result, [placement]))
     right = browser.picture()

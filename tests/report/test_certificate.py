@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from retropole.base.bounded import Status
+from retropole.base.uncertainty.purpose import Fitness
 from retropole.report import render_report
 from retropole.report.certificate import LISTED_SOURCES, TO_FILL, certificate
-from retropole.result.bounded import Status
-from retropole.result.certainty import FitnessDoc
 from tests.report.made_up import HOSTILE, Page, made_up
 
 
@@ -38,7 +38,7 @@ def test_what_is_not_given_is_a_line_to_write_on() -> None:
 
 
 def test_the_tolerance_is_what_was_asked_for() -> None:
-    asked = FitnessDoc(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
+    asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
     html = certificate(replace(made_up().result, fitness=asked))
     assert html.count(TO_FILL) == 4
     assert "Within 2 cm <at> 30 m: yes, 98 % sure" in Page(html).text

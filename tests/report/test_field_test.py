@@ -8,20 +8,22 @@ from retropole.base.errors import Reason
 from retropole.report.field_test import describe_field_test, field_test_section, render_field_test
 from retropole.report.layout import LINES, WIDTH
 from retropole.result.certification import FieldTestDoc, field_test_document
-from retropole.site.certification import ALPHA, DistanceTest, FieldTest
+from retropole.site.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
 from retropole.site.repetition import Spread, SpreadTest
 
 
 def made_up(poles: int = 4, *, off: float = 0.004, placements: int = 1) -> FieldTest:
     pairs = [(k, pair) for k in range(placements) for pair in combinations(range(poles), 2)]
+    scatter, limit = (0.005, 0.006, 0.003, 0.004), 0.021
     distances = tuple(
-        DistanceTest(k, pair, (2.5, 2.5 - d), (0.005, 0.006), (0.003, 0.004), d, 0.004, 0.021)
+        DistanceTest(k, pair, 2.5, 2.5 - d, *scatter, d, 0.004, limit, passed=d <= limit)
         for n, (k, pair) in enumerate(pairs)
         for d in [off if n == 0 else 0.001]
     )
-    spread = SpreadTest(Spread(5, 0.002, 1.1, 12.0), Spread(5, 0.003, 0.9, 11.0), 1.22, 0.3, 3.4)
+    target, source = Spread(5, 0.002, 1.1, 12.0), Spread(5, 0.003, 0.9, 11.0)
+    spread = SpreadTest(target, source, 1.22, 0.3, 3.4, 0.74, passed=True)
     passed = all(each.passed for each in distances)
-    counts = ((poles, poles + 1, poles),) * placements
+    counts = (PolesSeen(poles, poles + 1, poles),) * placements
     return FieldTest("pass" if passed else "fail", (), distances, ALPHA, 2.63, spread, counts)
 
 
@@ -37,7 +39,7 @@ REFUSED = FieldTest(
     ALPHA,
     None,
     None,
-    ((2, 2, 2),),
+    (PolesSeen(2, 2, 2),),
 )
 
 

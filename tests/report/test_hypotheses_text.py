@@ -32,7 +32,7 @@ def with_turns(*turns: tuple[float, float, float], vertical: bool = True) -> Res
             result.hypotheses[0],
             T_target_source=se3.from_rt(
                 se3.rotation_from_rpy(np.radians(turn)), np.array([3.0 * k, 0, 0])
-            ).tolist(),
+            ),
             chosen=False,
             stands=True,
         )

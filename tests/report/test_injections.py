@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.base.datatypes import Detection, Placement, PointCloud, RejectedCluster, Scan
 from retropole.report import render_report
 from retropole.report.viewer import Shown, Viewer, serve
 from retropole.result import ResultDoc
-from retropole.result.bounded import Status
 from tests.report.browser import Browser, WebDriverWait, needs_browser
 from tests.report.injections import INJECTIONS, ONLY_TEXT, injection
 from tests.report.made_up import made_up

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.report import render_report
-from retropole.result.bounded import Status
 from tests.report.browser import Browser, needs_browser
 from tests.report.made_up import made_up
 

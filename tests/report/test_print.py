@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.report import render_report
 from retropole.result import ReasonDoc, ResultDoc
-from retropole.result.bounded import Status
 from tests.report.browser import Browser, Image, needs_browser
 from tests.report.made_up import made_up
 

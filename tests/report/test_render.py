@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.report import render_report, write_report
 from retropole.report.render import MAX_PAGE_POINTS_TOGETHER
@@ -24,7 +25,6 @@ from retropole.result import (
     StagesDoc,
     encode,
 )
-from retropole.result.bounded import Status
 from tests.paths import PACKAGE
 from tests.report.made_up import HOSTILE, Page, made_up, placement_of
 

@@ -11,11 +11,13 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.base.reasons import REASONS, plain
+from retropole.base.uncertainty import Confirmation
+from retropole.base.uncertainty.purpose import Fitness
 from retropole.export import export_lines
 from retropole.report import render_report
 from retropole.report.markup import NO_BREAK
 from retropole.report.sections import FRAMES, UNFOLDED, hypotheses, transform, verdict
-from retropole.result import ConfirmationDoc, FitnessDoc, ReasonDoc
+from retropole.result import ReasonDoc
 from tests.report.made_up import T_TRUE, Page, made_up
 
 
@@ -50,7 +52,7 @@ def test_says_how_certain_and_in_which_direction() -> None:
 
 
 def test_a_refusal_says_what_the_scene_said() -> None:
-    denied = ConfirmationDoc(agreeing=61, contradicting=202, contradicted=202 / 263, better_at=2.0)
+    denied = Confirmation(agreeing=61, contradicting=202, better_at=2.0)
     refusal = made_up("refused", 500).result
     text = Page(verdict(replace(refusal, confirmation=denied))).text
     said = "61 places agree, 202 deny it (76.8 %); it fits better 2.0 m away"
@@ -90,7 +92,7 @@ def test_lines_to_copy_are_those_of_export() -> None:
 def test_the_verdict_answers_what_was_asked_for() -> None:
     run = made_up("ok", 500).result
     assert "sure" not in Page(verdict(run)).text
-    asked = FitnessDoc(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
+    asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
     page = Page(verdict(replace(run, fitness=asked)))
     assert page.open == []
     assert "Within 2 cm <at> 30 m: yes, 98 % sure." in page.text

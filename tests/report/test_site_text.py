@@ -1,12 +1,13 @@
 """The result of a site on a terminal."""
 
 import msgspec
+import numpy as np
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.report.layout import LINES, WIDTH
 from retropole.report.site_text import describe_site, pose_rows
 from retropole.result import ReasonDoc
-from retropole.result.bounded import Status
 from retropole.result.site import SiteDoc
 from tests.report.site.made_up import document_of, made_up_site
 
@@ -54,7 +55,7 @@ def test_many_lidars_and_reasons_fit_too(status: Status) -> None:
 
 def test_large_coordinates_are_the_frames_own() -> None:
     document = document_of(made_up_site(surveyed=True))
-    frame = msgspec.structs.replace(document.frame, offset_m=[500_000.0, 5_700_000.0, 0.0])
+    frame = msgspec.structs.replace(document.frame, offset=np.array([500_000.0, 5_700_000.0, 0.0]))
     document = msgspec.structs.replace(document, frame=frame)
     row = pose_rows(document)[0]
     assert (row.x, row.y, row.z) == ("500000.000", "5700000.000", "0.000")

@@ -7,15 +7,16 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.base import se3
+from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.quantities import counted
 from retropole.base.reasons import REASONS, plain
+from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate, find_poles
 from retropole.report.layout import LINES, WIDTH
 from retropole.report.text import describe_detection, describe_result, reason_lines, transform_lines
 from retropole.result import (
     ErrorAtRange,
-    FitnessDoc,
     InputDoc,
     PlacementDoc,
     PolesDoc,
@@ -24,7 +25,6 @@ from retropole.result import (
     detection_document,
     result_document,
 )
-from retropole.result.bounded import Status
 from retropole.simulation import simulate_pair
 from tests.report.made_up import made_up
 
@@ -34,7 +34,7 @@ INPUTS = [InputDoc(f"{name}.pcd", "0" * 64, 100, 3, "auto", 120.0) for name in (
 @pytest.mark.parametrize("seed", range(5))
 def test_every_notation_of_a_transform_is_the_same(seed: int) -> None:
     T = se3.random(np.random.default_rng(seed))
-    *rows, translation, quaternion, angles = transform_lines(T.tolist())
+    *rows, translation, quaternion, angles = transform_lines(T)
 
     def numbers(line: str) -> Array:
         return np.array([float(n) for n in re.findall(r"-?\d+\.\d+", line)])
@@ -110,7 +110,7 @@ def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius()
 
 def test_what_was_asked_for_is_answered_and_the_next_commands_stand_last() -> None:
     words = "within 2 cm at 30 m: yes, 98 % sure"
-    asked = FitnessDoc(0.02, 30.0, "yes", 0.98, 0.018, words)
+    asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, words)
     following = {"next": "retropole export 'my out'", "later": "retropole check out\u202e"}
     lines = describe_result(
         replace(made_up("ok", 500).result, fitness=asked), ["r"], following
@@ -156,7 +156,7 @@ def test_a_result_is_a_screen_at_most_and_names_every_verdict(status: Status, ma
     result = made_up(status, 500).result
     first = result.poles.target[0]
     codes = list(REASONS)[:many] if status != "ok" else []
-    asked = FitnessDoc(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm at 30 m: yes, 98 % sure")
+    asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm at 30 m: yes, 98 % sure")
     for poles, placements in ((many, 0), (2, many), (0, 0)):
         each = replace(
             result,

@@ -28,7 +28,7 @@ def test_embedded_json_says_the_same_and_no_markup() -> None:
 def test_ellipsoid_is_the_covariance_of_the_translation() -> None:
     result, placements = made_up(count=500)
     root = 1e-3 * np.random.default_rng(3).standard_normal((6, 6))
-    result = replace(result, covariance=(root @ root.T).tolist())
+    result = replace(result, covariance=root @ root.T)
     ellipsoid = page_view(result, placements, NAMES, 100).ellipsoid
     assert ellipsoid is not None
     axes = np.array(ellipsoid.axes) / ellipsoid.factor
@@ -65,8 +65,8 @@ def test_every_pose_brings_the_points_that_contradict_it() -> None:
     result = made_up(count=500).result
     result = replace(
         result,
-        T_target_source=right.tolist(),
-        hypotheses=[replace(result.hypotheses[0], T_target_source=wrong.tolist())],
+        T_target_source=right,
+        hypotheses=[replace(result.hypotheses[0], T_target_source=wrong)],
     )
     marked = page_view(result, [placement], NAMES, 100).placements[0].contradicting
     assert set(marked) == {"result", "a"}

@@ -12,11 +12,8 @@ from retropole.result import (
     InputDoc,
     ResultDoc,
     RunConfig,
-    confirmation_of,
     encode,
-    radius_of,
     result_document,
-    uncertainty_of,
 )
 from retropole.result.decoding import decode
 from tests.report.made_up import BUDGET, RANDOM, SYSTEMATIC, placement_of
@@ -41,7 +38,9 @@ def written(answer: Calibration) -> ResultDoc:
     return result_document(answer, inputs=INPUTS, config=RunConfig(), seconds={})
 
 
-STATED_CONFIRMATION = Confirmation(412, 3, 10, better_at=1.75, lead=2.5, vouched=True)
+STATED_CONFIRMATION = Confirmation(
+    agreeing=412, contradicting=3, missing=10, better_at=1.75, lead=2.5, vouched=True
+)
 STATED = calibration(
     Uncertainty(RANDOM, SYSTEMATIC, BUDGET),
     RadiusEstimate(0.02, 0.0005, 0.02031, 0.00042),
@@ -82,30 +81,30 @@ def test_the_covariance_is_the_sum_of_its_two_parts() -> None:
 
 def test_what_was_written_is_read_back() -> None:
     document = decode(encode(written(STATED)))
-    found, stated = uncertainty_of(document.uncertainty, document.budget), STATED.uncertainty
+    found, stated = document.whole_uncertainty, STATED.uncertainty
     assert found is not None
     assert stated is not None
     np.testing.assert_array_equal(found.random, stated.random)
     np.testing.assert_array_equal(found.systematic, stated.systematic)
     assert found.budget == stated.budget
-    assert radius_of(document.radius) == STATED.radius
-    assert confirmation_of(document.confirmation) == STATED.confirmation
+    assert document.radius == STATED.radius
+    assert document.confirmation == STATED.confirmation
 
 
-@pytest.mark.parametrize("found", [Confirmation(412, 3), Confirmation(0, 0)])
+@pytest.mark.parametrize(
+    "found",
+    [Confirmation(agreeing=412, contradicting=3), Confirmation(agreeing=0, contradicting=0)],
+)
 def test_what_stands_in_the_scene_may_fit_nowhere_better(found: Confirmation) -> None:
     document = decode(encode(written(calibration(confirmation=found))))
-    assert confirmation_of(document.confirmation) == found
-    assert document.confirmation is not None
-    assert document.confirmation.contradicted == found.denied
+    assert document.confirmation == found
+    assert found.denied == found.denying / max(found.total, 1)
 
 
-def test_the_largest_error_comes_first() -> None:
-    shuffled = Uncertainty(RANDOM, SYSTEMATIC, BUDGET[::-1])
-    budget = written(calibration(shuffled)).budget
-    assert budget is not None
-    shares = [entry.share_at_30m for entry in budget]
-    assert shares == sorted(shares, reverse=True)
+def test_what_follows_is_worked_out_again() -> None:
+    stated = json.loads(encode(written(STATED)))
+    stated["confirmation"] |= {"contradicted": 0.5, "probability_wrong": 0.25}
+    assert decode(json.dumps(stated).encode()).confirmation == STATED.confirmation
 
 
 def test_numbers_of_numpy_are_written_as_numbers() -> None:
@@ -127,6 +126,5 @@ def test_files_that_do_not_state_it_are_read(missing: str) -> None:
             del plain[name]
     document = decode(json.dumps(plain).encode())
     assert (document.uncertainty, document.budget, document.radius) == (None, None, None)
-    assert uncertainty_of(document.uncertainty, document.budget) is None
-    assert radius_of(document.radius) is None
-    assert confirmation_of(document.confirmation) is None
+    assert document.confirmation is None
+    assert document.whole_uncertainty is None

@@ -4,14 +4,13 @@ import json
 
 from retropole.result import encode
 from retropole.result.certification import field_test_document
-from retropole.site.certification import ALPHA, DistanceTest, FieldTest
+from retropole.site.certification import ALPHA, DistanceTest, FieldTest, PolesSeen
 
 
 def test_the_document_holds_every_distance() -> None:
-    distance = DistanceTest(
-        1, (0, 2), (2.5, 2.46), (0.005, 0.006), (0.003, 0.004), 0.04, 0.0039, 0.0205
-    )
-    test = FieldTest("fail", (), (distance,), ALPHA, 2.63, None, ((4, 4, 4),))
+    lengths = (2.5, 2.46, 0.005, 0.006, 0.003, 0.004)
+    distance = DistanceTest(1, (0, 2), *lengths, 0.04, 0.0039, 0.0205, passed=False)
+    test = FieldTest("fail", (), (distance,), ALPHA, 2.63, None, (PolesSeen(4, 4, 4),))
     document = field_test_document({("target", "source"): test}, radius=0.02, inputs=[])
     data = json.loads(encode(document))
     assert data["schema"] == "retropole/field-test/1"

@@ -42,6 +42,8 @@ def changed(way: str, value: Any) -> bytes:
         ("joint_covariance", None, "joint_covariance"),
         ("joint_covariance.17", [0.0] * 17, "joint_covariance"),
         ("joint_covariance.0.1", 1.0, "joint_covariance"),
+        ("joint_covariance.0", "no row", "joint_covariance"),
+        ("frame.offset_m", [0.0, 0.0], "frame.offset_m"),
         ("joint_order.3", "mast-a.phi_x", "joint_order"),
         ("covariance_order", ["x"] * 6, "covariance_order"),
         ("covariance_frame", "LiDAR axes", "covariance_frame"),

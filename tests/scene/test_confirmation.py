@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from retropole.base import se3
 from retropole.base.datatypes import Calibration, Placement, Scan
@@ -97,7 +98,7 @@ def test_on_bare_ground_nothing_confirms_and_nothing_denies() -> None:
         assert 0.1 < answer.confirmation.probability_wrong < 0.9
         trusted = calibrate(pair.target, pair.source, trust_poles=True)
         assert "not_confirmed" not in [reason.code for reason in trusted.reasons]
-        assert trusted.confirmation == replace(answer.confirmation, trusted=True)
+        assert trusted.confirmation == structs.replace(answer.confirmation, trusted=True)
 
 
 def test_a_cloud_in_which_nothing_stands_gives_finite_figures() -> None:

@@ -90,7 +90,7 @@ def test_both_directions_count_alike() -> None:
 def test_nothing_denies_nothing() -> None:
     empty = standing_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
     found = consistency(empty, empty, np.eye(4))
-    assert found == Confirmation(0, 0)
+    assert found == Confirmation(agreeing=0, contradicting=0)
     assert found.denied == 0
 
 

@@ -50,7 +50,7 @@ def part_at(parts: Sequence[Part], name: str, lidar: int | None) -> float:
     root = np.concatenate(
         [part.root[6:] for part in parts if part.name == name and part.lidar == lidar], axis=1
     )
-    return predicted_error(root @ root.T, (30.0,))[0][1]
+    return predicted_error(root @ root.T, (30.0,))[0].sigma_m
 
 
 def test_parts_of_two_lidars_are_those_of_the_pair(
@@ -64,7 +64,7 @@ def test_parts_of_two_lidars_are_those_of_the_pair(
     assert alone.uncertainty is not None
     assert alone.covariance is not None
     parts = pair_steps.adjusted.parts
-    whole = predicted_error(alone.covariance, (30.0,))[0][1]
+    whole = predicted_error(alone.covariance, (30.0,))[0].sigma_m
     checked = 0
     for entry in alone.uncertainty.budget:
         name = entry.name
@@ -160,6 +160,6 @@ def test_two_lidars_are_surer_of_each_other_than_of_the_site(surveyed: Steps) ->
     independent[6:12, 12:18] = independent[12:18, 6:12] = 0.0
     alone = relative(adjusted.end.T[1], adjusted.end.T[2], joint_of(independent, 1, 2))
     for ranges in (10.0, 30.0):
-        joint = predicted_error(found.covariance, (ranges,))[0][1]
-        assert joint < predicted_error(alone.covariance, (ranges,))[0][1]
+        joint = predicted_error(found.covariance, (ranges,))[0].sigma_m
+        assert joint < predicted_error(alone.covariance, (ranges,))[0].sigma_m
     assert se3.difference(found.T_i_j, alone.T_i_j).translation == 0.0

@@ -228,7 +228,7 @@ def test_the_pipeline_reports_both_stages() -> None:
     assert answer.poles is not None
     assert answer.refined is not None
     np.testing.assert_array_equal(answer.T_target_source, answer.refined.T_target_source)
-    assert [r for r, _ in answer.predicted_error] == [1.0, 10.0, 30.0, 60.0]
+    assert [each.range_m for each in answer.predicted_error] == [1.0, 10.0, 30.0, 60.0]
     alone = calibrate(pair.target, pair.source, scene=False)
     assert alone.refined is None
     np.testing.assert_array_equal(alone.T_target_source, answer.poles.T_target_source)

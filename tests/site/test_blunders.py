@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
@@ -66,7 +67,7 @@ def test_a_pole_that_was_bumped_is_named_and_left_out() -> None:
 
 def moved_point(site: Site, by: Array) -> Site:
     first, *others = site.points
-    return replace(site, points=(replace(first, at=first.at + by), *others))
+    return replace(site, points=(structs.replace(first, at=first.at + by), *others))
 
 
 def test_a_control_point_that_is_off_is_named_and_left_out(
@@ -151,7 +152,7 @@ def test_an_end_of_a_surveyed_pole_that_is_off_is_never_absorbed() -> None:
     assert first.foot is not None
     assert first.top is not None
     across = np.cross(first.top - first.foot, [0.0, 0.0, 1.0])
-    wrong = replace(first, top=first.top + 0.1 * across / np.linalg.norm(across))
+    wrong = structs.replace(first, top=first.top + 0.1 * across / np.linalg.norm(across))
     found = calibrate_site(replace(site, poles=(wrong, *others)))
     assert found.status != "ok"
     assert any(first.name in reason.message for reason in found.reasons)

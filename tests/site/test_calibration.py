@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
@@ -36,7 +37,7 @@ beyond five σ."""
 
 
 def sigma_at(found: RelativePose) -> float:
-    return predicted_error(found.covariance, (30.0,))[0][1]
+    return predicted_error(found.covariance, (30.0,))[0].sigma_m
 
 
 def moved(found: RelativePose, left: Array, right: Array) -> RelativePose:
@@ -117,8 +118,10 @@ def test_where_a_survey_counts_from_makes_no_difference(simulated_survey: Simula
     def there(point: Array | None) -> Array | None:
         return None if point is None else se3.apply(F, point[None])[0]
 
-    poles = tuple(replace(each, foot=there(each.foot), top=there(each.top)) for each in site.poles)
-    points = tuple(replace(each, at=se3.apply(F, each.at[None])[0]) for each in site.points)
+    poles = tuple(
+        structs.replace(each, foot=there(each.foot), top=there(each.top)) for each in site.poles
+    )
+    points = tuple(structs.replace(each, at=se3.apply(F, each.at[None])[0]) for each in site.points)
     again = calibrate_site(replace(site, poles=poles, points=points))
     assert again.status == plain.status == "ok"
     for one, other, true in zip(
@@ -217,7 +220,7 @@ def test_a_ring_that_is_cut_is_refused_with_its_lidars() -> None:
 
 def test_a_survey_of_metres_is_too_weak(simulated_survey: SimulatedSite) -> None:
     site = simulated_survey.as_site()
-    loose = tuple(replace(each, sigma=3.0) for each in site.poles)
+    loose = tuple(structs.replace(each, sigma=3.0) for each in site.poles)
     found = calibrate_site(replace(site, poles=loose, points=()))
     assert found.status == "refused"
     assert found.reasons[0].code == "survey_too_weak"

@@ -7,7 +7,15 @@ import pytest
 
 from retropole.base.datatypes import Placement
 from retropole.simulation import SimulatedPair, place_again, record_again
-from retropole.site.certification import ALPHA, FieldTest, certify, certify_site, compare, quantile
+from retropole.site.certification import (
+    ALPHA,
+    FieldTest,
+    PolesSeen,
+    certify,
+    certify_site,
+    compare,
+    quantile,
+)
 from retropole.site.description import Site, SiteLidar
 from retropole.site.distances import Measured
 from tests.site.certifying import RADIUS, found_in, four_poles
@@ -30,7 +38,7 @@ def healthy(placement: Placement) -> FieldTest:
 
 def test_lidars_that_measure_as_stated_pass(healthy: FieldTest) -> None:
     assert healthy.status == "pass"
-    assert healthy.poles == ((4, 4, 4),)
+    assert healthy.poles == (PolesSeen(4, 4, 4),)
     assert len(healthy.distances) == 6
     assert healthy.z == pytest.approx(quantile(ALPHA, 6))
     assert healthy.spread is not None
@@ -38,10 +46,11 @@ def test_lidars_that_measure_as_stated_pass(healthy: FieldTest) -> None:
     assert healthy.z is not None
     for each in healthy.distances:
         assert each.passed
-        assert each.difference == pytest.approx(each.lengths[0] - each.lengths[1])
-        assert 2 * each.u == pytest.approx(np.hypot(*each.sigma), rel=0.05)
-        assert each.limit == pytest.approx(2 * each.u * healthy.z)
-        assert 0 < each.random[0] < each.sigma[0]
+        assert each.difference_m == pytest.approx(each.target_m - each.source_m)
+        together = np.hypot(each.u_target_m, each.u_source_m)
+        assert 2 * each.u_end_m == pytest.approx(together, rel=0.05)
+        assert each.limit_m == pytest.approx(2 * each.u_end_m * healthy.z)
+        assert 0 < each.random_target_m < each.u_target_m
 
 
 def test_distances_are_near_those_of_the_poles(pair: SimulatedPair, healthy: FieldTest) -> None:
@@ -51,7 +60,7 @@ def test_distances_are_near_those_of_the_poles(pair: SimulatedPair, healthy: Fie
         for b in pair.poles[k + 1 :]
     ]
     # From another height of leaning poles.
-    found = sorted(each.lengths[0] for each in healthy.distances)
+    found = sorted(each.target_m for each in healthy.distances)
     assert found == pytest.approx(sorted(between), abs=0.4)
 
 
@@ -60,8 +69,8 @@ def test_where_the_lidars_stand_makes_no_difference(
 ) -> None:
     # The frame of the source's file is another one, and the roles change.
     other = certify([Placement(placement.source, placement.target)], radius=RADIUS)
-    assert sorted(abs(e.difference) for e in other.distances) == pytest.approx(
-        sorted(abs(e.difference) for e in healthy.distances), abs=1e-4
+    assert sorted(abs(e.difference_m) for e in other.distances) == pytest.approx(
+        sorted(abs(e.difference_m) for e in healthy.distances), abs=1e-4
     )
 
 
@@ -72,7 +81,7 @@ def test_a_gross_error_of_the_scale_fails(pair: SimulatedPair) -> None:
     )
     answer = certify([found_in(again)], radius=RADIUS)
     assert answer.status == "fail"
-    assert any(not each.passed and each.difference < 0 for each in answer.distances)
+    assert any(not each.passed and each.difference_m < 0 for each in answer.distances)
 
 
 def test_a_pole_that_moved_between_the_recordings_fails(pair: SimulatedPair) -> None:
@@ -105,8 +114,8 @@ def test_a_placement_that_does_not_fit_is_left_out_and_named(placement: Placemen
     one, other = (found_in(four_poles(seed=seed, frames=1, poles=3)) for seed in (4, 5))
     answer = certify([placement, Placement(one.target, other.source)], radius=RADIUS)
     assert answer.status == "pass"
-    assert answer.poles[0] == (4, 4, 4)
-    assert answer.poles[1][2] == 0
+    assert answer.poles[0] == PolesSeen(4, 4, 4)
+    assert answer.poles[1].compared == 0
     assert answer.reasons[0].message.startswith("placement 2 is not compared: ")
 
 
@@ -124,7 +133,7 @@ def test_every_pair_of_a_site_is_tested(pair: SimulatedPair, healthy: FieldTest)
     site = Site("quay", (*lidars, SiteLidar("c", (None,))), ("one",), radius=RADIUS)
     (((a, b), answer),) = certify_site(site)
     assert (a, b) == (0, 1)
-    assert [e.difference for e in answer.distances] == [e.difference for e in healthy.distances]
+    assert [e.difference_m for e in answer.distances] == [e.difference_m for e in healthy.distances]
 
 
 def test_no_more_than_alpha_of_families_of_correlated_differences_fail() -> None:
@@ -139,7 +148,7 @@ def test_no_more_than_alpha_of_families_of_correlated_differences_fail() -> None
     a = Measured(draws[0], random, np.zeros((6, 1)), nothing)
     b = Measured(nothing, random, np.zeros((6, 1)), nothing)
     tests = compare((a, b), [(0, (0, 1))] * 6, 2.0)
-    assert [2 * each.u for each in tests] == pytest.approx(sigma)
+    assert [2 * each.u_end_m for each in tests] == pytest.approx(sigma)
 
 
 def test_what_both_have_from_the_radius_cancels() -> None:
@@ -147,4 +156,4 @@ def test_what_both_have_from_the_radius_cancels() -> None:
     radius = np.array([0.004])
     one = Measured(np.array([2.0]), none + 1e-6, none, radius)
     (test,) = compare((one, one), [(0, (0, 1))], 2.0)
-    assert 2 * test.u == pytest.approx(np.sqrt(2e-6))
+    assert 2 * test.u_end_m == pytest.approx(np.sqrt(2e-6))

@@ -1,9 +1,8 @@
 """How what the LiDARs see is laid on a survey, and when that is refused."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from retropole.base import se3
 from retropole.base.datatypes import Array

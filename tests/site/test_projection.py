@@ -5,7 +5,7 @@ import pytest
 
 from retropole.base.errors import UsageError
 from retropole.site import projection, world
-from retropole.site.description import Frame
+from retropole.site.description import Frame, Geodetic
 
 pytest.importorskip("pyproj", reason="needs pip install 'retropole[world]'")
 UTM = 25832
@@ -16,7 +16,7 @@ POLES = np.array([[691_607.25, 5_334_765.5, 512.0], [691_637.5, 5_334_790.25, 51
 def test_scale_and_convergence_are_the_slopes_of_the_projection(epsg: int) -> None:
     west, south, east, north = np.radians(projection.projected(epsg).crs.area_of_use.bounds)
     at = np.array([0.6 * south + 0.4 * north, 0.3 * west + 0.7 * east, 300.0])
-    frame = Frame("f", surveyed=True, epsg=epsg, geodetic=at)
+    frame = Frame("f", surveyed=True, epsg=epsg, geodetic=Geodetic(*at))
     steps = world.to_frame(frame, np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
     to_east, to_north = steps[1, :2] - steps[0, :2], steps[2, :2] - steps[0, :2]
     grid = projection.grid_at(epsg, at)
@@ -67,7 +67,7 @@ def test_a_system_that_bends_angles_says_so_and_by_how_much() -> None:
     assert "it is not conformal" in grid.words
     assert "conformal" not in projection.grid_at(25834, at).words
     ways = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0, np.pi, 181)])
-    frame = Frame("f", surveyed=True, epsg=3035, geodetic=at)
+    frame = Frame("f", surveyed=True, epsg=3035, geodetic=Geodetic(*at))
     full = world.to_frame(frame, np.vstack([np.zeros(3), ways]))
     lengths = np.linalg.norm(full[1:, :2] - full[0, :2], axis=1)
     assert (lengths.max() - lengths.min()) / 2 == pytest.approx(grid.distortion / 2, rel=0.01)
@@ -79,7 +79,7 @@ def test_a_place_that_a_system_is_not_meant_for_is_said() -> None:
     assert "not meant for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
     frame = world.tangent_frame(28992, np.array([[470_000.0, 190_000.0, 0.0]]))
     assert frame.geodetic is not None
-    assert "are its coordinates right" in projection.grid_at(28992, frame.geodetic).words
+    assert "are its coordinates right" in projection.grid_at(28992, frame.geodetic.array).words
 
 
 def test_an_area_may_lie_across_180_degrees() -> None:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import builtins
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import MissingExtraError, UsageError
 from retropole.site import geodesy, world
-from retropole.site.description import ControlPoint, Frame, Sighting, Site, SurveyedPole
+from retropole.site.description import ControlPoint, Frame, Geodetic, Sighting, Site, SurveyedPole
 from retropole.site.projection import grid_at, projected
 
 UTM = 25832
@@ -25,7 +25,7 @@ POLES = np.array(
         [691_650.25, 5_334_720.5, 518.125],
     ]
 )
-ENU = Frame("ENU", surveyed=True, geodetic=np.array([0.84, 0.2, 560.0]))
+ENU = Frame("ENU", surveyed=True, geodetic=Geodetic(0.84, 0.2, 560.0))
 
 
 def with_pyproj() -> Any:
@@ -53,9 +53,9 @@ def test_a_local_frame_needs_no_projection(monkeypatch: pytest.MonkeyPatch) -> N
     places = np.array([[0.0, 0.0, 0.0], [30.0, -20.0, 5.0]])
     found = world.on_wgs84(ENU, places)
     assert ENU.geodetic is not None
-    np.testing.assert_allclose(found.geodetic[0], ENU.geodetic, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found.geodetic[0], ENU.geodetic.array, rtol=0, atol=1e-15)
     assert found.datum == ""
-    back = geodesy.local_of(found.geodetic, ENU.geodetic)
+    back = geodesy.local_of(found.geodetic, ENU.geodetic.array)
     np.testing.assert_allclose(back, places, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(world.to_frame(ENU, places), places)
 
@@ -73,7 +73,7 @@ def test_headings_count_from_north_by_east() -> None:
 
 @pytest.mark.parametrize("latitude", [2.0, -1.6, float("nan")])
 def test_an_origin_that_is_no_place_is_refused(latitude: float) -> None:
-    frame = replace(ENU, geodetic=np.array([latitude, 0.0, 0.0]))
+    frame = replace(ENU, geodetic=Geodetic(latitude, 0.0, 0.0))
     with pytest.raises(UsageError, match="no place on earth"):
         world.geodetic(frame, np.zeros((1, 3)))
 
@@ -180,7 +180,8 @@ def test_poses_in_the_grid_are_exact_and_turn_to_grid_north() -> None:
 def test_another_datum_is_moved_to_wgs84_and_said() -> None:
     with_pyproj()
     # Potsdam datum and WGS 84 are some 150 m apart in Bavaria.
-    frame = Frame("f", surveyed=True, epsg=31468, geodetic=np.radians([48.14, 11.57, 0.0]))
+    origin = Geodetic(*np.radians([48.14, 11.57, 0.0]))
+    frame = Frame("f", surveyed=True, epsg=31468, geodetic=origin)
     found = world.on_wgs84(frame, np.zeros((1, 3)))
     away = geodesy.local_of(found.geodetic, world.geodetic(frame, np.zeros((1, 3)))[0])
     assert 100 < np.linalg.norm(away[0, :2]) < 200

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from retropole.alignment.certainty import FLOOR
 from retropole.base.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
@@ -49,7 +50,7 @@ def an_answer(size: float = 1.0, *reasons: Reason, lead: float = 6.0) -> Calibra
         placements=(Placement(Scan(cloud, SENSORS["VLP-16"]), Scan(cloud)),),
         seconds={},
         uncertainty=Uncertainty(covariance, np.zeros((6, 6)), budget),
-        confirmation=Confirmation(500, 2, lead=lead),
+        confirmation=Confirmation(agreeing=500, contradicting=2, lead=lead),
     )
 
 
@@ -68,7 +69,7 @@ def test_no_ok_stands_next_to_a_large_error(size: float) -> None:
     bound = displacement_bound(size**2 * GOOD, USABLE.at)
     assert answer.status == ("ok" if bound <= USABLE.within else "warn")
     if answer.status == "ok":
-        assert all(sigma < 0.5 for _, sigma in answer.predicted_error)
+        assert all(each.sigma_m < 0.5 for each in answer.predicted_error)
     else:
         (reason,) = answer.reasons
         assert reason.code == "not_fit_for_purpose"
@@ -128,7 +129,7 @@ def test_what_the_scene_says_counts_unless_the_poles_are_trusted() -> None:
     assert wrong > 0.05
     assert fit.probability <= 1 - wrong
     assert fit.answer == "not shown"
-    trusted = replace(unsure, confirmation=replace(unsure.confirmation, trusted=True))
+    trusted = replace(unsure, confirmation=structs.replace(unsure.confirmation, trusted=True))
     assert judged(trusted, Need(0.05, 30.0)).status == "ok"
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment
 from retropole.alignment.axes_test import AxesTest
@@ -137,9 +138,7 @@ def reasons_of(
     weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
     paired = paired_placement(target, source)
     aligned = aligned or an_alignment()
-    return weaknesses(
-        [paired], hypotheses, aligned, weakest, refined, Confirmation(500, 2, lead=6.0)
-    )
+    return weaknesses([paired], hypotheses, aligned, weakest, refined, places(500, 2, lead=6.0))
 
 
 def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
@@ -208,6 +207,12 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
     assert refusal.value.values["mahalanobis_sq"] == contradict.mahalanobis_sq
 
 
+def places(
+    agreeing: int, contradicting: int, missing: int = 0, lead: float | None = None
+) -> Confirmation:
+    return Confirmation(agreeing=agreeing, contradicting=contradicting, missing=missing, lead=lead)
+
+
 def chance(found: Confirmation) -> float:
     assert found.probability_wrong is not None
     return found.probability_wrong
@@ -218,39 +223,40 @@ def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
         check_confirmation(found)
         return [reason.code for reason in unconfirmed(found)]
 
-    good = Confirmation(500, 2, lead=6.0)
+    good = places(500, 2, lead=6.0)
     assert chance(good) < MAX_WRONG / 2
     assert codes(good) == []
     # That much agrees says little where another pose agrees with as much.
-    assert codes(replace(good, agreeing=60, lead=0.0)) == ["not_confirmed"]
-    nothing = Confirmation(0, 0, lead=0.0)
+    assert codes(structs.replace(good, agreeing=60, lead=0.0)) == ["not_confirmed"]
+    nothing = places(0, 0, lead=0.0)
     assert 0.2 < chance(nothing) < 0.8
     assert codes(nothing) == ["not_confirmed"]
     # More poles or placements confirm each other where the scene has too little to say …
-    assert codes(replace(nothing, vouched=True)) == []
-    assert codes(replace(nothing, trusted=True)) == []
-    assert codes(Confirmation(0, MIN_TOTAL - 1, lead=0.0)) == ["not_confirmed"]
+    assert codes(structs.replace(nothing, vouched=True)) == []
+    assert codes(structs.replace(nothing, trusted=True)) == []
+    assert codes(places(0, MIN_TOTAL - 1, lead=0.0)) == ["not_confirmed"]
     # … but not against it.
-    denied = Confirmation(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED)), lead=6.0)
-    for found in (denied, replace(denied, vouched=True), replace(denied, trusted=True)):
+    denied = places(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED)), lead=6.0)
+    vouched, trusted = (structs.replace(denied, **{k: True}) for k in ("vouched", "trusted"))
+    for found in (denied, vouched, trusted):
         with pytest.raises(Refusal) as refusal:
             codes(found)
         assert refusal.value.code == "scene_contradicts"
         assert refusal.value.values["agreeing"] == 1000
     with pytest.raises(Refusal, match="should agree"):
-        codes(Confirmation(2, 20, MIN_TOTAL))
+        codes(places(2, 20, MIN_TOTAL))
     with pytest.raises(Refusal, match=r"fits better 1\.6 m away"):
-        codes(replace(good, better_at=1.6))
+        codes(structs.replace(good, better_at=1.6))
 
 
 def test_an_answer_is_likelier_wrong_the_more_denies_it_and_the_less_it_leads() -> None:
-    found = [Confirmation(500, denying, lead=3.0) for denying in (0, 5, 50, 200)]
+    found = [places(500, denying, lead=3.0) for denying in (0, 5, 50, 200)]
     chances = [chance(each) for each in found]
     assert chances == sorted(chances)
-    chances = [chance(Confirmation(500, 5, lead=lead)) for lead in (-3, -1, 1, 3)]
+    chances = [chance(places(500, 5, lead=lead)) for lead in (-3, -1, 1, 3)]
     assert chances == sorted(chances, reverse=True)
-    assert Confirmation(500, 5).probability_wrong is None, "it was held against nothing"
-    missing = Confirmation(500, 0, 50, lead=3.0)
+    assert places(500, 5).probability_wrong is None, "it was held against nothing"
+    missing = places(500, 0, 50, lead=3.0)
     assert chance(missing) == chance(found[2])
     assert all(0 < each < 1 for each in chances)
 

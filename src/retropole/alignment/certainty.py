@@ -314,4 +314,4 @@ def few_freedom(freedom: float) -> float:
 
 def _at(root: Array) -> float:
     """1 σ at `BUDGET_RANGE` of a part of one pose's covariance, metres."""
-    return predicted_error(root @ root.T, (BUDGET_RANGE,))[0][1]
+    return predicted_error(root @ root.T, (BUDGET_RANGE,))[0].sigma_m

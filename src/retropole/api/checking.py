@@ -25,7 +25,7 @@ from ..monitoring.movement import CheckResult as CheckResult
 from ..monitoring.movement import Movement as Movement
 from ..monitoring.swapped import swap
 from ..monitoring.tolerance import NOT_ASKED, Asked
-from ..result import DEFAULT_CONFIG, RunConfig, uncertainty_of
+from ..result import DEFAULT_CONFIG, RunConfig
 from ..result.decoding import decode
 from ..result.folder import result_file
 from .inputs import Input, read_pair
@@ -90,7 +90,7 @@ def read_stored(
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons
     )
-    parts = None if sigma is not None else uncertainty_of(document.uncertainty, document.budget)
+    parts = None if sigma is not None else document.whole_uncertainty
     hashes = [item.sha256 for item in document.inputs]
     pairs = tuple(zip(hashes[::2], hashes[1::2], strict=False))
     return Stored(pose, document.config, warnings, parts, pairs)

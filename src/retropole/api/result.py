@@ -8,28 +8,26 @@ from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Placement
-from ..base.errors import ReadError, Refusal
+from ..base.errors import ReadError
 from ..base.files import read_document, write_together
 from ..base.quantities import error
 from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
+from ..base.uncertainty.purpose import Fitness
 from ..export.documents import is_site_document
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
 from ..result import (
     ErrorAtRange,
-    FitnessDoc,
     ReasonDoc,
     ResultDoc,
-    confirmation_of,
     encode,
-    radius_of,
-    uncertainty_of,
+    refusal_of,
 )
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
@@ -38,8 +36,6 @@ from .stored import StoredInputs, placements_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from ..base.reasons import Code
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,12 +86,12 @@ class CalibrationResult:
 
         None when refused, and of a result of a version that did not state it.
         """
-        return uncertainty_of(self.document.uncertainty, self.document.budget)
+        return self.document.whole_uncertainty
 
     @property
     def radius(self) -> RadiusEstimate | None:
         """The poles' radius as given and as estimated, metres; None as `uncertainty` is."""
-        return radius_of(self.document.radius)
+        return self.document.radius
 
     @property
     def confirmation(self) -> Confirmation | None:
@@ -104,10 +100,10 @@ class CalibrationResult:
         None where the run was refused before the scene was asked, and of a result of a version
         that did not state it.
         """
-        return confirmation_of(self.document.confirmation)
+        return self.document.confirmation
 
     @property
-    def fitness(self) -> FitnessDoc | None:
+    def fitness(self) -> Fitness | None:
         """Whether it is as accurate as was asked for (`answer`, `probability`, `bound_m`).
 
         None where nothing was asked for, and when refused.
@@ -129,9 +125,7 @@ class CalibrationResult:
         """
         T = self.T_target_source
         if T is None:
-            unknown = ReasonDoc("refused", "the result gives no reason", {})
-            why = next(iter(self.reasons), unknown)
-            raise Refusal(cast("Code", why.code), why.message, why.values)
+            raise refusal_of(self.reasons)
         return T
 
     def __repr__(self) -> str:

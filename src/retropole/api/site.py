@@ -7,31 +7,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Scan
-from ..base.errors import ReadError, Reason, Refusal, UsageError
+from ..base.errors import ReadError, Reason, UsageError
 from ..base.files import read_document, write_together
 from ..base.quantities import error as in_words
 from ..base.relative import joint_of, relative
 from ..report.site import render_site
 from ..report.site_text import pose_rows
-from ..result import ReasonDoc, encode
+from ..result import ReasonDoc, encode, refusal_of
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
 from ..result.site_decoding import decode_site
-from ..result.site_parts import lidar_pose_of
 from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
 from ..site.description import Site
 from .inputs import Input
 from .site_inputs import SiteInputs, inputs_of, read_site, repeated
-
-if TYPE_CHECKING:
-    from ..base.reasons import Code
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,11 +77,9 @@ class SiteResult:
             Where the calibration was refused.
         """
         k = self._index(name)
-        pose = lidar_pose_of(self.document.lidars[k], k)
+        pose = self.document.lidars[k].pose(k)
         if pose is None:
-            unknown = ReasonDoc("refused", "the result gives no reason", {})
-            why = next(iter(self.reasons), unknown)
-            raise Refusal(cast("Code", why.code), why.message, why.values)
+            raise refusal_of(self.reasons)
         return pose
 
     def T(self, a: str, b: str) -> Array:
@@ -163,7 +156,7 @@ class SiteResult:
     @cached_property
     def _joint(self) -> Array:
         """(6 L, 6 L) covariance of all poses together."""
-        return np.array(self.document.joint_covariance, dtype=float)
+        return np.asarray(self.document.joint_covariance)
 
     def _index(self, name: str) -> int:
         if name not in self.lidars:

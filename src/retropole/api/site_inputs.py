@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,16 @@ from ..io import sha256_of
 from ..result import InputDoc, Reading
 from ..result.options import frames_named
 from ..result.site import SiteConfig
-from ..site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole, Up
+from ..site.description import (
+    ControlPoint,
+    Frame,
+    Geodetic,
+    Sighting,
+    Site,
+    SiteLidar,
+    SurveyedPole,
+    Up,
+)
 from ..site.projection import projected
 from ..site.world import in_metres
 from .inputs import Input, input_documents, read_input
@@ -265,7 +275,7 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
         f"ENU at {latitude:g}, {longitude:g}",
         surveyed=True,
         offset=offset,
-        geodetic=np.array([*np.radians([latitude, longitude]), height]),
+        geodetic=Geodetic(math.radians(latitude), math.radians(longitude), height),
     )
 
 

@@ -195,7 +195,7 @@ def _search(cloud: PointCloud, item: InputDoc, config: RunConfig) -> Scan:
 def _agreeing(scan: Scan, listed: Sequence[PoleDoc]) -> Scan:
     """Leave out a detection whose poles are not those of the result, in its order."""
     same = len(scan.poles) == len(listed) and all(
-        np.linalg.norm(pole.point - np.array(document.point_m)) < SAME_POLE_DISTANCE
+        np.linalg.norm(pole.point - document.point_m) < SAME_POLE_DISTANCE
         for pole, document in zip(scan.poles, listed, strict=True)
     )
     return scan if same else replace(scan, detection=None)

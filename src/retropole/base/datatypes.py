@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from . import se3
+from .bounded import Covariance, Pose, Size, Status
 from .errors import Reason, Refusal
 from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
-from .uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
+from .uncertainty import Confirmation, ErrorAtRange, RadiusEstimate, Uncertainty, WeakDirection
 from .uncertainty.purpose import Fitness
 
 Array = NDArray[np.float64]
@@ -238,8 +239,7 @@ class Hypothesis:
     stands: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class PoseEstimate:
+class PoseEstimate(msgspec.Struct, frozen=True, eq=False, rename={"rms": "rms_m"}):
     """A pose and its covariance.
 
     Attributes
@@ -252,9 +252,9 @@ class PoseEstimate:
         Root mean square residual of what it was estimated from, metres.
     """
 
-    T_target_source: Array
-    covariance: Array | None
-    rms: float
+    T_target_source: Pose
+    covariance: Covariance | None
+    rms: Size
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,8 +319,8 @@ class Calibration:
     vertical
         (3,) the ground's normal, target axes; None where not found, or one hypothesis alone stands.
     predicted_error, weakest
-        (range, 1 σ error of a point at that range), metres; and the direction in which the pose is
-        least certain; empty and None when refused.
+        At several ranges; and the direction in which the pose is least certain; empty and None
+        when refused.
     placements, seconds
         What was recorded and found, one for each placement of the poles; and the time of each step.
     uncertainty, radius
@@ -330,7 +330,7 @@ class Calibration:
         None where it did not come to that, or nothing was asked for.
     """
 
-    status: Literal["ok", "warn", "refused"]
+    status: Status
     reasons: tuple[Reason, ...]
     T_target_source: Array | None
     covariance: Array | None
@@ -338,7 +338,7 @@ class Calibration:
     refined: PoseEstimate | None
     hypotheses: tuple[Hypothesis, ...]
     margin: float | None
-    predicted_error: tuple[tuple[float, float], ...]
+    predicted_error: tuple[ErrorAtRange, ...]
     weakest: WeakDirection | None
     placements: tuple[Placement, ...]
     seconds: Mapping[str, float]

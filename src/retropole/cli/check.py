@@ -10,7 +10,7 @@ import click
 from msgspec import to_builtins
 
 from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
-from ..result import ReasonDoc, confirmation_document
+from ..result import ReasonDoc
 from ..result.options import OPTIONS
 from .common import CONTEXT, EXIT_REFUSED, in_colour, progress_on_terminal, show, told
 from .options import CLOUD, DEGREES, METRES, run_option
@@ -157,7 +157,7 @@ def json_line(answer: CheckResult) -> str:
             "power": answer.power,
             "tolerance_deg": tolerance and math.degrees(tolerance.rotation),
             "tolerance_m": tolerance and tolerance.translation,
-            "confirmation": to_builtins(confirmation_document(answer.confirmation)),
+            "confirmation": to_builtins(answer.confirmation),
             "T_target_source": None
             if answer.T_target_source is None
             else answer.T_target_source.tolist(),

@@ -14,7 +14,7 @@ import click
 from msgspec import to_builtins
 
 from ..api.choices import ALL_METHODS, OURS, RIVALS
-from ..result import RunConfig, confirmation_document
+from ..result import RunConfig
 from .common import CONTEXT, EXIT_REFUSED, EXIT_USAGE, progress_on_terminal, say, show, told
 from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
 
@@ -168,7 +168,7 @@ def _document(each: Compared) -> dict[str, Any]:
         "plane_residual_m": alignment and alignment.plane_residual,
         "rqe_sum": alignment and alignment.entropy.sum,
         "rqe_log": alignment and alignment.entropy.log,
-        "confirmation": alignment and to_builtins(confirmation_document(alignment.confirmation)),
+        "confirmation": alignment and to_builtins(alignment.confirmation),
         "seconds": each.seconds,
         "e_rt_m": errors and errors.e_rt,
         "rotation_error_rad": errors and errors.rotation,

@@ -73,7 +73,6 @@ def evaluate(
 
     from ..api.evaluation import errors_of, evaluate_with
     from ..api.transforms import read_transform
-    from ..result import confirmation_document
 
     config = RunConfig(**options)
     T = read_transform(transform).T_parent_child
@@ -99,7 +98,7 @@ def evaluate(
         error["rotation_error_rad"] = errors.rotation
         error["translation_error_m"] = errors.translation
     if as_json:
-        scene = {"confirmation": to_builtins(confirmation_document(aligned.confirmation))}
+        scene = {"confirmation": to_builtins(aligned.confirmation)}
         show(json.dumps(figures | scene | error))
         return 0
     residual = aligned.plane_residual

@@ -10,17 +10,16 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from ..base.bounded import LARGEST
 from ..base.datatypes import Array
-from ..base.errors import MissingExtraError, ReadError, Refusal
-from ..base.reasons import Code
+from ..base.errors import MissingExtraError, ReadError
 from ..base.se3 import rigid
-from ..result import COVARIANCE_ORDER, ResultDoc
-from ..result.bounded import LARGEST
+from ..result import COVARIANCE_ORDER, ResultDoc, refusal_of
 from ..result.decoding import check_covariance, decode
 from ..result.site import SiteDoc
 from ..result.site_decoding import decode_site
@@ -144,12 +143,8 @@ def _names_result(document: Any) -> bool:
 def _of_result(result: ResultDoc) -> Found:
     T = result.T_target_source
     if T is None:
-        why = result.reasons[0] if result.reasons else None
-        raise Refusal(
-            cast("Code", why.code) if why else "refused",
-            f"the calibration was refused, there is no transform: {why.message if why else '–'}",
-            why.values if why else None,
-        )
+        words = "the calibration was refused, there is no transform: "
+        raise refusal_of(result.reasons, words)
     covariance = None if result.covariance is None else _square(result.covariance)
     return Found(None, None, lambda: np.array(T), covariance)
 

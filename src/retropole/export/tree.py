@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
-from ..base.errors import Refusal, UsageError, printable
-from ..base.reasons import Code
+from ..base.errors import UsageError, printable
 from ..base.relative import joint_of, relative
+from ..result import refusal_of
 from ..result.site import SITE_SCHEMA, SiteDoc
-from ..result.site_parts import FrameDoc, LidarDoc
+from ..result.site_parts import LidarDoc
 from ..site.description import Frame
 from ..site.projection import Grid, grid_at
 from ..site.world import geodetic, site_in_frame, to_frame
@@ -71,15 +71,6 @@ def is_site_result(document: Any) -> bool:
     return isinstance(schema, str) and schema.startswith(SITE_SCHEMA.rpartition("/")[0])
 
 
-def frame_of(document: FrameDoc) -> Frame:
-    """Take the frame of a site from its document."""
-    at = document.geodetic
-    origin = None if at is None else np.array([at.latitude_rad, at.longitude_rad, at.height_m])
-    return Frame(
-        document.name, document.surveyed, np.array(document.offset_m), document.epsg, origin
-    )
-
-
 def tree_of(document: SiteDoc) -> Tree:
     """Make the tree of a site's frames.
 
@@ -93,7 +84,7 @@ def tree_of(document: SiteDoc) -> Tree:
         Where its frame is projected and pyproj is not installed.
     """
     poses = _poses(document)
-    frame = frame_of(document.frame)
+    frame = document.frame
     names = [lidar.name for lidar in document.lidars]
     for name in (MAP, SITE):
         if name in names:
@@ -110,12 +101,7 @@ def tree_of(document: SiteDoc) -> Tree:
 
 def _poses(document: SiteDoc) -> list[Array]:
     if document.status == "refused":
-        why = document.reasons[0] if document.reasons else None
-        raise Refusal(
-            cast("Code", why.code) if why else "refused",
-            f"the site was refused, there are no poses: {why.message if why else '–'}",
-            why.values if why else None,
-        )
+        raise refusal_of(document.reasons, "the site was refused, there are no poses: ")
     return [se3.rigid(np.array(lidar.T_site_lidar, dtype=float)) for lidar in document.lidars]
 
 
@@ -179,12 +165,12 @@ def notes_of(tree: Tree) -> list[str]:
     frame = tree.frame
     notes = [f"site {tree.name}; its frame: {frame.name}; fixed by: {tree.datum}"]
     if frame.geodetic is not None:
-        degrees = ", ".join(f"{angle:.9f}" for angle in np.degrees(frame.geodetic[:2]))
+        degrees = ", ".join(f"{angle:.9f}" for angle in np.degrees(frame.geodetic.array[:2]))
         of = "WGS 84" if frame.epsg is None else f"the datum of EPSG:{frame.epsg}"
         less = f", less {frame.offset.tolist()} m" if np.any(frame.offset) else ""
         notes.append(
             f"{SITE}: east, north, up{less}, metres on the ground, from latitude and longitude "
-            f"{degrees} deg, height {frame.geodetic[2]:.3f} m on the ellipsoid of {of}"
+            f"{degrees} deg, height {frame.geodetic.height_m:.3f} m on the ellipsoid of {of}"
         )
     grid = grid_of(tree)
     if tree.has_map:

@@ -6,9 +6,12 @@ import json
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ..base.datatypes import Array
+from msgspec import structs, to_builtins
+
 from ..base.errors import printable
+from ..result import plain
 from ..result.site_parts import LidarDoc
+from ..site.description import Geodetic
 from ..site.world import heading, on_wgs84, pose_in_frame
 from .documents import TREE_SCHEMA, transform_fields, yaml_of
 from .geojson import write_geojson
@@ -45,13 +48,7 @@ def _urdf(tree: Tree) -> str:
 def _json(tree: Tree) -> str:
     """Write the transforms, and where each LiDAR is in the user's frame and on the earth."""
     frame, grid = tree.frame, grid_of(tree)
-    about: dict[str, Any] = {
-        "name": frame.name,
-        "surveyed": frame.surveyed,
-        "offset_m": frame.offset.tolist(),
-        "epsg": frame.epsg,
-        "geodetic": None if frame.geodetic is None else _geodetic(frame.geodetic),
-    }
+    about: dict[str, Any] = to_builtins(frame, enc_hook=plain)
     if grid is not None:
         about |= {
             "scale": grid.scale,
@@ -78,7 +75,7 @@ def _lidar(tree: Tree, lidar: LidarDoc) -> dict[str, Any]:
     if frame.epsg is None and frame.geodetic is None:
         return about
     found = on_wgs84(frame, T[None, :3, 3])
-    about["wgs84"] = _geodetic(found.geodetic[0])
+    about["wgs84"] = structs.asdict(Geodetic(*found.geodetic[0].tolist()))
     about["heading_rad"] = heading(frame, T)
     if found.datum:
         about["datum_operation"], about["datum_accuracy_m"] = found.datum, found.accuracy
@@ -87,10 +84,6 @@ def _lidar(tree: Tree, lidar: LidarDoc) -> dict[str, Any]:
 
 def _edge(tree: Tree, child: str) -> Transform:
     return next(edge for edge in tree.edges if edge.child == child)
-
-
-def _geodetic(at: Array) -> dict[str, float]:
-    return dict(zip(("latitude_rad", "longitude_rad", "height_m"), at.tolist(), strict=True))
 
 
 TREE_FORMATS = {

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
 from typing import Any
 
 import msgspec
 
+from ..api import Array
 from ..result import ResultDoc, encode
-from ..result.certainty import Matrix
 from ..result.decoding import decode
 from ..result.site import SiteDoc
 from ..result.site_decoding import decode_site
@@ -89,7 +88,7 @@ def _of_site(document: SiteDoc) -> list[LidarEntry]:
     return [entry for of_lidar in entries for entry in of_lidar]
 
 
-def _entry(name: str, sensor: str, T: Matrix | None, of: ResultDoc | LidarDoc) -> list[LidarEntry]:
+def _entry(name: str, sensor: str, T: Array | None, of: ResultDoc | LidarDoc) -> list[LidarEntry]:
     """Give a pose with how certain it is; nothing where there is none."""
     if T is None or of.covariance is None:
         return []
@@ -97,8 +96,8 @@ def _entry(name: str, sensor: str, T: Matrix | None, of: ResultDoc | LidarDoc) -
         LidarEntry(
             name=name,
             sensor=sensor,
-            T=list(chain.from_iterable(T)),
-            covariance=list(chain.from_iterable(of.covariance)),
+            T=T.ravel().tolist(),
+            covariance=of.covariance.ravel().tolist(),
             predicted_error=list(of.predicted_error or ()),
             budget=list(of.budget or ()),
         )

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import msgspec
 
 from ..base.errors import ReadError
-from ..result import BudgetEntryDoc, ErrorAtRange
+from ..result import BudgetEntry, ErrorAtRange
 from .parquet import arrow, opened, parquet_of
 from .sites import Kind
 from .storage import below, names_in, remove, write_bytes
@@ -54,7 +54,7 @@ class LidarEntry(msgspec.Struct, frozen=True, kw_only=True):
     T: list[float]
     covariance: list[float]
     predicted_error: list[ErrorAtRange]
-    budget: list[BudgetEntryDoc]
+    budget: list[BudgetEntry]
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from ..base.quantities import error, percent, value, value_and_error
 from ..base.uncertainty import predicted_error, source_words
-from ..result import ResultDoc, confirmation_of
+from ..result import ResultDoc
 
 BUDGET_RANGE = 30.0
 """Range at which the shares of the budget are stated, metres."""
@@ -30,11 +28,11 @@ def error_parts(result: ResultDoc) -> list[ErrorParts]:
         return []
     ranges = tuple(each.range_m for each in stated)
     random, systematic = (
-        predicted_error(np.array(part), ranges) for part in (parts.random, parts.systematic)
+        predicted_error(part, ranges) for part in (parts.random, parts.systematic)
     )
     return [
-        ErrorParts(each.range_m, each.sigma_m, of_random, of_systematic)
-        for each, (_, of_random), (_, of_systematic) in zip(stated, random, systematic, strict=True)
+        ErrorParts(each.range_m, each.sigma_m, of_random.sigma_m, of_systematic.sigma_m)
+        for each, of_random, of_systematic in zip(stated, random, systematic, strict=True)
     ]
 
 
@@ -54,11 +52,10 @@ def radius_words(result: ResultDoc) -> str | None:
     radius = result.radius
     if radius is None:
         return None
-    given = value(radius.given_m, radius.sigma_m)
-    return f"{given} given, {value_and_error(radius.estimated_m, radius.sigma_m)} estimated"
+    given = value(radius.given, radius.sigma)
+    return f"{given} given, {value_and_error(radius.estimated, radius.sigma)} estimated"
 
 
 def scene_words(result: ResultDoc) -> str | None:
     """Say how many places agree with the pose and deny it; None where the scene was not asked."""
-    confirmation = confirmation_of(result.confirmation)
-    return None if confirmation is None else confirmation.words
+    return None if result.confirmation is None else result.confirmation.words

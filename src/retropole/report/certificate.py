@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from ..base.quantities import counted, error, percent
-from ..result import BudgetEntryDoc, ResultDoc
+from ..result import BudgetEntry, ResultDoc
 from .certainty import BUDGET_RANGE, error_parts, radius_words, scene_words
 from .markup import MISSING, plus_minus, table
 from .names import LIDARS
@@ -149,7 +149,7 @@ def _budget(result: ResultDoc) -> str:
     return table("Uncertainty budget", header, rows, (1,))
 
 
-def _source(entry: BudgetEntryDoc) -> tuple[str, str, str, str]:
+def _source(entry: BudgetEntry) -> tuple[str, str, str, str]:
     sigma, share = error(entry.sigma, entry.unit), percent(entry.share_at_30m)
     return entry.name, entry.sensor or MISSING, sigma, share
 

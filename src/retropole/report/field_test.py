@@ -5,7 +5,9 @@ from __future__ import annotations
 from html import escape
 
 from ..base.quantities import counted, percent
-from ..result.certification import DistanceDoc, FieldTestDoc, PairTestDoc, VariancesDoc, Verdict
+from ..result.certification import FieldTestDoc, PairTestDoc
+from ..site.certification import DistanceTest, Verdict
+from ..site.repetition import SpreadTest
 from .layout import legible, wrapped
 from .layout import table as text_table
 from .markup import table
@@ -138,11 +140,11 @@ def sentences(pair: PairTestDoc, alpha: float) -> list[str]:
     return words
 
 
-def _variances(test: VariancesDoc) -> str:
+def _variances(test: SpreadTest) -> str:
     verdict = "may be equal" if test.passed else "differ"
     return (
-        f"one sweep repeats a distance within {1e3 * test.target.sigma_m:.1f} mm (target) and "
-        f"{1e3 * test.source.sigma_m:.1f} mm (source), 1 σ; held against what their returns allow, "
+        f"one sweep repeats a distance within {1e3 * test.target.sigma:.1f} mm (target) and "
+        f"{1e3 * test.source.sigma:.1f} mm (source), 1 σ; held against what their returns allow, "
         f"the variances {verdict}: F = {test.ratio:.2f}, passes from {test.low:.2f} to "
         f"{test.high:.2f}"
     )
@@ -215,7 +217,7 @@ def field_test_section(document: FieldTestDoc) -> str:
     return "".join((*parts, "</section>"))
 
 
-def _row(each: DistanceDoc, pair: PairTestDoc, passed: str = "") -> tuple[str, ...]:
+def _row(each: DistanceTest, pair: PairTestDoc, passed: str = "") -> tuple[str, ...]:
     of = f"{each.placement + 1}: " if len(pair.poles) > 1 else ""
     return (
         f"{of}T{each.poles[0]}–T{each.poles[1]}",
@@ -227,15 +229,15 @@ def _row(each: DistanceDoc, pair: PairTestDoc, passed: str = "") -> tuple[str, .
     )
 
 
-def _number(each: DistanceDoc) -> tuple[int, tuple[int, int]]:
+def _number(each: DistanceTest) -> tuple[int, tuple[int, int]]:
     return each.placement, each.poles
 
 
-def _worst(pair: PairTestDoc) -> list[DistanceDoc]:
+def _worst(pair: PairTestDoc) -> list[DistanceTest]:
     return sorted(pair.distances, key=lambda each: -_ratio(each))
 
 
-def _ratio(each: DistanceDoc) -> float:
+def _ratio(each: DistanceTest) -> float:
     return abs(each.difference_m) / max(each.limit_m, 1e-12)
 
 

@@ -40,15 +40,14 @@ def standing(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
 
 def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
     """Say how the source stands under a hypothesis, as against the first of all."""
-    T = np.array(hypothesis.T_target_source)
-    first = np.array(result.hypotheses[0].T_target_source)
+    T = hypothesis.T_target_source
+    first = result.hypotheses[0].T_target_source
     turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
     angle, apart = float(np.linalg.norm(turn)), float(np.linalg.norm(T[:3, 3] - first[:3, 3]))
     moved = f"moved by {apart:.1f} m"
     if angle < LEAST_TURN:
         return f"source {moved}"
-    vertical = None if result.vertical is None else np.array(result.vertical)
-    axis = axis_words(turn / angle, vertical)
+    axis = axis_words(turn / angle, result.vertical)
     return f"source turned by {math.degrees(angle):.0f}° about {axis} and {moved}"
 
 
@@ -75,7 +74,7 @@ def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> I
     A rotation separates them where none within reach of it, 3 σ of the default, is within reach of
     two: whatever it is, it then leaves one at most.
     """
-    config, poses = result.config, [np.array(each.T_target_source) for _, each in named]
+    config, poses = result.config, [each.T_target_source for _, each in named]
     sigma = math.radians(DEFAULT_CONFIG.prior_sigma_deg)
     reach = f"{math.degrees(MAX_SIGMAS * sigma):.0f}°"
     if not config.up and config.prior_rpy_deg is None:
@@ -106,7 +105,7 @@ def _least_turn(poses: Sequence[Array]) -> float:
 
 def pose_numbers(hypothesis: HypothesisDoc) -> list[str]:
     """Write roll, pitch and yaw in degrees and the translation in metres."""
-    T = np.array(hypothesis.T_target_source)
+    T = hypothesis.T_target_source
     angles = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
     # Adding zero makes of a rounded -0 a 0.
     return [f"{round(v, 1) + 0.0:.1f}" for v in angles.tolist()] + [

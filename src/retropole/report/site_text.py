@@ -44,7 +44,7 @@ def pose_rows(document: SiteDoc) -> list[PoseRow]:
         if lidar.T_site_lidar is None:
             continue
         T = np.array(lidar.T_site_lidar)
-        at = T[:3, 3] + document.frame.offset_m
+        at = T[:3, 3] + document.frame.offset
         angles = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
         # A rounded zero has no sign.
         x, y, z = (f"{v + 0.0:.3f}" for v in np.round(at, 3))
@@ -192,19 +192,19 @@ def _checks(document: SiteDoc) -> Iterator[str]:
         around = " → ".join(names[k] for k in (*worst.lidars, *worst.lidars[:1]))
         yield (
             f"loops: {len(loops)}; the least likely, {around}, misses by "
-            f"{error(worst.translation_m)} and {error(worst.rotation_rad, 'rad')}, "
+            f"{error(worst.translation)} and {error(worst.rotation, 'rad')}, "
             f"probability {probability(worst.probability)}"
         )
     elif len(names) > 2:
         yield "loops: none closed; no third LiDAR checks a pair"
     yield from _tests(document)
-    moved = [each for each in document.without if each.translation_m is not None]
+    moved = [each for each in document.without if each.translation is not None]
     if moved:
-        most = max(moved, key=lambda each: each.translation_m or 0.0)
+        most = max(moved, key=lambda each: each.translation or 0.0)
         whose = "" if most.lidar is None else f" of {names[most.lidar]}"
         yield (
-            f"without one placement: at most {error(most.translation_m)} and "
-            f"{error(most.rotation_rad, 'rad')}{whose}, without placement "
+            f"without one placement: at most {error(most.translation)} and "
+            f"{error(most.rotation, 'rad')}{whose}, without placement "
             f"{document.placements[most.placement]}"
         )
 
@@ -251,8 +251,8 @@ def _every_check(document: SiteDoc) -> list[str]:
                 each.name,
                 _number(each.w),
                 UNKNOWN if each.redundancy is None else f"{each.redundancy:.2f}",
-                error(each.minimal_detectable_m),
-                error(each.external_at_30m_m),
+                error(each.minimal_detectable),
+                error(each.external),
             ]
             for each in sorted(document.tests, key=lambda each: -abs(each.w or 0.0))
         ]

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..base import se3
+from ..base.datatypes import Array
 from ..base.errors import printable, shortened
 from ..base.quantities import counted, error
 from ..base.reasons import explain, page, plain
@@ -104,9 +105,8 @@ _HYPOTHESIS_HEADER = (
 )
 
 
-def transform_lines(matrix: Sequence[Sequence[float]]) -> list[str]:
+def transform_lines(T: Array) -> list[str]:
     """Write a 4×4 transform as matrix, translation, quaternion and angles."""
-    T = np.array(matrix)
     x, y, z, w = se3.quaternion_xyzw(T[:3, :3])
     roll, pitch, yaw = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
     lines = ["  [" + " ".join(f"{value:12.8f}" for value in row) + "]" for row in T]

@@ -7,8 +7,9 @@ from html import escape
 
 import numpy as np
 
+from ..base.datatypes import Array
 from ..base.quantities import Unit, error, percent, value
-from ..result import BudgetEntryDoc, Matrix, ResultDoc
+from ..result import BudgetEntry, ResultDoc
 from .certainty import BUDGET_RANGE, error_parts
 from .markup import MISSING, number, plus_minus, table
 
@@ -106,14 +107,14 @@ def _states(result: ResultDoc) -> str:
     return table("1 σ of the pose", ("state", "1 σ", *PARTS)[: 1 + len(columns)], rows)
 
 
-def _sigmas(matrix: Matrix) -> list[str]:
-    sigma = np.sqrt(np.maximum(np.diag(np.array(matrix)), 0.0)).tolist()
+def _sigmas(matrix: Array) -> list[str]:
+    sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist()
     return [error(s, unit) for s, unit in zip(sigma, _STATE_UNITS, strict=True)]
 
 
 def _residuals(result: ResultDoc) -> str:
     estimates = (("poles alone", result.stages.poles), ("refined", result.stages.refined))
-    rows = [(name, number(each.rms_m, 1, 1000)) for name, each in estimates if each is not None]
+    rows = [(name, number(each.rms, 1, 1000)) for name, each in estimates if each is not None]
     return table("Pose estimates", ("estimate", "rms residual, mm"), rows) if rows else ""
 
 
@@ -122,7 +123,7 @@ def _budget(result: ResultDoc) -> str:
     return budget_table(result.budget) + BUDGET_NOTE if result.budget else ""
 
 
-def budget_table(budget: Sequence[BudgetEntryDoc], whose: bool = True) -> str:
+def budget_table(budget: Sequence[BudgetEntry], whose: bool = True) -> str:
     """List sources of error, the largest first; those of a small share are folded away.
 
     Parameters
@@ -146,7 +147,7 @@ def budget_table(budget: Sequence[BudgetEntryDoc], whose: bool = True) -> str:
     return f"<h3>What the error is made of</h3>{shown_entries}{folded}"
 
 
-def _entries(caption: str, entries: Sequence[BudgetEntryDoc], whose: bool) -> str:
+def _entries(caption: str, entries: Sequence[BudgetEntry], whose: bool) -> str:
     rows = [
         (
             entry.name,
@@ -163,7 +164,7 @@ def _entries(caption: str, entries: Sequence[BudgetEntryDoc], whose: bool) -> st
     return table(caption, header, rows, (1,) if whose else (), bars)
 
 
-def _matrix(result: ResultDoc, caption: str, matrix: Matrix) -> str:
+def _matrix(result: ResultDoc, caption: str, matrix: Array) -> str:
     rows = [
         (name, *(f"{entry:.3e}" for entry in row))
         for name, row in zip(result.covariance_order, matrix, strict=True)

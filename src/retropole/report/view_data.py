@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from ..base.datatypes import Placement, Scan
-from ..result import Matrix, PoleDoc, ResultDoc, pole_documents
+from ..base.datatypes import Array, Placement, Scan
+from ..result import PoleDoc, ResultDoc, plain, pole_documents
 from ..scene.consistency import contradicting_points, standing_in
 from .names import LIDARS, hypothesis_name, pole_name
 from .points import MAX_SHOWN_RANGE, PackedCloud, PackedPoints, pack_cloud, pack_points
@@ -56,7 +56,7 @@ class PoseView(msgspec.Struct, frozen=True):
 
     id: str
     label: str
-    T: Matrix
+    T: Array
 
 
 class EllipsoidView(msgspec.Struct, frozen=True):
@@ -71,7 +71,7 @@ class EllipsoidView(msgspec.Struct, frozen=True):
     """
 
     centre: list[float]
-    axes: Matrix
+    axes: Array
     factor: float
 
 
@@ -123,7 +123,7 @@ def page_view(
 
 def embed_json(value: object) -> str:
     """Write JSON that no content can lead out of its script element; not-a-number becomes null."""
-    text = msgspec.json.encode(value).decode()
+    text = msgspec.json.encode(value, enc_hook=plain).decode()
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
@@ -153,7 +153,7 @@ def _contradicting(
 ) -> dict[str, list[PackedPoints]]:
     """Pack the points that contradict each pose, at most so many of each cloud."""
     target, source = (standing_in(s.cloud, rng) for s in (placement.target, placement.source))
-    found = {p.id: contradicting_points(target, source, np.array(p.T)) for p in poses}
+    found = {p.id: contradicting_points(target, source, p.T) for p in poses}
     return {
         name: [pack_points(points[:: 1 + len(points) // max_points]) for points in each]
         for name, each in found.items()
@@ -168,7 +168,7 @@ def _shown(lidar: str, cloud: PackedCloud) -> str:
 def _lines(lidar: str, poles: Sequence[PoleDoc]) -> list[LineView]:
     lines = []
     for k, pole in enumerate(poles):
-        point, half = np.array(pole.point_m), 0.5 * pole.length_m * np.array(pole.direction)
+        point, half = pole.point_m, 0.5 * pole.length_m * pole.direction
         lines.append(
             LineView((point - half).tolist(), (point + half).tolist(), pole_name(lidar, k))
         )
@@ -206,10 +206,10 @@ def _poses(result: ResultDoc) -> list[PoseView]:
 def _ellipsoid(result: ResultDoc) -> EllipsoidView | None:
     if result.covariance is None or result.T_target_source is None:
         return None
-    values, vectors = np.linalg.eigh(np.array(result.covariance)[3:, 3:])
+    values, vectors = np.linalg.eigh(result.covariance[3:, 3:])
     sigma = np.sqrt(np.maximum(values, 0.0))
     if not sigma[-1] > 0:
         return None
     factor = 10.0 ** max(0, round(float(np.log10(SEEN_SIGMA / sigma[-1]))))
     centre = [row[3] for row in result.T_target_source[:3]]
-    return EllipsoidView(centre, (vectors * sigma * factor).T.tolist(), factor)
+    return EllipsoidView(centre, (vectors * sigma * factor).T, factor)

@@ -6,17 +6,15 @@ are a contract: where a field has a better name here, the file keeps the old one
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 import msgspec
-import numpy as np
-from msgspec import Meta
+from msgspec import Meta, structs
 
-from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate
-from ..base.version import __version__
-from .bounded import (
+from ..base.bounded import (
     LONGEST_LIST,
     Count,
     Covariance,
@@ -27,27 +25,21 @@ from .bounded import (
     Status,
     Text,
     Vector,
+    Whole,
 )
-from .certainty import (
-    BudgetEntryDoc,
-    ConfirmationDoc,
+from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate, Scan
+from ..base.errors import Reason, Refusal
+from ..base.reasons import Code
+from ..base.uncertainty import (
+    BudgetEntry,
+    Confirmation,
     ErrorAtRange,
-    FitnessDoc,
-    Matrix,
-    RadiusDoc,
-    UncertaintyDoc,
-    WeakestDoc,
-    budget_document,
-    confirmation_document,
-    confirmation_of,
-    fitness_document,
-    matrix_rows,
-    radius_document,
-    radius_of,
-    uncertainty_document,
-    uncertainty_of,
-    weakest_document,
+    RadiusEstimate,
+    Uncertainty,
+    WeakDirection,
 )
+from ..base.uncertainty.purpose import Fitness
+from ..base.version import __version__
 from .detected import (
     DetectionDoc,
     InputDoc,
@@ -64,36 +56,33 @@ __all__ = [
     "COVARIANCE_ORDER",
     "DEFAULT_CONFIG",
     "RESULT_SCHEMA",
-    "BudgetEntryDoc",
-    "ConfirmationDoc",
+    "BudgetEntry",
     "DetectionDoc",
+    "Document",
     "ErrorAtRange",
-    "FitnessDoc",
     "HypothesisDoc",
     "InputDoc",
-    "Matrix",
     "PlacementDoc",
     "PoleDoc",
     "PolesDoc",
-    "PoseEstimateDoc",
-    "RadiusDoc",
     "Reading",
     "ReasonDoc",
     "RejectedDoc",
     "ResultDoc",
     "RunConfig",
     "StagesDoc",
-    "UncertaintyDoc",
-    "WeakestDoc",
-    "confirmation_document",
-    "confirmation_of",
     "detection_document",
     "encode",
+    "finite",
+    "plain",
     "pole_documents",
-    "radius_of",
+    "reason_document",
+    "refusal_of",
     "result_document",
-    "uncertainty_of",
+    "with_threshold",
 ]
+
+Input = TypeVar("Input", bound=InputDoc)
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
@@ -101,29 +90,21 @@ COVARIANCE_FRAME = "target axes: R_true = Exp(phi) R, t_true = t + delta; rad an
 
 
 class ReasonDoc(msgspec.Struct, frozen=True):
-    """Why a verdict is not a plain ok."""
+    """Why a verdict is not a plain ok; its code may be one of another version."""
 
-    code: Text
+    code: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,59}\Z")]
     message: Text
-    values: dict[Text, Number | int | Text]
+    values: dict[Text, Number | Whole | Text]
 
 
-class PoseEstimateDoc(msgspec.Struct, frozen=True):
-    """A pose, from the poles or refined."""
-
-    T_target_source: Pose
-    covariance: Covariance | None
-    rms_m: Size
-
-
-class StagesDoc(msgspec.Struct, frozen=True):
+class StagesDoc(msgspec.Struct, frozen=True, eq=False):
     """The poses on the way: from the poles alone, and refined by the scene."""
 
-    poles: PoseEstimateDoc | None
-    refined: PoseEstimateDoc | None
+    poles: PoseEstimate | None
+    refined: PoseEstimate | None
 
 
-class HypothesisDoc(msgspec.Struct, frozen=True):
+class HypothesisDoc(msgspec.Struct, frozen=True, eq=False):
     """One way of laying the source poles on the target poles.
 
     It stands where it is the best, or where the scene does not rule it out beside the best.
@@ -151,7 +132,17 @@ class PlacementDoc(msgspec.Struct, frozen=True):
     left_out_translation_m: Size | None
 
 
-class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
+class Document(msgspec.Struct, frozen=True, eq=False):
+    """A whole document; one that is written the same is the same."""
+
+    def __eq__(self, other: object) -> bool:  # noqa: D105
+        return isinstance(other, type(self)) and encode(self) == encode(other)
+
+    def __hash__(self) -> int:  # noqa: D105
+        return hash(encode(self))
+
+
+class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
     """The whole document."""
 
     schema: Literal["retropole/result/1"] = RESULT_SCHEMA
@@ -161,13 +152,13 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
     covariance: Covariance | None
     covariance_order: tuple[str, ...] = COVARIANCE_ORDER
     covariance_frame: str = COVARIANCE_FRAME
-    uncertainty: UncertaintyDoc | None = None
-    budget: list[BudgetEntryDoc] | None = None
+    uncertainty: Uncertainty | None = None
+    budget: list[BudgetEntry] | None = None
     predicted_error: list[ErrorAtRange] | None
-    weakest: WeakestDoc | None = None
-    radius: RadiusDoc | None = None
-    confirmation: ConfirmationDoc | None = None
-    fitness: FitnessDoc | None = None
+    weakest: WeakDirection | None = None
+    radius: RadiusEstimate | None = None
+    confirmation: Confirmation | None = None
+    fitness: Fitness | None = None
     stages: StagesDoc
     hypotheses: list[HypothesisDoc]
     margin: Number | None
@@ -185,21 +176,18 @@ class ResultDoc(msgspec.Struct, frozen=True, kw_only=True):
         """The hypothesis that was chosen; None where the run was refused."""
         return next((hypothesis for hypothesis in self.hypotheses if hypothesis.chosen), None)
 
-
-def _pose(pose: PoseEstimate | None) -> PoseEstimateDoc | None:
-    if pose is None:
-        return None
-    return PoseEstimateDoc(
-        matrix_rows(pose.T_target_source),
-        None if pose.covariance is None else matrix_rows(pose.covariance),
-        pose.rms,
-    )
+    @property
+    def whole_uncertainty(self) -> Uncertainty | None:
+        """`uncertainty` with the budget; None where they are not stated."""
+        return self.uncertainty and structs.replace(
+            self.uncertainty, budget=tuple(self.budget or ())
+        )
 
 
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
     return HypothesisDoc(
         pairs=list(hypothesis.match.pairs),
-        T_target_source=matrix_rows(hypothesis.match.T_target_source),
+        T_target_source=hypothesis.match.T_target_source,
         pole_rms_m=hypothesis.match.pole_rms,
         exact=hypothesis.match.exact,
         icp_rotation_rad=hypothesis.icp_rotation,
@@ -227,17 +215,6 @@ def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
     ]
 
 
-def _with_thresholds(inputs: Sequence[InputDoc], placements: Sequence[Placement]) -> list[InputDoc]:
-    """Add the threshold that was used to each input; target and source alternate."""
-    scans = [scan for placement in placements for scan in (placement.target, placement.source)]
-    return [
-        item
-        if scan.detection is None
-        else msgspec.structs.replace(item, threshold=scan.detection.threshold)
-        for item, scan in zip(inputs, scans, strict=True)
-    ]
-
-
 def result_document(
     calibration: Calibration,
     *,
@@ -259,36 +236,31 @@ def result_document(
         Time of each step, reading included.
     """
     answered = calibration.status != "refused"
-    first = calibration.placements[0]
-    T, covariance = calibration.T_target_source, calibration.covariance
+    first, uncertainty = calibration.placements[0], calibration.uncertainty
+    scans = [scan for each in calibration.placements for scan in (each.target, each.source)]
     return ResultDoc(
         status=calibration.status,
-        reasons=[ReasonDoc(r.code, r.message, dict(r.values)) for r in calibration.reasons],
-        T_target_source=None if T is None else matrix_rows(T),
-        covariance=None if covariance is None else matrix_rows(covariance),
-        uncertainty=uncertainty_document(calibration.uncertainty),
-        budget=budget_document(calibration.uncertainty),
-        predicted_error=[
-            ErrorAtRange(range_m, sigma) for range_m, sigma in calibration.predicted_error
-        ]
-        or None,
-        weakest=weakest_document(calibration.weakest),
-        radius=radius_document(calibration.radius),
-        confirmation=confirmation_document(calibration.confirmation),
-        fitness=fitness_document(calibration.fitness),
-        stages=StagesDoc(_pose(calibration.poles), _pose(calibration.refined)),
+        reasons=[reason_document(reason) for reason in calibration.reasons],
+        T_target_source=calibration.T_target_source,
+        covariance=calibration.covariance,
+        # The budget stands beside it.
+        uncertainty=uncertainty and structs.replace(uncertainty, budget=()),
+        budget=None if uncertainty is None else list(uncertainty.budget),
+        predicted_error=list(calibration.predicted_error) or None,
+        weakest=calibration.weakest,
+        radius=calibration.radius,
+        confirmation=calibration.confirmation,
+        fitness=calibration.fitness,
+        stages=StagesDoc(calibration.poles, calibration.refined),
         hypotheses=[
             _hypothesis(h, answered and k == calibration.chosen)
             for k, h in enumerate(calibration.hypotheses)
         ],
         margin=calibration.margin,
-        vertical=None if calibration.vertical is None else calibration.vertical.tolist(),
-        poles=PolesDoc(
-            pole_documents(first.target.poles),
-            pole_documents(first.source.poles),
-        ),
+        vertical=calibration.vertical,
+        poles=PolesDoc(pole_documents(first.target.poles), pole_documents(first.source.poles)),
         placements=_placements(calibration.placements),
-        inputs=_with_thresholds(inputs, calibration.placements),
+        inputs=[with_threshold(*each) for each in zip(inputs, scans, strict=True)],
         config=config,
         version=__version__,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -296,9 +268,37 @@ def result_document(
     )
 
 
+def finite(value: float | None) -> float | None:
+    """Write a number that may be none: what is not finite is null."""
+    return value if value is None or math.isfinite(value) else None
+
+
+def reason_document(reason: Reason | Refusal) -> ReasonDoc:
+    """Write a reason; of its values, what is not finite becomes text."""
+    values = {
+        name: value if isinstance(value, str) or math.isfinite(value) else str(value)
+        for name, value in reason.values.items()
+    }
+    return ReasonDoc(reason.code, reason.message, values)
+
+
+def refusal_of(reasons: Sequence[ReasonDoc], words: str = "") -> Refusal:
+    """Give the refusal that a document holds: its first reason, after some words."""
+    why = next(iter(reasons), ReasonDoc("refused", "the result gives no reason", {}))
+    return Refusal(cast("Code", why.code), words + why.message, why.values)
+
+
+def with_threshold(source: Input, scan: Scan | None) -> Input:
+    """Add the threshold that was used to what was read."""
+    found = None if scan is None else scan.detection
+    return source if found is None else structs.replace(source, threshold=finite(found.threshold))
+
+
 def encode(document: msgspec.Struct) -> bytes:
-    """Write a document as indented JSON; numbers of NumPy become Python's."""
-    return (
-        msgspec.json.format(msgspec.json.encode(document, enc_hook=np.generic.item), indent=1)
-        + b"\n"
-    )
+    """Write a document as indented JSON; numbers and arrays of NumPy become Python's."""
+    return msgspec.json.format(msgspec.json.encode(document, enc_hook=plain), indent=1) + b"\n"
+
+
+def plain(value: Any) -> Any:
+    """Write numbers and arrays of NumPy as Python's, as msgspec asks (`enc_hook`)."""
+    return value.tolist()

@@ -6,20 +6,24 @@ covariances are covariances, and what refers to a pole finds one.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+from functools import partial
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from ..base import se3
+from ..base.bounded import Covariance, Direction, Number, PartCovariance, Pose, Vector
 from ..base.datatypes import Array
 from ..base.errors import ReadError
 from ..base.uncertainty import covariance_fault
-from . import COVARIANCE_ORDER, PoseEstimateDoc, ReasonDoc, ResultDoc
-from .bounded import LARGEST, Covariance, Pose
+from . import COVARIANCE_ORDER, ResultDoc
 
-CODE = re.compile("[a-z][a-z0-9_]{,59}")
+UNIT = 1e-6
+"""A direction is as long as 1 but for this."""
+
+Document = TypeVar("Document")
 
 
 def decode(data: bytes) -> ResultDoc:
@@ -30,36 +34,7 @@ def decode(data: bytes) -> ResultDoc:
     ReadError
         Where it is not one; names the field, and says what is wrong with it.
     """
-    try:
-        document = msgspec.json.decode(data, type=ResultDoc)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ReadError(f"no result document: {error}") from None
-    _check(document)
-    return document
-
-
-def _check(document: ResultDoc) -> None:
-    """Check what the types of the fields cannot say."""
-    _check_verdict(document)
-    for name, pose in _poses(document):
-        try:
-            se3.rigid(np.array(pose))
-        except ReadError as error:
-            raise ReadError(f"{name}: {error}") from None
-    for name, covariance, is_part in _covariances(document):
-        check_covariance(name, np.array(covariance, dtype=float), is_part=is_part)
-    of_target, of_source = document.poles.target, document.poles.source
-    for k, hypothesis in enumerate(document.hypotheses):
-        for i, j in hypothesis.pairs:
-            if i >= len(of_target) or j >= len(of_source):
-                raise ReadError(
-                    f"hypotheses[{k}].pairs: ({i}, {j}), there are {len(of_target)} poles of the "
-                    f"target and {len(of_source)} of the source"
-                )
-
-
-def _check_verdict(document: ResultDoc) -> None:
-    """Hold the status, its reasons, the transform and what it is called against each other."""
+    document = parsed(data, ResultDoc, "result document")
     answered = document.status != "refused"
     if answered != (document.T_target_source is not None):
         there = "no" if answered else "a"
@@ -68,8 +43,41 @@ def _check_verdict(document: ResultDoc) -> None:
         raise ReadError(f"covariance_order: expected {' '.join(COVARIANCE_ORDER)}")
     if sum(hypothesis.chosen for hypothesis in document.hypotheses) > 1:
         raise ReadError("hypotheses: more than one is chosen")
-    for k, reason in enumerate(document.reasons):
-        check_reason(reason, f"reasons[{k}]")
+    of_target, of_source = document.poles.target, document.poles.source
+    for k, hypothesis in enumerate(document.hypotheses):
+        for i, j in hypothesis.pairs:
+            if i >= len(of_target) or j >= len(of_source):
+                raise ReadError(
+                    f"hypotheses[{k}].pairs: ({i}, {j}), there are {len(of_target)} poles of the "
+                    f"target and {len(of_source)} of the source"
+                )
+    return document
+
+
+def parsed(data: bytes, kind: type[Document], what: str) -> Document:
+    """Read a document, and check of each field all that its type says.
+
+    Raises
+    ------
+    ReadError
+        Where it is not one; names the field.
+    """
+    try:
+        return msgspec.json.decode(data, type=kind, dec_hook=_array)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ReadError(f"no {what}: {error}") from None
+
+
+def _array(kind: Any, value: Any) -> Array:
+    """Read an array of the kind that a field has."""
+    rows, check = _ARRAYS[kind]
+    try:
+        array = np.array(msgspec.convert(value, rows), dtype=float)
+        check(array)
+    except (msgspec.ValidationError, ReadError) as error:
+        # msgspec names the field of no other error.
+        raise ValueError(str(error)) from None
+    return array
 
 
 def check_covariance(name: str, C: Array, *, is_part: bool = False) -> None:
@@ -85,46 +93,22 @@ def check_covariance(name: str, C: Array, *, is_part: bool = False) -> None:
         raise ReadError(f"{name}: {fault}")
 
 
-def check_reason(reason: ReasonDoc, name: str) -> None:
-    """Check the code and the numbers of a reason; `name` is that of its field.
-
-    Raises
-    ------
-    ReadError
-        Where the code is none, or a number is beyond `LARGEST`.
-    """
-    # One of another version is a code all the same, and comes with its message.
-    if not CODE.fullmatch(reason.code):
-        raise ReadError(f"{name}.code: {reason.code[:50]!r} is no code")
-    for key, value in reason.values.items():
-        if not isinstance(value, str) and not abs(value) <= LARGEST:
-            raise ReadError(f"{name}.values[{key[:50]!r}]: beyond {LARGEST:g}")
+def _check_unit(direction: Array) -> None:
+    if abs(float(np.linalg.norm(direction)) - 1) > UNIT:
+        raise ReadError("no unit vector")
 
 
-def _stages(document: ResultDoc) -> Iterator[tuple[str, PoseEstimateDoc]]:
-    """Every pose on the way that there is, with the name of its field."""
-    for name, stage in (("poles", document.stages.poles), ("refined", document.stages.refined)):
-        if stage is not None:
-            yield f"stages.{name}", stage
+def _row(size: int, of: Any = Number) -> Any:
+    return Annotated[list[of], Meta(min_length=size, max_length=size)]
 
 
-def _poses(document: ResultDoc) -> Iterator[tuple[str, Pose]]:
-    """Every pose with the name of its field."""
-    if document.T_target_source is not None:
-        yield "T_target_source", document.T_target_source
-    for name, stage in _stages(document):
-        yield f"{name}.T_target_source", stage.T_target_source
-    for k, hypothesis in enumerate(document.hypotheses):
-        yield f"hypotheses[{k}].T_target_source", hypothesis.T_target_source
-
-
-def _covariances(document: ResultDoc) -> Iterator[tuple[str, Covariance, bool]]:
-    """Every covariance with the name of its field, and whether it is but a part of another."""
-    if document.covariance is not None:
-        yield "covariance", document.covariance, False
-    if document.uncertainty is not None:
-        yield "uncertainty.random", document.uncertainty.random, True
-        yield "uncertainty.systematic", document.uncertainty.systematic, True
-    for name, stage in _stages(document):
-        if stage.covariance is not None:
-            yield f"{name}.covariance", stage.covariance, False
+_ARRAYS: dict[Any, tuple[Any, Any]] = {
+    Vector: (_row(3), lambda vector: None),
+    Direction: (_row(3), _check_unit),
+    Pose: (_row(4, _row(4)), se3.rigid),
+    Covariance: (_row(6, _row(6)), partial(check_covariance, "covariance")),
+    PartCovariance: (_row(6, _row(6)), partial(check_covariance, "covariance", is_part=True)),
+    # How large it must be depends on other fields.
+    Array: (list[list[Number]], lambda matrix: None),
+}
+"""Of each kind of array its rows in JSON, and what checks it."""

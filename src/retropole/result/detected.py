@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import msgspec
 
+from ..base.bounded import Count, Number, Size, Text, Vector
 from ..base.datatypes import Detection, Pole, RejectedCluster
-from .bounded import Count, Number, Size, Text, Vector
 
 
-class PoleDoc(msgspec.Struct, frozen=True):
+class PoleDoc(msgspec.Struct, frozen=True, eq=False):
     """One pole as one LiDAR sees it, in that LiDAR's frame."""
 
     point_m: Vector
@@ -21,7 +21,7 @@ class PoleDoc(msgspec.Struct, frozen=True):
     rms_m: Size
 
 
-class RejectedDoc(msgspec.Struct, frozen=True):
+class RejectedDoc(msgspec.Struct, frozen=True, eq=False):
     """A retro-reflective cluster that was rejected."""
 
     centre_m: Vector
@@ -30,7 +30,7 @@ class RejectedDoc(msgspec.Struct, frozen=True):
     reason: Text
 
 
-class PolesDoc(msgspec.Struct, frozen=True):
+class PolesDoc(msgspec.Struct, frozen=True, eq=False):
     """The poles of both LiDARs."""
 
     target: list[PoleDoc]
@@ -51,7 +51,7 @@ class InputDoc(msgspec.Struct, frozen=True):
     notes: list[Text] = []
 
 
-class DetectionDoc(msgspec.Struct, frozen=True):
+class DetectionDoc(msgspec.Struct, frozen=True, eq=False):
     """What `retropole detect` found in one file."""
 
     input: InputDoc
@@ -65,8 +65,8 @@ def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
     """Write poles as the result document holds them."""
     return [
         PoleDoc(
-            pole.point.tolist(),
-            pole.direction.tolist(),
+            pole.point,
+            pole.direction,
             pole.length,
             len(pole.xyz),
             pole.rings,
@@ -78,7 +78,7 @@ def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
 
 def rejected_documents(rejected: Sequence[RejectedCluster]) -> list[RejectedDoc]:
     """Write rejected clusters as the result document holds them."""
-    return [RejectedDoc(r.centre.tolist(), len(r.index), r.code, r.reason) for r in rejected]
+    return [RejectedDoc(r.centre, len(r.index), r.code, r.reason) for r in rejected]
 
 
 def detection_document(detection: Detection, source: InputDoc) -> DetectionDoc:

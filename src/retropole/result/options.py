@@ -11,12 +11,12 @@ from typing import Annotated, NamedTuple, get_args
 import msgspec
 from msgspec import Meta, inspect
 
+from ..base.bounded import Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
 from ..io.thinning import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
-from .bounded import Text
 
 UNITS = get_args(Unit)
 """That coordinates may have."""

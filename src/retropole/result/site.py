@@ -11,45 +11,26 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-import msgspec
+import numpy as np
 from msgspec import Meta
 
+from ..base.bounded import LONGEST_LIST, Count, Size, Status, Text
+from ..base.datatypes import Array
+from ..base.uncertainty.purpose import Need
 from ..base.version import __version__
-from ..site.answer import SiteCalibration
-from . import COVARIANCE_ORDER, ReasonDoc
-from .bounded import LONGEST_LIST, Count, Number, Size, Status, Text
+from ..site.answer import MOST_LIDARS, Indices, SiteCalibration, SitePole, WithoutPlacement
+from ..site.description import ControlPoint, Frame, SurveyedPole
+from . import COVARIANCE_ORDER, Document, ReasonDoc, reason_document
 from .detected import InputDoc
-from .site_checks import (
-    LoopDoc,
-    PairDoc,
-    TestDoc,
-    WithoutDoc,
-    loop_document,
-    pair_document,
-    test_document,
-    without_document,
-)
+from .site_checks import LoopDoc, PairDoc, TestDoc, check_document
 from .site_parts import (
-    MOST_LIDARS,
-    ControlPointDoc,
     FoundDoc,
-    FrameDoc,
-    Indices,
     LidarDoc,
-    NeedDoc,
     RecordingDoc,
     SiteConfig,
-    SitePoleDoc,
-    SurveyedPoleDoc,
-    control_point_document,
-    finite_rows,
     found_document,
-    frame_document,
     lidar_document,
-    reason_document,
     recording_document,
-    site_pole_document,
-    surveyed_pole_document,
 )
 
 __all__ = [
@@ -65,7 +46,7 @@ SITE_SCHEMA: Literal["retropole/site-result/1"] = "retropole/site-result/1"
 SITE_COVARIANCE_FRAME = "site axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
 
 
-class SiteDoc(msgspec.Struct, frozen=True, kw_only=True):
+class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
     """The whole document.
 
     `joint_covariance` is that of all poses together: 6 rows for each, in the order of
@@ -77,26 +58,26 @@ class SiteDoc(msgspec.Struct, frozen=True, kw_only=True):
     status: Status
     reasons: list[ReasonDoc]
     datum: Text
-    frame: FrameDoc
+    frame: Frame
     reference: Count
     placements: Annotated[list[Text], Meta(min_length=1, max_length=LONGEST_LIST)]
     radius_m: Size
     radius_sigma_m: Size
-    need: NeedDoc | None
+    need: Need | None
     lidars: Annotated[list[LidarDoc], Meta(min_length=1, max_length=MOST_LIDARS)]
     covariance_order: tuple[str, ...] = COVARIANCE_ORDER
     covariance_frame: str = SITE_COVARIANCE_FRAME
     joint_order: list[Text]
-    joint_covariance: list[list[Number]] | None
+    joint_covariance: Array | None
     groups: list[Indices]
-    poles: Annotated[list[SitePoleDoc], Meta(max_length=LONGEST_LIST)]
+    poles: Annotated[list[SitePole], Meta(max_length=LONGEST_LIST)]
     pairs: Annotated[list[PairDoc], Meta(max_length=LONGEST_LIST)]
     loops: Annotated[list[LoopDoc], Meta(max_length=LONGEST_LIST)]
     tests: Annotated[list[TestDoc], Meta(max_length=LONGEST_LIST)]
-    without: Annotated[list[WithoutDoc], Meta(max_length=LONGEST_LIST)]
+    without: Annotated[list[WithoutPlacement], Meta(max_length=LONGEST_LIST)]
     found: list[list[FoundDoc | None]]
-    surveyed_poles: list[SurveyedPoleDoc]
-    control_points: list[ControlPointDoc]
+    surveyed_poles: list[SurveyedPole]
+    control_points: list[ControlPoint]
     inputs: Annotated[list[RecordingDoc], Meta(max_length=LONGEST_LIST)]
     config: SiteConfig
     version: Text
@@ -139,30 +120,32 @@ def site_document(
     names = [lidar.name for lidar in site.lidars]
     poses = calibration.lidars if answered else (None,) * len(names)
     joint = calibration.covariance if answered else None
+    if joint is not None and not np.isfinite(joint).all():
+        raise ValueError("joint covariance: a number of the answer is not finite")
     scans = calibration.scans
     return SiteDoc(
         name=site.name,
         status=calibration.status,
         reasons=[reason_document(reason) for reason in calibration.reasons],
         datum=calibration.datum,
-        frame=frame_document(site.frame),
+        frame=site.frame,
         reference=site.reference,
         placements=list(site.placements),
         radius_m=site.radius,
         radius_sigma_m=site.radius_sigma,
-        need=None if site.need is None else NeedDoc(site.need.within, site.need.at),
+        need=site.need,
         lidars=[lidar_document(*each) for each in zip(site.lidars, poses, strict=True)],
         joint_order=joint_order(names),
-        joint_covariance=None if joint is None else finite_rows(joint, "joint covariance"),
-        groups=[list(group) for group in calibration.groups],
-        poles=[site_pole_document(pole) for pole in calibration.poles],
-        pairs=[pair_document(pair) for pair in calibration.pairs],
-        loops=[loop_document(loop) for loop in calibration.loops],
-        tests=[test_document(test) for test in calibration.tests],
-        without=[without_document(each) for each in calibration.without],
+        joint_covariance=joint,
+        groups=list(calibration.groups),
+        poles=list(calibration.poles),
+        pairs=[check_document(PairDoc, pair) for pair in calibration.pairs],
+        loops=[check_document(LoopDoc, loop) for loop in calibration.loops],
+        tests=[check_document(TestDoc, test) for test in calibration.tests],
+        without=list(calibration.without),
         found=[[found_document(scan) for scan in of_lidar] for of_lidar in scans],
-        surveyed_poles=[surveyed_pole_document(pole) for pole in site.poles],
-        control_points=[control_point_document(point) for point in site.points],
+        surveyed_poles=list(site.poles),
+        control_points=list(site.points),
         inputs=[
             recording_document(source, lidar, placement, scans)
             for (lidar, placement), source in sorted(inputs.items())

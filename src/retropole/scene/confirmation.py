@@ -10,9 +10,9 @@ make one figure: the probability that the answer is wrong.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Placement
@@ -109,9 +109,9 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
     """Count the places of all scenes that agree with a pose (4, 4), and those that deny it."""
     each = [consistency(*scene, T) for scene in scenes]
     return Confirmation(
-        sum(one.agreeing for one in each),
-        sum(one.contradicting for one in each),
-        sum(one.missing for one in each),
+        agreeing=sum(one.agreeing for one in each),
+        contradicting=sum(one.contradicting for one in each),
+        missing=sum(one.missing for one in each),
     )
 
 

@@ -170,7 +170,7 @@ def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
     agreeing = there[0] + back[0]
     expected = EXPECTED * min(target.places, source.places)
     missing = max(round(expected) - agreeing, 0)
-    return Confirmation(agreeing, there[1] + back[1], missing)
+    return Confirmation(agreeing=agreeing, contradicting=there[1] + back[1], missing=missing)
 
 
 def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[Array, Array]:

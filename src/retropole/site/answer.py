@@ -7,13 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+import msgspec
+from msgspec import Meta
+
+from ..base.bounded import (
+    Count,
+    Direction,
+    PartCovariance,
+    Pose,
+    Size,
+    Status,
+    Text,
+    Vector,
+)
 from ..base.datatypes import Array, Scan
 from ..base.errors import Reason
-from ..base.uncertainty import BudgetEntry
+from ..base.uncertainty import BudgetEntry, ErrorAtRange
 from ..base.uncertainty.purpose import Fitness
 from .description import Site
+
+MOST_LIDARS = 100
+"""Of one document: its joint covariance has then 360,000 numbers."""
+
+Indices = Annotated[tuple[Count, ...], Meta(max_length=MOST_LIDARS)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,21 +50,22 @@ class LidarPose:
     budget
         Every source of error of this pose, the largest first; whose it is stands in its name.
     predicted_error
-        (range, 1 σ error of a point at that range), metres.
+        At several ranges.
     fitness
         Whether it is as accurate as was asked for.
     """
 
     lidar: int
-    T_site_lidar: Array
-    covariance: Array
+    T_site_lidar: Pose
+    covariance: PartCovariance
     budget: tuple[BudgetEntry, ...]
-    predicted_error: tuple[tuple[float, float], ...]
+    predicted_error: tuple[ErrorAtRange, ...]
     fitness: Fitness | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class SitePole:
+class SitePole(
+    msgspec.Struct, frozen=True, eq=False, rename={"point": "point_m", "length": "length_m"}
+):
     """A pole of one placement, as all LiDARs that saw it have it together.
 
     Attributes
@@ -65,13 +84,13 @@ class SitePole:
         Index in `Site.poles`; None where it was not surveyed.
     """
 
-    name: str
-    placement: int
-    point: Array
-    direction: Array
-    length: float
-    seen_by: tuple[int, ...]
-    surveyed: int | None = None
+    name: Text
+    placement: Count
+    point: Vector
+    direction: Direction
+    length: Size
+    seen_by: Indices
+    surveyed: Count | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +184,11 @@ class Test:
     external: float | None
 
 
-@dataclass(frozen=True, eq=False)
-class WithoutPlacement:
+class WithoutPlacement(
+    msgspec.Struct,
+    frozen=True,
+    rename={"rotation": "rotation_rad", "translation": "translation_m"},
+):
     """How the poses change without one placement.
 
     Attributes
@@ -180,10 +202,10 @@ class WithoutPlacement:
         Index of the LiDAR that changes so.
     """
 
-    placement: int
-    rotation: float | None
-    translation: float | None
-    lidar: int | None
+    placement: Count
+    rotation: Size | None
+    translation: Size | None
+    lidar: Count | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +234,7 @@ class SiteCalibration:
         Time of each step.
     """
 
-    status: Literal["ok", "warn", "refused"]
+    status: Status
     reasons: tuple[Reason, ...]
     site: Site
     datum: str

@@ -13,10 +13,12 @@ from functools import partial
 from itertools import combinations
 from typing import Literal
 
+import msgspec
 import numpy as np
 from scipy.special import ndtri
 
 from ..alignment.origins import beam_origins
+from ..base.bounded import Count, Number, Size
 from ..base.datatypes import Placement, Pole, Scan
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
@@ -28,6 +30,8 @@ from .description import Site
 from .distances import Measured, Targets, measure, middles
 from .repetition import SpreadTest, compare_spread, spread_of_sweeps
 
+Verdict = Literal["pass", "fail", "refused"]
+
 ALPHA = 0.05
 """Probability with which LiDARs that measure as stated fail: of all distances together, and of the
 comparison of variances likewise."""
@@ -36,9 +40,8 @@ MIN_DISTANCES = 4
 """Least number of distances that a verdict rests on."""
 
 
-@dataclass(frozen=True, eq=False)
-class DistanceTest:
-    """The distance between two poles as both LiDARs have it.
+class DistanceTest(msgspec.Struct, frozen=True):
+    """The distance between two poles as both LiDARs have it, metres.
 
     Attributes
     ----------
@@ -46,30 +49,37 @@ class DistanceTest:
         Index of the placement that the poles stand in.
     poles
         Numbers of both poles in the target's detection.
-    lengths, sigma
-        As the target and as the source have it, and the standard uncertainty of each, metres.
-    random
-        The part of `sigma` that comes from the scatter of the returns, metres.
-    difference, u
+    target_m, source_m, u_target_m, u_source_m
+        As the target and as the source have it, and the standard uncertainty of each.
+    random_target_m, random_source_m
+        The part of that uncertainty that comes from the scatter of the returns.
+    difference_m, u_end_m
         Target less source, and half of its standard uncertainty: that of one end of one of the
-        distances, which has four ends in all, metres.
-    limit
-        Largest difference of either sign that passes, metres: ``2 u z``.
+        distances, which has four ends in all.
+    limit_m, passed
+        Largest difference of either sign that passes, ``2 u z``, and whether it does.
     """
 
-    placement: int
-    poles: tuple[int, int]
-    lengths: tuple[float, float]
-    sigma: tuple[float, float]
-    random: tuple[float, float]
-    difference: float
-    u: float
-    limit: float
+    placement: Count
+    poles: tuple[Count, Count]
+    target_m: Size
+    source_m: Size
+    u_target_m: Size
+    u_source_m: Size
+    random_target_m: Size
+    random_source_m: Size
+    difference_m: Number
+    u_end_m: Size
+    limit_m: Size
+    passed: bool
 
-    @property
-    def passed(self) -> bool:
-        """Whether the difference is within the limit."""
-        return abs(self.difference) <= self.limit
+
+class PolesSeen(msgspec.Struct, frozen=True):
+    """How many poles of a placement each LiDAR sees, and how many are compared."""
+
+    target: Count
+    source: Count
+    compared: Count
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,16 +100,16 @@ class FieldTest:
     spread
         The comparison of variances; None where the recordings do not repeat anything.
     poles
-        For each placement, how many poles the target and the source see, and both.
+        What each LiDAR sees of each placement.
     """
 
-    status: Literal["pass", "fail", "refused"]
+    status: Verdict
     reasons: tuple[Reason, ...]
     distances: tuple[DistanceTest, ...]
     alpha: float
     z: float | None
     spread: SpreadTest | None
-    poles: tuple[tuple[int, int, int], ...]
+    poles: tuple[PolesSeen, ...]
 
 
 def certify(
@@ -119,11 +129,11 @@ def certify(
     try:
         check_poles(placements)
     except Refusal as refusal:
-        return _refused([_reason(refusal)], tuple((0, 0, 0) for _ in placements))
+        return _refused([_reason(refusal)], tuple(PolesSeen(0, 0, 0) for _ in placements))
     placements = beam_origins(placements).about(placements)
     found: list[tuple[int, Correspondence]] = []
     reasons: list[Reason] = []
-    poles: list[tuple[int, int, int]] = []
+    poles: list[PolesSeen] = []
     for k, placement in enumerate(placements):
         counts = len(placement.target.poles), len(placement.source.poles)
         try:
@@ -131,10 +141,10 @@ def certify(
         except Refusal as refusal:
             words = f"placement {k + 1} is not compared: " if len(placements) > 1 else ""
             reasons.append(_reason(refusal, words))
-            poles.append((*counts, 0))
+            poles.append(PolesSeen(*counts, 0))
         else:
             found.append((k, both))
-            poles.append((*counts, len(both.pairs)))
+            poles.append(PolesSeen(*counts, len(both.pairs)))
     which = [
         (k, (each.pairs[i][0], each.pairs[j][0]))
         for k, each in found
@@ -156,7 +166,7 @@ def certify(
         ALPHA,
     )
     passed = all(test.passed for test in tests) and (spread is None or spread.passed)
-    status: Literal["pass", "fail"] = "pass" if passed else "fail"
+    status: Verdict = "pass" if passed else "fail"
     return FieldTest(status, tuple(reasons), tests, ALPHA, z, spread, tuple(poles))
 
 
@@ -227,16 +237,21 @@ def compare(
     # Both measure the same poles: of what the radius changes, only the difference counts.
     square = a.standard_uncertainty**2 + b.standard_uncertainty**2 - 2.0 * a.radius * b.radius
     u = 0.5 * np.sqrt(np.maximum(square, 0.0))
+    difference, limit = a.lengths - b.lengths, 2.0 * u * z
     return tuple(
         DistanceTest(
-            placement,
-            poles,
-            (float(a.lengths[k]), float(b.lengths[k])),
-            (float(a.standard_uncertainty[k]), float(b.standard_uncertainty[k])),
-            (float(np.sqrt(a.random[k, k])), float(np.sqrt(b.random[k, k]))),
-            float(a.lengths[k] - b.lengths[k]),
-            float(u[k]),
-            float(2.0 * u[k] * z),
+            placement=placement,
+            poles=poles,
+            target_m=float(a.lengths[k]),
+            source_m=float(b.lengths[k]),
+            u_target_m=float(a.standard_uncertainty[k]),
+            u_source_m=float(b.standard_uncertainty[k]),
+            random_target_m=float(np.sqrt(a.random[k, k])),
+            random_source_m=float(np.sqrt(b.random[k, k])),
+            difference_m=float(difference[k]),
+            u_end_m=float(u[k]),
+            limit_m=float(limit[k]),
+            passed=bool(abs(difference[k]) <= limit[k]),
         )
         for k, (placement, poles) in enumerate(which)
     )
@@ -246,7 +261,7 @@ def _reason(refusal: Refusal, words: str = "") -> Reason:
     return Reason(refusal.code, words + refusal.message, refusal.values)
 
 
-def _refused(reasons: Sequence[Reason], poles: tuple[tuple[int, int, int], ...]) -> FieldTest:
+def _refused(reasons: Sequence[Reason], poles: tuple[PolesSeen, ...]) -> FieldTest:
     return FieldTest("refused", tuple(reasons), (), ALPHA, None, None, poles)
 
 

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 
+from ..base.bounded import Count, Direction, Number, Size, Text, Vector
 from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud
 from ..base.sensors import Sensor
 from ..base.uncertainty.purpose import Need
 
 
-@dataclass(frozen=True, eq=False)
-class Up:
+class Up(msgspec.Struct, frozen=True, eq=False, rename={"sigma": "sigma_rad"}):
     """Which way is up, as an inertial sensor fixed to a LiDAR says.
 
     Attributes
@@ -27,8 +28,8 @@ class Up:
         1 σ of it about each level axis, rad.
     """
 
-    direction: Array
-    sigma: float
+    direction: Direction
+    sigma: Size
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,12 @@ class SiteLidar:
     up: Up | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class SurveyedPole:
+class SurveyedPole(
+    msgspec.Struct,
+    frozen=True,
+    eq=False,
+    rename={"foot": "foot_m", "top": "top_m", "sigma": "sigma_m"},
+):
     """A taped pole of which points on the axis were surveyed.
 
     Attributes
@@ -72,34 +77,46 @@ class SurveyedPole:
         1 σ of each coordinate, metres.
     """
 
-    name: str
-    placement: int
-    foot: Array | None
-    top: Array | None
-    sigma: float
+    name: Text
+    placement: Count
+    foot: Vector | None
+    top: Vector | None
+    sigma: Size
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
+class Sighting(msgspec.Struct, frozen=True, eq=False, rename={"at": "at_m", "sigma": "sigma_m"}):
     """Where a LiDAR sees a control point: index of the LiDAR, (3,) in its frame, 1 σ, metres."""
 
-    lidar: int
-    at: Array
-    sigma: float
+    lidar: Count
+    at: Vector
+    sigma: Size
 
 
-@dataclass(frozen=True, eq=False)
-class ControlPoint:
+class ControlPoint(
+    msgspec.Struct, frozen=True, eq=False, rename={"at": "at_m", "sigma": "sigma_m"}
+):
     """A surveyed point that LiDARs see as a target: (3,) in the frame of the site, 1 σ, metres."""
 
-    name: str
-    at: Array
-    sigma: float
+    name: Text
+    at: Vector
+    sigma: Size
     seen: tuple[Sighting, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
+class Geodetic(msgspec.Struct, frozen=True):
+    """A place on an ellipsoid: latitude, longitude, rad, and height above it, metres."""
+
+    latitude_rad: Number
+    longitude_rad: Number
+    height_m: Number
+
+    @property
+    def array(self) -> Array:
+        """(3,) all three."""
+        return np.array(msgspec.structs.astuple(self))
+
+
+class Frame(msgspec.Struct, frozen=True, eq=False, rename={"offset": "offset_m"}):
     """The frame that a site is given in.
 
     Attributes
@@ -114,15 +131,14 @@ class Frame:
     epsg
         Code of a projected frame, or None.
     geodetic
-        (3,) latitude, longitude, rad, and ellipsoidal height, metres, of the origin of a local
-        east-north-up frame; None where not known.
+        Origin of a local east-north-up frame; None where not known.
     """
 
-    name: str
+    name: Text
     surveyed: bool = False
-    offset: Array = field(default_factory=lambda: np.zeros(3))
-    epsg: int | None = None
-    geodetic: Array | None = None
+    offset: Vector = msgspec.field(default_factory=lambda: np.zeros(3))
+    epsg: Count | None = None
+    geodetic: Geodetic | None = None
 
 
 @dataclass(frozen=True, eq=False)

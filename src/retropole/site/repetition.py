@@ -8,8 +8,9 @@ better without being better than is stated of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import fdtr, fdtri
@@ -17,6 +18,7 @@ from scipy.special import fdtr, fdtri
 from ..alignment.observations import beams_of
 from ..alignment.posterior import SHARED
 from ..alignment.views import find_view
+from ..base.bounded import Count, Share, Size
 from ..base.datatypes import Array, Pole, Scan
 from .axes import OwnAxes, climb_alone
 from .distances import Targets, distances_of
@@ -28,8 +30,7 @@ MIN_RETURNS = 8
 """A sweep with fewer returns on one of the poles is left out: its axis is open by centimetres."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spread:
+class Spread(msgspec.Struct, frozen=True, rename={"sigma": "sigma_m"}):
     """How far the distances of one LiDAR scatter from sweep to sweep.
 
     Attributes
@@ -42,14 +43,13 @@ class Spread:
         Its square in units of what the returns of a sweep allow, and its degrees of freedom.
     """
 
-    sweeps: int
-    sigma: float
-    variance: float
-    freedom: float
+    sweeps: Count
+    sigma: Size
+    variance: Size
+    freedom: Size
 
 
-@dataclass(frozen=True, eq=False)
-class SpreadTest:
+class SpreadTest(msgspec.Struct, frozen=True):
     """Whether both LiDARs repeat distances equally well (F-test, two-sided).
 
     Attributes
@@ -58,24 +58,18 @@ class SpreadTest:
         What each does.
     ratio, low, high
         F, the target's variance over the source's, and between which bounds it passes.
+    probability, passed
+        Of a ratio as far from 1, or farther, where the variances are equal; and whether they may
+        be.
     """
 
     target: Spread
     source: Spread
-    ratio: float
-    low: float
-    high: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the variances may be equal."""
-        return self.low <= self.ratio <= self.high
-
-    @property
-    def probability(self) -> float:
-        """Probability of a ratio as far from 1, or farther, where the variances are equal."""
-        tail = float(fdtr(self.target.freedom, self.source.freedom, self.ratio))
-        return 2.0 * min(tail, 1.0 - tail)
+    ratio: Size
+    low: Size
+    high: Size
+    probability: Share
+    passed: bool
 
 
 def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -> SpreadTest | None:
@@ -85,7 +79,10 @@ def compare_spread(target: Spread | None, source: Spread | None, alpha: float) -
     low, high = (
         float(fdtri(target.freedom, source.freedom, p)) for p in (alpha / 2, 1 - alpha / 2)
     )
-    return SpreadTest(target, source, target.variance / source.variance, low, high)
+    ratio = target.variance / source.variance
+    tail = float(fdtr(target.freedom, source.freedom, ratio))
+    probability = 2.0 * min(tail, 1.0 - tail)
+    return SpreadTest(target, source, ratio, low, high, probability, low <= ratio <= high)
 
 
 def spread_of_sweeps(

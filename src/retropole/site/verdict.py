@@ -321,15 +321,15 @@ def _not_fit(site: Site, lidars: Sequence[LidarPose]) -> Iterator[Reason]:
     worst = min(short, key=lambda one: one.fitness.probability if one.fitness else 1.0)
     fit = worst.fitness
     assert fit is not None
-    bound = "" if fit.bound is None else f"; 95 % sure: within {at_most(fit.bound)}"
+    bound = "" if fit.bound_m is None else f"; 95 % sure: within {at_most(fit.bound_m)}"
     names = ", ".join(site.lidars[one.lidar].name for one in short)
     yield Reason(
         "not_fit_for_purpose",
         f"{names}: {fit.words}{bound}; what would help: a placement with the poles in another way",
         {
             "lidars": names,
-            "within_m": fit.need.within,
-            "at_m": fit.need.at,
+            "within_m": fit.within_m,
+            "at_m": fit.at_m,
             "probability": fit.probability,
         },
     )

@@ -33,11 +33,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import UsageError
-from .description import Frame, Site
+from .description import Frame, Geodetic, Site
 from .geodesy import enu_axes, geodetic_of_local, local_of
 from .projection import grid_at, project, projected, unproject
 
@@ -88,7 +89,12 @@ def tangent_frame(epsg: int, coordinates: Array) -> Frame:
     middle = np.asarray(coordinates, dtype=float).mean(axis=0, keepdims=True)
     (origin,) = unproject(system, np.round(middle))
     at = ", ".join(f"{np.degrees(angle):.6f}" for angle in origin[:2])
-    return Frame(f"ENU at {at} ({system.name})", surveyed=True, epsg=epsg, geodetic=origin)
+    return Frame(
+        f"ENU at {at} ({system.name})",
+        surveyed=True,
+        epsg=epsg,
+        geodetic=Geodetic(*origin.tolist()),
+    )
 
 
 def to_site(frame: Frame, coordinates: Array) -> Array:
@@ -130,14 +136,14 @@ def in_metres(site: Site) -> Site:
         site,
         frame=metric,
         poles=tuple(
-            replace(
+            structs.replace(
                 pole,
                 foot=None if pole.foot is None else moved(pole.foot),
                 top=None if pole.top is None else moved(pole.top),
             )
             for pole in site.poles
         ),
-        points=tuple(replace(point, at=moved(point.at)) for point in site.points),
+        points=tuple(structs.replace(point, at=moved(point.at)) for point in site.points),
     )
 
 
@@ -246,7 +252,8 @@ def heading(frame: Frame, T_site_lidar: Array, *, of_grid: bool = False) -> floa
 
 def _origin(frame: Frame) -> Array:
     """Latitude, longitude and height of the origin, held against what they can be."""
-    at = np.asarray(frame.geodetic, dtype=float)
+    assert frame.geodetic is not None
+    at = frame.geodetic.array
     if not (np.isfinite(at).all() and abs(at[0]) <= np.pi / 2 and abs(at[1]) <= 2 * np.pi):
         raise UsageError(f"latitude and longitude {np.degrees(at[:2])} deg are no place on earth")
     return at

@@ -39,6 +39,7 @@ def judged(answer: Calibration, need: Need | None) -> Calibration:
         where that is so.
     """
     assert answer.covariance is not None
+    doubts: tuple[str, ...] = ()
     if need is None:
         if is_surely_met(answer.covariance, USABLE):
             return answer
@@ -49,7 +50,8 @@ def judged(answer: Calibration, need: Need | None) -> Calibration:
         codes = dict.fromkeys(reason.code for reason in answer.reasons)
         doubts = tuple(code for code in codes if code in DOUBTS)
         fit = fitness(answer.covariance, need, wrong=wrong or 0.0, doubts=doubts)
-    reasons = (*answer.reasons, *_not_fit(fit, answer, is_asked=need is not None))
+    why = _not_fit(fit, answer, is_asked=need is not None, is_doubted=bool(doubts))
+    reasons = (*answer.reasons, *why)
     return replace(
         answer,
         status="warn" if reasons else "ok",
@@ -58,36 +60,37 @@ def judged(answer: Calibration, need: Need | None) -> Calibration:
     )
 
 
-def _not_fit(fit: Fitness, answer: Calibration, *, is_asked: bool) -> Iterator[Reason]:
+def _not_fit(
+    fit: Fitness, answer: Calibration, *, is_asked: bool, is_doubted: bool
+) -> Iterator[Reason]:
     """Say that an answer is not as accurate as it must be, and what would make it so."""
     if fit.answer == "yes":
         return
-    need, said = fit.need, [fit.words]
+    said = [fit.words]
     values: dict[str, float | int | str] = {
-        "within_m": need.within,
-        "at_m": need.at,
+        "within_m": fit.within_m,
+        "at_m": fit.at_m,
         "probability": fit.probability,
     }
-    if fit.bound is not None:
-        values["bound_m"] = fit.bound
-        said.append(f"95 % sure: within {quantities.at_most(fit.bound)}")
-    said += _helping(fit, answer)
+    if fit.bound_m is not None:
+        values["bound_m"] = fit.bound_m
+        said.append(f"95 % sure: within {quantities.at_most(fit.bound_m)}")
+    said += _helping(fit, answer, is_doubted)
     if not is_asked:
         said.append("if less accuracy is enough, --need-cm and --at-m say so")
     yield Reason("not_fit_for_purpose", "; ".join(said), values)
 
 
-def _helping(fit: Fitness, answer: Calibration) -> Iterator[str]:
+def _helping(fit: Fitness, answer: Calibration, is_doubted: bool) -> Iterator[str]:
     """Say what would make an answer good enough, or that nothing would."""
-    need = fit.need
     assert answer.covariance is not None
-    if displacement_bound(answer.covariance, need.at) <= need.within:
+    if displacement_bound(answer.covariance, fit.at_m) <= fit.within_m:
         # Of its doubts each says by itself what to do.
-        if not fit.doubts:
+        if not is_doubted:
             yield "what would help: a third pole, or a placement with the poles in another way"
         return
-    least = displacement_bound(floor(), need.at)
-    if least > need.within:
+    least = displacement_bound(floor(), fit.at_m)
+    if least > fit.within_m:
         yield f"no recording shows less than {quantities.at_most(least)}"
         return
     lead = "what would help"

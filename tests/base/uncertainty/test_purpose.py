@@ -68,8 +68,8 @@ def test_the_bound_grows_with_distance_and_turns_with_the_frame(seed: int) -> No
     covariance = a_covariance(seed)
     bounds = [displacement_bound(covariance, distance) for distance in (1.0, 10.0, 30.0, 60.0)]
     assert bounds == sorted(bounds)
-    for bound, (_, sigma) in zip(bounds, predicted_error(covariance), strict=True):
-        assert 1.3 * sigma < bound < 4 * sigma
+    for bound, each in zip(bounds, predicted_error(covariance), strict=True):
+        assert 1.3 * each.sigma_m < bound < 4 * each.sigma_m
     R = se3.random(np.random.default_rng(seed))[:3, :3]
     turn = np.block([[R, np.zeros((3, 3))], [np.zeros((3, 3)), R]])
     turned = displacement_bound(turn @ covariance @ turn.T, 30.0)
@@ -85,7 +85,7 @@ def test_a_need_is_answered_yes_no_or_not_shown() -> None:
     ]
     assert answers == ["no", "not shown", "yes"]
     fit = fitness(covariance, Need(0.5 * bound, 30.0))
-    assert fit.bound == pytest.approx(bound)
+    assert fit.bound_m == pytest.approx(bound)
 
 
 @given(st.floats(0.001, 1.0), st.floats(0.5, 100.0), st.sampled_from(range(3)), st.floats(0.0, 0.2))
@@ -95,9 +95,9 @@ def test_an_answer_is_never_surer_than_its_probability(
     fit = fitness(a_covariance(seed), Need(within, at), wrong=wrong)
     assert fit.probability <= 1 - wrong
     assert (fit.answer == "yes") == (fit.probability >= CONFIDENCE)
-    assert (fit.bound is None) == (1 - wrong <= CONFIDENCE)
-    if fit.bound is not None:
-        assert (fit.bound < 0.999 * within) <= (fit.answer == "yes")
+    assert (fit.bound_m is None) == (1 - wrong <= CONFIDENCE)
+    if fit.bound_m is not None:
+        assert (fit.bound_m < 0.999 * within) <= (fit.answer == "yes")
     said = fit.words
     assert "100 %" not in said
     assert ("yes" in said) == (fit.answer == "yes")

@@ -9,6 +9,7 @@ from retropole.fleet.history.check import check_site
 from retropole.fleet.history.rows import row_of
 from retropole.fleet.history.site_pairs import watched_pairs
 from retropole.fleet.sites import FleetSite, find_sites
+from retropole.result import encode
 from tests.api.site_files import write_site
 from tests.fleet.history.test_check import CHECK
 from tests.report.site.made_up import document_of, made_up_site
@@ -21,7 +22,7 @@ def quay(tmp_path: Path) -> FleetSite:
     folder.mkdir()
     write_site(folder)
     document = document_of(made_up_site(lidars=3, placements=2, count=40))
-    (folder / "site-result.json").write_bytes(msgspec.json.encode(document))
+    (folder / "site-result.json").write_bytes(encode(document))
     (site,) = find_sites([str(folder / "site.toml")])
     return site
 

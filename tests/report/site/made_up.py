@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from retropole.base import se3
+from retropole.base.bounded import Status
 from retropole.base.datatypes import (
     Array,
     Detection,
@@ -24,7 +25,6 @@ from retropole.base.errors import Reason, Refusal
 from retropole.base.sensors import SENSORS
 from retropole.base.uncertainty import BudgetEntry, predicted_error
 from retropole.base.uncertainty.purpose import Fitness, Need
-from retropole.result.bounded import Status
 from retropole.result.detected import InputDoc
 from retropole.result.site import SiteConfig, SiteDoc, site_document
 from retropole.site.answer import (
@@ -39,6 +39,7 @@ from retropole.site.answer import (
 from retropole.site.description import (
     ControlPoint,
     Frame,
+    Geodetic,
     Sighting,
     Site,
     SiteLidar,
@@ -169,7 +170,7 @@ def made_up_site(
         ),
         placements=PLACEMENTS[:placements],
         radius_sigma=0.0005,
-        frame=Frame("ENU at 52.10000, 4.20000", True, geodetic=np.array([0.9093, 0.0733, 12.0]))
+        frame=Frame("ENU at 52.10000, 4.20000", True, geodetic=Geodetic(0.9093, 0.0733, 12.0))
         if surveyed
         else Frame("LiDAR mast-a"),
         poles=_survey() if surveyed else (),
@@ -257,7 +258,12 @@ def _pose(k: int, covariance: Array) -> LidarPose:
         ("radius of the poles", 4.2e-4, "m", 3.1e-4, 0.02),
     )
     budget: tuple[Any, ...] = tuple(BudgetEntry(n, None, s, u, e, p) for n, s, u, e, p in parts)  # type: ignore[arg-type]
-    fitness = Fitness(Need(0.02, 30.0), 0.97 if k < 4 else 0.6, 0.018 + 0.002 * k)
+    need = "within 2 cm at 30 m"
+    fitness = (
+        Fitness(0.02, 30.0, "yes", 0.97, 0.018 + 0.002 * k, f"{need}: yes, 97 % sure")
+        if k < 4
+        else Fitness(0.02, 30.0, "not shown", 0.6, None, f"{need}: not shown, 60 % sure")
+    )
     return LidarPose(k, pose_of(k), own, budget, predicted_error(own), fitness)
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.report.site import render_site
-from retropole.result.bounded import Status
 from tests.report.browser import Browser, needs_browser
 from tests.report.site.made_up import document_of, made_up_site
 from tests.report.test_accessibility import AUDIT, AXE, serious

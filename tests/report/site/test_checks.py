@@ -43,7 +43,7 @@ def test_a_placement_that_cannot_be_left_out_is_a_dash_with_its_reason() -> None
     text = Page(without(DOCUMENT)).text
     assert "4: evening" in text
     assert "without that placement the others give no poses" in text
-    some = [each for each in DOCUMENT.without if each.rotation_rad is not None]
+    some = [each for each in DOCUMENT.without if each.rotation is not None]
     assert "A dash" not in without(msgspec.structs.replace(DOCUMENT, without=some))
 
 

@@ -65,7 +65,7 @@ def test_north_is_drawn_where_it_is_known() -> None:
 
 
 def test_places_are_in_the_coordinates_of_the_frame() -> None:
-    frame = msgspec.structs.replace(DOCUMENT.frame, offset_m=[565_000.0, 5_934_000.0, 10.0])
+    frame = msgspec.structs.replace(DOCUMENT.frame, offset=np.array([565_000.0, 5_934_000.0, 10.0]))
     far = msgspec.structs.replace(DOCUMENT, frame=frame)
     text = Page(site_map(far, plan_of(far))).text
     assert "565013.980" in text
@@ -74,9 +74,7 @@ def test_places_are_in_the_coordinates_of_the_frame() -> None:
 
 def test_one_lidar_upon_another_is_drawn_all_the_same() -> None:
     same = [
-        msgspec.structs.replace(
-            each, T_site_lidar=np.eye(4).tolist(), covariance=np.zeros((6, 6)).tolist()
-        )
+        msgspec.structs.replace(each, T_site_lidar=np.eye(4), covariance=np.zeros((6, 6)))
         for each in DOCUMENT.lidars
     ]
     alone = msgspec.structs.replace(DOCUMENT, lidars=same, poles=[])

@@ -28,13 +28,11 @@ def turned(of: SiteDoc, R: np.ndarray) -> SiteDoc:
     return msgspec.structs.replace(
         of,
         lidars=[
-            msgspec.structs.replace(each, T_site_lidar=(T @ np.array(each.T_site_lidar)).tolist())
+            msgspec.structs.replace(each, T_site_lidar=T @ np.asarray(each.T_site_lidar))
             for each in of.lidars
         ],
         poles=[
-            msgspec.structs.replace(
-                each, point_m=(R @ each.point_m).tolist(), direction=(R @ each.direction).tolist()
-            )
+            msgspec.structs.replace(each, point=R @ each.point, direction=R @ each.direction)
             for each in of.poles
         ],
     )

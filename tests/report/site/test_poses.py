@@ -35,7 +35,7 @@ def test_each_pose_has_its_certainty_and_what_it_is_made_of() -> None:
 
 
 def test_the_offset_of_large_coordinates_is_said() -> None:
-    frame = msgspec.structs.replace(DOCUMENT.frame, offset_m=[565_000.0, 5_934_000.0, 0.0])
+    frame = msgspec.structs.replace(DOCUMENT.frame, offset=np.array([565_000.0, 5_934_000.0, 0.0]))
     far = msgspec.structs.replace(DOCUMENT, frame=frame)
     assert "Add (565000.000, 5934000.000, 0.000) m" in poses(far)
     assert "Add (" not in poses(DOCUMENT)

@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.report.site import render_site, write_site_report
-from retropole.result.bounded import Status
 from tests.report.made_up import HOSTILE, Page
 from tests.report.site.made_up import document_of, made_up_site
 
@@ -64,9 +64,9 @@ def test_what_others_wrote_stays_text() -> None:
             name=HOSTILE,
             lidars=lidars,
             placements=(HOSTILE, "b"),
-            frame=replace(site.site.frame, name=HOSTILE),
+            frame=msgspec.structs.replace(site.site.frame, name=HOSTILE),
         ),
-        poles=tuple(replace(pole, name=HOSTILE) for pole in site.poles),
+        poles=tuple(msgspec.structs.replace(pole, name=HOSTILE) for pole in site.poles),
         tests=tuple(replace(test, name=HOSTILE) for test in site.tests),
         reasons=(replace(site.reasons[0], message=HOSTILE),),
     )

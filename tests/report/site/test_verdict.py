@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from retropole.base.bounded import Status
 from retropole.report.site.verdict import probability, verdict
-from retropole.result.bounded import Status
 from retropole.result.site import SiteDoc
 from tests.report.made_up import HOSTILE, Page
 from tests.report.site.made_up import document_of, made_up_site

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
+import msgspec
 import numpy as np
+from msgspec.structs import force_setattr
 
 from .. import se3
+from ..bounded import Count, Number, PartCovariance, Share, Size, Text, Vector
 from ..quantities import counted, error
 from ..se3 import Array
 
@@ -49,8 +51,7 @@ ALONG = np.cos(np.radians(30.0))
 """A direction within this angle of another goes by its name."""
 
 
-@dataclass(frozen=True)
-class BudgetEntry:
+class BudgetEntry(msgspec.Struct, frozen=True):
     """One source of error, and its part in the uncertainty of the pose.
 
     Attributes
@@ -69,16 +70,22 @@ class BudgetEntry:
         Its share of the variance of where a point 30 m away lands. All shares add up to 1.
     """
 
-    name: str
+    name: Text
     sensor: Literal["target", "source"] | None
-    sigma: float
+    sigma: Size
     unit: Literal["m", "rad", "1"]
-    estimated: float | None
-    share_at_30m: float
+    estimated: Number | None
+    share_at_30m: Share
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
+class ErrorAtRange(msgspec.Struct, frozen=True):
+    """Predicted error of a point at a range, 1 σ, both metres."""
+
+    range_m: Size
+    sigma_m: Size
+
+
+class Uncertainty(msgspec.Struct, frozen=True, eq=False, omit_defaults=True):
     """Uncertainty of a pose in its two kinds (GUM, JCGM 100:2008).
 
     Attributes
@@ -93,8 +100,8 @@ class Uncertainty:
         Every source of error, the largest first.
     """
 
-    random: Array
-    systematic: Array
+    random: PartCovariance
+    systematic: PartCovariance
     budget: tuple[BudgetEntry, ...] = ()
 
     @property
@@ -103,8 +110,7 @@ class Uncertainty:
         return np.asarray(self.random + self.systematic)
 
 
-@dataclass(frozen=True)
-class RadiusEstimate:
+class RadiusEstimate(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m"):
     """The poles' radius as given and as the data have it, each with its 1 σ, metres.
 
     Attributes
@@ -115,14 +121,13 @@ class RadiusEstimate:
         From the data and what was given together.
     """
 
-    given: float
-    given_sigma: float
-    estimated: float
-    sigma: float
+    given: Size
+    given_sigma: Size
+    estimated: Size
+    sigma: Size
 
 
-@dataclass(frozen=True, eq=False)
-class WeakDirection:
+class WeakDirection(msgspec.Struct, frozen=True, eq=False, rename={"sigma": "sigma_m"}):
     """The direction in which a pose is least certain, at the poles.
 
     Attributes
@@ -136,14 +141,18 @@ class WeakDirection:
         poles (a rotation counts by how far it moves a point 10 m away).
     """
 
-    direction: Array
-    sigma: float
-    words: str
-    condition: float
+    direction: Vector
+    sigma: Size
+    words: Text
+    condition: Size
 
 
-@dataclass(frozen=True)
-class Confirmation:
+class Confirmation(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    rename={"denied": "contradicted", "better_at": "better_at_m"},
+):
     """What stands in the scene says of a pose (docs/certainty.md, What stands in the scene).
 
     Attributes
@@ -151,6 +160,8 @@ class Confirmation:
     agreeing, contradicting
         Places off the ground, of both clouds, that agree with the pose, and that stand where the
         other LiDAR looked through.
+    denied
+        Share of the places that deny the pose; 0 where there is none. It follows from the others.
     missing
         Places that should agree besides, by how much stands in both clouds.
     better_at
@@ -162,15 +173,25 @@ class Confirmation:
         Whether a third pole, or a placement of another shape, vouches for the poles.
     trusted
         Whether the user does.
+    probability_wrong
+        Probability that the answer is off by more than 1° or 0.3 m, where poles may lie; None
+        without a lead. It follows from the others.
     """
 
-    agreeing: int
-    contradicting: int
-    missing: int = 0
-    better_at: float | None = None
-    lead: float | None = None
+    agreeing: Count
+    contradicting: Count
+    denied: Share = 0.0
+    missing: Count = 0
+    better_at: Size | None = None
+    lead: Number | None = None
     vouched: bool = False
     trusted: bool = False
+    probability_wrong: Share | None = None
+
+    def __post_init__(self) -> None:
+        """Work out what follows: a document states it too, and is not trusted with it."""
+        force_setattr(self, "denied", self.denying / max(self.total, 1))
+        force_setattr(self, "probability_wrong", self._probability_wrong())
 
     @property
     def denying(self) -> int:
@@ -182,14 +203,7 @@ class Confirmation:
         """Places that say anything."""
         return self.agreeing + self.denying
 
-    @property
-    def denied(self) -> float:
-        """Share of the places that deny the pose; 0 where there is none."""
-        return self.denying / max(self.total, 1)
-
-    @property
-    def probability_wrong(self) -> float | None:
-        """Probability that the answer is off by more than 1° or 0.3 m, where poles may lie."""
+    def _probability_wrong(self) -> float | None:
         if self.lead is None:
             return None
         share = np.log((self.denying + 1) / (self.total + 2))
@@ -253,7 +267,7 @@ def floor() -> Array:
 
 def predicted_error(
     covariance: Array | None, ranges: tuple[float, ...] = RANGES
-) -> tuple[tuple[float, float], ...]:
+) -> tuple[ErrorAtRange, ...]:
     """Predict the error of where a source point lands in the target frame, by its range.
 
     Parameters
@@ -266,7 +280,7 @@ def predicted_error(
 
     Returns
     -------
-    tuple of (range, sigma)
+    tuple of ErrorAtRange
         1 σ in metres: the root of the mean square length of ``φ × R p + δ``, over the error and
         over all directions of p.
     """
@@ -280,7 +294,7 @@ def predicted_error(
             [-se3.hat(distance * directions), np.broadcast_to(np.eye(3), (6, 3, 3))], axis=2
         )
         variance = np.einsum("mij,jk,mik->m", J, covariance, J)
-        predictions.append((distance, float(np.sqrt(variance.mean()))))
+        predictions.append(ErrorAtRange(distance, float(np.sqrt(variance.mean()))))
     return tuple(predictions)
 
 

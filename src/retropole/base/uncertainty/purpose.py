@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
+import msgspec
 import numpy as np
 
+from ..bounded import Share, Size, Text
 from ..se3 import Array
 
 CONFIDENCE = 0.95
@@ -16,8 +17,7 @@ DRAWS = 100_000
 """Errors that a probability is counted from: 95 % is then known to 0.07 %, its bound to 0.4 %."""
 
 
-@dataclass(frozen=True)
-class Need:
+class Need(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m"):
     """How accurate a pose must be: no point up to `at` away is off by more than `within`.
 
     Attributes
@@ -28,8 +28,8 @@ class Need:
         Distance from the source LiDAR up to which that is asked for, metres.
     """
 
-    within: float
-    at: float
+    within: Size
+    at: Size
 
     @property
     def words(self) -> str:
@@ -49,44 +49,45 @@ counts those that are further off. With the scene, bounds at 30 m are a tenth of
 (benchmarks/fit.py)."""
 
 
-@dataclass(frozen=True)
-class Fitness:
+class Fitness(msgspec.Struct, frozen=True):
     """Whether a pose is as accurate as it must be.
 
     Attributes
     ----------
-    need
-        What was asked for.
+    within_m, at_m
+        What was asked for, as `Need` has it.
+    answer
+        ``yes`` or ``no`` with a probability of `CONFIDENCE`, or that neither is shown.
     probability
         That it is so.
-    bound
+    bound_m
         What it is accurate to instead with a probability of `CONFIDENCE`, metres, at the same
         distance; None where nothing can be said with that: the pose may be another one.
-    doubts
-        Codes of what else makes the pose doubtful, which its covariance does not count.
+    words
+        The answer for a person: ``within 2 cm at 30 m: yes, 98 % sure``.
     """
 
-    need: Need
-    probability: float
-    bound: float | None
-    doubts: tuple[str, ...] = ()
+    within_m: Size
+    at_m: Size
+    answer: Literal["yes", "no", "not shown"]
+    probability: Share
+    bound_m: Size | None
+    words: Text
 
-    @property
-    def answer(self) -> Literal["yes", "no", "not shown"]:
-        """``yes`` or ``no`` with a probability of `CONFIDENCE`, or that neither is shown."""
-        if self.probability < 1.0 - CONFIDENCE:
-            return "no"
-        return "not shown" if self.probability < CONFIDENCE or self.doubts else "yes"
 
-    @property
-    def words(self) -> str:
-        """The answer for a person: ``within 2 cm at 30 m: yes, 98 % sure``."""
-        said = f"{self.need.words}: {self.answer}"
-        if self.answer == "not shown":
-            sure = f"{said}, {_whole_percent(self.probability)} sure"
-            return sure + (f" if it were not for {', '.join(self.doubts)}" if self.doubts else "")
-        likely = self.probability if self.answer == "yes" else 1.0 - self.probability
-        return f"{said}, {_whole_percent(likely)} sure"
+def _answer(probability: float, doubts: tuple[str, ...]) -> Literal["yes", "no", "not shown"]:
+    if probability < 1.0 - CONFIDENCE:
+        return "no"
+    return "not shown" if probability < CONFIDENCE or doubts else "yes"
+
+
+def _words(need: Need, answer: str, probability: float, doubts: tuple[str, ...]) -> str:
+    said = f"{need.words}: {answer}"
+    if answer == "not shown":
+        sure = f"{said}, {_whole_percent(probability)} sure"
+        return sure + (f" if it were not for {', '.join(doubts)}" if doubts else "")
+    likely = probability if answer == "yes" else 1.0 - probability
+    return f"{said}, {_whole_percent(likely)} sure"
 
 
 def _whole_percent(share: float) -> str:
@@ -185,4 +186,7 @@ def fitness(
     right = 1.0 - wrong
     met = float(np.searchsorted(sizes, need.within, side="right")) / len(sizes)
     bound = float(np.quantile(sizes, CONFIDENCE / right)) if right > CONFIDENCE else None
-    return Fitness(need, right * met, bound, doubts)
+    probability = right * met
+    answer = _answer(probability, doubts)
+    words = _words(need, answer, probability, doubts)
+    return Fitness(need.within, need.at, answer, probability, bound, words)

@@ -30,8 +30,8 @@ def loops(document: SiteDoc) -> str:
             " → ".join(document.lidars[k].name for k in (*loop.lidars, loop.lidars[0]))
             if loop.lidars
             else MISSING,
-            number(loop.rotation_rad, 3, 180 / np.pi),
-            number(loop.translation_m, 1, 1000),
+            number(loop.rotation, 3, 180 / np.pi),
+            number(loop.translation, 1, 1000),
             number(loop.chi2, 1),
             loop.freedom,
             probability(loop.probability),
@@ -101,8 +101,8 @@ def _tests(caption: str, tests: Sequence[TestDoc]) -> str:
             number(test.chi2, 1),
             test.freedom,
             number(test.redundancy, 0, 100, " %"),
-            error(test.minimal_detectable_m),
-            error(test.external_at_30m_m),
+            error(test.minimal_detectable),
+            error(test.external),
         )
         for test in tests
     ]
@@ -120,13 +120,13 @@ def without(document: SiteDoc) -> str:
     rows = [
         (
             placement_name(document.placements, each.placement),
-            number(each.rotation_rad, 3, 180 / np.pi),
-            number(each.translation_m, 1, 1000),
+            number(each.rotation, 3, 180 / np.pi),
+            number(each.translation, 1, 1000),
             MISSING if each.lidar is None else document.lidars[each.lidar].name,
         )
         for each in document.without
     ]
-    lost = any(each.rotation_rad is None for each in document.without)
+    lost = any(each.rotation is None for each in document.without)
     note = (
         '<p class="note">A dash: without that placement the others give no poses.</p>'
         if lost

@@ -49,14 +49,11 @@ def _figure(document: SiteDoc, plan: Plan) -> str:
     lidars = np.array([np.array(each.T_site_lidar)[:3, 3] for each in document.lidars]) @ R.T
     ends = (
         np.array(
-            [
-                [np.array(p.point_m) + s * p.length_m * np.array(p.direction) for s in (-0.5, 0.5)]
-                for p in document.poles
-            ]
+            [[p.point + s * p.length * p.direction for s in (-0.5, 0.5)] for p in document.poles]
         ).reshape(-1, 2, 3)
         @ R.T
     )
-    points = np.array([each.at_m for each in document.control_points]).reshape(-1, 3) @ R.T
+    points = np.array([each.at for each in document.control_points]).reshape(-1, 3) @ R.T
     scale, height, to_picture = _fit(np.concatenate([lidars, *ends, points])[:, :2])
     labels = Labels(WIDTH, height)
     for x, y in [*to_picture(lidars), *to_picture(points), *to_picture(ends.mean(axis=1))]:
@@ -208,7 +205,7 @@ def _caption(document: SiteDoc, plan: Plan, factor: float | None) -> str:
 
 def _places(document: SiteDoc) -> str:
     """List where each LiDAR stands in the frame's own coordinates, each with its 1 σ."""
-    offset = np.array(document.frame.offset_m)
+    offset = document.frame.offset
     rows = []
     for lidar in document.lidars:
         at = np.array(lidar.T_site_lidar)[:3, 3] + offset
@@ -227,13 +224,13 @@ def _places(document: SiteDoc) -> str:
 def _poles(document: SiteDoc) -> str:
     if not document.poles:
         return ""
-    offset = np.array(document.frame.offset_m)
+    offset = document.frame.offset
     rows = [
         (
             label,
             pole.name,
-            *(number(v, 3) for v in (np.array(pole.point_m) + offset).tolist()),
-            number(pole.length_m, 2),
+            *(number(v, 3) for v in (pole.point + offset).tolist()),
+            number(pole.length, 2),
             ", ".join(document.lidars[k].name for k in pole.seen_by),
         )
         for label, pole in zip(pole_labels(document), document.poles, strict=True)

@@ -38,7 +38,7 @@ def plan_of(document: SiteDoc) -> Plan:
         return Plan(np.eye(3), "the z axis of the surveyed frame", north)
     for lidar in document.lidars:
         if lidar.up is not None and lidar.T_site_lidar is not None:
-            up = np.array(lidar.T_site_lidar)[:3, :3] @ np.array(lidar.up.direction)
+            up = np.array(lidar.T_site_lidar)[:3, :3] @ lidar.up.direction
             return Plan(_turning(up), f"what the inertial sensor of {lidar.name} says", None)
     if not document.poles:
         return Plan(np.eye(3), "the z axis of the site's frame", None)

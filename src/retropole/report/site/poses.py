@@ -65,9 +65,9 @@ def poses(document: SiteDoc) -> str:
 
 def _offset(document: SiteDoc) -> str:
     """Say what to add to get the frame's own coordinates."""
-    if not any(document.frame.offset_m):
+    if not any(document.frame.offset):
         return ""
-    x, y, z = (f"{value:.3f}" for value in document.frame.offset_m)
+    x, y, z = (f"{value:.3f}" for value in document.frame.offset)
     return f"Add ({x}, {y}, {z}) m for the frame's own coordinates."
 
 

@@ -137,7 +137,7 @@ def _site(document: SiteDoc) -> list[tuple[str, str]]:
         "frame": document.frame.name,
         "reference": document.lidars[document.reference].name,
         "radius": f"{1000 * document.radius_m:g} ± {1000 * document.radius_sigma_m:g} mm",
-        "asked for": None if need is None else f"{100 * need.within_m:g} cm at {need.at_m:g} m",
+        "asked for": None if need is None else f"{100 * need.within:g} cm at {need.at:g} m",
         "surveyed poles": len(document.surveyed_poles),
         "control points": len(document.control_points),
         **msgspec.structs.asdict(document.config),

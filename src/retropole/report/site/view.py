@@ -8,10 +8,8 @@ import msgspec
 import numpy as np
 
 from ...base.datatypes import Array, Scan
-from ...result import Matrix
 from ...result.site import SiteDoc
-from ...result.site_parts import SitePoleDoc
-from ...site.answer import SiteCalibration
+from ...site.answer import SiteCalibration, SitePole
 from ..points import MAX_SHOWN_RANGE, PackedCloud, pack_cloud
 from ..view_data import LineView
 from .names import placement_name, pole_labels
@@ -33,7 +31,7 @@ class LidarView(msgspec.Struct, frozen=True):
 
     name: str
     colour: int
-    T: Matrix | None
+    T: Array | None
 
 
 class CloudView(msgspec.Struct, frozen=True):
@@ -93,7 +91,7 @@ def site_view(document: SiteDoc, calibration: SiteCalibration, plan: Plan) -> Si
         LidarView(
             each.name,
             k % COLOURS,
-            None if each.T_site_lidar is None else (T_plan_site @ each.T_site_lidar).tolist(),
+            None if each.T_site_lidar is None else T_plan_site @ each.T_site_lidar,
         )
         for k, each in enumerate(document.lidars)
     ]
@@ -101,7 +99,7 @@ def site_view(document: SiteDoc, calibration: SiteCalibration, plan: Plan) -> Si
         PoleView(pole.placement, _end(plan, pole, -0.5), _end(plan, pole, 0.5), label)
         for pole, label in zip(document.poles, pole_labels(document), strict=True)
     ]
-    places = [np.array(each.T)[:3, 3] for each in lidars if each.T is not None]
+    places = [each.T[:3, 3] for each in lidars if each.T is not None]
     centre, radius = _look(places + [np.array(pole.a) for pole in poles])
     return SiteView(
         document.status,
@@ -140,8 +138,8 @@ def _lines(scan: Scan) -> list[LineView]:
     return lines
 
 
-def _end(plan: Plan, pole: SitePoleDoc, along: float) -> list[float]:
-    end = np.array(pole.point_m) + along * pole.length_m * np.array(pole.direction)
+def _end(plan: Plan, pole: SitePole, along: float) -> list[float]:
+    end = pole.point + along * pole.length * pole.direction
     return [float(v) for v in plan.R_plan_site @ end]
 
 
