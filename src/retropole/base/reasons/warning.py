@@ -129,12 +129,12 @@ WARNINGS: dict[WarningCode, Explanation] = {
     ),
     "few_points": Explanation(
         "A pole has few returns",
-        "A pole has fewer than 12 returns from one LiDAR.",
+        "One of the two best poles of a LiDAR has fewer than 12 returns from it.",
         ("Stand that pole nearer, about 5 m away, or record some seconds and give all frames.",),
     ),
     "few_rings": Explanation(
         "A pole is on few rings",
-        "A pole is met by 3 rings or fewer of one LiDAR: its direction is weak.",
+        "One of the two best poles of a LiDAR is met by 3 of its rings or fewer: its direction is weak.",
         ("Stand it nearer or more upright, or use a longer one, so that more rings cross it.",),
     ),
     "noisy_poles": Explanation(
