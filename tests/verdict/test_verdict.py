@@ -43,7 +43,7 @@ from retropole.scene.confirmation import (
 from retropole.scene.descent import End
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import Refinement
-from retropole.verdict import weaknesses
+from retropole.verdict import thin_evidence, weaknesses
 from tests.conftest import PoleMaker
 
 
@@ -147,7 +147,8 @@ def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
     assert codes_of(good, few) == ["few_points"]
     assert codes_of([replace(good[0], rings=3), good[1]], good) == ["few_rings"]
     # Two good ones hold a pose, whatever a third adds.
-    assert codes_of([*good, good[0]], [*good, few[0]]) == []
+    assert [reason.code for reason in thin_evidence("target", few)] == ["few_points"]
+    assert not list(thin_evidence("target", [*few, good[0]]))
     slight = make_pole([4.0, 1, 0], [np.sin(0.15), 0, np.cos(0.15)])
     assert codes_of([good[0], slight], good) == ["nearly_parallel_poles"]
     close = (hypothesis(0.9), hypothesis(0.85))

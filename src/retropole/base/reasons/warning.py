@@ -134,7 +134,8 @@ WARNINGS: dict[WarningCode, Explanation] = {
     ),
     "few_rings": Explanation(
         "A pole is on few rings",
-        "One of the two best poles of a LiDAR is met by 3 of its rings or fewer: its direction is weak.",
+        "One of the two best poles of a LiDAR is met by 3 of its rings or fewer: its direction is "
+        "weak.",
         ("Stand it nearer or more upright, or use a longer one, so that more rings cross it.",),
     ),
     "noisy_poles": Explanation(
