@@ -175,8 +175,7 @@ class Cylinder:
 Surface = Rectangle | Box | Cylinder
 
 
-@dataclass(frozen=True, eq=False)
-class Hits:
+class Hits(NamedTuple):
     """The first surface that each ray hits.
 
     Attributes

@@ -14,7 +14,7 @@ from ..site.description import ControlPoint, Frame, Site, SiteLidar, SurveyedPol
 from .devices import Device, draw_device
 from .noise import TYPICAL, NoiseModel
 from .raycast import Cylinder, Surface
-from .recording import SimulationError, is_seen, record_in_turn
+from .recording import Recorders, SimulationError, is_seen, record_in_turn
 from .site_arrangement import Arrangement, arrange
 from .site_graph import Seen, are_linked
 from .site_places import PLACES
@@ -304,17 +304,12 @@ def _record(
     for_each = drawn.for_recording.spawn(len(at.poles))
     for p, (own, who) in enumerate(zip(for_each, at.recorded, strict=True)):
         scenes = [[*at.place.surroundings, *standing[k][p]] for k in who]
+        poses = [at.place.poses[k] for k in who]
+        recorders = Recorders(
+            [sensors[k] for k in who], [drawn.devices[k] for k in who], drawn.noise, frames
+        )
         for _ in range(MAX_RECORDINGS):
-            scans = record_in_turn(
-                scenes,
-                [at.place.poses[k] for k in who],
-                [sensors[k] for k in who],
-                [drawn.devices[k] for k in who],
-                drawn.noise,
-                frames,
-                at.place.reach,
-                own,
-            )
+            scans = record_in_turn(scenes, poses, recorders, at.place.reach, own)
             view = [(False,) * len(at.poles[p])] * count
             for k, scanned in zip(who, scans, strict=True):
                 clouds[k][p], labels[k][p] = scanned.cloud, scanned.labels
