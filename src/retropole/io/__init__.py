@@ -285,5 +285,6 @@ def sha256_of(path: str | Path) -> str:
     digest = hashlib.sha256()
     for file in _files(Path(path)):
         with _readable(file), file.open("rb") as opened:
+            # It goes on with the hash that it is given.
             hashlib.file_digest(opened, lambda: digest)
     return digest.hexdigest()

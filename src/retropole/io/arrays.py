@@ -153,17 +153,13 @@ def read_npz(path: Path) -> PointCloud:
     tables = [name for name in TABLE_KEYS if name in arrays]
     if len(tables) > 1:
         raise ReadError(f"{path}: holds {' and '.join(tables)}, expected one table of points")
-    columns: dict[str, NDArray[Any]] = {}
-    for name, array in arrays.items():
-        if name not in tables:
-            columns[name] = array
-        elif array.ndim == 2 and array.shape[1] in (3, 4):
-            columns |= dict(zip(PLAIN_COLUMNS, array.T, strict=False))
-        else:
-            raise ReadError(f"{path}: {name} has shape {array.shape}, expected (N, 3) or (N, 4)")
-    # An array of intensities takes precedence over a fourth column.
-    columns |= {name: array for name, array in arrays.items() if name not in tables}
-    return cloud_from_columns(path, columns)
+    for name in tables:
+        table = arrays.pop(name)
+        if table.ndim != 2 or table.shape[1] not in (3, 4):
+            raise ReadError(f"{path}: {name} has shape {table.shape}, expected (N, 3) or (N, 4)")
+        # An array of intensities takes precedence over a fourth column.
+        arrays = dict(zip(PLAIN_COLUMNS, table.T, strict=False)) | arrays
+    return cloud_from_columns(path, arrays)
 
 
 def read_text(path: Path) -> PointCloud:

@@ -44,15 +44,14 @@ def open_mcap(path: Path) -> Iterator[Bag]:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
+        index = _index(file)
 
         def entries(name: str | None) -> Iterator[Entry]:
             spend = allowance(path, size)
-            index = _index(file)
             if index.chunk_indexes:
                 return _by_time(path, file, index, spend, name)
             return _in_turn(path, file, spend)
 
-        index = _index(file)
         if index.statistics:
             own = index.statistics.channel_message_counts
             topics = counted(

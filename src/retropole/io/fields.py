@@ -121,19 +121,14 @@ def cloud_from_columns(
             f"{path}: x, y and z have {', '.join(str(len(part)) for part in parts)} values, "
             "expected one per point"
         )
-    if len(parts[0]) == 0:
-        raise NoReturnsError(f"{path}: holds no points, expected at least one", 0)
     start = np.zeros(3) if origin is None else origin
     xyz = np.empty((len(parts[0]), 3))
     for axis, part in enumerate(parts):
         xyz[:, axis] = _floats(part)
     kept = _is_return(xyz, start)
     if not kept.any():
-        raise NoReturnsError(
-            f"{path}: none of its {len(xyz)} points is finite and away from the sensor; expected "
-            "coordinates in metres",
-            len(xyz),
-        )
+        none = _none_of(len(xyz)) if len(xyz) else "holds no points, expected at least one"
+        raise NoReturnsError(f"{path}: {none}", len(xyz))
 
     def optional(names: tuple[str, ...], convert: Callable[[Any], T | None]) -> T | None:
         own = _find(columns, names)
@@ -200,10 +195,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     """
     kept = _is_return(cloud.xyz, cloud.origin)
     if not kept.any():
-        raise UsageError(
-            f"{name}: none of its {len(kept)} points is finite and away from the sensor; expected "
-            "coordinates in metres"
-        )
+        raise UsageError(f"{name}: {_none_of(len(kept))}")
     intensity = cloud.intensity
     if intensity is not None and not (
         intensity.dtype == np.float64 and np.all(np.abs(intensity) <= LARGEST)
@@ -214,6 +206,13 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float64)
     dropped = cloud.dropped + int(np.count_nonzero(~kept))
     return replace(cloud, xyz=xyz, intensity=intensity, dropped=dropped).select(kept)
+
+
+def _none_of(points: int) -> str:
+    return (
+        f"none of its {points} points is finite and away from the sensor; expected coordinates in "
+        "metres"
+    )
 
 
 def _kind(column: NDArray[Any]) -> str:
