@@ -68,7 +68,8 @@ def read_las(path: Path) -> PointCloud:
         import laspy
     except ImportError:
         raise MissingExtraError("las", "reading LAS and LAZ") from None
-    _check_header(path)
+    with path.open("rb") as opened:
+        _check_header(path, opened)
     try:
         # One thread: several gain a sixth of the time, and hang in processes made by fork.
         with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as file:
@@ -108,13 +109,16 @@ def read_las(path: Path) -> PointCloud:
     return cloud_from_columns(path, columns)
 
 
-def _check_header(path: Path) -> None:
-    """Check that the file is long enough for the records and chunks that the header promises."""
+def _check_header(path: Path, file: BinaryIO) -> None:
+    """Check that the file is long enough for the records and chunks that the header promises.
+
+    The decoder allocates memory for as many chunks as the file says, and where there is not enough,
+    it ends the process: no exception could be caught. A chunk starts with one uncompressed point.
+    """
     size = path.stat().st_size
     if size == 0:
         raise ReadError(f"{path}: is empty, expected a LAS header")
-    with path.open("rb") as file:
-        head = file.read(SMALLEST_HEADER)
+    head = file.read(SMALLEST_HEADER)
     if head[:4] != b"LASF" or len(head) < SMALLEST_HEADER:
         raise ReadError(
             f"{path}: starts with {head[:4]!r} and has {size} bytes, expected a LAS header, which "
@@ -130,20 +134,10 @@ def _check_header(path: Path) -> None:
             f"{path}: the header promises {records} variable length records, which the bytes "
             f"{length} to {points} before the points cannot hold"
         )
-    if head[FORMAT_AT] & COMPRESSED:
-        _check_chunks(path, points)
-
-
-def _check_chunks(path: Path, start: int) -> None:
-    """Refuse a count of LAZ chunks that the file cannot hold.
-
-    The decoder allocates memory for as many as the file says, and where there is not enough, it
-    ends the process: no exception could be caught. A chunk starts with one uncompressed point.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        file.seek(_chunk_table(path, file, start) + COUNT_SIZE)
-        chunks = struct.unpack("<I", file.read(COUNT_SIZE))[0]
+    if not head[FORMAT_AT] & COMPRESSED:
+        return
+    file.seek(_chunk_table(path, file, points) + COUNT_SIZE)
+    chunks = struct.unpack("<I", file.read(COUNT_SIZE))[0]
     if chunks * SMALLEST_POINT > size:
         raise ReadError(f"{path}: promises {chunks} chunks, its {size} bytes cannot hold them")
 

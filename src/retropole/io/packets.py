@@ -135,10 +135,7 @@ def _ouster_sweeps(path: Path, metadata: Path) -> Iterator[Sweep]:
     except ImportError:
         raise MissingExtraError("ouster", "reading Ouster packets") from None
 
-    with (
-        reported(path, "capture"),
-        closing(open_source(str(path), meta=[str(metadata)])) as source,
-    ):
+    with reported(path, "capture"), closing(open_source(str(path), meta=[str(metadata)])) as source:
         info = source.sensor_info[0]
         # In the sensor's frame z = 0 is its base; the beams start above it.
         rays = XYZLut(info, use_extrinsics=False)

@@ -76,9 +76,8 @@ def at_edges(hits: Hits, rays: Array, sensor: Sensor) -> IntArray:
     if sensor.pattern == "spinning":
         grid = (-1, len(sensor.elevations))
         ranges, surface = hits.ranges.reshape(grid), hits.surface.reshape(grid)
-        edge = np.zeros(ranges.shape, dtype=bool)
         beside = differ((ranges, surface), (np.roll(ranges, 1, 0), np.roll(surface, 1, 0)))
-        edge |= beside | np.roll(beside, -1, 0)
+        edge = beside | np.roll(beside, -1, 0)
         above = differ((ranges[:, 1:], surface[:, 1:]), (ranges[:, :-1], surface[:, :-1]))
         edge[:, 1:] |= above
         edge[:, :-1] |= above

@@ -237,11 +237,6 @@ def kerb(rng: np.random.Generator) -> Surroundings:
 
 
 SURROUNDINGS: dict[str, Callable[[np.random.Generator], Surroundings]] = {
-    "corridor": corridor,
-    "street": street,
-    "harbor": harbor,
-    "bare": bare,
-    "square": square,
-    "camber": camber,
-    "kerb": kerb,
+    draw.__name__: draw for draw in (corridor, street, harbor, bare, square, camber, kerb)
 }
+"""Places by name: each takes a generator."""

@@ -161,10 +161,7 @@ def ring(rng: np.random.Generator, count: int) -> SitePlace:
 
 
 PLACES: dict[str, Callable[[np.random.Generator, int], SitePlace]] = {
-    "posts": posts,
-    "crane": crane,
-    "truck": truck,
-    "ring": ring,
+    draw.__name__: draw for draw in (posts, crane, truck, ring)
 }
 """Kinds of sites by name: each takes a generator and the number of LiDARs."""
 
