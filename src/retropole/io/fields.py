@@ -75,7 +75,7 @@ def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
 
 
 def has_meaning(name: str, *, besides: Iterable[str] = ()) -> bool:
-    """Whether a name is that of an intensity, a ring or a time, or one besides, as files spell."""
+    """Whether a name, in any spelling, is an intensity's, a ring's, a time's or one besides."""
     return name.lower().removeprefix("scalar_") in {*INTENSITY, *RING, *TIME, *besides}
 
 
