@@ -65,6 +65,17 @@ def test_hat_is_the_cross_product(seed: int) -> None:
     np.testing.assert_allclose(np.einsum("nij,nj->ni", se3.hat(a), b), np.cross(a, b), atol=1e-12)
 
 
+@given(seed=st.integers(0, 2**32 - 1))
+def test_along_principal_axes_points_spread_independently_and_ever_wider(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(20, 3)) @ rng.normal(size=(3, 3)) + rng.normal(size=3)
+    centre, axes = se3.principal_axes(points)
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+    spread = np.cov((points - centre) @ axes, rowvar=False)
+    np.testing.assert_allclose(spread, np.diag(np.diag(spread)), atol=1e-9 * np.trace(spread))
+    assert np.all(np.diff(np.diag(spread)) >= 0)
+
+
 def test_quaternion_order_is_xyzw() -> None:
     T = se3.from_quaternion_xyzw(np.array([0.0, 0.0, 1.0, 1.0]), np.array([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(se3.apply(T, np.array([[1.0, 0, 0]])), [[1.0, 3.0, 3.0]], atol=1e-15)

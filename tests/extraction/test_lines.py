@@ -20,6 +20,7 @@ from retropole.extraction.lines import (
     in_canonical_order,
     principal_line,
     propose_lines,
+    to_nearest,
 )
 from tests.extraction.synthetic import FOOT, UP, offset, on_pole, upright_places
 
@@ -67,6 +68,14 @@ def test_principal_line_is_the_nearest() -> None:
         other = direction + 0.02 * rng.normal(size=3)
         other /= np.linalg.norm(other)
         assert np.sum(distance_and_place(xyz, point, other)[0] ** 2) >= least
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_nearest_place_is_the_nearest_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places, candidates = rng.normal(size=int(rng.integers(2, 9))), 3 * rng.normal(size=20)
+    every = np.abs(candidates[:, None] - places)
+    np.testing.assert_array_equal(to_nearest(places, candidates), every.min(axis=1))
 
 
 def test_the_pole_is_proposed_first_and_each_line_once() -> None:

@@ -105,6 +105,20 @@ def lengths(vectors: Array) -> Array:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
+class PrincipalAxes(NamedTuple):
+    """Centroid (3,) of points, and unit directions (3, 3; columns) from least to widest spread."""
+
+    centre: Array
+    axes: Array
+
+
+def principal_axes(xyz: Array) -> PrincipalAxes:
+    """Find the directions in which points (N, 3) spread about their centroid."""
+    centre = xyz.mean(axis=0)
+    offset = xyz - centre
+    return PrincipalAxes(centre, np.asarray(np.linalg.eigh(offset.T @ offset)[1]))
+
+
 def hat(v: Array) -> Array:
     """Skew matrices (..., 3, 3) of vectors (..., 3): ``hat(a) @ b == cross(a, b)``."""
     v = np.asarray(v, dtype=float)

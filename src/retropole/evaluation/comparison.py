@@ -123,13 +123,8 @@ def _outcome_of_ours(name: str, answer: Calibration) -> Compared:
     if answer.status == "refused":
         return Compared(name, "refused", codes, message, seconds=seconds)
     if pose is None:
-        return Compared(
-            name,
-            "refused",
-            ("no_scene",),
-            "both LiDARs see too few surfaces of the scene to refine the pose of the poles",
-            seconds=seconds,
-        )
+        message = "both LiDARs see too few surfaces of the scene to refine the pose of the poles"
+        return Compared(name, "refused", ("no_scene",), message, seconds=seconds)
     return Compared(name, answer.status, codes, message, pose.T_target_source, seconds=seconds)
 
 

@@ -7,7 +7,8 @@ the frames. The types are those of ROS 2 Humble, which later ones have kept.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..base.datatypes import Array, PointCloud
 from ..base.errors import MissingExtraError
 from ..io import Frame, ReadRecording
 from ..io.recordings import CLOUDS
+from ..io.ros import DATATYPES, NANOSECONDS
 from .transform import Transform, to_quaternion
 
 TOPICS = {"target": "/target/points", "source": "/source/points"}
@@ -28,14 +30,8 @@ TRANSFORMS, TRANSFORM_TOPIC = "tf2_msgs/msg/TFMessage", "/tf_static"
 FRAME_PERIOD = 0.1
 """Between frames whose times are not known, s: LiDARs turn ten times a second, mostly."""
 
-NANOSECONDS = 1e9
-"""In a second; bags count them."""
-
 LAST_SECOND = 2**31
 """ROS 2 has no time from here on."""
-
-DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
-"""From the name of a type in NumPy to its number in a PointField."""
 
 _KEEP_LAST, _RELIABLE, _TRANSIENT_LOCAL = 1, 1, 1
 _LATCHED = f"""\
@@ -144,7 +140,12 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track]) -> byte
     poses = channel(TRANSFORM_TOPIC, TRANSFORMS, _LATCHED)
     add(poses, TRANSFORMS, first, _transform_message(transforms, first, store))
     numbers = {topic: channel(topic, CLOUDS) for topic in tracks}
-    for when, topic, cloud in _in_order(tracks, times):
+    clouds = [
+        (when, topic, frame.cloud)
+        for topic, track in tracks.items()
+        for when, frame in zip(times[topic], track.frames, strict=True)
+    ]
+    for when, topic, cloud in sorted(clouds, key=itemgetter(0)):
         message = _cloud_message(cloud, tracks[topic].frame, when, store)
         add(numbers[topic], CLOUDS, when, message)
     writer.finish()
@@ -157,20 +158,6 @@ def _times(clouds: Mapping[str, Sequence[Frame]]) -> dict[str, list[int]]:
     if not all(s is not None and 0 <= s < LAST_SECOND for own in stamps.values() for s in own):
         stamps = {name: [k * FRAME_PERIOD for k in range(len(own))] for name, own in stamps.items()}
     return {name: [round((s or 0.0) * NANOSECONDS) for s in own] for name, own in stamps.items()}
-
-
-def _in_order(
-    tracks: Mapping[str, Track], times: dict[str, list[int]]
-) -> Iterator[tuple[int, str, PointCloud]]:
-    """Give the frames of all in the order of their times, those of equal times as the tracks."""
-    topics = list(tracks)
-    entries = [
-        (when, k, frame.cloud)
-        for k, topic in enumerate(topics)
-        for when, frame in zip(times[topic], tracks[topic].frames, strict=True)
-    ]
-    for when, k, cloud in sorted(entries, key=lambda entry: entry[:2]):
-        yield when, topics[k], cloud
 
 
 def _header(frame: str, when: int, store: Any) -> Any:
@@ -202,9 +189,10 @@ def _transform_message(transforms: Sequence[Transform], when: int, store: Any) -
 def _cloud_message(cloud: PointCloud, frame: str, when: int, store: Any) -> Any:
     """Write x, y, z and what else is known of each point; one row, without padding."""
     points = _points(cloud)
+    numbers = {kind: number for number, kind in DATATYPES.items()}
     fields = [
         store.types["sensor_msgs/msg/PointField"](
-            name=name, offset=offset, datatype=DATATYPES[kind.str[1:]], count=1
+            name=name, offset=offset, datatype=numbers[kind.str[1:]], count=1
         )
         for name, (kind, offset, *_) in (points.dtype.fields or {}).items()
     ]

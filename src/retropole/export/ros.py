@@ -156,12 +156,11 @@ def _ros2_arguments(words: list[str]) -> Found:
     parent, child = given.pop("frame-id", None), given.pop("child-frame-id", None)
     if not parent or not child:
         raise ReadError(f"{PROGRAM} needs --frame-id and --child-frame-id")
-    if {*given} & {*QUATERNION} and {*given} & {*RPY}:
+    is_quaternion = not given.keys().isdisjoint(QUATERNION)
+    if is_quaternion and not given.keys().isdisjoint(RPY):
         raise ReadError(f"{PROGRAM} has a quaternion and roll-pitch-yaw; one is needed")
-    rotation = QUATERNION if {*given} & {*QUATERNION} else RPY
-    default = {"qw": "1"} if rotation == QUATERNION else {}
-    keys = (*TRANSLATION_KEYS, *rotation)
-    full = {name: given.get(name, default.get(name, "0")) for name in keys}
+    full = dict.fromkeys((*TRANSLATION_KEYS, *(QUATERNION if is_quaternion else RPY)), "0")
+    full |= ({"qw": "1"} if is_quaternion else {}) | given
     return Found(parent, child, lambda: pose_of(full))
 
 

@@ -79,15 +79,12 @@ def scan_xml(data: bytes) -> Scan:
     """
     parser = expat.ParserCreate()
     declared: list[str] = []
-    open_elements: list[Element] = []
-    roots: list[Element] = []
+    document = Element("", {}, 0)
+    open_elements = [document]
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         element = Element(tag, attributes, parser.CurrentByteIndex)
-        if open_elements:
-            open_elements[-1].children.append(element)
-        else:
-            roots.append(element)
+        open_elements[-1].children.append(element)
         open_elements.append(element)
 
     def end(_tag: str) -> None:
@@ -106,7 +103,7 @@ def scan_xml(data: bytes) -> Scan:
         raise ReadError(f"no well-formed XML: {error}") from None
     except (LookupError, ValueError) as error:
         raise ReadError(f"cannot decode the XML: {error}") from None
-    scan = Scan(data, _codec(data, declared[0] if declared else ""), roots[0])
+    scan = Scan(data, _codec(data, declared[0] if declared else ""), document.children[0])
     for element in scan.root.walk():
         element.head_end = _tag_end(scan, element.start)
         if scan.text(element.start, element.head_end).endswith("/>"):
@@ -152,9 +149,8 @@ def with_attributes(tag: str, values: dict[str, str]) -> str:
         New values, free of markup.
     """
     spans = {m[1]: m.span(2) for m in _ATTRIBUTE.finditer(tag)}
-    ends = [stop for _, stop in spans.values()]
-    name = re.match(r"<[^\s/>]+", tag)
-    last = max(ends) if ends else name.end() if name else 1
+    name = re.split(r"[\s/>]", tag, maxsplit=1)[0]
+    last = max([len(name), *(stop for _, stop in spans.values())])
     edits = [
         (spans[name][0] + 1, spans[name][1] - 1, value)
         for name, value in values.items()

@@ -13,7 +13,7 @@ import numpy as np
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.quantities import counted
 from .acceptance_shape import Failure
-from .lines import Line
+from .lines import Line, to_nearest
 from .neighbours import is_wall_behind, runs_along_sweep
 from .surroundings import (
     MAX_RETRO_CROWDED,
@@ -154,10 +154,7 @@ def untaped_between(around: Surroundings) -> Failure | None:
     """
     between = (around.along > around.low) & (around.along < around.high)
     dim = around.untaped & around.on_line & between
-    candidates = around.along[dim]
-    places = np.sort(around.line.along)
-    above = np.clip(np.searchsorted(places, candidates), 1, len(places) - 1)
-    apart = np.minimum(np.abs(places[above] - candidates), np.abs(candidates - places[above - 1]))
+    apart = to_nearest(around.line.along, around.along[dim])
     alone = apart > max(SAME_HEIGHT * around.line.step, MIN_SAME_HEIGHT)
     own = len(around.line.index)
     if np.count_nonzero(alone) <= MAX_UNTAPED * own:
@@ -187,6 +184,11 @@ def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
     return np.asarray(np.abs(dim_places - middle) > reach)
 
 
+def hugging(around: Surroundings) -> BoolArray:
+    """Which returns (M,) lie close beside the line, too near for a wall behind it."""
+    return ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
+
+
 def _crowded_by_any(around: Surroundings) -> Failure | None:
     """A pole is not crowded by returns of any kind, except by those of a wall behind it."""
     line, xyz = around.line, around.cloud.xyz
@@ -195,8 +197,7 @@ def _crowded_by_any(around: Surroundings) -> Failure | None:
     is_strict = around.is_suspect and not around.is_thick
     if share <= (MAX_CROWDED_STRICT if is_strict else MAX_CROWDED):
         return None
-    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
-    is_hugged = crowded_share(line, around.along[hugging], CROWD) > MAX_CROWDED
+    is_hugged = crowded_share(line, around.along[hugging(around)], CROWD) > MAX_CROWDED
     if not (around.is_short or is_hugged) and is_wall_behind(
         xyz[around.near[beside]], xyz[line.index]
     ):

@@ -12,7 +12,7 @@ import numpy as np
 from ..base.datatypes import BoolArray, PointCloud
 from ..base.quantities import counted
 from .acceptance_shape import Failure
-from .lines import Line, distance_and_place
+from .lines import Line, distance_and_place, to_nearest
 
 REACH = 0.65
 """A body lies no farther from its band, metres: held off by an arm's length of half a metre, and
@@ -61,10 +61,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
 
     if not is_free((along >= low) & (along <= high)):
         return None
-    places = np.sort(along[body])
-    after = np.clip(np.searchsorted(places, line.along), 1, len(places) - 1)
-    apart = np.minimum(np.abs(places[after] - line.along), np.abs(line.along - places[after - 1]))
-    if np.mean(apart < line.step) < MIN_ALONG:
+    if np.mean(to_nearest(along[body], line.along) < line.step) < MIN_ALONG:
         return None
     above = (along > high) & (along < high + beyond + line.step)
     below = (along < low) & (along > low - beyond - line.step)

@@ -25,8 +25,8 @@ from .acceptance_shape import (
 )
 from .acceptance_surroundings import (
     CROWD,
-    MAX_HUGGING,
     along_the_sweeps,
+    hugging,
     in_single_file,
     untaped_between,
 )
@@ -70,13 +70,19 @@ MAX_DOUBTFUL = 8
 class Sought(NamedTuple):
     """What lines are looked for: their least extent, metres, and returns, and where to look.
 
-    ``shell`` is the inner and outer radius about a proposed line in which other bright returns
-    speak against it, metres.
+    ``radius`` is that of the poles, metres, and ``beams`` what met them. ``shell`` is the inner and
+    outer radius about a proposed line in which other bright returns speak against it, metres.
     """
 
+    radius: float
+    beams: Beams
     shortest: float
     fewest: int
     shell: tuple[float, float]
+
+
+Guess = tuple[Array, Array]
+"""Point (3,) and unit direction (3,) of a line."""
 
 
 class Fitted(NamedTuple):
@@ -120,15 +126,13 @@ def with_doubtful(
         if len(cluster) < MIN_DOUBTFUL_POINTS:
             continue
         near = near_box(columns, cluster)
-        for part, sought in _searches(cloud, cluster, radius):
-            for line in _lines_in(cloud, near, part, free, radius, beams_by(sensor), sought):
+        for part, sought in _searches(cloud, cluster, radius, beams_by(sensor)):
+            for line in _lines_in(cloud, near, part, free, sought):
                 best = line
                 if len(part) < len(cluster):
                     # Of a pole beside a plate, a part may count as surface.
                     left, guess = cluster[free[cluster]], (line.point, line.direction)
-                    whole = _slim_or_wide(
-                        cloud, near, left, free, guess, radius, beams_by(sensor), sought
-                    )
+                    whole = _slim_or_wide(cloud, near, left, free, guess, sought)
                     if whole is not None and len(whole.line.index) > len(line.index):
                         best = whole.line
                 free[best.index] = False
@@ -138,7 +142,7 @@ def with_doubtful(
 
 
 def _searches(
-    cloud: PointCloud, cluster: IntArray, radius: float
+    cloud: PointCloud, cluster: IntArray, radius: float, beams: Beams
 ) -> Iterator[tuple[IntArray, Sought]]:
     """In which points of a group to look for what, one search after the other."""
     shell = radius + SEARCH_ROOM, _reach(radius)
@@ -150,13 +154,14 @@ def _searches(
         # Where most is bright, a line of few bright returns says nothing.
         fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
     for part in parts:
-        yield part, Sought(MIN_LENGTH, fewest, shell)
+        yield part, Sought(radius, beams, MIN_LENGTH, fewest, shell)
     if is_large:
         # A pole close beside a large plate is taken for a part of its surface, or has so much of it
         # in the shell that nothing speaks for it. Between the two there is a gap.
-        yield cluster, Sought(MIN_LENGTH, FEW_POLE_POINTS, gap)
+        yield cluster, Sought(radius, beams, MIN_LENGTH, FEW_POLE_POINTS, gap)
     for part in parts:
-        yield part, Sought(MIN_DOUBTFUL_LENGTH, max(fewest, MIN_POLE_POINTS), shell)
+        fewest_of_short = max(fewest, MIN_POLE_POINTS)
+        yield part, Sought(radius, beams, MIN_DOUBTFUL_LENGTH, fewest_of_short, shell)
 
 
 def without_repeats(found: list[Pole], count: int) -> list[Pole]:
@@ -179,13 +184,7 @@ def _rank(pole: Pole) -> tuple[bool, int, float]:
 
 
 def _lines_in(
-    cloud: PointCloud,
-    near: IntArray,
-    part: IntArray,
-    free: BoolArray,
-    radius: float,
-    beams: Beams,
-    sought: Sought,
+    cloud: PointCloud, near: IntArray, part: IntArray, free: BoolArray, sought: Sought
 ) -> list[Line]:
     """Find the doubtful poles of one group of bright points, the best supported first."""
     free = free.copy()
@@ -195,9 +194,9 @@ def _lines_in(
         if len(left) < MIN_DOUBTFUL_POINTS:
             break
         left = in_canonical_order(cloud.xyz, left)
-        tube = radius + SEARCH_ROOM
+        tube = sought.radius + SEARCH_ROOM
         fits = (
-            _slim_or_wide(cloud, near, left, free, guess, radius, beams, sought)
+            _slim_or_wide(cloud, near, left, free, guess, sought)
             for guess in propose_lines(
                 cloud.xyz[left], sought.shortest, MAX_LENGTH, tube, sought.shell, MOST_PROPOSALS
             )
@@ -215,26 +214,19 @@ def _lines_in(
 
 
 def _slim_or_wide(
-    cloud: PointCloud,
-    near: IntArray,
-    left: IntArray,
-    free: BoolArray,
-    guess: tuple[Array, Array],
-    radius: float,
-    beams: Beams,
-    sought: Sought,
+    cloud: PointCloud, near: IntArray, left: IntArray, free: BoolArray, guess: Guess, sought: Sought
 ) -> Fitted | None:
     """Fit a line in a slim tube, and where that is no pole, in a wide one; None if neither is.
 
     A plate or a vest reaches into the wide one, and turns the line.
     """
     for room in (SEARCH_ROOM, TUBE):
-        line = fit_line(cloud, left, *guess, radius, beams, room)
+        line = fit_line(cloud, left, *guess, sought.radius, sought.beams, room)
         if shape_failure(cloud, line, sought.fewest, sought.shortest) is not None:
             continue
         around = surroundings_of(cloud, near, free, line)
-        clinging = around.is_retro & around.beside & (around.distance < _reach(radius))
-        if _may_be_pole(around, clinging, radius):
+        clinging = around.is_retro & around.beside & (around.distance < _reach(sought.radius))
+        if _may_be_pole(around, clinging, sought.radius):
             return Fitted(line, int(np.count_nonzero(clinging)))
     return None
 
@@ -276,12 +268,12 @@ def _skips_rings(around: Surroundings) -> bool:
 
 def _is_hugged(around: Surroundings) -> bool:
     """Whether other returns lie close beside most of the line, and not only behind it."""
-    hugging = ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
-    if not _is_crowded(around, hugging, CROWD):
+    close = hugging(around)
+    if not _is_crowded(around, close, CROWD):
         return False
     if ring_spread(around.cloud) > MAX_RING_SPREAD:
         return True  # where the sensor stood is not known, nor what is behind
-    return _is_crowded(around, hugging & ~stands_behind(around, hugging), CROWD)
+    return _is_crowded(around, close & ~stands_behind(around, close), CROWD)
 
 
 def _is_crowded(around: Surroundings, close: BoolArray, crowd: float) -> bool:

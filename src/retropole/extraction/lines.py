@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
-from ..base.se3 import lengths
+from ..base.se3 import lengths, principal_axes
 from ..base.uncertainty import MAD_TO_SIGMA
 from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
 
@@ -219,9 +219,15 @@ class PrincipalLine(NamedTuple):
 
 def principal_line(xyz: Array) -> PrincipalLine:
     """Find the line with the least squared distance to points (N, 3)."""
-    centre = xyz.mean(axis=0)
-    offset = xyz - centre
-    return PrincipalLine(centre, np.asarray(np.linalg.eigh(offset.T @ offset)[1][:, 2]))
+    centre, axes = principal_axes(xyz)
+    return PrincipalLine(centre, axes[:, 2])
+
+
+def to_nearest(places: Array, candidates: Array) -> Array:
+    """Distance (K,) of candidates (K,) from the nearest of some places (N,), two or more."""
+    places = np.sort(places)
+    after = np.clip(np.searchsorted(places, candidates), 1, len(places) - 1)
+    return np.minimum(np.abs(places[after] - candidates), np.abs(candidates - places[after - 1]))
 
 
 def fit_line(

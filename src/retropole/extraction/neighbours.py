@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.se3 import principal_axes
 from .acceptance_shape import MIN_LENGTH
 from .lines import Line, distance_and_place, principal_line
 
@@ -138,9 +139,8 @@ def is_wall_behind(beside: Array, own: Array) -> bool:
     for _ in range(PLANE_ROUNDS):
         if np.count_nonzero(kept) < MIN_PLANE_POINTS:
             return False
-        centre = beside[kept].mean(axis=0)
-        offset = beside[kept] - centre
-        normal = np.linalg.eigh(offset.T @ offset)[1][:, 0]
+        centre, axes = principal_axes(beside[kept])
+        normal = axes[:, 0]
         distance = np.abs((beside - centre) @ normal)
         kept = distance <= max(PLANE_DISTANCE, PLANE_MEDIANS * float(np.median(distance)))
     gap = float(np.quantile(np.abs((own - centre) @ normal), WALL_GAP_QUANTILE))

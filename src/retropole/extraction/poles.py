@@ -28,6 +28,7 @@ from ..base.datatypes import (
 )
 from ..base.errors import Refusal
 from ..base.quantities import counted
+from ..base.se3 import principal_axes
 from ..base.sensors import Sensor, threshold_for
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import MAX_RING_SPREAD, ring_spread, with_trusted_rings
@@ -295,8 +296,8 @@ def _of_the_cluster(cloud: PointCloud, left: IntArray, line: Line, failure: Fail
     """Say first what the points are of which only a part was tested as a line."""
     if len(line.index) >= WHOLE_SHARE * len(left):
         return failure
-    offset = cloud.xyz[left] - cloud.xyz[left].mean(axis=0)
-    extent = np.ptp(offset @ np.linalg.eigh(offset.T @ offset)[1], axis=0)
+    centre, axes = principal_axes(cloud.xyz[left])
+    extent = np.ptp((cloud.xyz[left] - centre) @ axes, axis=0)
     size = f"{len(left)} points, {extent[2]:.2f} × {extent[1]:.2f} m"
     return Failure(failure.code, f"{size}; of {len(line.index)} of them in line: {failure.reason}")
 

@@ -7,17 +7,16 @@ less of the field of view, since it was cropped or nothing was there.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..base.datatypes import Array, BoolArray, PointCloud
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.sensors import Sensor
-from ..io.recognition import guess_sensors
+from ..io.recognition import MIN_RING_POINTS, guess_sensors
 from ..io.rings import MAX_RING_SPREAD, elevations, ring_spread
-
-MIN_RING_POINTS = 20
-"""Rings of fewer points do not count: a few points may carry a wrong number."""
 
 BEYOND = float(np.radians(2.0))
 """So far beyond the field of view of the table a ring's elevation is none of the sensor, rad. Units
@@ -59,33 +58,24 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
     numbers, counts = np.unique(cloud.ring, return_counts=True)
     rings = numbers[counts >= MIN_RING_POINTS]
     known = len(sensor.elevations)
+    too_many = {"sensor": sensor.name, "rings": len(rings), "most": known}
     if known and len(rings) > known:
-        raise Refusal(
-            "wrong_sensor",
-            f"{_named(cloud)} has {counted(len(rings), 'ring')}, the {sensor.name} has {known}: "
-            f"{_advice(cloud)}",
-            {"sensor": sensor.name, "rings": len(rings), "most": known},
-        )
+        what = f"{counted(len(rings), 'ring')}, the {sensor.name} has {known}"
+        raise _refusal(cloud, what, too_many)
     if len(rings) == 0 or ring_spread(cloud) > MAX_RING_SPREAD:
         return
     if not known and len(rings) > MOST_LINES:
-        raise Refusal(
-            "wrong_sensor",
-            f"{_named(cloud)} has {counted(len(rings), 'ring')}, each of one elevation, the "
-            f"{sensor.name} "
-            f"has none: {_advice(cloud)}",
-            {"sensor": sensor.name, "rings": len(rings), "most": 0},
-        )
+        rings_in_words = f"{counted(len(rings), 'ring')}, each of one elevation"
+        raise _refusal(cloud, f"{rings_in_words}, the {sensor.name} has none", too_many)
     part = np.flatnonzero(np.isin(cloud.ring, rings))
     part = part[:: 1 + (len(part) - 1) // SAMPLE]
     ring, elevation = cloud.ring[part], elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
     medians = np.array([np.median(elevation[ring == one]) for one in np.unique(ring)])
     if np.any(_beyond(medians, sensor)):
         low, high = np.degrees([medians.min(), medians.max()])
-        raise Refusal(
-            "wrong_sensor",
-            f"{_named(cloud)} has rings from {low:.1f}° to {high:.1f}°, the {sensor.name} sees "
-            f"from {_span(sensor)}: {_advice(cloud)}",
+        raise _refusal(
+            cloud,
+            f"rings from {low:.1f}° to {high:.1f}°, the {sensor.name} sees from {_span(sensor)}",
             {"sensor": sensor.name, "lowest_deg": float(low), "highest_deg": float(high)},
         )
 
@@ -141,9 +131,10 @@ def _beyond(elevation: Array, sensor: Sensor) -> BoolArray:
     return upright if np.count_nonzero(upright) <= np.count_nonzero(hanging) else hanging
 
 
-def _advice(cloud: PointCloud) -> str:
+def _refusal(cloud: PointCloud, what: str, values: dict[str, Any]) -> Refusal:
     fitting = " or ".join(guess_sensors(cloud))
-    return f"name the sensor that recorded it{f', {fitting}' if fitting else ''}, or none"
+    advice = f"name the sensor that recorded it{f', {fitting}' if fitting else ''}, or none"
+    return Refusal("wrong_sensor", f"{_named(cloud)} has {what}: {advice}", values)
 
 
 def _span(sensor: Sensor) -> str:

@@ -6,6 +6,7 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..base.datatypes import PointCloud
@@ -62,8 +63,14 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
 }
 """From the suffix of a file of one frame, in lower case, to its reader."""
 
-HASHED_BLOCK = 2**20
-"""Bytes that are hashed at a time: no file has to fit into memory."""
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn what the system has against a file or folder into a `ReadError` that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
 def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
@@ -218,14 +225,12 @@ def read_recording(
 
 def _files(path: Path) -> list[Path]:
     """List the file itself, the frames of a folder, or the files of a ROS 2 bag."""
-    try:
+    with _readable(path):
         if not path.exists():
             raise ReadError(f"{path}: there is no such file or folder")
         if is_rosbag2(path):
             return sorted((p for p in path.iterdir() if p.is_file()), key=_natural_key)
         return frames_of(path) if path.is_dir() else [path]
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
 def _read(path: Path) -> PointCloud:
@@ -233,10 +238,8 @@ def _read(path: Path) -> PointCloud:
     if reader is None:
         known = ", ".join([*READERS, *BAGS, *PACKETS])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
-    try:
+    with _readable(path):
         return reader(path)
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
 def frames_of(folder: Path) -> list[Path]:
@@ -281,10 +284,7 @@ def sha256_of(path: str | Path) -> str:
     """
     digest = hashlib.sha256()
     for file in _files(Path(path)):
-        try:
-            with file.open("rb") as opened:
-                while block := opened.read(HASHED_BLOCK):
-                    digest.update(block)
-        except OSError as error:
-            raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
+        with _readable(file), file.open("rb") as opened:
+            # It goes on with the hash that it is given.
+            hashlib.file_digest(opened, lambda: digest)
     return digest.hexdigest()

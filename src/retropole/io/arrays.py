@@ -7,7 +7,6 @@ import io
 import math
 import re
 import zipfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -17,12 +16,10 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError, UsageError
-from .fields import INTENSITY, REAL_KINDS, RING, TIME, cloud_from_columns
+from .fields import PLAIN_COLUMNS, REAL_KINDS, cloud_from_columns, has_meaning, read_whole
+from .recordings import reported
 from .table import is_number, read_table
-from .unpacking import allowance
-
-PLAIN_COLUMNS = ("x", "y", "z", "intensity")
-"""What the columns of a table without names are; a fifth could be a colour or a normal."""
+from .unpacking import Spend, allowance
 
 TABLE_KEYS = ("xyz", "points", "arr_0")
 """Names of a table of points in an NPZ."""
@@ -45,13 +42,6 @@ number. Coordinates compress 2 to 10 fold."""
 
 NUMBER = 8
 """Bytes of a number in a point cloud."""
-
-
-def _nonempty(path: Path) -> bytes:
-    data = path.read_bytes()
-    if not data:
-        raise ReadError(f"{path}: is empty, expected points")
-    return data
 
 
 def _from_table(path: Path | str, table: NDArray[Any]) -> PointCloud:
@@ -101,9 +91,7 @@ def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointClou
     return replace(cloud, source=ARRAY_SOURCE)
 
 
-def _load(
-    path: Path, file: IO[bytes], left: int, spend: Callable[[int], None] = lambda count: None
-) -> NDArray[Any]:
+def _load(path: Path, file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[Any]:
     """Read one ``.npy`` from an open file of `left` bytes; its header may not promise more.
 
     Its numbers are counted by `spend` before they are read.
@@ -132,14 +120,10 @@ def _load(
 
 def read_npy(path: Path) -> PointCloud:
     """Read an NPY array: (N, 3), (N, 4), or one with named fields."""
-    data = _nonempty(path)
-    try:
+    data = read_whole(path)
+    # The header is Python text: NumPy raises whatever reading a damaged one raises.
+    with reported(path, "NPY file"):
         array = _load(path, io.BytesIO(data), len(data))
-    except ReadError:
-        raise
-    except Exception as error:
-        # The header is Python text: NumPy raises whatever reading a damaged one raises.
-        raise ReadError(f"{path}: is not a readable NPY file ({error})") from None
     return _from_table(path, array)
 
 
@@ -148,48 +132,34 @@ def read_npz(path: Path) -> PointCloud:
 
     Where there is only one array, its name does not matter. Arrays with other names are skipped.
     """
-    data = _nonempty(path)
+    data = read_whole(path)
     arrays: dict[str, NDArray[Any]] = {}
     spend = allowance(path, len(data), NPZ_ALLOWED, NPZ_RATIO)
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for entry in archive.infolist():
-                if entry.file_size > MAX_DEFLATE_RATIO * max(entry.compress_size, 1):
-                    raise ReadError(
-                        f"{path}: {entry.filename}: {entry.compress_size} bytes cannot unpack to "
-                        f"{entry.file_size}"
-                    )
-                name = entry.filename.removesuffix(".npy")
-                if len(archive.infolist()) > 1 and not _has_meaning(name):
-                    continue
-                with archive.open(entry) as file:
-                    arrays[name] = _load(path, file, entry.file_size, spend)
-    except ReadError:
-        raise
-    except Exception as error:
-        # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
-        raise ReadError(f"{path}: is not a readable NPZ file ({error})") from None
+    # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
+    with reported(path, "NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for entry in archive.infolist():
+            if entry.file_size > MAX_DEFLATE_RATIO * max(entry.compress_size, 1):
+                raise ReadError(
+                    f"{path}: {entry.filename}: {entry.compress_size} bytes cannot unpack to "
+                    f"{entry.file_size}"
+                )
+            name = entry.filename.removesuffix(".npy")
+            if len(archive.infolist()) > 1 and not has_meaning(name, besides=(*"xyz", *TABLE_KEYS)):
+                continue
+            with archive.open(entry) as file:
+                arrays[name] = _load(path, file, entry.file_size, spend)
     if len(arrays) == 1:
         return _from_table(path, *arrays.values())
     tables = [name for name in TABLE_KEYS if name in arrays]
     if len(tables) > 1:
         raise ReadError(f"{path}: holds {' and '.join(tables)}, expected one table of points")
-    columns: dict[str, NDArray[Any]] = {}
-    for name, array in arrays.items():
-        if name not in tables:
-            columns[name] = array
-        elif array.ndim == 2 and array.shape[1] in (3, 4):
-            columns |= dict(zip(PLAIN_COLUMNS, array.T, strict=False))
-        else:
-            raise ReadError(f"{path}: {name} has shape {array.shape}, expected (N, 3) or (N, 4)")
-    # An array of intensities takes precedence over a fourth column.
-    columns |= {name: array for name, array in arrays.items() if name not in tables}
-    return cloud_from_columns(path, columns)
-
-
-def _has_meaning(name: str) -> bool:
-    known = {"x", "y", "z", *TABLE_KEYS, *INTENSITY, *RING, *TIME}
-    return name.lower().removeprefix("scalar_") in known
+    for name in tables:
+        table = arrays.pop(name)
+        if table.ndim != 2 or table.shape[1] not in (3, 4):
+            raise ReadError(f"{path}: {name} has shape {table.shape}, expected (N, 3) or (N, 4)")
+        # An array of intensities takes precedence over a fourth column.
+        arrays = dict(zip(PLAIN_COLUMNS, table.T, strict=False)) | arrays
+    return cloud_from_columns(path, arrays)
 
 
 def read_text(path: Path) -> PointCloud:
@@ -199,7 +169,7 @@ def read_text(path: Path) -> PointCloud:
     first line of numbers. Lines that start with ``#`` or ``//`` are comments; the last one before
     the numbers that names x, y and z names the columns.
     """
-    body = _nonempty(path).removeprefix(codecs.BOM_UTF8)
+    body = read_whole(path).removeprefix(codecs.BOM_UTF8)
     body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     names, first, position = _names(path, body)
     end = body.find(b"\n", position)

@@ -16,9 +16,6 @@ from .bag_sqlite import open_sqlite
 from .recordings import reported
 from .unpacking import allowance, unpack_file, unpacked
 
-BAGS = (".bag", ".db3", ".mcap")
-"""Suffixes of bags."""
-
 REPAIR = (
     "; one that was cut short can be repaired by 'rosbag reindex' (.bag), 'ros2 bag reindex' (a "
     "folder) or 'mcap recover' (.mcap)"
@@ -57,21 +54,8 @@ def opened(path: Path) -> Iterator[Bag]:
         import rosbags.rosbag1  # noqa: F401
     except ImportError:
         raise MissingExtraError("ros", "reading ROS bags") from None
-    with reported(path, "bag", REPAIR):
-        if path.is_dir():
-            with _folder(path) as bag:
-                yield bag
-        elif path.suffix.lower() == ".bag":
-            with _ros1(path) as bag:
-                yield bag
-        else:
-            with _ros2(path, path.suffix.lower()) as bag:
-                yield bag
-
-
-@contextmanager
-def _ros2(path: Path, suffix: str) -> Iterator[Bag]:
-    with open_mcap(path) if suffix == ".mcap" else open_sqlite(path) as bag:
+    open_one = _folder if path.is_dir() else OPENERS[path.suffix.lower()]
+    with reported(path, "bag", REPAIR), open_one(path) as bag:
         yield bag
 
 
@@ -112,21 +96,28 @@ def _ros1(path: Path) -> Iterator[Bag]:
                 spend(len(data))
                 yield stamp, data, "ros1"
 
-        parts = [(own.topic, own.msgtype, own.msgcount) for own in reader.connections]
+        parts = ((own.topic, own.msgtype, own.msgcount) for own in reader.connections)
         yield Bag(counted(parts), messages)
+
+
+OPENERS = {".bag": _ros1, ".db3": open_sqlite, ".mcap": open_mcap}
+
+BAGS = tuple(OPENERS)
+"""Suffixes of bags."""
 
 
 @contextmanager
 def _folder(path: Path) -> Iterator[Bag]:
     """Open the files of a ROS 2 bag one after the other, as its metadata name them."""
     about = _metadata(path)
-    suffix = {"mcap": ".mcap", "sqlite3": ".db3"}.get(str(about["storage_identifier"]))
+    storage = str(about["storage_identifier"])
+    suffix = {"mcap": ".mcap", "sqlite3": ".db3"}.get(storage)
     mode = str(about.get("compression_mode") or "none").lower()
     kind = str(about.get("compression_format") or "")
     is_known = mode == "none" or (mode in ("file", "message") and kind == "zstd")
     if suffix is None or not is_known:
         raise ReadError(
-            f"{path}: its storage is {about['storage_identifier']}, its compression {mode} {kind}; "
+            f"{path}: its storage is {storage}, its compression {mode} {kind}; "
             "expected mcap or sqlite3, and none or zstd"
         )
     files = [path / PurePath(str(name)).name for name in about["relative_file_paths"]]
@@ -137,7 +128,7 @@ def _folder(path: Path) -> Iterator[Bag]:
             packed, files = files, [folder / f"{k}{suffix}" for k in range(len(files))]
             for file, to in zip(packed, files, strict=True):
                 unpack_file(file, to, "zstd", spend)
-        bags = [stack.enter_context(_ros2(file, suffix)) for file in files]
+        bags = [stack.enter_context(OPENERS[suffix](file)) for file in files]
 
         def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
             for bag in bags:

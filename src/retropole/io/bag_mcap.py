@@ -10,13 +10,15 @@ import heapq
 import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..base.errors import ReadError
 from .bag import Bag, counted
 from .unpacking import Spend, allowance, unpacked
+
+if TYPE_CHECKING:
+    from mcap.summary import Summary
 
 FOOTER = 37
 """Bytes of the last record and of the mark at the end of the file."""
@@ -31,16 +33,6 @@ Entry = tuple[str, str, Any, str]
 """Topic, type, message and encoding."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Index:
-    """What stands at the end of a file that was closed in order."""
-
-    channels: dict[int, Any] = field(default_factory=dict)
-    schemas: dict[int, Any] = field(default_factory=dict)
-    chunks: list[Any] = field(default_factory=list)
-    statistics: list[Any] = field(default_factory=list)
-
-
 @contextmanager
 def open_mcap(path: Path) -> Iterator[Bag]:
     """Open an MCAP file.
@@ -52,22 +44,20 @@ def open_mcap(path: Path) -> Iterator[Bag]:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
+        index = _index(file)
 
         def entries(name: str | None) -> Iterator[Entry]:
             spend = allowance(path, size)
-            index = _index(file)
-            if index.chunks:
+            if index.chunk_indexes:
                 return _by_time(path, file, index, spend, name)
             return _in_turn(path, file, spend)
 
-        index = _index(file)
         if index.statistics:
-            own = index.statistics[-1].channel_message_counts
-            parts = [
+            own = index.statistics.channel_message_counts
+            topics = counted(
                 (channel.topic, _kind_of(index, channel), own.get(number, 0))
                 for number, channel in index.channels.items()
-            ]
-            topics = counted(parts)
+            )
         else:
             topics = counted((topic, kind, 1) for topic, kind, *_ in entries(None))
 
@@ -79,12 +69,13 @@ def open_mcap(path: Path) -> Iterator[Bag]:
         yield Bag(topics, messages)
 
 
-def _index(file: BinaryIO) -> _Index:
+def _index(file: BinaryIO) -> Summary:
     """Read the index at the end of a file; empty where it has none."""
     from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
     from mcap.stream_reader import StreamReader
+    from mcap.summary import Summary
 
-    found = _Index()
+    found = Summary()
     if file.seek(0, io.SEEK_END) < FOOTER:
         raise ValueError("it is too short")
     file.seek(-FOOTER, io.SEEK_END)
@@ -100,9 +91,9 @@ def _index(file: BinaryIO) -> _Index:
         elif isinstance(record, Schema):
             found.schemas[record.id] = record
         elif isinstance(record, ChunkIndex):
-            found.chunks.append(record)
+            found.chunk_indexes.append(record)
         elif isinstance(record, Statistics):
-            found.statistics.append(record)
+            found.statistics = record
     return found
 
 
@@ -110,8 +101,9 @@ def _in_turn(path: Path, file: BinaryIO, spend: Spend) -> Iterator[Entry]:
     """Give the messages as they stand: to sort those of a whole file would take its memory."""
     from mcap.records import Channel, Message, Schema
     from mcap.stream_reader import StreamReader
+    from mcap.summary import Summary
 
-    index = _Index()
+    index = Summary()
     file.seek(0)
     for record in StreamReader(file, emit_chunks=True).records:
         for each in _parts(path, record, spend):
@@ -124,7 +116,7 @@ def _in_turn(path: Path, file: BinaryIO, spend: Spend) -> Iterator[Entry]:
 
 
 def _by_time(
-    path: Path, file: BinaryIO, index: _Index, spend: Spend, name: str | None
+    path: Path, file: BinaryIO, index: Summary, spend: Spend, name: str | None
 ) -> Iterator[Entry]:
     """Give the messages of the chunks that may have a topic, in the order of their times."""
     from mcap.data_stream import ReadDataStream
@@ -133,7 +125,7 @@ def _by_time(
     # Of a chunk, the time of its first message stands for all that it holds.
     waiting: list[tuple[int, int, int, Any]] = [
         (chunk.message_start_time, chunk.chunk_start_offset, -1, None)
-        for chunk in index.chunks
+        for chunk in index.chunk_indexes
         if name is None
         or not chunk.message_index_offsets
         or any(index.channels[n].topic == name for n in chunk.message_index_offsets)
@@ -162,7 +154,7 @@ def _by_time(
             heapq.heappush(waiting, (record.log_time, start, number, record))
 
 
-def _entry(index: _Index, message: Any) -> Entry:
+def _entry(index: Summary, message: Any) -> Entry:
     channel = index.channels[message.channel_id]
     return channel.topic, _kind_of(index, channel), message, channel.message_encoding
 
@@ -194,12 +186,9 @@ def _parts(path: Path, record: Any, spend: Spend) -> Iterator[Any]:
             stream.read(length)
 
 
-def _kind_of(index: _Index, channel: Any) -> str:
+def _kind_of(index: Summary, channel: Any) -> str:
+    """Name the type of a channel as ROS 2 does; ROS 1 has no ``msg`` in it."""
     schema = index.schemas.get(channel.schema_id)
-    return _kind(schema.name if schema else "")
-
-
-def _kind(name: str) -> str:
-    """Name a type as ROS 2 does; ROS 1 has no ``msg`` in it."""
+    name: str = schema.name if schema else ""
     package, slash, kind = name.partition("/")
     return f"{package}/msg/{kind}" if slash and "/" not in kind else name

@@ -49,8 +49,7 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
         with _counted_steps(path, database):
             _check_tables(path, database)
             topics = database.execute(
-                f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?",
-                [MAX_TOPICS + 1],
+                f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?", [MAX_TOPICS + 1]
             ).fetchall()
             counts = dict(
                 database.execute(

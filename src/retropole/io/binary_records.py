@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError
-from .fields import cloud_from_columns
+from .fields import LARGEST, PLAIN_COLUMNS, cloud_from_columns, read_whole
 
-FOUR = ("x", "y", "z", "intensity")
-"""Columns of KITTI's velodyne files."""
-
-FIVE = (*FOUR, "ring")
-"""Columns of nuScenes' ``.pcd.bin`` files."""
+FOUR, FIVE = PLAIN_COLUMNS, (*PLAIN_COLUMNS, "ring")
+"""Columns of KITTI's velodyne files, and of nuScenes' ``.pcd.bin`` files."""
 
 FLOAT, LONG_RECORD = 4, 32
 """Bytes of a value; and of a point as PCL holds it in memory, x y z and intensity each padded."""
@@ -33,9 +30,9 @@ MOST_ODD = 0.01
 """Part of the points that may have a negative intensity, or a coordinate that none is. With a wrong
 length a third and more of the intensities are coordinates, half of which are negative."""
 
-TINIEST, LARGEST = 1e-20, 1e9
-"""Coordinates are neither, metres or millimetres, but zero: halves of float64, whole numbers and
-padding that are read as float32 are."""
+TINIEST = 1e-20
+"""No coordinate but zero is smaller, or above `LARGEST`, metres or millimetres: halves of float64,
+whole numbers and padding that are read as float32 are."""
 
 FEWEST_ROWS = 64
 """With fewer points, odd and even ones are not compared."""
@@ -54,9 +51,7 @@ def read_bin(path: Path) -> PointCloud:
     ReadError
         Where the values are neither's, or could be both's.
     """
-    data = path.read_bytes()
-    if not data:
-        raise ReadError(f"{path}: is empty, expected points")
+    data = read_whole(path)
     fitting = [
         names
         for names, fits in ((FOUR, _are_four), (FIVE, _are_five))

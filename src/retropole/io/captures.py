@@ -178,19 +178,11 @@ def _search(file: BinaryIO, start: int, size: int, order: str, tries: list[int])
 
 def _headers(block: bytes, order: str) -> IntArray:
     """Find the places that may be headers by their numbers alone."""
-    places = len(block) - PACKET_HEADER + 1
-    if places <= 0:
-        return np.zeros(0, np.int64)
-    digits = np.frombuffer(block, np.uint8).astype(np.int64)
-    shifts = (0, 8, 16, 24) if order == "<" else (24, 16, 8, 0)
-
-    def number(offset: int) -> IntArray:
-        columns = (digits[offset + k : offset + k + places] << shifts[k] for k in range(4))
-        total: IntArray = sum(columns, np.zeros(places, np.int64))
-        return total
-
-    length, sent = number(8), number(12)
-    fits = (length > 0) & (length <= sent) & (sent <= MAX_PACKET) & (number(4) < PARTS_OF_SECOND)
+    places = max(len(block) - PACKET_HEADER + 1, 0)
+    # From each byte on, the four numbers of a header: a view, in which they overlap.
+    numbers: IntArray = np.ndarray((places, 4), f"{order}u4", block, strides=(1, 4))
+    _, parts, length, sent = numbers.T
+    fits = (length > 0) & (length <= sent) & (sent <= MAX_PACKET) & (parts < PARTS_OF_SECOND)
     return np.flatnonzero(fits)
 
 

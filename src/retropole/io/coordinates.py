@@ -96,19 +96,14 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
     units = tuple(
         unit
         for unit, size in METRES.items()
-        if half * size >= NEAREST_HALF
-        and half * size <= FARTHEST_HALF
-        and farthest * size <= FARTHEST_RETURN
+        if NEAREST_HALF <= half * size <= FARTHEST_HALF and farthest * size <= FARTHEST_RETURN
     )
     if not units:
         words = f"half of the points are beyond {half:,.0f} m, farther than poles are seen"
         return Oddity(words, half)
-    odd = Oddity("", half, units)
-    words = (
-        f"half of the points are beyond {half:,.0f}, which no LiDAR sees in metres: they look like "
-        f"{odd.candidates}"
-    )
-    return replace(odd, words=words)
+    words = f"half of the points are beyond {half:,.0f}, which no LiDAR sees in metres"
+    odd = Oddity(words, half, units)
+    return replace(odd, words=f"{words}: they look like {odd.candidates}")
 
 
 def _ranges(cloud: PointCloud) -> tuple[float, float, float]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,14 @@ RING = (
 TIME = ("time", "t", "timestamp", "time_stamp", "offset_time", "gps_time", "gpstime")
 """Names of the fields in lower case; where a file has several, the first is taken."""
 
+PLAIN_COLUMNS = ("x", "y", "z", "intensity")
+"""What the columns of a table without names are; a fifth could be a colour or a normal."""
+
 LAST_SECOND = 1e11
 """Greater than any time in seconds (year 5138), smaller than any Unix time in milliseconds."""
+
+MAX_PROMISED = 2**62
+"""Larger numbers in a header do not fit NumPy's sizes."""
 
 MAX_RING = 2**31 - 1
 """Larger numbers, from fields of 8 bytes, are not rings."""
@@ -38,6 +44,16 @@ REAL_KINDS = "fiub"
 """Kinds of NumPy types that hold real numbers."""
 
 Columns = Mapping[str, NDArray[Any]]
+
+T = TypeVar("T")
+
+
+def read_whole(path: Path, expected: str = "points") -> bytes:
+    """Read all bytes of a file; one without any is an error that says what was expected."""
+    data = path.read_bytes()
+    if not data:
+        raise ReadError(f"{path}: is empty, expected {expected}")
+    return data
 
 
 def left_out(promised: int, more: int) -> str:
@@ -56,6 +72,11 @@ def _find(columns: Columns, names: tuple[str, ...]) -> str | None:
     for name in columns:
         plain.setdefault(name.lower().removeprefix("scalar_"), name)
     return next((plain[name] for name in names if name in plain), None)
+
+
+def has_meaning(name: str, *, besides: Iterable[str] = ()) -> bool:
+    """Whether a name, in any spelling, is an intensity's, a ring's, a time's or one besides."""
+    return name.lower().removeprefix("scalar_") in {*INTENSITY, *RING, *TIME, *besides}
 
 
 class NoReturnsError(ReadError):
@@ -100,21 +121,16 @@ def cloud_from_columns(
             f"{path}: x, y and z have {', '.join(str(len(part)) for part in parts)} values, "
             "expected one per point"
         )
-    if len(parts[0]) == 0:
-        raise NoReturnsError(f"{path}: holds no points, expected at least one", 0)
     start = np.zeros(3) if origin is None else origin
     xyz = np.empty((len(parts[0]), 3))
     for axis, part in enumerate(parts):
         xyz[:, axis] = _floats(part)
     kept = _is_return(xyz, start)
     if not kept.any():
-        raise NoReturnsError(
-            f"{path}: none of its {len(xyz)} points is finite and away from the sensor; expected "
-            "coordinates in metres",
-            len(xyz),
-        )
+        none = _none_of(len(xyz)) if len(xyz) else "holds no points, expected at least one"
+        raise NoReturnsError(f"{path}: {none}", len(xyz))
 
-    def optional(names: tuple[str, ...]) -> NDArray[Any] | None:
+    def optional(names: tuple[str, ...], convert: Callable[[Any], T | None]) -> T | None:
         own = _find(columns, names)
         if own is None:
             return None
@@ -124,13 +140,13 @@ def cloud_from_columns(
                 f"{path}: {own} has {len(values)} values for {len(xyz)} points, expected one per "
                 "point"
             )
-        return values if kept.all() else values[kept]
+        return convert(values if kept.all() else values[kept])
 
     return PointCloud(
         xyz=xyz if kept.all() else xyz[kept],
-        intensity=_intensity(optional(INTENSITY)),
-        ring=_ring(optional(RING)),
-        time=_time(optional(TIME)),
+        intensity=optional(INTENSITY, _intensity),
+        ring=optional(RING, _ring),
+        time=optional(TIME, _time),
         origin=start,
         dropped=int(np.count_nonzero(~kept)),
         source=str(path),
@@ -179,10 +195,7 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     """
     kept = _is_return(cloud.xyz, cloud.origin)
     if not kept.any():
-        raise UsageError(
-            f"{name}: none of its {len(kept)} points is finite and away from the sensor; expected "
-            "coordinates in metres"
-        )
+        raise UsageError(f"{name}: {_none_of(len(kept))}")
     intensity = cloud.intensity
     if intensity is not None and not (
         intensity.dtype == np.float64 and np.all(np.abs(intensity) <= LARGEST)
@@ -193,6 +206,13 @@ def only_returns(cloud: PointCloud, name: str = "cloud") -> PointCloud:
     xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float64)
     dropped = cloud.dropped + int(np.count_nonzero(~kept))
     return replace(cloud, xyz=xyz, intensity=intensity, dropped=dropped).select(kept)
+
+
+def _none_of(points: int) -> str:
+    return (
+        f"none of its {points} points is finite and away from the sensor; expected coordinates in "
+        "metres"
+    )
 
 
 def _kind(column: NDArray[Any]) -> str:
@@ -216,18 +236,14 @@ def _floats(values: NDArray[Any]) -> Array:
         return values.astype(np.float64)
 
 
-def _intensity(values: NDArray[Any] | None) -> Array | None:
-    if values is None:
-        return None
+def _intensity(values: NDArray[Any]) -> Array | None:
     intensity = _floats(values)
     measured = np.abs(intensity) <= LARGEST
     return np.where(measured, intensity, 0.0) if measured.any() else None
 
 
-def _ring(values: NDArray[Any] | None) -> IntArray | None:
+def _ring(values: NDArray[Any]) -> IntArray | None:
     """Take ring numbers, which a table stores as floats; None where they are not whole numbers."""
-    if values is None:
-        return None
     if values.dtype.kind in "iu" and values.dtype.itemsize <= np.dtype(np.int32).itemsize:
         return values.astype(np.int64)
     numbers = _floats(values)
@@ -236,9 +252,9 @@ def _ring(values: NDArray[Any] | None) -> IntArray | None:
     return numbers.astype(np.int64) if indices else None
 
 
-def _time(values: NDArray[Any] | None) -> Array | None:
+def _time(values: NDArray[Any]) -> Array | None:
     """Take floats that can be seconds; of ticks, no file says how long one is."""
-    if values is None or values.dtype.kind != "f":
+    if values.dtype.kind != "f":
         return None
     seconds = _floats(values)
     with np.errstate(invalid="ignore"):

@@ -7,7 +7,6 @@ sizes that the header promises are therefore compared with the size of the file 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from ..base.datatypes import PointCloud
 from ..base.errors import MissingExtraError, ReadError
-from .fields import INTENSITY, RING, TIME, cloud_from_columns
+from .fields import cloud_from_columns, has_meaning
 
 READ_BLOCK = 16 * 2**20
 """Bytes of decompressed points that are read at a time."""
@@ -45,11 +44,8 @@ ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 EXTRA_BYTES = 14
 """The item of which each byte is a layer."""
 
-ITEMS_AT, ITEM_SIZE = 34, 6
-"""Byte of LAZ's own record at which the items of a point begin, and bytes of an item."""
-
-COUNT_OF_ITEMS = 2
-"""Bytes of the number of items, just before them."""
+ITEMS_AT, ITEM = 34, "<HHH"
+"""Byte of LAZ's own record at which the items of a point begin, after their number; and an item."""
 
 FIRST_CHUNK = 8
 """Bytes from the start of the points to the first chunk: the place of the table of chunks."""
@@ -72,30 +68,31 @@ def read_las(path: Path) -> PointCloud:
         import laspy
     except ImportError:
         raise MissingExtraError("las", "reading LAS and LAZ") from None
-    _check_header(path)
+    with path.open("rb") as opened:
+        _check_header(path, opened)
     try:
         # One thread: several gain a sixth of the time, and hang in processes made by fork.
         with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as file:
             header = file.header
-            _check_points(
-                path,
-                header.point_count,
-                header.point_format.size,
-                path.stat().st_size - header.offset_to_point_data,
-                compressed=header.are_points_compressed,
-            )
+            left = path.stat().st_size - header.offset_to_point_data
+            needed = header.point_count * header.point_format.size
+            if needed > left * (MAX_LAZ_RATIO if header.are_points_compressed else 1):
+                raise ReadError(
+                    f"{path}: the header promises {header.point_count} points, {needed} bytes"
+                    f"{' decompressed' if header.are_points_compressed else ''}; the file holds "
+                    f"{left} after it"
+                )
             for record in header.vlrs.get("LasZipVlr"):
                 _check_items(path, header.point_format.size, record.record_data)
                 _check_layers(path, header.offset_to_point_data, record.record_data)
-            names = _wanted(header.point_format.dimension_names)
+            # The scaled coordinates, and the other fields that are used here.
+            names = [*"xyz", *filter(has_meaning, header.point_format.dimension_names)]
             # In blocks, so that memory follows what is in the file, not what its header promises.
             size = max(1, READ_BLOCK // header.point_format.size)
             blocks = [
                 [np.array(block[name]) for name in names] for block in file.chunk_iterator(size)
             ]
-    except ReadError:
-        raise
-    except (KeyboardInterrupt, SystemExit, GeneratorExit):
+    except (ReadError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
     except BaseException as error:
         # For damaged files laspy and its decoders raise a dozen unrelated types; a panic of the
@@ -112,13 +109,16 @@ def read_las(path: Path) -> PointCloud:
     return cloud_from_columns(path, columns)
 
 
-def _check_header(path: Path) -> None:
-    """Check that the file is long enough for the records and chunks that the header promises."""
+def _check_header(path: Path, file: BinaryIO) -> None:
+    """Check that the file is long enough for the records and chunks that the header promises.
+
+    The decoder allocates memory for as many chunks as the file says, and where there is not enough,
+    it ends the process: no exception could be caught. A chunk starts with one uncompressed point.
+    """
     size = path.stat().st_size
     if size == 0:
         raise ReadError(f"{path}: is empty, expected a LAS header")
-    with path.open("rb") as file:
-        head = file.read(SMALLEST_HEADER)
+    head = file.read(SMALLEST_HEADER)
     if head[:4] != b"LASF" or len(head) < SMALLEST_HEADER:
         raise ReadError(
             f"{path}: starts with {head[:4]!r} and has {size} bytes, expected a LAS header, which "
@@ -134,29 +134,10 @@ def _check_header(path: Path) -> None:
             f"{path}: the header promises {records} variable length records, which the bytes "
             f"{length} to {points} before the points cannot hold"
         )
-    if head[FORMAT_AT] & COMPRESSED:
-        _check_chunks(path, points)
-
-
-def _check_points(path: Path, count: int, size: int, left: int, *, compressed: bool) -> None:
-    """Check that `count` points of `size` bytes can come from the `left` bytes of the file."""
-    if count * size > left * (MAX_LAZ_RATIO if compressed else 1):
-        raise ReadError(
-            f"{path}: the header promises {count} points, {count * size} bytes"
-            f"{' decompressed' if compressed else ''}; the file holds {left} after it"
-        )
-
-
-def _check_chunks(path: Path, start: int) -> None:
-    """Refuse a count of LAZ chunks that the file cannot hold.
-
-    The decoder allocates memory for as many as the file says, and where there is not enough, it
-    ends the process: no exception could be caught. A chunk starts with one uncompressed point.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        file.seek(_chunk_table(path, file, start) + COUNT_SIZE)
-        chunks = struct.unpack("<I", file.read(COUNT_SIZE))[0]
+    if not head[FORMAT_AT] & COMPRESSED:
+        return
+    file.seek(_chunk_table(path, file, points) + COUNT_SIZE)
+    chunks = struct.unpack("<I", file.read(COUNT_SIZE))[0]
     if chunks * SMALLEST_POINT > size:
         raise ReadError(f"{path}: promises {chunks} chunks, its {size} bytes cannot hold them")
 
@@ -193,9 +174,9 @@ def _items(record: bytes) -> list[tuple[int, int, int]]:
     """Kind, bytes and version of each item of a point, as LAZ's own record has them."""
     if len(record) < ITEMS_AT:
         return []
-    held = (len(record) - ITEMS_AT) // ITEM_SIZE
-    count = min(held, struct.unpack_from("<H", record, ITEMS_AT - COUNT_OF_ITEMS)[0])
-    return list(struct.iter_unpack("<HHH", record[ITEMS_AT : ITEMS_AT + count * ITEM_SIZE]))
+    (count,) = struct.unpack_from("<H", record, ITEMS_AT - 2)
+    whole = (len(record) - ITEMS_AT) // struct.calcsize(ITEM) * struct.calcsize(ITEM)
+    return list(struct.iter_unpack(ITEM, record[ITEMS_AT : ITEMS_AT + whole]))[:count]
 
 
 def _check_layers(path: Path, start: int, record: bytes) -> None:
@@ -227,11 +208,3 @@ def _check_layers(path: Path, start: int, record: bytes) -> None:
                     f"{path}: a chunk promises layers up to byte {position}, the chunks end at "
                     f"{end}"
                 )
-
-
-def _wanted(dimensions: Iterable[str]) -> list[str]:
-    """List the scaled coordinates, and the other fields that are used here."""
-    known = {*INTENSITY, *RING, *TIME}
-    return ["x", "y", "z"] + [
-        name for name in dimensions if name.lower().removeprefix("scalar_") in known
-    ]

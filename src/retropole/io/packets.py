@@ -7,8 +7,10 @@ Velodyne are decoded by velodyne-decoder (the extra ``velodyne``), Ouster by the
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -49,9 +51,10 @@ def open_packets(path: Path) -> Recording:
     velodyne, unreadable = _of_velodyne(packets(path, capture))
     note = capture.note(unreadable)
     if velodyne:
-        read = _velodyne(path, mended(path, capture) if len(capture.gaps) else None)
+        content = mended(path, capture) if len(capture.gaps) else None
+        read = partial(_velodyne_sweeps, path, content)
     else:
-        read = _ouster(path, _metadata(path, sizes_in_words(capture)))
+        read = partial(_ouster_sweeps, path, _metadata(path, sizes_in_words(capture)))
     count = sum(1 for _ in read())
     if not count:
         raise ReadError(f"{path}: holds no sweep, its packets have {sizes_in_words(capture)}")
@@ -88,29 +91,26 @@ def _of_velodyne(packets: Iterator[bytes]) -> tuple[bool, int]:
     return True, sum(n for (each, _), n in alike.items() if each == length) - count
 
 
-Sweep = tuple[float, Any, Array]
+Sweep = tuple[float, Callable[[], Columns], Array]
 """Time of recording, s; function that gives its columns; origin (3,) of its beams."""
 
 
-def _velodyne(path: Path, content: bytes | None) -> Any:
+def _velodyne_sweeps(path: Path, content: bytes | None) -> Iterator[Sweep]:
     """Decode a capture, or other bytes in its place."""
     try:
         import velodyne_decoder
     except ImportError:
         raise MissingExtraError("velodyne", "reading Velodyne packets") from None
 
-    def sweeps() -> Iterator[Sweep]:
-        with reported(path, "capture"):
-            source = path if content is None else BytesIO(content)
-            for stamp, points in velodyne_decoder.read_pcap(source, as_pcl_structs=True):
+    with reported(path, "capture"):
+        source = path if content is None else BytesIO(content)
+        for stamp, points in velodyne_decoder.read_pcap(source, as_pcl_structs=True):
 
-                def columns(points: Any = points, start: float = stamp.host) -> Columns:
-                    own: Columns = {name: points[name] for name in points.dtype.names}
-                    return {**own, "time": start + points["time"].astype(np.float64)}
+            def columns(points: Any = points, start: float = stamp.host) -> Columns:
+                own: Columns = {name: points[name] for name in points.dtype.names}
+                return {**own, "time": start + points["time"].astype(np.float64)}
 
-                yield stamp.host, columns, np.zeros(3)
-
-    return sweeps
+            yield stamp.host, columns, np.zeros(3)
 
 
 def _metadata(path: Path, sizes: str) -> Path:
@@ -128,34 +128,21 @@ def _metadata(path: Path, sizes: str) -> Path:
     )
 
 
-def _ouster(path: Path, metadata: Path) -> Any:
+def _ouster_sweeps(path: Path, metadata: Path) -> Iterator[Sweep]:
     try:
         from ouster.sdk import open_source
         from ouster.sdk.core import ChanField, XYZLut
     except ImportError:
         raise MissingExtraError("ouster", "reading Ouster packets") from None
 
-    def sweeps() -> Iterator[Sweep]:
-        with reported(path, "capture"):
-            source = open_source(str(path), meta=[str(metadata)])
-            try:
-                info = source.sensor_info[0]
-                # In the sensor's frame z = 0 is its base; the beams start above it.
-                rays = XYZLut(info, use_extrinsics=False)
-                origin = info.lidar_to_sensor_transform[:3, 3] / 1000
-                for scans in source:
-                    for scan in scans:
-                        if scan is None:
-                            continue
-
-                        def columns(scan: Any = scan) -> Columns:
-                            return _ouster_columns(scan, rays, ChanField)
-
-                        yield float(scan.get_first_valid_column_timestamp()) / 1e9, columns, origin
-            finally:
-                source.close()
-
-    return sweeps
+    with reported(path, "capture"), closing(open_source(str(path), meta=[str(metadata)])) as source:
+        info = source.sensor_info[0]
+        # In the sensor's frame z = 0 is its base; the beams start above it.
+        rays = XYZLut(info, use_extrinsics=False)
+        origin = info.lidar_to_sensor_transform[:3, 3] / 1000
+        for scan in (scan for scans in source for scan in scans if scan is not None):
+            start = float(scan.get_first_valid_column_timestamp()) / 1e9
+            yield start, partial(_ouster_columns, scan, rays, ChanField), origin
 
 
 def _ouster_columns(scan: Any, rays: Any, names: Any) -> Columns:

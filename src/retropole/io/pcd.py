@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import ReadError, UsageError
 from ..base.files import write_atomically
-from .fields import LARGEST, Columns, cloud_from_columns, left_out
+from .fields import LARGEST, MAX_PROMISED, Columns, cloud_from_columns, left_out, read_whole
 from .table import read_table
 
 MAX_HEADER = 64 * 1024
@@ -25,9 +25,6 @@ MAX_HEADER = 64 * 1024
 
 MAX_VALUES = 10_000
 """Values of a point; more are an error in the header, and would take the memory."""
-
-MAX_NUMBER = 2**62
-"""Larger numbers in a header do not fit NumPy's sizes."""
 
 MAX_LZF_RATIO = 300
 """LZF writes at least three bytes for 264: a file that promises more is damaged."""
@@ -39,9 +36,8 @@ KEYS = (
     *("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT"),
     *("VIEWPOINT", "POINTS", "DATA"),
 )
-PCD_TYPES = {"F": {4: "<f4", 8: "<f8"}, "I": {}, "U": {}}
-for _size in (1, 2, 4, 8):
-    PCD_TYPES["I"][_size], PCD_TYPES["U"][_size] = f"<i{_size}", f"<u{_size}"
+PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+"""Bytes that a value of each type may have; NumPy's names of the types are the small letters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +76,7 @@ def read_pcd(path: Path) -> PointCloud:
     ReadError
         Where the header or the data are not what they should be.
     """
-    data = path.read_bytes()
+    data = read_whole(path, "a PCD header")
     header = _parse_header(path, data)
     if header.points == 0:
         raise ReadError(f"{path}: POINTS is 0, expected at least one point")
@@ -95,8 +91,6 @@ def read_pcd(path: Path) -> PointCloud:
 
 
 def _parse_header(path: Path, data: bytes) -> Header:
-    if not data:
-        raise ReadError(f"{path}: is empty, expected a PCD header")
     entries: dict[str, tuple[int, list[str]]] = {}
     position, number = 0, 0
     while "DATA" not in entries:
@@ -116,41 +110,40 @@ def _parse_header(path: Path, data: bytes) -> Header:
             raise ReadError(f"{path}, line {number}: {key} again, after line {entries[key][0]}")
         entries[key] = (number, words[1:])
 
-    def whole(key: str, low: int, default: list[int] | None = None) -> list[int]:
+    def entry(key: str) -> tuple[int, list[str]]:
         if key not in entries:
-            if default is not None:
-                return default
             raise ReadError(f"{path}: the header has no {key} line")
-        line, words = entries[key]
+        return entries[key]
+
+    def whole(key: str, low: int, default: list[int] | None = None) -> list[int]:
+        if key not in entries and default is not None:
+            return default
+        line, words = entry(key)
         try:
             values = [int(word) for word in words]
         except ValueError:
             values = []
-        if not values or min(values) < low or max(values) > MAX_NUMBER:
+        if not values or min(values) < low or max(values) > MAX_PROMISED:
             raise ReadError(
                 f"{path}, line {line}: {key} {' '.join(words)}, expected whole numbers from {low}"
             )
         return values
 
-    if "FIELDS" not in entries:
-        raise ReadError(f"{path}: the header has no FIELDS line")
-    names = entries["FIELDS"][1]
+    names = entry("FIELDS")[1]
     sizes, counts = whole("SIZE", 1), whole("COUNT", 1, [1] * len(names))
-    if "TYPE" not in entries:
-        raise ReadError(f"{path}: the header has no TYPE line")
-    line, types = entries["TYPE"]
+    line, types = entry("TYPE")
     if not len(names) == len(sizes) == len(counts) == len(types):
         raise ReadError(
             f"{path}, line {line}: FIELDS, SIZE, TYPE and COUNT name {len(names)}, {len(sizes)}, "
             f"{len(types)} and {len(counts)} fields, expected the same number"
         )
     for name, letter, size in zip(names, types, sizes, strict=True):
-        if size not in PCD_TYPES.get(letter, {}):
+        if size not in PCD_SIZES.get(letter, ()):
             raise ReadError(
                 f"{path}, line {line}: field {name} has type {letter} of {size} bytes, expected F "
                 "of 4 or 8, I or U of 1, 2, 4 or 8"
             )
-    kinds = tuple(PCD_TYPES[letter][size] for letter, size in zip(types, sizes, strict=True))
+    kinds = tuple(f"<{letter.lower()}{size}" for letter, size in zip(types, sizes, strict=True))
     width = whole("WIDTH", 0)[0]
     height = whole("HEIGHT", 0, [1])[0]
     points = whole("POINTS", 0, [width * height])[0]
@@ -167,15 +160,9 @@ def _parse_header(path: Path, data: bytes) -> Header:
             f"{path}, line {line}: DATA {' '.join(words)}, expected ascii, binary or "
             "binary_compressed"
         )
+    origin = _viewpoint(path, entries)
     return Header(
-        names=tuple(names),
-        kinds=kinds,
-        counts=tuple(counts),
-        points=points,
-        origin=_viewpoint(path, entries),
-        encoding=words[0],
-        start=position,
-        lines=number,
+        tuple(names), kinds, tuple(counts), points, origin, words[0], start=position, lines=number
     )
 
 
@@ -313,24 +300,22 @@ def pcd_of(cloud: PointCloud) -> bytes:
     UsageError
         Where a value does not fit float32 or uint16.
     """
-    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    values: list[NDArray[Any]] = [cloud.xyz[:, 0], cloud.xyz[:, 1], cloud.xyz[:, 2]]
-    for name, kind, column in (
+    columns: list[tuple[str, str, NDArray[Any] | None]] = [
+        *((name, "<f4", cloud.xyz[:, axis]) for axis, name in enumerate("xyz")),
         ("intensity", "<f4", cloud.intensity),
         ("ring", "<u2", cloud.ring),
         ("timestamp", "<f8", cloud.time),
-    ):
-        if column is not None:
-            fields.append((name, kind))
-            values.append(column)
+    ]
+    fields = [(name, kind) for name, kind, column in columns if column is not None]
     points = np.empty(len(cloud), np.dtype(fields))
-    for (name, _), column in zip(fields, values, strict=True):
-        limit = np.iinfo("u2").max if name == "ring" else np.finfo(points[name].dtype).max
-        low = 0 if name == "ring" else -limit
-        if column.size and not (low <= column.min() and column.max() <= limit):
+    for name, kind, column in columns:
+        if column is None:
+            continue
+        fits = np.iinfo(kind) if name == "ring" else np.finfo(kind)
+        if column.size and not (fits.min <= column.min() and column.max() <= fits.max):
             raise UsageError(
                 f"{name} runs from {column.min():g} to {column.max():g}, a PCD holds "
-                f"{low:g} to {limit:g}"
+                f"{fits.min:g} to {fits.max:g}"
             )
         points[name] = column
     header = [

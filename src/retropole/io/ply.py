@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError
-from .fields import cloud_from_columns, left_out
+from .fields import MAX_PROMISED, cloud_from_columns, left_out, read_whole
 from .table import read_table
 
 PLY_TYPES = {
@@ -24,9 +24,6 @@ PLY_TYPES = {
 }
 MAX_HEADER = 10_000
 """Lines of a header: more properties are an error in it, and would take the time."""
-
-MAX_COUNT = 2**62
-"""Larger counts in a header do not fit NumPy's sizes."""
 
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -54,7 +51,7 @@ def read_ply(path: Path) -> PointCloud:
     ReadError
         Where the header or the data are not what they should be.
     """
-    data = path.read_bytes()
+    data = read_whole(path, "a PLY header")
     encoding, elements, start, lines = _parse_header(path, data)
     k = next((k for k, element in enumerate(elements) if element.name == "vertex"), None)
     if k is None:
@@ -145,8 +142,6 @@ def _record(
 
 
 def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]:
-    if not data:
-        raise ReadError(f"{path}: is empty, expected a PLY header")
     end = re.search(rb"^end_header[ \t]*(\r\n|\n|\r)", data, re.MULTILINE)
     if end is None:
         # Old Macintosh files end their lines with a carriage return alone.
@@ -165,7 +160,7 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
             match words:
                 case ["format", name, _] if name in ORDERS and not encoding:
                     encoding = name
-                case ["element", name, count] if 0 <= int(count) <= MAX_COUNT:
+                case ["element", name, count] if 0 <= int(count) <= MAX_PROMISED:
                     elements.append(_Element(name, int(count), []))
                     names = set()
                 case ["property", "list", length, kind, name] if PLY_TYPES[length][0] != "f":

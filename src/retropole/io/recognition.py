@@ -13,7 +13,8 @@ SENSOR_GUESS_SAMPLE = 200_000
 """Points, evenly taken, by which the sensor is recognized: more take time and change nothing."""
 
 MIN_RING_POINTS = 20
-"""Rings with fewer points are left out: their median elevation is not reliable."""
+"""Rings with fewer points are left out: their median elevation is not reliable, and a few points
+may carry a wrong number."""
 
 RING_TOLERANCE, RING_TOLERANCE_OF_STEP = np.radians(0.35), 0.3
 """How far a ring's elevation may be from that of the table, rad, or as a part of the step between
@@ -82,14 +83,12 @@ def _rings_fit(sensor: Sensor, rings: dict[int, float]) -> bool:
         return False
     step = float(np.median(np.diff(table)))
     within = max(RING_TOLERANCE, RING_TOLERANCE_OF_STEP * step)
-    for first in (0, 1):
-        index = numbers - first
-        if index.min() < 0 or index.max() >= len(table):
-            continue
-        for ordered in (table, table[::-1]):
-            if np.max(np.abs(elevations - ordered[index])) <= within:
-                return True
-    return False
+    return any(
+        np.max(np.abs(elevations - ordered[numbers - first])) <= within
+        for first in (0, 1)
+        if first <= numbers.min() and numbers.max() < len(table) + first
+        for ordered in (table, table[::-1])
+    )
 
 
 def _points_fit(sensor: Sensor, elevation: Array) -> bool:

@@ -244,7 +244,7 @@ def joined(recording: Recording, frames: Sequence[Frame]) -> PointCloud:
 def _recorded(stamps: Sequence[float | None]) -> tuple[float, float] | None:
     """First and last of the stamps; None unless all are Unix time."""
     known = [stamp for stamp in stamps if stamp is not None and _is_unix(stamp)]
-    return (min(known), max(known)) if known and len(known) == len(stamps) else None
+    return (min(known), max(known)) if len(known) == len(stamps) else None
 
 
 def _is_unix(seconds: float) -> bool:

@@ -6,8 +6,8 @@ definitions in a bag, if any, are not used. No ROS is needed.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -52,12 +52,7 @@ def open_bag(path: Path, topic: str | None = None) -> Recording:
     """
     topics = bag_topics(path)
     chosen = _choose(path, topics, topic)
-    return Recording(
-        path,
-        chosen.count,
-        lambda numbers: _frames(path, chosen, numbers),
-        topic=chosen.name,
-    )
+    return Recording(path, chosen.count, partial(_frames, path, chosen), topic=chosen.name)
 
 
 def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
@@ -88,7 +83,7 @@ def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
     return filled[0]
 
 
-def _listed(topics: tuple[Topic, ...] | list[Topic], *, kinds: bool = False) -> str:
+def _listed(topics: Sequence[Topic], *, kinds: bool = False) -> str:
     words = [
         f"{topic.name} ({topic.kind + ', ' if kinds else ''}{counted(topic.count, 'message')})"
         for topic in topics[:MAX_LISTED]
@@ -126,7 +121,7 @@ def _frame(path: Path, topic: Topic, number: int, stamp: int, data: bytes, encod
     return Frame(number, cloud, stamp / NANOSECONDS, message.header.frame_id)
 
 
-@functools.cache
+@cache
 def _decoder(encoding: str) -> Callable[[bytes], Any]:
     from rosbags.typesys import Stores, get_typestore
 

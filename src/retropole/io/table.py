@@ -12,12 +12,7 @@ from ..base.errors import ReadError
 
 
 def read_table(
-    path: Path,
-    body: bytes,
-    columns: int,
-    *,
-    line: int,
-    separator: str | None = None,
+    path: Path, body: bytes, columns: int, *, line: int, separator: str | None = None
 ) -> Array:
     """Read the lines of a text as a table of numbers, without blank lines and # comments.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, cast, get_args
+from typing import Literal
 
 from ..base.datatypes import PointCloud
 from ..base.errors import UsageError
@@ -24,9 +24,9 @@ def unit_named(name: str) -> Unit:
     UsageError
         For any other than ``m``, ``cm`` and ``mm``.
     """
-    if name not in get_args(Unit):
-        raise UsageError(f"unit is {name!r}, expected {', '.join(get_args(Unit))}")
-    return cast("Unit", name)
+    if name not in METRES:
+        raise UsageError(f"unit is {name!r}, expected {', '.join(METRES)}")
+    return name
 
 
 def in_metres(cloud: PointCloud, unit: Unit) -> PointCloud:

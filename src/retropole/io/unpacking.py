@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import bz2
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -68,39 +68,40 @@ def unpacked(path: Path, kind: str, data: bytes, spend: Spend) -> bytes:
         spend(len(data))
         return data
     out = io.BytesIO()
-    with _stream(kind, io.BytesIO(data)) as stream:
-        while block := stream.read(BLOCK):
-            spend(len(block))
-            if out.tell() + len(block) > MAX_UNPACKED:
-                raise ReadError(
-                    f"{path}: {len(data):,} bytes of it unpack to more than {MAX_UNPACKED:,}, "
-                    "which no chunk of a recording does"
-                )
-            out.write(block)
+    for block in _blocks(kind, io.BytesIO(data), spend):
+        if out.tell() + len(block) > MAX_UNPACKED:
+            raise ReadError(
+                f"{path}: {len(data):,} bytes of it unpack to more than {MAX_UNPACKED:,}, "
+                "which no chunk of a recording does"
+            )
+        out.write(block)
     return out.getvalue()
 
 
 def unpack_file(packed: Path, to: Path, kind: str, spend: Spend) -> None:
     """Decompress a whole file into another."""
-    with packed.open("rb") as file, _stream(kind, file) as stream, to.open("wb") as written:
+    with packed.open("rb") as file, to.open("wb") as written:
+        written.writelines(_blocks(kind, file, spend))
+
+
+def _blocks(kind: str, file: BinaryIO, spend: Spend) -> Iterator[bytes]:
+    """Decompress a file block by block, each counted before it is given."""
+    with _stream(kind, file) as stream:
         while block := stream.read(BLOCK):
             spend(len(block))
-            written.write(block)
+            yield block
 
 
 def _stream(kind: str, file: BinaryIO) -> Any:
     """Open a compressed file as one of the bytes that it holds."""
-    stream: Any
     if kind == "bz2":
-        stream = bz2.BZ2File(file)
-    elif kind == "lz4":
+        return bz2.BZ2File(file)
+    if kind == "lz4":
         import lz4.frame
 
-        stream = lz4.frame.open(file)
-    else:
-        import zstandard
+        return lz4.frame.open(file)
+    import zstandard
 
-        # A frame may ask for a window of GiB.
-        own = zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED)
-        stream = own.stream_reader(file, read_across_frames=True)
-    return stream
+    # A frame may ask for a window of GiB.
+    own = zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED)
+    return own.stream_reader(file, read_across_frames=True)

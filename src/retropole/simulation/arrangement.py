@@ -5,12 +5,14 @@ The limits are chosen: those of which the text says nothing else describe what p
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..base import se3
 from ..base.datatypes import Array
-from .raycast import Box, Cylinder, Rectangle, Surface
+from .raycast import Cylinder, Surface
 from .scenes import TAPE
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
@@ -77,11 +79,7 @@ def draw_poles(
     """
     i, j = np.triu_indices(count, 1)
     for _ in range(MAX_POLE_DRAWS):
-        lean = rng.uniform(0, MAX_LEAN, count)
-        toward = rng.uniform(0, 2 * np.pi, count)
-        axes = np.stack(
-            [np.sin(lean) * np.cos(toward), np.sin(lean) * np.sin(toward), np.cos(lean)], axis=1
-        )
+        axes = _leaning(rng.uniform(0, MAX_LEAN, count), rng.uniform(0, 2 * np.pi, count))
         between = np.arccos(np.clip(np.abs(np.einsum("pi,pi->p", axes[i], axes[j])), 0, 1))
         if np.all((between >= angles[0]) & (between <= angles[1])):
             break
@@ -101,10 +99,16 @@ def draw_poles(
     ]
 
 
+def _leaning(lean: Array | float, toward: Array | float) -> Array:
+    """Axes (..., 3) that lean from the vertical by an angle towards a heading, rad."""
+    level = np.sin(lean)
+    return np.stack([level * np.cos(toward), level * np.sin(toward), np.cos(lean)], axis=-1)
+
+
 def symmetric_poles(rng: np.random.Generator, radius: float) -> list[Cylinder]:
     """Draw two poles that a rotation by 180° about the vertical maps onto each other."""
     lean, toward = np.radians(rng.uniform(9, 20)), rng.uniform(0, 2 * np.pi)
-    axis = np.array([np.sin(lean) * np.cos(toward), np.sin(lean) * np.sin(toward), np.cos(lean)])
+    axis = _leaning(lean, toward)
     foot = rng.uniform(0.8, 1.5) * np.array([np.cos(toward + 1.2), np.sin(toward + 1.2)])
     first = np.r_[foot, FOOT_HEIGHT] + 1.1 * axis
     return [
@@ -115,31 +119,27 @@ def symmetric_poles(rng: np.random.Generator, radius: float) -> list[Cylinder]:
 
 def rotated_by_180(surfaces: list[Surface]) -> list[Surface]:
     """Rotate surfaces by 180° about the vertical through the origin."""
-    rotated: list[Surface] = []
-    for s in surfaces:
-        centre = HALF_TURN @ s.centre
-        if isinstance(s, Rectangle):
-            u, v = HALF_TURN @ s.u, HALF_TURN @ s.v
-            rotated.append(Rectangle(centre, u, v, s.half_sides, s.material))
-        elif isinstance(s, Box):
-            rotated.append(Box(centre, HALF_TURN @ s.axes, s.half_sides, s.material))
-        else:
-            rotated.append(Cylinder(centre, HALF_TURN @ s.axis, s.radius, s.length, s.material))
-    return rotated
+    placed = ("centre", "u", "v", "axes", "axis")
+    return [
+        replace(s, **{name: HALF_TURN @ getattr(s, name) for name in placed if hasattr(s, name)})
+        for s in surfaces
+    ]
 
 
 def draw_lidar(
     rng: np.random.Generator, poles: list[Cylinder], clear: tuple[float, float]
 ) -> Array | None:
-    """Draw a pose (4, 4) within `POLE_DISTANCES` of every pole; None where this draw has none.
-
-    Mostly roughly upright, some upside down, at any heading.
-    """
+    """Draw a pose (4, 4) within `POLE_DISTANCES` of every pole; None where this draw has none."""
     place = np.r_[rng.uniform(-1, 1, 2) * clear, rng.uniform(*LIDAR_HEIGHTS)]
     distance = [float(np.linalg.norm((pole.centre - place)[:2])) for pole in poles]
     if min(distance) < POLE_DISTANCES[0] or max(distance) > POLE_DISTANCES[1]:
         return None
+    return se3.from_rt(draw_rotation(rng), place)
+
+
+def draw_rotation(rng: np.random.Generator) -> Array:
+    """Draw the rotation (3, 3) of a LiDAR: roughly upright or upside down, at any heading."""
     tilt = np.r_[rng.normal(0, TILT_SIGMA, 2), rng.uniform(0, 2 * np.pi)]
     if rng.uniform() < UPSIDE_DOWN:
         tilt[0] += np.pi
-    return se3.from_rt(np.asarray(Rotation.from_euler("xyz", tilt).as_matrix()), place)
+    return np.asarray(Rotation.from_euler("xyz", tilt).as_matrix())

@@ -76,9 +76,8 @@ def at_edges(hits: Hits, rays: Array, sensor: Sensor) -> IntArray:
     if sensor.pattern == "spinning":
         grid = (-1, len(sensor.elevations))
         ranges, surface = hits.ranges.reshape(grid), hits.surface.reshape(grid)
-        edge = np.zeros(ranges.shape, dtype=bool)
         beside = differ((ranges, surface), (np.roll(ranges, 1, 0), np.roll(surface, 1, 0)))
-        edge |= beside | np.roll(beside, -1, 0)
+        edge = beside | np.roll(beside, -1, 0)
         above = differ((ranges[:, 1:], surface[:, 1:]), (ranges[:, :-1], surface[:, :-1]))
         edge[:, 1:] |= above
         edge[:, :-1] |= above
@@ -132,10 +131,7 @@ def report(
     met = cast(origin, parts, surfaces, SUB_WIDTH * sensor.divergence)
     shape = (len(edge), len(SUB_RAYS))
     order = np.argsort(met.ranges.reshape(shape), axis=1)
-    ranges, cosine = (
-        np.take_along_axis(each.reshape(shape), order, 1) for each in (met.ranges, met.cosine)
-    )
-    surface = np.take_along_axis(met.surface.reshape(shape), order, 1)
+    ranges, surface, cosine = (np.take_along_axis(each.reshape(shape), order, 1) for each in met)
     there = np.isfinite(ranges)
     depth = np.where(there, ranges, 0.0)
     gain = np.where(materials.retro[surface], TAPE_POWER, materials.reflectance[surface] * cosine)
@@ -149,17 +145,12 @@ def report(
         chosen = np.argmax(total, axis=0)
     of_pulse = np.where(pulse == chosen[:, None], power, 0.0)
     returned = of_pulse.sum(axis=1)
-    brightest = np.argmax(of_pulse, axis=1)[:, None]
-    row = np.arange(len(edge))
+    brightest = np.arange(len(edge)), np.argmax(of_pulse, axis=1)
     answered = returned > 0
     mean = (of_pulse * depth).sum(axis=1) / np.where(answered, returned, 1.0)
-    all_ranges, all_surface, all_cosine = (
-        hits.ranges.copy(),
-        hits.surface.copy(),
-        hits.cosine.copy(),
-    )
-    all_ranges[edge] = np.where(answered, mean, np.inf)
-    all_surface[edge] = np.where(answered, surface[row, brightest[:, 0]], -1)
-    all_cosine[edge] = cosine[row, brightest[:, 0]]
+    reported = Hits(hits.ranges.copy(), hits.surface.copy(), hits.cosine.copy())
+    reported.ranges[edge] = np.where(answered, mean, np.inf)
+    reported.surface[edge] = np.where(answered, surface[brightest], -1)
+    reported.cosine[edge] = cosine[brightest]
     share[edge] = (of_pulse > 0).mean(axis=1)
-    return Hits(all_ranges, all_surface, all_cosine), share
+    return reported, share

@@ -98,11 +98,8 @@ def intensities(
         Relative noise, and whether there is falloff.
     """
     gain = 1 + noise.intensity_noise * rng.normal(size=len(cosine))
-    diffuse = (
-        DIFFUSE_SHARE
-        * sensor.threshold
-        * np.clip(reflectance * cosine * share * gain, *DIFFUSE_RANGE)
-    )
+    brightness = np.clip(reflectance * cosine * share * gain, *DIFFUSE_RANGE)
+    diffuse = DIFFUSE_SHARE * sensor.threshold * brightness
     full = saturation(sensor)
     loss = noise.intensity_noise * np.abs(rng.normal(size=len(cosine)))
     if noise.intensity_falloff:
@@ -110,7 +107,7 @@ def intensities(
         diffuse *= np.minimum((FALLOFF_FROM / ranges) ** power, NEAR_GAIN)
         strength = tape_strength(cosine) * share * (1 - loss) * (TAPE_REACH / ranges) ** 2
         bright = full * np.clip(strength, 0.0, 1.0)
-        return np.asarray(np.round(np.where(retro, bright, diffuse)))
-    strength = (RETRO_GRAZING + RETRO_INCIDENCE * cosine) * share * (1 - loss)
-    bright = sensor.threshold + (full - sensor.threshold) * np.clip(strength, *RETRO_RANGE)
+    else:
+        strength = (RETRO_GRAZING + RETRO_INCIDENCE * cosine) * share * (1 - loss)
+        bright = sensor.threshold + (full - sensor.threshold) * np.clip(strength, *RETRO_RANGE)
     return np.asarray(np.round(np.where(retro, bright, diffuse)))

@@ -144,19 +144,13 @@ def _draw(
         standing = draw_poles(rng, poles, place.clear, angles, radius)
     if standing is None:
         return None
-    poses = _draw_lidars(rng, standing, place.clear)
-    return None if poses is None else Arrangement(surfaces, standing, poses, place.clear)
-
-
-def _draw_lidars(
-    rng: np.random.Generator, poles: list[Cylinder], clear: tuple[float, float]
-) -> tuple[Array, Array] | None:
-    """Draw the poses (4, 4) of both LiDARs; None where this draw has none."""
-    target, source = draw_lidar(rng, poles, clear), draw_lidar(rng, poles, clear)
+    target, source = (draw_lidar(rng, standing, place.clear) for _ in range(2))
     if target is None or source is None:
         return None
     apart = np.linalg.norm(target[:3, 3] - source[:3, 3])
-    return (target, source) if LIDAR_SPACING[0] <= apart <= LIDAR_SPACING[1] else None
+    if not LIDAR_SPACING[0] <= apart <= LIDAR_SPACING[1]:
+        return None
+    return Arrangement(surfaces, standing, (target, source), place.clear)
 
 
 def place_again(

@@ -107,10 +107,8 @@ class Box:
         """Intersect rays (N, 3) from an origin (3,) or (N, 3) with the surface."""
         start, direction = (origin - self.centre) @ self.axes, rays @ self.axes
         with np.errstate(divide="ignore", invalid="ignore"):
-            low, high = (
-                (-self.half_sides - start) / direction,
-                (self.half_sides - start) / direction,
-            )
+            low = (-self.half_sides - start) / direction
+            high = (self.half_sides - start) / direction
         enter = np.minimum(low, high)
         side = np.argmax(enter, axis=1)
         first = np.take_along_axis(enter, side[:, None], 1)[:, 0]
@@ -175,8 +173,7 @@ class Cylinder:
 Surface = Rectangle | Box | Cylinder
 
 
-@dataclass(frozen=True, eq=False)
-class Hits:
+class Hits(NamedTuple):
     """The first surface that each ray hits.
 
     Attributes

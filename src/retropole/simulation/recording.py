@@ -110,10 +110,13 @@ class Arrangement:
 
 
 class Recorders(NamedTuple):
-    """What records an arrangement: models, LiDARs, noise, sweeps."""
+    """What records an arrangement: models and LiDARs, those of one as of the other; noise; sweeps.
 
-    sensors: tuple[Sensor, Sensor]
-    devices: tuple[Device, Device]
+    Of a pair, target and source.
+    """
+
+    sensors: Sequence[Sensor]
+    devices: Sequence[Device]
     noise: NoiseModel
     frames: int
 
@@ -168,10 +171,7 @@ def poles_in_view(
 def record_in_turn(
     scenes: Sequence[Sequence[Surface]],
     poses: Sequence[Array],
-    sensors: Sequence[Sensor],
-    devices: Sequence[Device],
-    noise: NoiseModel,
-    frames: int,
+    recorders: Recorders,
     reach: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[LabelledScan, ...]:
@@ -181,15 +181,14 @@ def record_in_turn(
     ----------
     scenes
         All surfaces as they stand when each LiDAR records.
-    poses, sensors, devices
-        Of each LiDAR.
-    noise, frames
-        As in `scanning.scan`.
+    poses, recorders
+        Of each LiDAR, and each of them.
     reach
         Half extents in x and y in which movers start, metres.
     rng
         Source of all that is random.
     """
+    sensors, devices, noise, frames = recorders
     *each, for_movers = rng.spawn(len(scenes) + 1)
     waits = [float(for_movers.uniform(*DELAY)) for _ in range(len(scenes) - 1)]
     starts = np.cumsum([0.0, *waits])
@@ -197,7 +196,7 @@ def record_in_turn(
     movers = draw_movers(noise.movers, reach, [pose[:3, 3] for pose in poses], until, for_movers)
     return tuple(
         scan(
-            surfaces,
+            scene,
             sensor,
             pose,
             own,
@@ -207,8 +206,8 @@ def record_in_turn(
             movers=movers,
             start=float(start),
         )
-        for surfaces, sensor, device, pose, own, start in zip(
-            scenes, sensors, devices, poses, each, starts, strict=True
+        for scene, sensor, pose, own, device, start in zip(
+            scenes, sensors, poses, each, devices, starts, strict=True
         )
     )
 
@@ -216,18 +215,8 @@ def record_in_turn(
 def record(at: Arrangement, recorders: Recorders, rng: np.random.Generator) -> SimulatedPair:
     """Scan an arrangement once with both LiDARs."""
     everything: list[Surface] = [*at.surroundings, *at.poles]
-    noise = recorders.noise
     reach = at.clear if min(at.clear) > 0 else paper.PAPER_CLEAR
-    target, source = record_in_turn(
-        (everything, everything),
-        at.poses,
-        recorders.sensors,
-        recorders.devices,
-        noise,
-        recorders.frames,
-        reach,
-        rng,
-    )
+    target, source = record_in_turn((everything, everything), at.poses, recorders, reach, rng)
     first = len(at.surroundings)
     return SimulatedPair(
         target=target.cloud,
@@ -242,9 +231,9 @@ def record(at: Arrangement, recorders: Recorders, rng: np.random.Generator) -> S
             (_returns_on(target, first + k), _returns_on(source, first + k))
             for k in range(len(at.poles))
         ),
-        sensors=recorders.sensors,
-        devices=recorders.devices,
-        noise=noise,
+        sensors=(recorders.sensors[0], recorders.sensors[1]),
+        devices=(recorders.devices[0], recorders.devices[1]),
+        noise=recorders.noise,
         clear=at.clear,
     )
 

@@ -147,7 +147,7 @@ def scan(
     sources = Sources(*rng.spawn(len(Sources._fields)))
     device = draw_device(sensor, noise, sources.device) if device is None else device
     sway = draw_sway(noise.sway, sources.directions) if noise.sway else None
-    xyz, intensity, labels, ring, time, frame = [], [], [], [], [], []
+    parts = []
     for k in range(frames):
         sweep = beams(sensor, sources.phases)
         shot = device.directions(sweep.rays, sweep.rings)
@@ -165,20 +165,14 @@ def scan(
         points = echoes.ranges[:, None] * sweep.rays[echoes.beam]
         if noise.isotropic_noise:
             points += noise.isotropic_noise * sources.returns.normal(size=points.shape)
-        xyz.append(points)
-        intensity.append(echoes.intensity)
-        labels.append(np.where(echoes.surface < len(surfaces), echoes.surface, -1))
-        ring.append(sweep.rings[echoes.beam])
-        time.append(sweep.times[echoes.beam] + k * SWEEP_SECONDS)
-        frame.append(np.full(len(points), k, dtype=np.int64))
-    cloud = PointCloud(
-        xyz=np.concatenate(xyz),
-        intensity=np.concatenate(intensity),
-        ring=np.concatenate(ring) if sensor.pattern == "spinning" else None,
-        time=np.concatenate(time),
-        frame=np.concatenate(frame) if frames > 1 else None,
-    )
-    return LabelledScan(cloud, np.concatenate(labels))
+        labels = np.where(echoes.surface < len(surfaces), echoes.surface, -1)
+        time = sweep.times[echoes.beam] + k * SWEEP_SECONDS
+        frame = np.full(len(points), k, dtype=np.int64)
+        parts.append((points, echoes.intensity, sweep.rings[echoes.beam], time, frame, labels))
+    xyz, intensity, ring, time, frame, labels = map(np.concatenate, zip(*parts, strict=True))
+    rings = ring if sensor.pattern == "spinning" else None
+    cloud = PointCloud(xyz, intensity, rings, time, frame if frames > 1 else None)
+    return LabelledScan(cloud, labels)
 
 
 def _echoes(

@@ -119,12 +119,9 @@ def _place_poles(
         for _ in range(MAX_SPOTS):
             # Around the middle of a LiDAR and the nearest of the other groups.
             one = int(rng.integers(len(at)))
-            others = [
-                min(group, key=lambda k: float(np.linalg.norm(at[k] - at[one])))
-                for group in groups
-                if one not in group
-            ]
-            others.sort(key=lambda k: float(np.linalg.norm(at[k] - at[one])))
+            away = [float(np.linalg.norm(own - at[one])) for own in at]
+            others = [min(group, key=away.__getitem__) for group in groups if one not in group]
+            others.sort(key=away.__getitem__)
             joined = [one, *others[: max(len(groups) - may_remain, 1)]]
             middle = at[joined].mean(axis=0) + rng.normal(0, SPOT_SPREAD, 2)
             middle = np.clip(middle, -np.array(place.reach), place.reach)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 Seen = tuple[tuple[tuple[bool, ...], ...], ...]
 """``seen[placement][lidar][pole]``."""
@@ -14,14 +16,11 @@ LINKING_POLES = 2
 
 def groups_of(seen: Sequence[Sequence[Sequence[bool]]], lidars: int) -> list[tuple[int, ...]]:
     """LiDARs that are linked with each other, directly or through others."""
-    group = list(range(lidars))
-    for placement in seen:
-        for a, b in combinations(range(lidars), 2):
-            shared = sum(x and y for x, y in zip(placement[a], placement[b], strict=True))
-            if shared >= LINKING_POLES:
-                old, new = group[b], group[a]
-                group = [new if own == old else own for own in group]
-    return [tuple(k for k in range(lidars) if group[k] == own) for own in sorted(set(group))]
+    linked = np.zeros((lidars, lidars), dtype=bool)
+    for placement in np.array(seen, dtype=np.int64) if len(seen) else ():
+        linked |= placement @ placement.T >= LINKING_POLES
+    count, group = connected_components(linked, directed=False)
+    return [tuple(np.flatnonzero(group == k).tolist()) for k in range(count)]
 
 
 def are_linked(seen: Sequence[Sequence[Sequence[bool]]], lidars: int) -> bool:

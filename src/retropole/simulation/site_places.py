@@ -10,16 +10,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..base import se3
 from ..base.datatypes import Array
-from .arrangement import TILT_SIGMA, UPSIDE_DOWN
+from .arrangement import draw_rotation
 from .raycast import Box, Cylinder, Rectangle, Surface
-from .scenes import ASPHALT, BARK, METAL, PLASTER, UP, harbor, street
+from .scenes import ASPHALT, BARK, METAL, PLASTER, UP, box, ground, harbor, post, street
 
 KEPT_FREE = 0.3
 """Least distance of a pole and of a LiDAR from any surface but the ground, metres (chosen)."""
+
+
+CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+"""Signs of x and y in the four quadrants, in turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,28 +77,24 @@ def _level(headings: Array) -> Array:
 
 def _crossing(rng: np.random.Generator) -> list[Surface]:
     """Draw two streets that cross: a house at each corner, trunks, parked cars as boxes."""
-    ground = Rectangle(
-        np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), (120, 120), ASPHALT
-    )
-    surfaces: list[Surface] = [ground]
-    for corner in range(4):
-        sign = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float)[corner]
+    surfaces: list[Surface] = [ground(ASPHALT)]
+    for sign in CORNERS:
         half = rng.uniform(4, 9, 2)
         height = rng.uniform(4, 12)
         at = sign * (rng.uniform(8.5, 11, 2) + half)
-        yaw = Rotation.from_euler("z", 0.05 * rng.normal()).as_matrix()
-        surfaces.append(Box(np.r_[at, height / 2], yaw, np.r_[half, height / 2], PLASTER))
+        size = np.r_[half, height / 2]
+        surfaces.append(box(np.r_[at, height / 2], size, 0.05 * rng.normal(), PLASTER))
     for _ in range(rng.integers(3, 7)):
         out, side = rng.uniform(12, 30), rng.choice([-1, 1]) * rng.uniform(4.6, 6.5)
         tall, radius = rng.uniform(3, 8), rng.uniform(0.08, 0.3)
         at = np.array([out * rng.choice([-1, 1]), side])[:: rng.choice([-1, 1])]
-        surfaces.append(Cylinder(np.r_[at, tall / 2], UP, radius, tall, BARK))
+        surfaces.append(post(at, tall, radius, BARK))
     for _ in range(rng.integers(2, 6)):
         out, side = rng.choice([-1, 1]) * rng.uniform(12, 30), rng.choice([-1, 1]) * 4.2
         turned = rng.uniform() < 0.5
         at, yaw = (np.array([side, out]), np.pi / 2) if turned else (np.array([out, side]), 0.0)
-        axes = Rotation.from_euler("z", yaw + 0.05 * rng.normal()).as_matrix()
-        surfaces.append(Box(np.r_[at, 0.75], axes, np.array([2.2, 0.9, 0.6]), METAL))
+        half = np.array([2.2, 0.9, 0.6])
+        surfaces.append(box(np.r_[at, 0.75], half, yaw + 0.05 * rng.normal(), METAL))
     return surfaces
 
 
@@ -103,7 +102,7 @@ def crane(rng: np.random.Generator, count: int) -> SitePlace:
     """Draw LiDARs at the legs and under the portal of a harbour crane."""
     half = np.array([rng.uniform(4.0, 6.5), rng.uniform(4.0, 6.0)])
     surroundings = list(harbor(rng).surfaces[:-2])
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float) * half
+    corners = CORNERS * half
     size = rng.uniform(0.35, 0.6)
     surroundings += [
         Box(np.r_[corner, 5.0], np.eye(3), np.array([size, size, 5.0]), METAL) for corner in corners
@@ -157,18 +156,12 @@ def ring(rng: np.random.Generator, count: int) -> SitePlace:
     headings: Array = np.asarray(start + 2 * np.pi * np.arange(count) / count)
     radius = edge / (2 * np.sin(np.pi / count)) + rng.uniform(-0.6, 0.6, count)
     places = radius[:, None] * _level(headings)
-    ground = Rectangle(
-        np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), (120, 120), ASPHALT
-    )
     poses = [_pose(rng, np.r_[at, rng.uniform(1.0, 2.0)]) for at in places]
-    return SitePlace([ground], poses, (float(radius.max()), float(radius.max())))
+    return SitePlace([ground(ASPHALT)], poses, (float(radius.max()), float(radius.max())))
 
 
 PLACES: dict[str, Callable[[np.random.Generator, int], SitePlace]] = {
-    "posts": posts,
-    "crane": crane,
-    "truck": truck,
-    "ring": ring,
+    draw.__name__: draw for draw in (posts, crane, truck, ring)
 }
 """Kinds of sites by name: each takes a generator and the number of LiDARs."""
 
@@ -177,10 +170,7 @@ def _pose(
     rng: np.random.Generator, at: Array, toward: Array | None = None, down: float = 0.0
 ) -> Array:
     """Draw a pose (4, 4) at a place (3,): any heading, or tilted down by `down` rad toward (2,)."""
-    tilt = np.r_[rng.normal(0, TILT_SIGMA, 2), rng.uniform(0, 2 * np.pi)]
-    if rng.uniform() < UPSIDE_DOWN:
-        tilt[0] += np.pi
-    R = np.asarray(Rotation.from_euler("xyz", tilt).as_matrix())
+    R = draw_rotation(rng)
     if toward is not None:
         level = np.r_[toward, 0.0] / np.linalg.norm(toward)
         R = se3.exp_so3(-down * np.cross(level, UP)) @ R

@@ -12,6 +12,7 @@ from ..base.datatypes import Array
 from ..base.files import write_together
 from ..io.pcd import pcd_of
 from .sites import SimulatedSite
+from .writing import truth_of_pole
 
 
 def write_site(site: SimulatedSite, out: Path, more: Mapping[str, Any] | None = None) -> None:
@@ -69,10 +70,7 @@ def _truth(site: SimulatedSite) -> dict[str, Any]:
                 "name": name,
                 "poles": [
                     {
-                        "point_world_m": pole.centre.tolist(),
-                        "direction_world": pole.axis.tolist(),
-                        "radius_m": pole.radius,
-                        "length_m": pole.length,
+                        **truth_of_pole(pole),
                         "seen_by": [
                             lidar
                             for lidar, view in zip(site.names, site.seen[p], strict=True)

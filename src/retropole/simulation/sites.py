@@ -14,7 +14,8 @@ from ..site.description import ControlPoint, Frame, Site, SiteLidar, SurveyedPol
 from .devices import Device, draw_device
 from .noise import TYPICAL, NoiseModel
 from .raycast import Cylinder, Surface
-from .recording import SimulationError, is_seen, record_in_turn
+from .recording import Recorders, SimulationError, is_seen, record_in_turn
+from .scanning import LabelledScan
 from .site_arrangement import Arrangement, arrange
 from .site_graph import Seen, are_linked
 from .site_places import PLACES
@@ -254,7 +255,7 @@ def record_site(
     if survey is not None and not all(0 <= k < len(at.poles) for k in survey.placements):
         raise UsageError(f"surveyed placements are numbers from 0 to {len(at.poles) - 1}")
     standing = [at.poles] * lidars if standing is None else standing
-    clouds, labels, seen = _record(drawn, frames, standing)
+    scans, seen = _record(drawn, frames, standing)
     true, stated = draw_survey(survey, at.place, at.poles, drawn.sensors, drawn.for_survey)
     return SimulatedSite(
         kind=drawn.kind,
@@ -262,8 +263,8 @@ def record_site(
         sensors=drawn.sensors,
         devices=drawn.devices,
         T_world_lidar=tuple(at.place.poses),
-        clouds=tuple(tuple(own) for own in clouds),
-        labels=tuple(tuple(own) for own in labels),
+        clouds=tuple(tuple(None if one is None else one.cloud for one in own) for own in scans),
+        labels=tuple(tuple(None if one is None else one.labels for one in own) for own in scans),
         surroundings=tuple(at.place.surroundings),
         poles=tuple(at.poles),
         seen=seen,
@@ -294,30 +295,27 @@ def _numbers(kind: str, lidars: int, placements: int | None, poles: int | None) 
 
 def _record(
     drawn: DrawnSite, frames: int, standing: Standing
-) -> tuple[list[list[PointCloud | None]], list[list[IntArray | None]], Seen]:
-    """Record all placements, each until its recordings link what they are to link."""
+) -> tuple[list[list[LabelledScan | None]], Seen]:
+    """Record all placements, each until its recordings link what they are to link.
+
+    Of each LiDAR, its recording of each placement, or None where it has none.
+    """
     at, sensors = drawn.at, drawn.sensors
     count, first = len(sensors), len(at.place.surroundings)
-    clouds: list[list[PointCloud | None]] = [[None] * len(at.poles) for _ in sensors]
-    labels: list[list[IntArray | None]] = [[None] * len(at.poles) for _ in sensors]
+    found: list[list[LabelledScan | None]] = [[None] * len(at.poles) for _ in sensors]
     seen: list[tuple[tuple[bool, ...], ...]] = []
     for_each = drawn.for_recording.spawn(len(at.poles))
     for p, (own, who) in enumerate(zip(for_each, at.recorded, strict=True)):
         scenes = [[*at.place.surroundings, *standing[k][p]] for k in who]
+        poses = [at.place.poses[k] for k in who]
+        recorders = Recorders(
+            [sensors[k] for k in who], [drawn.devices[k] for k in who], drawn.noise, frames
+        )
         for _ in range(MAX_RECORDINGS):
-            scans = record_in_turn(
-                scenes,
-                [at.place.poses[k] for k in who],
-                [sensors[k] for k in who],
-                [drawn.devices[k] for k in who],
-                drawn.noise,
-                frames,
-                at.place.reach,
-                own,
-            )
+            scans = record_in_turn(scenes, poses, recorders, at.place.reach, own)
             view = [(False,) * len(at.poles[p])] * count
             for k, scanned in zip(who, scans, strict=True):
-                clouds[k][p], labels[k][p] = scanned.cloud, scanned.labels
+                found[k][p] = scanned
                 view[k] = tuple(
                     is_seen(scanned.labels == first + j, scanned.cloud.ring)
                     for j in range(len(at.poles[p]))
@@ -329,4 +327,4 @@ def _record(
                 break
         else:
             raise SimulationError(f"the noise hides poles of placement {p + 1} from every link")
-    return clouds, labels, tuple(seen)
+    return found, tuple(seen)

@@ -42,6 +42,16 @@ def write_pair(pair: SimulatedPair, out: Path) -> None:
     )
 
 
+def truth_of_pole(pole: Cylinder) -> dict[str, Any]:
+    """Give where a pole stands, and its size, as ``truth.json`` has them."""
+    return {
+        "point_world_m": pole.centre.tolist(),
+        "direction_world": pole.axis.tolist(),
+        "radius_m": pole.radius,
+        "length_m": pole.length,
+    }
+
+
 def truth_of_poles(
     poles: Iterable[Cylinder], returns: Iterable[tuple[int, int]]
 ) -> list[dict[str, Any]]:
@@ -55,13 +65,6 @@ def truth_of_poles(
         Of each, how many points the target and the source have on it.
     """
     return [
-        {
-            "point_world_m": pole.centre.tolist(),
-            "direction_world": pole.axis.tolist(),
-            "radius_m": pole.radius,
-            "length_m": pole.length,
-            "returns_target": target,
-            "returns_source": source,
-        }
+        {**truth_of_pole(pole), "returns_target": target, "returns_source": source}
         for pole, (target, source) in zip(poles, returns, strict=True)
     ]

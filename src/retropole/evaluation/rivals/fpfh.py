@@ -46,9 +46,6 @@ MIN_FITNESS = 0.1
 0.36 and more). Open3D names none. Wrong answers often have more than right ones, so that a larger
 least share would refuse right answers before wrong ones."""
 
-FPFH_CORRESPONDENCE_DISTANCES = (1.0, 0.3)
-"""Largest distances of GICP's corresponding points, one after the other, metres."""
-
 
 class Matched(NamedTuple):
     """What one voxel ends with: a start (4, 4) of GICP, and its share of points."""
@@ -91,13 +88,7 @@ def fpfh_ransac(target: PointCloud, source: PointCloud, rng: np.random.Generator
             f"{100 * MIN_FITNESS:.0f} % are needed; record where the LiDARs see more of the same",
             {"fitness": fit, "needed": MIN_FITNESS},
         )
-    return register_clouds(
-        target,
-        source,
-        starts,
-        method="GICP",
-        max_correspondence_distances=FPFH_CORRESPONDENCE_DISTANCES,
-    )
+    return register_clouds(target, source, starts)
 
 
 def _matched(open3d: Any, target: PointCloud, source: PointCloud, voxel: float) -> Matched:

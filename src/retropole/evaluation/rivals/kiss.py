@@ -29,9 +29,6 @@ ENOUGH_INLIERS = 15
 MIN_INLIERS = 5
 """With fewer final inliers, its authors' own examples call the answer a failure."""
 
-KISS_CORRESPONDENCE_DISTANCES = (1.0, 0.3)
-"""Largest distances of GICP's corresponding points, one after the other, metres."""
-
 
 class Matched(NamedTuple):
     """What one voxel ends with: a start (4, 4) of GICP, and its final inliers."""
@@ -79,13 +76,7 @@ def kiss_matcher(target: PointCloud, source: PointCloud, rng: np.random.Generato
             "needed; record a scene with more in it, or where the LiDARs see more of the same",
             {"inliers": best.inliers, "needed": MIN_INLIERS},
         )
-    return register_clouds(
-        target,
-        source,
-        [best.start],
-        method="GICP",
-        max_correspondence_distances=KISS_CORRESPONDENCE_DISTANCES,
-    )
+    return register_clouds(target, source, [best.start])
 
 
 def best_match(matching: Any, target: PointCloud, source: PointCloud) -> Matched:

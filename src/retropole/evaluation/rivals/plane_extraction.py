@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...base.datatypes import Array, IntArray, PointCloud
+from ...base.se3 import principal_axes
 from ...scene.registration import voxel_downsample
 
 PLANE_VOXEL = 0.15
@@ -116,10 +117,8 @@ class PlaneSearch:
 
 def fit_plane(xyz: Array) -> PlaneEquation:
     """Fit a plane to (N, 3) points by least squares."""
-    centre = xyz.mean(axis=0)
-    centred = xyz - centre
-    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
-    return PlaneEquation(normal, float(-normal @ centre))
+    centre, axes = principal_axes(xyz)
+    return PlaneEquation(axes[:, 0], float(-axes[:, 0] @ centre))
 
 
 def extract_planes(cloud: PointCloud, rng: np.random.Generator) -> PlaneSearch:

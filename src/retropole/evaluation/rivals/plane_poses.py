@@ -80,25 +80,28 @@ def candidate_poses(target: Sequence[Plane], source: Sequence[Plane]) -> Array:
         Poses, target from source. Triples whose planes have other angles between them, or that
         only a reflection maps onto each other, are left out.
     """
-    normals = [np.array([p.normal for p in each]).reshape(-1, 3) for each in (target, source)]
-    offsets = [np.array([p.offset for p in each]) for each in (target, source)]
+    (a, d), (b, e) = _equations(target), _equations(source)
     orders = np.array(list(permutations(range(3))))
     first, second = triples(target), triples(source)[:, orders].reshape(-1, 3)
-    angles = [_angles(normals[0][first]), _angles(normals[1][second])]
-    i, j = np.nonzero(
-        np.all(np.abs(angles[0][:, None] - angles[1][None]) < SAME_PLANE_ANGLE, axis=2)
-    )
+    apart = _angles(a[first])[:, None] - _angles(b[second])
+    i, j = np.nonzero(np.all(np.abs(apart) < SAME_PLANE_ANGLE, axis=2))
     first, second = first[i], second[j]
-    a, b = normals[0][first], normals[1][second]
+    a, b = a[first], b[second]
     u, _, vt = np.linalg.svd(np.einsum("kpi,kpj->kij", a, b))
     proper = np.linalg.det(u @ vt) > 0
     # Of mirrored triples Procrustes would still give the rotation nearest to a reflection.
     R = (u @ vt)[proper]
-    gap = offsets[1][second[proper]] - offsets[0][first[proper]]
+    gap = e[second[proper]] - d[first[proper]]
     T = np.tile(np.eye(4), (len(R), 1, 1))
     T[:, :3, :3] = R
     T[:, :3, 3] = np.linalg.solve(a[proper], gap[..., None])[..., 0]
     return T
+
+
+def _equations(planes: Sequence[Plane]) -> tuple[Array, Array]:
+    """Normals (P, 3) and offsets (P,) of planes."""
+    normals = np.array([plane.normal for plane in planes]).reshape(-1, 3)
+    return normals, np.array([plane.offset for plane in planes])
 
 
 def _angles(normals: Array) -> Array:
@@ -121,8 +124,7 @@ def _matched(
     target: Sequence[Plane], source: Sequence[Plane], T: Array, same_offset: float
 ) -> Matched:
     """Match planes under poses (..., 4, 4)."""
-    a, b = (np.array([p.normal for p in each]) for each in (target, source))
-    d, e = (np.array([p.offset for p in each]) for each in (target, source))
+    (a, d), (b, e) = _equations(target), _equations(source)
     at, bt = (np.array([p.xyz.mean(axis=0) for p in each]) for each in (target, source))
     R, t = T[..., :3, :3], T[..., :3, 3]
     # Normals and middles of the source's planes in the target's frame.

@@ -170,9 +170,7 @@ def _alike(poses: Array, T: Array) -> BoolArray:
 
 def _is_known(refined: RefinedPose, others: Sequence[RefinedPose]) -> bool:
     """Whether a pose is the same candidate as any of others."""
-    if not others:
-        return False
-    poses = np.array([other.pose.T_target_source for other in others])
+    poses = np.array([other.pose.T_target_source for other in others]).reshape(-1, 4, 4)
     return bool(_alike(poses, refined.pose.T_target_source).any())
 
 
@@ -181,11 +179,8 @@ def _different(poses: Array, rank: Array) -> list[Array]:
     kept: list[Array] = []
     rest = poses[np.argsort(-rank, kind="stable")]
     while len(rest) and len(kept) < MAX_SCORED_POSES:
-        best = rest[0]
-        kept.append(best)
-        alike = _alike(rest, best)
-        alike[0] = True
-        rest = rest[~alike]
+        kept.append(rest[0])
+        rest = rest[1:][~_alike(rest[1:], rest[0])]
     return kept
 
 

@@ -25,6 +25,9 @@ MAX_APPROACH_ITERATIONS = 100
 """At each distance before it: enough after a match (the same). From the identity it may cut off an
 approach, which the last distance goes on with."""
 
+MATCHED_DISTANCES = 1.0, 0.3
+"""Largest distances of corresponding points after a match, one after the other, metres."""
+
 RESIDUAL_DISTANCE = 0.3
 """Points with a neighbour in the other cloud within this distance count in the residual, metres."""
 
@@ -34,8 +37,8 @@ def register_clouds(
     source: PointCloud,
     starts: Sequence[Array],
     *,
-    method: Literal["ICP", "GICP"],
-    max_correspondence_distances: Sequence[float],
+    method: Literal["ICP", "GICP"] = "GICP",
+    max_correspondence_distances: Sequence[float] = MATCHED_DISTANCES,
     max_iterations: int = MAX_REGISTRATION_ITERATIONS,
 ) -> PoseEstimate:
     """Register two clouds from each of the starts, with ever closer correspondences.
