@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ...api import Array, se3
 from ...base.errors import ReadError, quoting
+from ...base.relative import RelativePose
 from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
 from ..answers import document_of
@@ -20,13 +20,6 @@ from ..sites import ROLES
 from ..storage import absolute
 from .graph import ControlPoints, Edges, Graph
 from .nodes import NodeList
-
-
-class RelativePose(NamedTuple):
-    """(4, 4) maps points of the second node into the frame of the first, and its covariance."""
-
-    T_i_j: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)

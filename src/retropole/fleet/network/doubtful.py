@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from ...api import Array, BoolArray, IntArray, se3
-from .components import Component
+from .components import Component, hanging_together
 from .graph import ControlPoints, Edges, Graph, KnownPoses
-from .residuals import Model
+from .residuals import Model, with_ground
 from .testing import critical
 
 AGREE = 10.0
@@ -44,7 +44,7 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
     """
     i, j = graph.ends
     lone = active & (checked == 0)
-    label = _components(graph, active & ~lone)
+    label = hanging_together(graph, active & ~lone)
     bridges = np.flatnonzero(lone)
     left_out = np.flatnonzero(~active & (label[i] != label[j]))
     if not len(bridges) or not len(left_out):
@@ -130,23 +130,21 @@ def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, othe
     label = _components_without(graph, active, [rival])
     i, j = (int(end[both[0]]) for end in graph.ends)
     side = label == label[j if label[j] != label[-1] else i]
-    about = T[j, :3, 3]
+    # A turn of the side by φ moves a pose of it by φ × (t − about).
+    away = with_ground(T)[:, :3, 3] - T[j, :3, 3]
+    moves = np.tile(np.eye(6), (len(away), 1, 1))
+    moves[:, 3:, :3] = -se3.hat(away)
+    moves *= side[:, None, None]
     two = _only(graph, both)
-    derivative, residual = [], []
-    first, last = two.ends
-    for seen in Model(two).at(T):
-        count = len(seen.residual)
-        rows = np.zeros((*seen.residual.shape, 6))
-        for nodes, J in ((first[:count], seen.by_i), (last[:count], seen.by_j)):
-            if J is not None:
-                # A turn of the side by φ moves a pose of it by φ × (t − about).
-                moves = J.copy()
-                moves[:, :, :3] -= J[:, :, 3:] @ se3.hat(T[nodes, :3, 3] - about)
-                rows += moves * side[nodes, None, None]
-        first, last = first[count:], last[count:]
-        derivative.append(rows.reshape(-1, 6))
-        residual.append(seen.residual.ravel())
-    A, e = np.concatenate(derivative), np.concatenate(residual)
+    relative, points = Model(two).at(T)
+    first, last = (np.split(end, [len(relative.residual)]) for end in two.ends)
+    A = np.concatenate(
+        [
+            (seen.by_i @ moves[i] + seen.by_j @ moves[j]).reshape(-1, 6)
+            for seen, i, j in zip((relative, points), first, last, strict=True)
+        ]
+    )
+    e = np.concatenate([relative.residual.ravel(), points.residual.ravel()])
     left = e - A @ np.linalg.lstsq(A, e)[0]
     return bool(left @ left <= AGREE * critical(np.array(len(e) - 6)))
 
@@ -215,16 +213,8 @@ def hanging(
     return doubtful
 
 
-def _components(graph: Graph, kept: BoolArray) -> IntArray:
-    """(N + 1,) which nodes, the ground last, hang together by some of the observations."""
-    i, j = graph.ends
-    size = graph.nodes + 1
-    matrix = coo_array((np.ones(int(kept.sum())), (i[kept], j[kept])), shape=(size, size))
-    return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
-
-
 def _components_without(graph: Graph, active: BoolArray, left_out: Sequence[int]) -> IntArray:
-    """The same by the active observations but some."""
+    """(N + 1,) which nodes, the ground last, hang together by the active observations but some."""
     kept = active.copy()
     kept[left_out] = False
-    return _components(graph, kept)
+    return hanging_together(graph, kept)

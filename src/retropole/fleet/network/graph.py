@@ -147,6 +147,17 @@ class Graph:
         return len(self.edges) + len(self.known) + len(self.points)
 
     @property
+    def relative(self) -> Edges:
+        """Edges, then known poses as edges from the ground, whose number is `nodes`."""
+        edges, known = self.edges, self.known
+        return Edges(
+            np.concatenate([edges.i, np.full(len(known), self.nodes)]),
+            np.concatenate([edges.j, known.node]),
+            np.concatenate([edges.T_i_j, known.T_world_node]),
+            np.concatenate([edges.covariance, known.covariance]),
+        )
+
+    @property
     def ends(self) -> tuple[IntArray, IntArray]:
         """(M,) the two ends of every observation; `nodes` stands for the ground."""
         held = np.concatenate([self.known.node, self.points.node])
