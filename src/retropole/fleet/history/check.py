@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -15,7 +14,7 @@ from ...base.files import LARGEST_DOCUMENT, read_document
 from ...base.version import __version__
 from ...result.folder import RESULT_FILE, result_file
 from ..dataset import Row
-from ..local import LocalFiles
+from ..local import LocalFiles, local_files
 from ..sites import FleetSite
 from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, written
 from ..work import Hashed, code_of
@@ -45,36 +44,19 @@ def check_site(
         same recordings and stored result, at the same time.
     """
     tried = _tried(site, check)
-    with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
-        try:
-            local = LocalFiles(site, Path(folder))
-            stored = _stored(site, check, Path(folder))
+    try:
+        with local_files(site) as local:
+            stored = _stored(site, check, local)
             tried = _hashed(tried, site, local, stored, tell)
             if tried.key in check.known:
                 return None
             tried = _checked(site, check, local, stored, tried)
-        except Refusal as refusal:
-            tried = replace(tried, codes=(refusal.code,), message=quoting(refusal.message))
-        except Exception as error:
-            code, words = code_of(error)
-            tried = replace(tried, status="error", codes=(code,), message=words)
-        if tried.message is not None:
-            tried = replace(tried, message=_named(tried.message, site, check, Path(folder)))
+    except Refusal as refusal:
+        tried = replace(tried, codes=(refusal.code,), message=quoting(refusal.message))
+    except Exception as error:
+        code, words = code_of(error)
+        tried = replace(tried, status="error", codes=(code,), message=words)
     return plain(tried)
-
-
-def _place(site: FleetSite) -> str:
-    """Name the place of the stored result."""
-    return site.result or below(folder_of(site.target), RESULT_FILE)
-
-
-def _named(words: str, site: FleetSite, check: Check, folder: Path) -> str:
-    """Call copies in a folder of our own as they were given."""
-    stored = RESULT_FILE if check.document is not None else _place(site)
-    for role, place in (("target", site.target), ("source", site.source), ("stored", stored)):
-        copy = folder / role / place.rstrip("/").rpartition("/")[2]
-        words = words.replace(quoting(f"{copy}"), quoting(place))
-    return words
 
 
 def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
@@ -97,26 +79,20 @@ def _tried(site: FleetSite, check: Check) -> CheckRow:
     return CheckRow(site.id, time, "cannot_tell", version=__version__)
 
 
-def _stored(site: FleetSite, check: Check, folder: Path) -> Path:
+def _stored(site: FleetSite, check: Check, local: LocalFiles) -> Path:
     """Bring the stored result to this machine."""
     if check.document is not None:
-        data, path = check.document.encode(), folder / "stored" / RESULT_FILE
-    else:
-        place = _place(site)
-        if not exists(place):
-            raise ReadError(
-                f"{place}: there is no stored result; name it in a column result, or give the "
-                "answers of 'fleet calibrate'"
-            )
-        if not is_url(place):
-            return result_file(Path(place))
-        data = read_bytes(
-            below(place, RESULT_FILE) if is_folder(place) else place, LARGEST_DOCUMENT
+        return local.keep(check.document.encode(), RESULT_FILE)
+    place = site.result or below(folder_of(site.target), RESULT_FILE)
+    if not exists(place):
+        raise ReadError(
+            f"{place}: there is no stored result; name it in a column result, or give the "
+            "answers of 'fleet calibrate'"
         )
-        path = folder / "stored" / place.rstrip("/").rpartition("/")[2]
-    path.parent.mkdir()
-    path.write_bytes(data)
-    return path
+    if not is_url(place):
+        return result_file(Path(place))
+    inside = below(place, RESULT_FILE) if is_folder(place) else place
+    return local.keep(read_bytes(inside, LARGEST_DOCUMENT), place)
 
 
 def _hashed(

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from ...api import Array, BoolArray, IntArray, se3
-from .graph import Graph
+from .graph import Graph, grouped
 
 LEAST_LEVER = 1e-3
 """Control points that lie on one line but for so much, metres, hold no rotation about it."""
@@ -60,12 +60,6 @@ def hanging_together(graph: Graph, kept: BoolArray) -> IntArray:
     size = graph.nodes + 1
     matrix = coo_array((np.ones(len(ends[0])), ends), shape=(size, size))
     return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
-
-
-def grouped(label: IntArray, count: int) -> list[IntArray]:
-    """Give for each label from 0 on the numbers of those that have it, in rising order."""
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
 
 
 def find_components(graph: Graph, active: BoolArray) -> tuple[Component, ...]:

@@ -94,15 +94,14 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
         raise ReadError(f"{dataset}: no answer has two LiDARs that are nodes of {nodes.place}")
     edges.sort(key=lambda edge: edge[:3])
     sites, first, second, poses = zip(*edges, strict=True)
-    names = tuple(sorted({*first, *second}))
-    number = {name: k for k, name in enumerate(names)}
+    number = {name: k for k, name in enumerate(sorted({*first, *second}))}
     named = {each for lidars in nodes.of_site.values() for each in lidars.values()}
     named |= {point.node for point in nodes.surveyed}
-    lone = sorted(named - set(names))
+    lone = sorted(named - number.keys())
     not_used += [NotUsed("node", name, "no relative pose leads to it") for name in lone]
     points = [point for point in nodes.surveyed if point.node in number]
     graph = Graph(
-        len(names),
+        len(number),
         Edges(
             np.array([number[name] for name in first]),
             np.array([number[name] for name in second]),
@@ -116,7 +115,7 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
             _rows([(point.seen_x_m, point.seen_y_m, point.seen_z_m) for point in points]),
         ),
     )
-    return FleetNetwork(graph, names, sites, tuple(not_used))
+    return FleetNetwork(graph, tuple(number), sites, tuple(not_used))
 
 
 def _rows(points: list[tuple[float, float, float]]) -> Array:
@@ -173,10 +172,11 @@ def _tree(document: SiteDoc, lidars: Mapping[str, str]) -> Iterator[tuple[str, s
         (i, j): RelativePose(site.T(a, b), site.covariance(a, b))
         for (i, a), (j, b) in combinations(enumerate(some), 2)
     }
+    # The variance of a point at the range.
+    each = np.repeat([AT_RANGE**2, 1.0], 3)
     weight = np.zeros((len(some), len(some)))
     for ends, pose in found.items():
-        C = pose.covariance
-        weight[ends] = AT_RANGE**2 * np.trace(C[:3, :3]) + np.trace(C[3:, 3:])
+        weight[ends] = each @ np.diag(pose.covariance)
     tree = minimum_spanning_tree(weight).tocoo()
     for i, j in sorted(zip(tree.row.tolist(), tree.col.tolist(), strict=True)):
         yield lidars[some[i]], lidars[some[j]], found[i, j]

@@ -52,20 +52,18 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
     size = int(label.max()) + 1
     a, b = label[i[bridges]], label[j[bridges]]
     forest = csr_array((np.ones(len(bridges)), (a, b)), shape=(size, size))
-    by_ends = {
-        tuple(sorted(ends)): int(k)
-        for ends, k in zip(zip(a.tolist(), b.tolist(), strict=True), bridges, strict=True)
-    }
+    ends = zip(a.tolist(), b.tolist(), strict=True)
+    by_ends = dict(zip(map(frozenset, ends), bridges.tolist(), strict=True))
     found = {}
     for k in left_out.tolist():
         first, last = int(label[i[k]]), int(label[j[k]])
         _, before = breadth_first_order(forest, first, directed=False)
         path, at = [], last
         while before[at] >= 0:
-            path.append(by_ends[tuple(sorted((at, int(before[at]))))])
+            path.append(by_ends[frozenset((at, int(before[at])))])
             at = int(before[at])
         if at == first:
-            found[k] = tuple(reversed(path))
+            found[k] = tuple(path[::-1])
     return found
 
 
@@ -203,8 +201,6 @@ def hanging(
     graph: Graph, active: BoolArray, components: tuple[Component, ...], rivals: set[int]
 ) -> BoolArray:
     """Which poses (N,) are tied to their datum by observations that may be wrong alone."""
-    if not rivals:
-        return np.zeros(graph.nodes, dtype=bool)
     label = _components_without(graph, active, sorted(rivals))
     doubtful = np.zeros(graph.nodes, dtype=bool)
     for component in components:

@@ -17,6 +17,7 @@ from scipy.sparse.linalg import splu
 
 from ...api import Array, IntArray
 from ...base.errors import RetropoleError
+from .graph import grouped
 
 SMALL_FRONT, MOST_ZEROS = 8, 0.2
 """Nodes of a front that may be filled up with zeros to half, and the part of zeros in a larger one.
@@ -100,31 +101,23 @@ def find_pattern(size: int, pairs: IntArray) -> Pattern:
     """
     order = _minimum_degree(size, pairs)
     groups, parents = _merged(*_columns(size, pairs, order))
-    place = np.empty(size, dtype=np.int64)
     sequence = _postorder(parents)
-    ordered = np.concatenate([groups[g][0] for g in sequence])
-    ordered = order[ordered]
-    place[ordered] = np.arange(size)
-    front_of = np.repeat(np.arange(len(sequence)), [len(groups[g][0]) for g in sequence])
-    number = np.empty(len(sequence) + 1, dtype=np.int64)
-    number[sequence], number[-1] = np.arange(len(sequence)), -1
+    own = [len(groups[g][0]) for g in sequence]
+    ordered = order[np.concatenate([groups[g][0] for g in sequence])]
+    place, number = np.argsort(ordered), [*np.argsort(sequence).tolist(), -1]
     places = place[pairs]
-    owner = front_of[places.min(axis=1)] if len(pairs) else np.zeros(0, dtype=np.int64)
-    sorted_pairs = np.argsort(owner, kind="stable")
-    bounds = np.searchsorted(owner[sorted_pairs], np.arange(len(sequence) + 1))
-    members: list[IntArray] = []
-    for g in sequence:
-        mine, later = groups[g]
-        # Its own come before all later ones, and one after the other.
-        members.append(np.r_[np.sort(place[order[mine]]), np.sort(place[order[later]])])
+    front_of = np.repeat(np.arange(len(sequence)), own)
+    pairs_of = grouped(front_of[places.min(axis=1)], len(sequence))
+    # Its own come before all later ones, and one after the other.
+    members = [
+        np.concatenate([np.sort(place[order[part]]) for part in groups[g]]) for g in sequence
+    ]
     fronts = []
     for f, g in enumerate(sequence):
-        own = len(groups[g][0])
-        parent = int(number[parents[g]])
-        into = np.searchsorted(members[parent], members[f][own:]) if parent >= 0 else members[f][:0]
-        some = sorted_pairs[bounds[f] : bounds[f + 1]]
-        rows, columns = np.searchsorted(members[f], places[some]).T
-        fronts.append(Front(ordered[members[f]], own, parent, into, some, rows, columns))
+        parent, later = number[parents[g]], members[f][own[f] :]
+        into = np.searchsorted(members[parent], later) if parent >= 0 else later
+        rows, columns = np.searchsorted(members[f], places[pairs_of[f]]).T
+        fronts.append(Front(ordered[members[f]], own[f], parent, into, pairs_of[f], rows, columns))
     return Pattern(size, pairs, tuple(fronts))
 
 

@@ -170,6 +170,12 @@ class Graph:
         return np.repeat([6, 6, 3], [len(self.edges), len(self.known), len(self.points)])
 
 
+def grouped(label: IntArray, count: int) -> list[IntArray]:
+    """Give for each label from 0 on the numbers of those that have it, in rising order."""
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
+
+
 def _check_nodes(what: str, nodes: IntArray, most: int, count: int) -> None:
     if nodes.shape != (count,) or not np.issubdtype(nodes.dtype, np.integer):
         raise UsageError(f"poses of each {what}: {nodes.shape} {nodes.dtype}, expected ({count},)")

@@ -14,9 +14,9 @@ import numpy as np
 
 from ...api import Array, se3
 from .adjustment import Layout, added, step
-from .components import Component, find_components, grouped
+from .components import Component, find_components
 from .elimination import Blocks, factorise, solve
-from .graph import Graph
+from .graph import Graph, grouped
 from .residuals import Model
 
 REWEIGHTED = (4, 4)

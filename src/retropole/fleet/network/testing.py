@@ -7,6 +7,7 @@ of its own ends alone (Baarda 1968): with A its whitened derivative and Q that c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -58,9 +59,10 @@ class ObservationTests(NamedTuple):
     detectable_rotation: Array
     detectable_translation: Array
 
-    def part(self, some: slice) -> ObservationTests:
-        """Those of some of the observations."""
-        return self._make(values[some] for values in self)
+    def split(self, counts: Sequence[int]) -> list[ObservationTests]:
+        """So many of each kind, and the rest."""
+        parts = (np.split(values, np.cumsum(counts)) for values in self)
+        return [ObservationTests._make(part) for part in zip(*parts, strict=True)]
 
 
 def covariances(adjusted: AdjustedNetwork, components: tuple[Component, ...]) -> Blocks:
