@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from ..api import quantities
 from . import TIME_LIMIT
-from .dataset import Known, Row, known_in, partition_of, read_rows, read_runs, write_partition
+from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
 from .storage import absolute
 from .work import Outcome, Task, environment, lost
@@ -94,8 +94,17 @@ def calibrate_fleet(
     def tasks() -> Iterator[Task]:
         for part in sorted(parts):
             for site in parts[part]:
+                row = known.get(site.id)
+                # One that is to be tried again has no row that holds.
+                holds = row is not None and not (retry and row.status == "error")
                 if not site.fault:
-                    yield _task(site, known.get(site.id), retry, reports, time_limit)
+                    yield Task(
+                        site=site,
+                        known=row.key if row is not None and holds else None,
+                        reports=reports,
+                        time_limit=time_limit,
+                        environment=environment(),
+                    )
 
     faulty = [lost(site, "usage", site.fault) for site in sites if site.fault]
     fresh: list[str] = []
@@ -141,20 +150,6 @@ def whole_groups(
         missing[group] -= 1
         if not missing[group]:
             yield group, waiting.pop(group)
-
-
-def _task(
-    site: FleetSite, known: Known | None, retry: bool, reports: str | None, time_limit: float
-) -> Task:
-    """Say what a worker is to do; a site that is to be tried again has no row that holds."""
-    holds = known is not None and not (retry and known.status == "error")
-    return Task(
-        site=site,
-        known=known.key if known is not None and holds else None,
-        reports=reports,
-        time_limit=time_limit,
-        environment=environment(),
-    )
 
 
 def _write(out: str, part: str, outcomes: dict[str, Outcome], drop_others: bool) -> dict[str, Row]:

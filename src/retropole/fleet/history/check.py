@@ -123,16 +123,10 @@ def _checked(
         stored = stored._replace(config=site.config)
     rotation, translation = check.tolerance
     answer = check_recordings(stored, *local.pair, rotation=rotation, translation=translation)
-    words = [reason.message for reason in answer.reasons]
+    names = ("status", "used", "step", "covariance", "random", "chi2", "power")
     return replace(
         tried,
-        status=answer.status,
-        used=answer.used,
         codes=tuple(reason.code for reason in answer.reasons),
-        message=quoting(words[0]) if words else None,
-        step=answer.step,
-        covariance=answer.covariance,
-        random=answer.random,
-        chi2=answer.chi2,
-        power=answer.power,
+        message=quoting(answer.reasons[0].message) if answer.reasons else None,
+        **{name: getattr(answer, name) for name in names},
     )

@@ -159,14 +159,14 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
         branch = None
         if off <= GATE and not waiting:
             runs = taken.told(surprise)
-            change = _found(runs, runs.best, n, n - 1, needed)
+            change = _found(runs, n, n - 1, needed)
             branch = None if change is None else _Branch(runs, (n,), change)
         else:
             branch = _confirmed(runs, checks, {**waiting, n: off}, needed)
         if branch is not None:
             # The others that waited agree with nothing.
             events += [Event("outlier", k, n) for k in waiting if k not in branch.numbers]
-            events.append(_event(branch.runs, runs.best, branch.change, n))
+            events.append(_event(branch.runs, branch.change, n))
             runs, waiting = _adopted(branch.runs, branch.change), {}
         elif off <= GATE and waiting:
             # The filter has not taken them in: they are left out for good.
@@ -239,7 +239,7 @@ def _confirmed(
     for numbers in ((n,), *((k, n) for k in waiting), *whole):
         after, surprises = _with_all(runs, checks, numbers)
         alone = numbers[-2] if len(numbers) > 1 else n - 1
-        change = _found(after, runs.best, n, alone, needed)
+        change = _found(after, n, alone, needed)
         if change is None:
             continue
         before, changes = runs.changes.of(runs.best), after.changes.of(runs.best)
@@ -281,15 +281,13 @@ def _statistics(changes: Changes, n: int, days: float) -> Array:
     return np.where(shown, changes.statistics(), 0.0)
 
 
-def _found(
-    runs: _Runs, best: int, n: int, alone: int, needed: tuple[float, float, float]
-) -> int | None:
+def _found(runs: _Runs, n: int, alone: int, needed: tuple[float, float, float]) -> int | None:
     """Give the number of the likeliest change that matters, where one was found.
 
     A step that begins with the check `alone` is shown by two. `needed` is of a step, of a trend,
     and of a step that two show.
     """
-    changes = runs.changes.of(best)
+    changes = runs.changes.of(runs.best)
     least = np.where(changes.is_trend, needed[1], needed[0])
     two = ~changes.is_trend & (changes.onset >= alone)
     least = np.where(two, np.maximum(least, needed[2]), least)
@@ -305,8 +303,8 @@ def _found(
     return None
 
 
-def _event(runs: _Runs, best: int, m: int, n: int) -> Event:
-    changes = runs.changes.of(best)
+def _event(runs: _Runs, m: int, n: int) -> Event:
+    changes = runs.changes.of(runs.best)
     statistics = _statistics(changes, n, runs.state.days)
     is_trend = bool(changes.is_trend[m])
     others = statistics[changes.is_trend != is_trend]

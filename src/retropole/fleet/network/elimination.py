@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpotrf
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from ...api import Array, IntArray
@@ -100,7 +100,7 @@ def find_pattern(size: int, pairs: IntArray) -> Pattern:
         (P, 2) pairs of nodes, the lower number first, each pair once.
     """
     order = _minimum_degree(size, pairs)
-    groups, parents = _merged(*_columns(size, pairs, order))
+    groups, parents = _merged(*_columns(pairs, order))
     sequence = _postorder(parents)
     own = [len(groups[g][0]) for g in sequence]
     ordered = order[np.concatenate([groups[g][0] for g in sequence])]
@@ -123,37 +123,26 @@ def find_pattern(size: int, pairs: IntArray) -> Pattern:
 
 def _minimum_degree(size: int, pairs: IntArray) -> IntArray:
     """(N,) nodes in the order of minimum degree."""
-    a, b = pairs.T
-    diagonal = np.arange(size)
+    one_way = csc_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size))
+    joined = one_way + one_way.T
     # Diagonally dominant: any values do, only the pattern counts.
-    weight = np.bincount(np.r_[a, b], minlength=size) + 1.0
-    entries = np.r_[weight, np.full(2 * len(pairs), -1.0)]
-    index = np.r_[diagonal, a, b], np.r_[diagonal, b, a]
-    matrix = csc_array((entries, index), shape=(size, size))
+    matrix = csc_array(diags_array(joined.sum(axis=1) + 1.0) - joined)
     options = {"SymmetricMode": True}
     found = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     return np.argsort(found.perm_c).astype(np.int64)
 
 
-def _columns(size: int, pairs: IntArray, order: IntArray) -> tuple[list[set[int]], list[int]]:
+def _columns(pairs: IntArray, order: IntArray) -> tuple[list[set[int]], list[int]]:
     """Later places that each place touches when it is eliminated, and the first of them or -1."""
-    place = np.empty(size, dtype=np.int64)
-    place[order] = np.arange(size)
-    ends = np.sort(place[pairs], axis=1)
-    later = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(size, size))
-    first, index = later.indptr.tolist(), later.indices.tolist()
-    touched: list[set[int]] = []
-    parent: list[int] = []
-    children: list[list[int]] = [[] for _ in range(size)]
-    for k in range(size):
-        own = set(index[first[k] : first[k + 1]])
-        own.update(*(touched[child] for child in children[k]))
-        own.discard(k)
-        touched.append(own)
-        parent.append(min(own, default=-1))
-        if own:
-            children[parent[k]].append(k)
-    return touched, parent
+    touched = [set[int]() for _ in order]
+    for first, later in np.sort(np.argsort(order)[pairs], axis=1).tolist():
+        touched[first].add(later)
+    parents = [-1] * len(order)
+    for k, later in enumerate(touched):
+        if later:
+            parents[k] = min(later)
+            touched[parents[k]] |= later - {parents[k]}
+    return touched, parents
 
 
 def _merged(
@@ -182,17 +171,9 @@ def _merged(
         children[k] = kept
         if parent[k] >= 0:
             children[parent[k]].append(k)
-    number: dict[int, int] = {}
-    groups: list[tuple[list[int], list[int]]] = []
-    for k in range(size):
-        if not gone[k]:
-            number[k] = len(groups)
-            groups.append((own[k], list(touched[k])))
-    parents = [-1] * len(groups)
-    for k, g in number.items():
-        for child in children[k]:
-            parents[number[child]] = g
-    return groups, parents
+    left = [k for k in range(size) if not gone[k]]
+    above = {child: g for g, k in enumerate(left) for child in children[k]}
+    return [(own[k], list(touched[k])) for k in left], [above.get(k, -1) for k in left]
 
 
 def _postorder(parents: list[int]) -> list[int]:
