@@ -73,13 +73,8 @@ class LocalFiles:
         """
         if self.site is None:
             return [
-                InputEntry(
-                    lidar=role,
-                    placement="1",
-                    path=printable(getattr(self._site, role)),
-                    sha256=hash_of(path),
-                )
-                for role, path in zip(ROLES, self.pair, strict=True)
+                msgspec.structs.replace(entry, sha256=hash_of(path))
+                for entry, path in zip(pair_inputs(self._site), self.pair, strict=True)
             ]
         from ..api.site_file import read_site_file
 
@@ -151,6 +146,14 @@ def local_files(site: FleetSite) -> Iterator[LocalFiles]:
             raise
         except RetropoleError as error:
             raise type(error)(local.renamed(str(error))) from None
+
+
+def pair_inputs(site: FleetSite) -> list[InputEntry]:
+    """Name the recordings of a pair; of a site file, what it names is not known yet."""
+    roles = () if site.kind == "site" else ROLES
+    return [
+        InputEntry(lidar=role, placement="1", path=printable(getattr(site, role))) for role in roles
+    ]
 
 
 def hash_of(path: Path) -> str:

@@ -23,8 +23,8 @@ from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
 from .answers import answered, document_of
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
 from .history.task import Check
-from .local import LocalFiles, hash_of, local_files
-from .sites import ROLES, FleetSite
+from .local import LocalFiles, hash_of, local_files, pair_inputs
+from .sites import FleetSite
 from .storage import below, is_url, read_bytes, write_bytes
 
 if TYPE_CHECKING:
@@ -138,16 +138,16 @@ def failed(
     site: FleetSite, status: Status, code: str, message: str, hashed: Hashed | None = None
 ) -> Row:
     """Make the row of a site without an answer."""
-    roles = ROLES if site.kind == "pair" else ()
-    inputs = [
-        InputEntry(lidar=role, placement="1", path=printable(getattr(site, role))) for role in roles
-    ]
-    columns = {
-        "inputs": inputs if hashed is None else hashed.inputs,
-        "latitude_rad": site.latitude,
-        "longitude_rad": site.longitude,
-    }
-    return _row(site, hashed, status=status, codes=[code], messages=[message], **columns)
+    return _row(
+        site,
+        hashed,
+        status=status,
+        codes=[code],
+        messages=[message],
+        inputs=pair_inputs(site) if hashed is None else hashed.inputs,
+        latitude_rad=site.latitude,
+        longitude_rad=site.longitude,
+    )
 
 
 def _row(site: FleetSite, hashed: Hashed | None, **columns: Any) -> Row:

@@ -46,8 +46,17 @@ def check_site(
     tried = _tried(site, check)
     try:
         with local_files(site) as local:
-            stored = _stored(site, check, local)
-            tried = _hashed(tried, site, local, stored, tell)
+            stored, inputs = _stored(site, check, local), local.inputs()
+            target, source = (each.sha256 or "" for each in inputs)
+            tried = replace(
+                tried,
+                # Where the list has no time, it is when the later recording was written.
+                time=tried.time if site.time else max(written(site.target), written(site.source)),
+                stored_sha256=hashlib.sha256(read_document(stored)).hexdigest(),
+                target_sha256=target,
+                source_sha256=source,
+            )
+            tell(Hashed(tried.key, inputs, tried.stored_sha256))
             if tried.key in check.known:
                 return None
             tried = _checked(site, check, local, stored, tried)
@@ -93,24 +102,6 @@ def _stored(site: FleetSite, check: Check, local: LocalFiles) -> Path:
         return result_file(Path(place))
     inside = below(place, RESULT_FILE) if is_folder(place) else place
     return local.keep(read_bytes(inside, LARGEST_DOCUMENT), place)
-
-
-def _hashed(
-    tried: CheckRow,
-    site: FleetSite,
-    local: LocalFiles,
-    stored: Path,
-    tell: Callable[[Hashed], None],
-) -> CheckRow:
-    """Add the hashes, and when the later recording was written where the list has no time."""
-    inputs = local.inputs()
-    sha256 = hashlib.sha256(read_document(stored)).hexdigest()
-    if not site.time:
-        tried = replace(tried, time=max(written(site.target), written(site.source)))
-    target, source = (each.sha256 or "" for each in inputs)
-    tried = replace(tried, stored_sha256=sha256, target_sha256=target, source_sha256=source)
-    tell(Hashed(tried.key, inputs, sha256))
-    return tried
 
 
 def _checked(

@@ -177,24 +177,21 @@ def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) 
     instead
         An edge or a known pose that joins the same two sides.
     """
-    edges, known = graph.edges, graph.known
-    label = _components_without(graph, active, [rival])
-    i, j = (int(end[instead]) for end in graph.ends)
-    if instead >= len(edges) + len(known) or label[i] == label[j]:
+    relative = graph.relative
+    if instead >= len(relative):
         return T
-    if instead >= len(edges):
-        target = known.T_world_node[instead - len(edges)]
-    else:
-        T_i_j = edges.T_i_j[instead]
-        # The side without the ground moves, or the smaller one.
-        sizes = [np.count_nonzero(label == label[end]) for end in (i, j)]
-        if label[j] == label[-1] or (label[i] != label[-1] and sizes[1] > sizes[0]):
-            i, j, T_i_j = j, i, se3.inverse(T_i_j)
-        target = T[i] @ T_i_j
-    T = T.copy()
-    side = label[:-1] == label[j]
-    T[side] = target @ se3.inverse(T[j]) @ T[side]
-    return T
+    label = _components_without(graph, active, [rival])
+    i, j, T_i_j = relative.i[instead], relative.j[instead], relative.T_i_j[instead]
+    if label[i] == label[j]:
+        return T
+    # The side without the ground moves, or the smaller one.
+    sizes = [np.count_nonzero(label == label[end]) for end in (i, j)]
+    if label[j] == label[-1] or (label[i] != label[-1] and sizes[1] > sizes[0]):
+        i, j, T_i_j = j, i, se3.inverse(T_i_j)
+    T = with_ground(T)
+    side = label == label[j]
+    T[side] = T[i] @ T_i_j @ se3.inverse(T[j]) @ T[side]
+    return T[:-1]
 
 
 def hanging(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...api import Array, IntArray, se3
+from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
 
 MOST_NODES = 10_000_000
@@ -123,8 +123,8 @@ class Graph:
             raise UsageError(f"a network of {self.nodes} poses: expected 1 to {MOST_NODES}")
         edges, known, points = self.edges, self.known, self.points
         count = len(edges)
-        for what, ends in (("edge", edges.i), ("edge", edges.j)):
-            _check_nodes(what, ends, self.nodes, count)
+        _check_nodes("edge", edges.i, self.nodes, count)
+        _check_nodes("edge", edges.j, self.nodes, count)
         _check_nodes("known pose", known.node, self.nodes, len(known))
         _check_nodes("control point", points.node, self.nodes, len(points))
         loops = np.flatnonzero(edges.i == edges.j)
@@ -192,8 +192,7 @@ def _check_transforms(what: str, T: Array, count: int) -> None:
         off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
         fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
         fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
-    if not fine.all():
-        raise UsageError(f"{what} {np.flatnonzero(~fine)[0]}: its transform is not rigid")
+    _refuse(what, ~fine, "its transform is not rigid")
 
 
 def _check_covariances(what: str, covariance: Array, count: int, size: int) -> None:
@@ -207,7 +206,9 @@ def _check_covariances(what: str, covariance: Array, count: int, size: int) -> N
     skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
     fine &= skew < 1e-6
     fine[fine] = np.linalg.eigvalsh(correlation[fine])[:, 0] > 1e-12
-    if not fine.all():
-        raise UsageError(
-            f"{what} {np.flatnonzero(~fine)[0]}: its covariance is not symmetric and positive"
-        )
+    _refuse(what, ~fine, "its covariance is not symmetric and positive")
+
+
+def _refuse(what: str, wrong: BoolArray, words: str) -> None:
+    if wrong.any():
+        raise UsageError(f"{what} {np.flatnonzero(wrong)[0]}: {words}")
