@@ -75,18 +75,16 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
     edges: list[tuple[str, str, str, RelativePose]] = []
     not_used: list[NotUsed] = []
     missing = set(nodes.of_site)
-    partitions = partitions_in(out)
-    if not partitions:
+    if not (partitions := partitions_in(out)):
         raise ReadError(f"{dataset}: no answers of 'retropole fleet calibrate'")
     for partition in partitions:
         for row in read_rows(out, partition).values():
             missing.discard(row.id)
             lidars = nodes.of_site.get(row.id, {})
-            why = _why_not(row, lidars)
-            if why:
+            if why := _why_not(row, lidars):
                 not_used.append(NotUsed("site", row.id, why))
-                continue
-            edges += [(row.id, *edge) for edge in _edges_of(row, lidars, nodes.place)]
+            else:
+                edges += [(row.id, *edge) for edge in _edges_of(row, lidars, nodes.place)]
     if missing:
         name = min(missing)
         raise ReadError(f"{nodes.place}: there is no site {quoting(name)!r} in {dataset}")

@@ -106,27 +106,25 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
         wrong, fits = active & beyond, ~active & ~beyond & (back < PUT_BACK)
         worst = worst_around(graph, tests.chi2, wrong)
         wanted = connected(graph, (active & ~worst) | fits, tests.chi2)
-        if (wanted == active).all():
-            # Two that are out and agree are more than the one that they contradict. Two that do
-            # not are wrong themselves: put back, they would bend all that is around them.
-            alone = inseparable(graph, active, tests.freedom)
-            out = outvoted(alone, tried, partial(agrees, graph, active, T))
-            if rounds == MOST_ROUNDS or (not out and until == SETTLED):
-                break
-            if not out:
-                until = SETTLED
-                continue
-            wanted = active.copy()
-            for rival, instead in out.items():
-                T = relaid(graph, active, T, rival, instead[0])
-                wanted[rival], wanted[instead] = False, True
-            tried |= out.keys()
-            active = wanted
+        if (wanted != active).any():
+            if rounds < MOST_ROUNDS:
+                rivals |= _as_likely(graph, tests.chi2, active, np.flatnonzero(active & ~wanted))
+                back += wanted & ~active
+                active = wanted
             continue
-        if rounds < MOST_ROUNDS:
-            rivals |= _as_likely(graph, tests.chi2, active, np.flatnonzero(active & ~wanted))
-            back += wanted & ~active
-            active = wanted
+        # Two that are out and agree are more than the one that they contradict. Two that do not
+        # are wrong themselves: put back, they would bend all that is around them.
+        alone = inseparable(graph, active, tests.freedom)
+        out = outvoted(alone, tried, partial(agrees, graph, active, T))
+        if rounds == MOST_ROUNDS or (not out and until == SETTLED):
+            break
+        until = until if out else SETTLED
+        wanted = active.copy()
+        for rival, instead in out.items():
+            T = relaid(graph, active, T, rival, instead[0])
+            wanted[rival], wanted[instead] = False, True
+        tried |= out.keys()
+        active = wanted
     settled = adjusted.settled and bool((wanted == active).all())
     return Snooped(adjusted, components, covariance, active, tests, rivals, rounds, settled)
 
