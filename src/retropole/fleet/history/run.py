@@ -153,10 +153,17 @@ def check_fleet(
 
     newest: dict[str, CheckRow] = {}
 
+    def outcomes() -> Iterator[Outcome]:
+        # Which are faulty is known as tasks are taken, and of the last after all outcomes.
+        for outcome in chain(doing(tasks()), (None,)):
+            if outcome is not None:
+                yield outcome
+            while faulty:
+                yield faulty.pop()
+
     def found() -> Iterator[tuple[str, CheckRow | None]]:
         start = time.monotonic()
-        # Which are faulty is known once all tasks were taken.
-        for over, outcome in enumerate(chain(doing(tasks()), faulty), 1):
+        for over, outcome in enumerate(outcomes(), 1):
             yield outcome.id, _row(outcome, by_id[outcome.id], blank)
             progress(how_far("check", over, len(ordered), time.monotonic() - start))
 
@@ -175,8 +182,8 @@ def check_fleet(
             appended += append(rows.values())
     finally:
         # Also what was checked before an interrupt.
-        for _, rows in sorted(waiting.items()):
-            appended += append(rows.values())
+        rest = chain.from_iterable(rows.values() for rows in waiting.values())
+        append([*rest, *(_row(each, by_id[each.id], blank) for each in faulty)])
     progress("look at the history")
     changes = (changes_of(own, newest.get(name)) for name, own in store.read(history, by_id))
     return FleetCheck(appended, tuple(changes))
