@@ -35,6 +35,7 @@ from scipy.special import chdtri
 from city import SURVEY, City, simulate_city
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.base.relative import relative_jacobian
 from retropole.fleet.network.adjustment import adjust, find_layout
 from retropole.fleet.network.components import find_components
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph
@@ -91,10 +92,7 @@ def with_shared(city: City, share: float, rng: np.random.Generator) -> City:
 
 def strength(city: City, graph: Graph) -> Array:
     """(E,) by how much the error of each edge raises its χ² against all sound ones."""
-    true = se3_between(city.T_world_node, city)
-    wrong = true.copy()
-    wrong[:, :3, :3] = np.swapaxes(se3.exp_so3(city.error[:, :3]), 1, 2) @ true[:, :3, :3]
-    wrong[:, :3, 3] -= city.error[:, 3:]
+    wrong = se3.retract(relative_poses(city.T_world_node, city), -city.error)
     model = Model(replace(graph, edges=replace(graph.edges, T_i_j=wrong)))
     active = np.r_[~city.wrong, np.ones(len(city.control), dtype=bool)]
     components = find_components(model.graph, active)
@@ -106,21 +104,6 @@ def strength(city: City, graph: Graph) -> Array:
     return tests.chi2[: len(city.i)]
 
 
-def se3_between(T: Array, city: City) -> Array:
-    """(E, 4, 4) relative poses along the edges."""
-    R_i = np.swapaxes(T[city.i, :3, :3], 1, 2)
-    out = np.tile(np.eye(4), (len(city.i), 1, 1))
-    out[:, :3, :3] = R_i @ T[city.j, :3, :3]
-    out[:, :3, 3] = np.einsum("kab,kb->ka", R_i, T[city.j, :3, 3] - T[city.i, :3, 3])
-    return out
-
-
-def steps_between(T: Array, true: Array) -> Array:
-    """(K, 6) steps from poses to the true ones."""
-    turned = se3.log_so3(true[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
-    return np.concatenate([turned, true[:, :3, 3] - T[:, :3, 3]], axis=1)
-
-
 def covered(steps: Array, covariance: Array) -> float:
     """Part of steps within their 95 % region."""
     some = np.trace(covariance, axis1=1, axis2=2) > 0
@@ -128,18 +111,17 @@ def covered(steps: Array, covariance: Array) -> float:
     return float(np.mean(np.sum(steps[some] * solved, axis=1) <= chdtri(6, 0.05)))
 
 
+def relative_poses(T: Array, city: City) -> Array:
+    """(E, 4, 4) relative poses along the edges."""
+    return se3.inverse(T[city.i]) @ T[city.j]
+
+
 def relative_covariances(found: NetworkAdjustment, city: City) -> Array:
     """(E, 6, 6) of the relative poses along the edges."""
-    T = found.T_world_node
-    to_i = np.swapaxes(T[city.i, :3, :3], 1, 2)
-    by_j = np.zeros((len(city.i), 6, 6))
-    by_j[:, :3, :3], by_j[:, 3:, 3:] = to_i, to_i
-    by_i = -by_j
-    by_i[:, 3:, :3] = to_i @ se3.hat(T[city.j, :3, 3] - T[city.i, :3, 3])
-    mixed = by_i @ found.cross @ np.swapaxes(by_j, 1, 2)
-    own = by_i @ found.covariance[city.i] @ np.swapaxes(by_i, 1, 2)
-    other = by_j @ found.covariance[city.j] @ np.swapaxes(by_j, 1, 2)
-    return own + other + mixed + np.swapaxes(mixed, 1, 2)
+    C, cross = found.covariance, found.cross
+    joint = np.block([[C[city.i], cross], [np.swapaxes(cross, 1, 2), C[city.j]]])
+    J = relative_jacobian(found.T_world_node[city.i], found.T_world_node[city.j])
+    return J @ joint @ np.swapaxes(J, 1, 2)
 
 
 def run(nodes: int, seed: int, power: float, shared: float) -> Row:
@@ -162,11 +144,11 @@ def run(nodes: int, seed: int, power: float, shared: float) -> Row:
     alone = {one.index for one in found.left_out if one.kind == "edge" and not one.rivals}
     lost = np.flatnonzero(out & ~city.wrong)
     T = found.T_world_node
-    between = steps_between(se3_between(T, city), se3_between(city.T_world_node, city))
+    between = se3.local(relative_poses(T, city), relative_poses(city.T_world_node, city))
     return Row(
         len(T),
         len(city.i),
-        covered(steps_between(T, city.T_world_node), found.covariance),
+        covered(se3.local(T, city.T_world_node), found.covariance),
         covered(between, relative_covariances(found, city)),
         int(city.wrong.sum()),
         int(detectable.sum()),

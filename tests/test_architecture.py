@@ -23,7 +23,11 @@ LAYERS = (
 )
 """Modules and folders of the package; each imports only what stands before it."""
 
-PUBLIC = {("api",), ("result",), ("base", "errors"), ("base", "files"), ("base", "version")}
+PUBLIC = {
+    *(("api",), ("result",), ("base", "errors"), ("base", "files"), ("base", "version")),
+    # Small pure mathematics of transforms.
+    *(("base", "se3"), ("base", "relative")),
+}
 """What others may build on, and `fleet` builds on alone."""
 
 DOORS = {

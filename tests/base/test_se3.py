@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from retropole.base import se3
+from retropole.base.relative import relative_jacobian
 
 seeds = st.integers(0, 2**32 - 1)
 # Angles at and around the singular places of the exponential: none, tiny, and a half turn.
@@ -56,6 +57,18 @@ def test_local_jacobian_is_its_derivative(seed: int, angle: float) -> None:
         for way in by * np.eye(6)
     ]
     np.testing.assert_allclose(np.stack(columns, 1), se3.local_jacobian(step), atol=1e-7)
+
+
+def test_many_steps_at_once_are_those_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    T, there = np.array([[se3.random(rng) for _ in range(4)] for _ in range(2)])
+    there[0] = T[0]
+    steps = se3.local(T, there)
+    np.testing.assert_allclose(steps, [*map(se3.local, T, there)], atol=1e-15)
+    alone = [*map(se3.local_jacobian, steps)]
+    np.testing.assert_allclose(se3.local_jacobian(steps), alone, atol=1e-15)
+    alone = [*map(relative_jacobian, T, there)]
+    np.testing.assert_array_equal(relative_jacobian(T, there), alone)
 
 
 @given(seeds)

@@ -14,7 +14,7 @@ import pytest
 
 from retropole.base.files import write_atomically
 from retropole.fleet import batch, storage
-from retropole.fleet.batch import calibrate_fleet
+from retropole.fleet.batch import calibrate_fleet, whole_groups
 from retropole.fleet.dataset import Row, known_in, partitions_in, read_rows, read_runs
 from retropole.fleet.sites import find_sites
 from retropole.fleet.work import Outcome, Task, answer
@@ -217,3 +217,16 @@ def test_progress_says_how_long(fleet: Path, out: Path) -> None:
     assert said[0].startswith("calibrate: 2 of 8 sites, about ")
     assert said[-1] == "calibrate: 8 of 8 sites"
     assert "left" in batch.how_far("calibrate", 1, 10, 60.0)
+
+
+def test_a_group_is_given_once_with_all_that_belongs_to_it() -> None:
+    group_of = {f"{k}": k % 4 for k in range(10)}
+    for seed in range(5):
+        found = [(name, seed) for name in shuffled(group_of, seed)]
+        waiting: dict[int, dict[str, int]] = {}
+        whole = list(whole_groups(found[:-1], group_of, waiting))
+        last = group_of[found[-1][0]]
+        assert sorted(group for group, _ in whole) == [k for k in range(4) if k != last]
+        for group, members in (*whole, *waiting.items()):
+            assert members.items() == {each for each in found[:-1] if group_of[each[0]] == group}
+        assert waiting.keys() == {last}

@@ -50,14 +50,14 @@ def relative(T_i: Array, T_j: Array, joint: Array) -> RelativePose:
 
 
 def relative_jacobian(T_i: Array, T_j: Array) -> Array:
-    """(6, 12) derivative of `relative` by steps of both poses, ``[φ_i, δ_i, φ_j, δ_j]``."""
-    to_i = T_i[:3, :3].T
-    arm = T_j[:3, 3] - T_i[:3, 3]
+    """(..., 6, 12) derivative of `relative` by steps of both poses, ``[φ_i, δ_i, φ_j, δ_j]``."""
+    to_i = np.swapaxes(T_i[..., :3, :3], -1, -2)
+    arm = T_j[..., :3, 3] - T_i[..., :3, 3]
     # R_iᵀ Exp(−φ_i) Exp(φ_j) R_j, and R_iᵀ Exp(−φ_i) (arm + δ_j − δ_i), to first order.
-    J = np.zeros((6, 12))
-    J[:3, :3], J[:3, 6:9] = -to_i, to_i
-    J[3:, :3] = to_i @ se3.hat(arm)
-    J[3:, 3:6], J[3:, 9:] = -to_i, to_i
+    J = np.zeros((*T_i.shape[:-2], 6, 12))
+    J[..., :3, :3], J[..., :3, 6:9] = -to_i, to_i
+    J[..., 3:, :3] = to_i @ se3.hat(arm)
+    J[..., 3:, 3:6], J[..., 3:, 9:] = -to_i, to_i
     return J
 
 

@@ -93,7 +93,10 @@ def exp_so3(phi: Array) -> Array:
 
 
 def log_so3(R: Array) -> Array:
-    """Rotation vector (3,) in radians of a rotation matrix (3, 3), of length at most π."""
+    """Rotation vector (3,) in radians of a rotation matrix (3, 3), of length at most π.
+
+    (N, 3) of (N, 3, 3).
+    """
     return np.asarray(_rotation().from_matrix(R).as_rotvec())
 
 
@@ -136,24 +139,24 @@ def retract(T: Array, step: Array) -> Array:
 
 
 def local(T: Array, T_other: Array) -> Array:
-    """Step ``[φ, δ]`` (6,) that `retract` takes from ``T`` to ``T_other``, in rad and m."""
-    return np.concatenate(
-        [log_so3(T_other[:3, :3] @ T[:3, :3].T), T_other[:3, 3] - T[:3, 3]],
-    )
+    """Step ``[φ, δ]`` (..., 6) that `retract` takes from ``T`` to ``T_other``, in rad and m."""
+    turned = log_so3(T_other[..., :3, :3] @ np.swapaxes(T[..., :3, :3], -1, -2))
+    return np.concatenate([turned, T_other[..., :3, 3] - T[..., :3, 3]], axis=-1)
 
 
 def local_jacobian(step: Array) -> Array:
-    """Derivative (6, 6) of `local` by a further step of the other transform, from ``[φ, δ]`` on.
+    """Derivative (..., 6, 6) of `local` by a further step of the other transform, at ``[φ, δ]``.
 
     ``Exp(ε) Exp(φ)`` has the rotation vector ``φ + J ε`` to first order in ε, J the inverse of the
     left Jacobian of SO(3).
     """
-    angle = float(np.linalg.norm(step[:3]))
-    across = hat(step[:3])
-    half = angle / 2
-    share = 1 / 12 if angle < 1e-4 else (1 - half / np.tan(half)) / angle**2
-    J = np.eye(6)
-    J[:3, :3] += share * across @ across - across / 2
+    angle = np.linalg.norm(step[..., :3], axis=-1)
+    across = hat(step[..., :3])
+    half = np.maximum(angle, 1e-4) / 2
+    share = np.where(angle < 1e-4, 1 / 12, (1 - half / np.tan(half)) / (4 * half**2))
+    J = np.zeros((*angle.shape, 6, 6))
+    J[...] = np.eye(6)
+    J[..., :3, :3] += share[..., None, None] * across @ across - across / 2
     return J
 
 

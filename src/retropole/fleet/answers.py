@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -31,18 +32,14 @@ def answered(
     inputs
         Its recordings, in the order of the document.
     """
-    lidars = _of_site(document) if isinstance(document, SiteDoc) else _of_pair(document)
+    lidars, frame = _lidars(document), "target"
     latitude, longitude = site.latitude, site.longitude
-    if latitude is None and isinstance(document, SiteDoc) and document.frame.geodetic is not None:
-        geodetic = document.frame.geodetic
-        latitude, longitude = geodetic.latitude_rad, geodetic.longitude_rad
-    at_range = [
-        each.sigma_m
-        for lidar in lidars
-        for each in lidar.predicted_error
-        if each.range_m == AT_RANGE
-    ]
-    frame = "target" if isinstance(document, ResultDoc) else document.frame.name
+    if isinstance(document, SiteDoc):
+        frame, geodetic = document.frame.name, document.frame.geodetic
+        if latitude is None and geodetic is not None:
+            latitude, longitude = geodetic.latitude_rad, geodetic.longitude_rad
+    errors = chain.from_iterable(lidar.predicted_error for lidar in lidars)
+    at_range = [each.sigma_m for each in errors if each.range_m == AT_RANGE]
     return {
         "status": document.status,
         "codes": [reason.code for reason in document.reasons],
@@ -76,22 +73,16 @@ def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:
     return decode(text.encode()) if kind == "pair" else decode_site(text.encode())
 
 
-def _of_pair(document: ResultDoc) -> list[LidarEntry]:
-    """Give the pose of the source in the frame of the target; none where refused."""
-    sensor = document.inputs[1].sensor
-    return _entry("source", sensor, document.T_target_source, document)
+def _lidars(document: ResultDoc | SiteDoc) -> list[LidarEntry]:
+    """Give the pose of the source in the frame of the target, or of every LiDAR in the site's.
 
-
-def _of_site(document: SiteDoc) -> list[LidarEntry]:
-    """Give the pose of every LiDAR in the frame of the site; none where refused."""
-    entries = (_entry(each.name, each.sensor, each.T_site_lidar, each) for each in document.lidars)
-    return [entry for of_lidar in entries for entry in of_lidar]
-
-
-def _entry(name: str, sensor: str, T: Array | None, of: ResultDoc | LidarDoc) -> list[LidarEntry]:
-    """Give a pose with how certain it is; nothing where there is none."""
-    if T is None or of.covariance is None:
-        return []
+    None where refused.
+    """
+    poses: list[tuple[str, str, Array | None, ResultDoc | LidarDoc]]
+    if isinstance(document, SiteDoc):
+        poses = [(each.name, each.sensor, each.T_site_lidar, each) for each in document.lidars]
+    else:
+        poses = [("source", document.inputs[1].sensor, document.T_target_source, document)]
     return [
         LidarEntry(
             name=name,
@@ -101,4 +92,6 @@ def _entry(name: str, sensor: str, T: Array | None, of: ResultDoc | LidarDoc) ->
             predicted_error=list(of.predicted_error or ()),
             budget=list(of.budget or ()),
         )
+        for name, sensor, T, of in poses
+        if T is not None and of.covariance is not None
     ]

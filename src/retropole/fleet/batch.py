@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from typing import TypeVar
 
 from ..api import quantities
 from . import TIME_LIMIT
-from .dataset import Known, Row, known_in, partition_of, read_rows, read_runs, write_partition
+from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
 from .storage import absolute
 from .work import Outcome, Task, environment, lost
 
+Key = TypeVar("Key")
+Of = TypeVar("Of")
 Doing = Callable[[Iterator[Task]], Iterator[Outcome]]
 
 
@@ -82,65 +86,70 @@ def calibrate_fleet(
     out = absolute(out)
     reports = None if reports is None else absolute(reports)
     known = known_in(out)
-    parts: dict[str, list[FleetSite]] = {}
+    others = known.keys() - {site.id for site in sites}
+    parts: dict[str, list[FleetSite]] = {partition_of(each): [] for each in others if drop_others}
     for site in sorted(sites, key=lambda site: site.id):
         parts.setdefault(partition_of(site.id), []).append(site)
-    named = {site.id for site in sites}
-    others = [each for each in known if each not in named]
-    if drop_others:
-        for each in others:
-            parts.setdefault(partition_of(each), [])
 
     def tasks() -> Iterator[Task]:
         for part in sorted(parts):
             for site in parts[part]:
+                row = known.get(site.id)
+                # One that is to be tried again has no row that holds.
+                holds = row is not None and not (retry and row.status == "error")
                 if not site.fault:
-                    yield _task(site, known.get(site.id), retry, reports, time_limit)
+                    yield Task(
+                        site=site,
+                        known=row.key if row is not None and holds else None,
+                        reports=reports,
+                        time_limit=time_limit,
+                        environment=environment(),
+                    )
 
-    part_of = {site.id: part for part, of_part in parts.items() for site in of_part}
-    missing = {part: {site.id for site in of_part} for part, of_part in parts.items()}
-    found: dict[str, dict[str, Outcome]] = {part: {} for part in parts}
+    faulty = [lost(site, "usage", site.fault) for site in sites if site.fault]
+    fresh: list[str] = []
+
+    def found() -> Iterator[tuple[str, Outcome]]:
+        yield from ((outcome.id, outcome) for outcome in faulty)
+        start = time.monotonic()
+        for over, outcome in enumerate(doing(tasks()), len(faulty) + 1):
+            yield outcome.id, outcome
+            if outcome.row is not None:
+                fresh.append(outcome.id)
+            progress(how_far("calibrate", over, len(sites), time.monotonic() - start))
+
     statuses: Counter[str] = Counter()
     codes: Counter[str] = Counter()
-
-    def note(outcome: Outcome) -> None:
-        part = part_of[outcome.id]
-        found[part][outcome.id] = outcome
-        missing[part].discard(outcome.id)
-
-    def write_whole(part: str) -> None:
-        if missing[part]:
-            return
-        rows = _write(out, part, found.pop(part), drop_others)
+    empty = {part: dict[str, Outcome]() for part, of_part in parts.items() if not of_part}
+    part_of = {site.id: part for part, of_part in parts.items() for site in of_part}
+    for part, outcomes in chain(empty.items(), whole_groups(found(), part_of, {})):
+        rows = _write(out, part, outcomes, drop_others)
         statuses.update(rows[site.id].status for site in parts[part])
         codes.update(code for site in parts[part] for code in rows[site.id].codes)
-
-    for site in sites:
-        if site.fault:
-            note(lost(site, "usage", site.fault))
-    for part in sorted(parts):
-        write_whole(part)
-    done, over, start = 0, sum(bool(site.fault) for site in sites), time.monotonic()
-    for outcome in doing(tasks()):
-        note(outcome)
-        write_whole(part_of[outcome.id])
-        done, over = done + (outcome.row is not None), over + 1
-        progress(how_far("calibrate", over, len(sites), time.monotonic() - start))
-    return FleetSummary(len(sites), done, len(others), dict(statuses), dict(codes))
+    return FleetSummary(len(sites), len(fresh), len(others), dict(statuses), dict(codes))
 
 
-def _task(
-    site: FleetSite, known: Known | None, retry: bool, reports: str | None, time_limit: float
-) -> Task:
-    """Say what a worker is to do; a site that is to be tried again has no row that holds."""
-    holds = known is not None and not (retry and known.status == "error")
-    return Task(
-        site=site,
-        known=known.key if known is not None and holds else None,
-        reports=reports,
-        time_limit=time_limit,
-        environment=environment(),
-    )
+def whole_groups(
+    found: Iterable[tuple[str, Of]], group_of: Mapping[str, Key], waiting: dict[Key, dict[str, Of]]
+) -> Iterator[tuple[Key, dict[str, Of]]]:
+    """Give each group once the last that belongs to it is found.
+
+    Parameters
+    ----------
+    found
+        By names, in any order.
+    group_of
+        Of every name.
+    waiting
+        Takes what was found of groups that are not whole yet.
+    """
+    missing = Counter(group_of.values())
+    for name, each in found:
+        group = group_of[name]
+        waiting.setdefault(group, {})[name] = each
+        missing[group] -= 1
+        if not missing[group]:
+            yield group, waiting.pop(group)
 
 
 def _write(out: str, part: str, outcomes: dict[str, Outcome], drop_others: bool) -> dict[str, Row]:

@@ -8,7 +8,7 @@ differs from run to run, times and machines, lies beside it in ``runs/part-3f.pa
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -141,7 +141,7 @@ def read_rows(out: str, partition: str) -> dict[str, Row]:
     ReadError
         As `known_in`.
     """
-    return read_as(out, ANSWERS, partition, Row) if _is_there(out, ANSWERS, partition) else {}
+    return read_as(out, ANSWERS, partition, Row) if partition in partitions_in(out) else {}
 
 
 def read_runs(out: str, partition: str) -> dict[str, Run]:
@@ -152,7 +152,7 @@ def read_runs(out: str, partition: str) -> dict[str, Run]:
     ReadError
         As `known_in`.
     """
-    return read_as(out, RUNS, partition, Run) if _is_there(out, RUNS, partition) else {}
+    return read_as(out, RUNS, partition, Run) if partition in partitions_in(out, RUNS) else {}
 
 
 def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of]:
@@ -175,7 +175,11 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
         As `known_in`.
     """
     place = below(below(out, folder), partition)
-    rows = _table(place, list({"id": None, **dict.fromkeys(of.__struct_fields__)}))
+    with opened(place, f"damaged ({{}}){AGAIN}", LARGEST_PARTITION) as file:
+        schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
+        if schema != FLEET_SCHEMA:
+            raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{AGAIN}")
+        rows = file.read(columns=[*dict.fromkeys(("id", *of.__struct_fields__))]).to_pylist()
     try:
         return {row["id"]: msgspec.convert(row, of) for row in rows}
     except (KeyError, msgspec.ValidationError) as error:
@@ -197,22 +201,8 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
         place = below(below(out, folder), partition)
         if each:
             write_bytes(place, parquet_of(map(msgspec.to_builtins, each), _schema(of)))
-        elif _is_there(out, folder, partition):
+        elif partition in partitions_in(out, folder):
             remove(place)
-
-
-def _is_there(out: str, folder: str, partition: str) -> bool:
-    return partition in names_in(below(out, folder))
-
-
-def _table(place: str, columns: Sequence[str]) -> list[dict[str, Any]]:
-    """Read some columns of a file, as rows."""
-    with opened(place, f"damaged ({{}}){AGAIN}", LARGEST_PARTITION) as file:
-        schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
-        if schema != FLEET_SCHEMA:
-            raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{AGAIN}")
-        rows: list[dict[str, Any]] = file.read(columns=list(columns)).to_pylist()
-    return rows
 
 
 @cache

@@ -97,12 +97,9 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         from dask.system import CPU_COUNT
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
-    # Neither is typed.
-    local: Any = distributed.LocalCluster
-    of: Any = distributed.Client
     # What becomes of a site is in its row; the log of a worker that died helps nobody.
-    quiet = {"logging": {"distributed": "critical", "asyncio": "critical"}}
-    spawned = {
+    config = {
+        "logging": {"distributed": "critical", "asyncio": "critical"},
         "distributed.worker.multiprocessing-method": "spawn",
         # A hundred times a second it would note what the worker does: it waits.
         "distributed.worker.profile.enabled": False,
@@ -110,13 +107,15 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
-    with dask.config.set({**quiet, **spawned}):
+    # Neither is typed.
+    local: Any = distributed.LocalCluster
+    of: Any = distributed.Client
+    with dask.config.set(config):
         if scheduler is None:
-            count = CPU_COUNT if workers is None else workers
             with _leftovers_unsaid():
                 with _interrupts_are_ours():
                     started = local(
-                        n_workers=count,
+                        n_workers=CPU_COUNT if workers is None else workers,
                         threads_per_worker=1,
                         processes=True,
                         dashboard_address=None,
@@ -164,9 +163,8 @@ def _leftovers_unsaid() -> Iterator[None]:
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["PYTHONWARNINGS"]
-        else:
+        del os.environ["PYTHONWARNINGS"]
+        if before is not None:
             os.environ["PYTHONWARNINGS"] = before
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -71,13 +73,8 @@ class LocalFiles:
         """
         if self.site is None:
             return [
-                InputEntry(
-                    lidar=role,
-                    placement="1",
-                    path=printable(getattr(self._site, role)),
-                    sha256=hash_of(path),
-                )
-                for role, path in zip(ROLES, self.pair, strict=True)
+                msgspec.structs.replace(entry, sha256=hash_of(path))
+                for entry, path in zip(pair_inputs(self._site), self.pair, strict=True)
             ]
         from ..api.site_file import read_site_file
 
@@ -119,15 +116,44 @@ class LocalFiles:
             text = text.replace(path, self._given[path])
         return text
 
-    def renamed_error(self, error: RetropoleError) -> RetropoleError:
-        """Say the same of files as they were given."""
-        if not self._given or isinstance(error, Refusal | MissingExtraError):
-            return error
-        return type(error)(self.renamed(str(error)))
+    def keep(self, data: bytes, place: str) -> Path:
+        """Write what was read of the stored result at a place into a folder of our own."""
+        path = self.folder / "stored" / posixpath.basename(place.rstrip("/"))
+        path.parent.mkdir()
+        path.write_bytes(data)
+        self._given[str(path)] = place
+        return path
 
     def named(self, inputs: Sequence[Doc]) -> list[Doc]:
         """Call the inputs of a result document as they were given."""
         return [msgspec.structs.replace(each, path=self.renamed(each.path)) for each in inputs]
+
+
+@contextmanager
+def local_files(site: FleetSite) -> Iterator[LocalFiles]:
+    """Bring the files of a site to this machine; what is wrong with one calls it as it was given.
+
+    Raises
+    ------
+    ReadError
+        Where a file is not there.
+    """
+    with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
+        local = LocalFiles(site, Path(folder))
+        try:
+            yield local
+        except (Refusal, MissingExtraError):
+            raise
+        except RetropoleError as error:
+            raise type(error)(local.renamed(str(error))) from None
+
+
+def pair_inputs(site: FleetSite) -> list[InputEntry]:
+    """Name the recordings of a pair; of a site file, what it names is not known yet."""
+    roles = () if site.kind == "site" else ROLES
+    return [
+        InputEntry(lidar=role, placement="1", path=printable(getattr(site, role))) for role in roles
+    ]
 
 
 def hash_of(path: Path) -> str:

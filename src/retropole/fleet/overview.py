@@ -104,8 +104,7 @@ def overview_of(out: str) -> Overview:
         Where there is none, or a partition is damaged.
     """
     out = absolute(out)
-    partitions = partitions_in(out)
-    if not partitions:
+    if not (partitions := partitions_in(out)):
         raise ReadError(f"{out}: is no dataset of a fleet: it has no {ANSWERS}/part-….parquet")
     sites: list[Seen] = []
     made_by: Counter[str] = Counter()

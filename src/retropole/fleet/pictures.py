@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from html import escape
+
+import numpy as np
 
 from ..api import quantities
 from .dataset import Status
@@ -50,8 +51,7 @@ BARS_HEIGHT = 230.0
 
 def fleet_map(sites: Sequence[Seen]) -> str:
     """Draw where the sites are whose place is known: a figure, or a sentence where none is."""
-    placed = [site for site in sites if site.latitude_rad is not None]
-    placed = [site for site in placed if site.longitude_rad is not None]
+    placed = [s for s in sites if s.latitude_rad is not None and s.longitude_rad is not None]
     if not placed:
         return (
             "<p>No site says where it is, so there is no map. A list says it in its columns "
@@ -59,21 +59,19 @@ def fleet_map(sites: Sequence[Seen]) -> str:
             "of its frame.</p>"
         )
     view = _View(placed)
-    present = [status for status in STATUSES if any(site.status == status for site in placed)]
     size = next(r for r, most in ((6.0, 50), (4.0, 1000), (2.5, math.inf)) if len(placed) <= most)
-    named = MOST_NAMED
-    marks: list[str] = []
+    named, marks, keys = MOST_NAMED, "", ""
     # The worst are drawn last, on top, and are the first to be named.
-    for status in reversed(present):
-        of_status = [site for site in placed if site.status == status]
-        marks.insert(0, _marks(status, of_status, view, size, named))
-        named = max(0, named - len(of_status))
+    for status in reversed(STATUSES):
+        if of_status := [site for site in placed if site.status == status]:
+            marks = _marks(status, of_status, view, size, named) + marks
+            keys = _key(status, len(of_status)) + keys
+            named = max(0, named - len(of_status))
     said = _map_said(len(placed), len(sites), view)
-    keys = "".join(_key(status, sum(s.status == status for s in placed)) for status in present)
     return (
         '<figure class="picture fleet-map">'
         f'<svg viewBox="0 0 {WIDTH:g} {view.height:.0f}" role="img" aria-labelledby="map-said">'
-        f"{view.grid()}{''.join(marks)}{view.scale_bar()}</svg>"
+        f"{view.grid()}{marks}{view.scale_bar()}</svg>"
         f'<figcaption><ul class="legend">{keys}</ul>'
         f'<p id="map-said">{escape(said)}</p></figcaption></figure>'
     )
@@ -122,29 +120,27 @@ class _View:
 
     def grid(self) -> str:
         """Draw round degrees of latitude and longitude."""
-        step = quantities.round_below(
-            math.degrees(WIDTH / (3 * self._scale * EARTH * self._narrow))
-        )
-        lines = []
-        first, unit = self._from + self._x, 1 / (self._scale * EARTH * self._narrow)
-        west, east = first - MIDDLE * unit, first + (WIDTH - RIGHT - MIDDLE) * unit
-        for k in _multiples(math.degrees(west), math.degrees(east), step):
-            x, _ = self._at(self._x + math.radians(k * step) - first, self._y)
-            degrees = (k * step + 180) % 360 - 180
-            lines.append(
+        lines = ""
+        unit = 1 / (self._scale * EARTH)
+        wide, high = unit / self._narrow, unit * self.height / 2
+        step = quantities.round_below(math.degrees(WIDTH * wide / 3))
+        west = self._from + self._x - MIDDLE * wide
+        for degrees in _multiples(west, west + (WIDTH - RIGHT) * wide, step):
+            x, _ = self._at(math.radians(degrees) - self._from, self._y)
+            said = _degrees((degrees + 180) % 360 - 180, step, "E", "W")
+            lines += (
                 f'<path class="grid" d="M{x:.1f} 0V{self.height:.0f}"/><text class="soft" '
-                f'x="{x + 3:.1f}" y="14">{_degrees(degrees, step, "E", "W")}</text>'
+                f'x="{x + 3:.1f}" y="14">{said}</text>'
             )
-        step = quantities.round_below(math.degrees(self.height / (3 * self._scale * EARTH)))
-        high = self.height / 2 / (self._scale * EARTH)
-        bounds = (max(self._y - high, -math.pi / 2), min(self._y + high, math.pi / 2))
-        for k in _multiples(math.degrees(bounds[0]), math.degrees(bounds[1]), step):
-            _, y = self._at(self._x, math.radians(k * step))
-            lines.append(
+        step = quantities.round_below(math.degrees(2 * high / 3))
+        south, north = max(self._y - high, -math.pi / 2), min(self._y + high, math.pi / 2)
+        for degrees in _multiples(south, north, step):
+            _, y = self._at(self._x, math.radians(degrees))
+            lines += (
                 f'<path class="grid" d="M0 {y:.1f}H{WIDTH:g}"/><text class="soft" x="{WIDTH - 4:g}"'
-                f' y="{y - 4:.1f}" text-anchor="end">{_degrees(k * step, step, "N", "S")}</text>'
+                f' y="{y - 4:.1f}" text-anchor="end">{_degrees(degrees, step, "N", "S")}</text>'
             )
-        return "".join(lines)
+        return lines
 
     def scale_bar(self) -> str:
         """Draw a round length."""
@@ -157,8 +153,10 @@ class _View:
         )
 
 
-def _multiples(low: float, high: float, step: float) -> range:
-    return range(math.ceil(low / step), math.floor(high / step) + 1)
+def _multiples(low: float, high: float, step: float) -> list[float]:
+    """Give the multiples of a step, degrees, between two angles, rad."""
+    first, last = (math.degrees(each) / step for each in (low, high))
+    return [k * step for k in range(math.ceil(first), math.floor(last) + 1)]
 
 
 def _degrees(value: float, step: float, positive: str, negative: str) -> str:
@@ -210,9 +208,7 @@ def histogram(values: Sequence[float]) -> str:
         return ""
     low, high, per = _decades(values)
     edges = [10 ** (k / per) for k in range(low, high + 1)]
-    counts = [0] * (high - low)
-    for each in values:
-        counts[min(max(bisect_right(edges, each) - 1, 0), len(counts) - 1)] += 1
+    counts = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].tolist()
     foot, head = BARS_HEIGHT - 34.0, 24.0
     wide, tall = (WIDTH - 2 * MARGIN) / len(counts), (foot - head) / max(counts)
     bars = [
@@ -229,8 +225,8 @@ def histogram(values: Sequence[float]) -> str:
             f'<path class="bar" d="M{x:.1f} {foot:g}v6"/><text x="{x:.1f}" y="{foot + 22:g}" '
             f'text-anchor="middle">{_plain_length(at)}</text>'
         )
-    step = quantities.round_below(max(counts) / 2) if max(counts) > 1 else 1.0
-    for count in range(int(step), max(counts) + 1, max(1, int(step))):
+    step = int(quantities.round_below(max(counts) / 2)) if max(counts) > 1 else 1
+    for count in range(step, max(counts) + 1, step):
         y = foot - count * tall
         lines.append(
             f'<path class="grid" d="M{MARGIN:g} {y:.1f}H{WIDTH - MARGIN:g}"/>'
@@ -263,10 +259,10 @@ def _round_values(low: float, high: float) -> list[float]:
     decades = math.log10(high / low)
     steps = (1, 2, 5) if decades < 2.5 else (1,)
     found = [
-        step * 10.0**power
+        value
         for power in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-        for step in steps
-        if low * (1 - 1e-9) <= step * 10.0**power <= high * (1 + 1e-9)
+        for value in (step * 10.0**power for step in steps)
+        if low * (1 - 1e-9) <= value <= high * (1 + 1e-9)
     ]
     every = max(1, math.ceil(len(found) / 8))
     return found[::every] or [low]

@@ -58,21 +58,19 @@ class Reader:
         started = time.monotonic()
         for attempt in range(1, ATTEMPTS + 1):
             hashed, outcome, why = self._try(task)
+            if outcome is not None and outcome.run is not None:
+                run = msgspec.structs.replace(outcome.run, attempts=attempt)
+                return msgspec.structs.replace(outcome, run=run)
             if outcome is not None:
-                if outcome.run is not None:
-                    run = msgspec.structs.replace(outcome.run, attempts=attempt)
-                    outcome = msgspec.structs.replace(outcome, run=run)
                 return outcome
-            if why is not None:
+            if why:
                 break
-        code, words = why or (
-            "killed",
-            f"its process was ended by the system or crashed, {ATTEMPTS} times",
-        )
+        killed = "killed", f"its process was ended by the system or crashed, {ATTEMPTS} times"
+        code, words = next(iter(why), killed)
         seconds = time.monotonic() - started
         return lost(task.site, code, words, hashed, seconds=seconds, attempts=attempt)
 
-    def _try(self, task: Task) -> tuple[Hashed | None, Outcome | None, tuple[str, str] | None]:
+    def _try(self, task: Task) -> tuple[Hashed | None, Outcome | None, list[tuple[str, str]]]:
         """Have the process calibrate it: the outcome, or why it was ended, or neither."""
         process = self._running()
         assert process.stdin is not None
@@ -83,10 +81,10 @@ class Reader:
             while (data := receive(process.stdout)) is not None:
                 message = msgspec.msgpack.decode(data, type=Message)
                 if isinstance(message, Outcome):
-                    return hashed, message, None
+                    return hashed, message, []
                 hashed = message
         self.close()
-        return hashed, None, why[0] if why else None
+        return hashed, None, why
 
     def _running(self) -> subprocess.Popen[bytes]:
         """Give the process, started where it is not."""
@@ -95,17 +93,17 @@ class Reader:
         self.close()
         command = [sys.executable, "-m", "retropole.fleet.child"]
         self._copies = tempfile.mkdtemp(prefix="retropole-", dir=self.folder)
-        process = subprocess.Popen(
+        self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env={**os.environ, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._copies)},
         )
+        process = self._process
         assert process.stdout is not None
         with self._watched(process, STARTING):
             ready = receive(process.stdout)
-        self._process = process
         if ready is None:
             self.close()
             raise RetropoleError(f"{' '.join(command)} does not start")
@@ -148,10 +146,8 @@ class Reader:
         if process is None:
             return
         process.kill()
-        process.wait()
-        for stream in (process.stdin, process.stdout):
-            with suppress(OSError):
-                if stream is not None:
-                    stream.close()
+        # Closes its streams and waits; what was not sent can no longer be.
+        with suppress(OSError), process:
+            pass
         if self._copies is not None:
             shutil.rmtree(self._copies, ignore_errors=True)

@@ -111,13 +111,12 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
         Where it cannot be written.
     """
     place = absolute(place)
-    root = None if reports is None else _from(folder_of(place), absolute(reports))
+    folder = None if reports is None else absolute(reports)
+    root = None if folder is None else _from(folder_of(place), folder)
 
     def link(site: Seen) -> str:
-        if root is None or reports is None:
-            return ""
         name = REPORT_FILE if site.kind == "pair" else SITE_REPORT_FILE
-        if not exists(below(below(absolute(reports), site.id), name)):
+        if folder is None or root is None or not exists(below(below(folder, site.id), name)):
             return ""
         # A path that begins with a name and a colon would be taken for a URL.
         return quote(f"./{root}/{site.id}/{name}")
@@ -155,9 +154,8 @@ def _counts(overview: Overview) -> str:
     for status, count in overview.statuses.items():
         share = quantities.percent(count / every).replace(" ", "\N{NO-BREAK SPACE}")
         tiles += f'<div class="{status}"><dt>{status}</dt><dd>{count:,} ({share})</dd></div>'
-    errors = overview.errors_at_range
     stated = ""
-    if errors:
+    if errors := overview.errors_at_range:
         half, most = (quantities.error(_quantile(errors, level)) for level in (0.5, 0.95))
         stated = (
             f"Half of the {quantities.counted(len(errors), 'site')} with an answer have a "
@@ -181,12 +179,12 @@ def _far(overview: Overview) -> str:
     errors = overview.errors_at_range
     if not errors:
         return "<p>No site has an answer, so there is no predicted error.</p>"
-    rows = [("least", quantities.error(errors[0]))]
-    rows += [
-        (f"{quantities.percent(level)} have at most", quantities.error(_quantile(errors, level)))
-        for level in LEVELS
+    stated = {"least": errors[0]}
+    for level in LEVELS:
+        stated[f"{quantities.percent(level)} have at most"] = _quantile(errors, level)
+    rows = [
+        (what, quantities.error(value)) for what, value in {**stated, "largest": errors[-1]}.items()
     ]
-    rows += [("largest", quantities.error(errors[-1]))]
     listed = table("Predicted error at 30 m", ("sites with an answer", "1 σ"), rows)
     return (
         f'<div class="columns">{histogram(errors)}{listed}</div>'
@@ -197,55 +195,45 @@ def _far(overview: Overview) -> str:
 def _worst(overview: Overview, link: Callable[[Seen], str]) -> str:
     """List the answers with the largest predicted errors."""
     sites = overview.worst(WORST)
+    if not sites:
+        return ""
     rows = [
         (
             printable(site.id),
             site.status,
             quantities.error(site.sigma_30m_m),
-            ", ".join(map(printable, site.codes)) or quantities.UNKNOWN,
+            printable(", ".join(site.codes)) or quantities.UNKNOWN,
         )
         for site in sites
     ]
     links = [link(site) for site in sites]
-    linked = (
-        ""
-        if any(links) or not rows
-        else (
-            '<p class="note">Reports of single sites are linked here where <code>--reports</code> '
-            "names their folder.</p>"
-        )
-    )
     caption = f"The {len(rows)} largest predicted errors"
-    header = ("site", "status", "error at 30 m, 1 σ", "codes")
-    return table(caption, header, rows, (1, 3), links=links) + linked if rows else ""
+    listed = table(
+        caption, ("site", "status", "error at 30 m, 1 σ", "codes"), rows, (1, 3), links=links
+    )
+    if any(links):
+        return listed
+    return (
+        f'{listed}<p class="note">Reports of single sites are linked here where '
+        "<code>--reports</code> names their folder.</p>"
+    )
 
 
 def _reasons(overview: Overview) -> str:
     """Count the codes, with a few sites of each."""
-    counts: Counter[str] = Counter()
-    named: dict[str, list[str]] = {}
-    statuses: dict[str, Counter[str]] = {}
+    having: dict[str, list[Seen]] = {}
     for site in overview.sites:
         for code in dict.fromkeys(site.codes):
-            counts[code] += 1
-            statuses.setdefault(code, Counter())[site.status] += 1
-            if len(names := named.setdefault(code, [])) < EXAMPLES:
-                names.append(printable(site.id))
-    if not counts:
+            having.setdefault(code, []).append(site)
+    if not having:
         return "<p>No site has a reason: all are ok.</p>"
-    order = sorted(counts, key=lambda code: (-counts[code], code))
-    rows = [
-        (
-            printable(code),
-            _title(code),
-            ", ".join(named[code]) + (", …" if counts[code] > EXAMPLES else ""),
-            f"{counts[code]:,}",
-        )
-        for code in order
-    ]
-    bars = [
-        (statuses[code].most_common(1)[0][0], counts[code] / len(overview.sites)) for code in order
-    ]
+    rows, bars = [], []
+    for code, sites in sorted(having.items(), key=lambda each: (-len(each[1]), each[0])):
+        named = [printable(site.id) for site in sites[:EXAMPLES]]
+        more = ", …" if len(sites) > EXAMPLES else ""
+        rows.append((printable(code), _title(code), ", ".join(named) + more, f"{len(sites):,}"))
+        commonest = Counter(site.status for site in sites).most_common(1)[0][0]
+        bars.append((commonest, len(sites) / len(overview.sites)))
     header = ("code", "what it says", "for example", "sites")
     return table("Sites by reason", header, rows, (1, 2), bars)
 
@@ -261,11 +249,7 @@ def _errors(overview: Overview) -> str:
     if not failed:
         return ""
     rows = [
-        (
-            printable(site.id),
-            ", ".join(map(printable, site.codes)),
-            printable(" ".join(site.messages)),
-        )
+        tuple(map(printable, (site.id, ", ".join(site.codes), " ".join(site.messages))))
         for site in failed[:MOST_FAILED]
     ]
     listed = table("Sites that ended in an error", ("site", "code", "message"), rows, (1, 2))
@@ -293,13 +277,11 @@ def _dataset(overview: Overview) -> str:
             rows.append((f"{what} ({quantities.counted(n, 'site')})", printable(name)))
     seconds = sorted(overview.seconds)
     if seconds:
-        rows += [
-            (what, quantities.duration(value))
-            for what, value in (
-                ("time of one site, median", _quantile(seconds, 0.5)),
-                ("time of one site, 95 % at most", _quantile(seconds, 0.95)),
-                ("time of one site, longest", seconds[-1]),
-                ("of all together", sum(seconds)),
-            )
-        ]
+        times = {
+            "time of one site, median": _quantile(seconds, 0.5),
+            "time of one site, 95 % at most": _quantile(seconds, 0.95),
+            "time of one site, longest": seconds[-1],
+            "of all together": sum(seconds),
+        }
+        rows += [(what, quantities.duration(value)) for what, value in times.items()]
     return table("What this page shows", ("what", "value"), rows, (1,))

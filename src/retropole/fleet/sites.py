@@ -129,12 +129,11 @@ def find_sites(given: Iterable[str], config: RunConfig = DEFAULT_CONFIG) -> tupl
 
 def _expanded(given: str) -> list[str]:
     """Give what a glob matches; a place that is none as it is."""
-    if any(sign in given for sign in "*?[") and not exists(given):
-        found = matching(given)
-        if not found:
-            raise ReadError(f"{given}: nothing matches")
+    if exists(given) or not any(sign in given for sign in "*?["):
+        return [absolute(given)]
+    if found := matching(given):
         return found
-    return [absolute(given)]
+    raise ReadError(f"{given}: nothing matches")
 
 
 def _sites_of(place: str, config: RunConfig) -> Iterator[FleetSite]:
@@ -164,47 +163,38 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
     """Find site files and pairs at any depth."""
     pairs: dict[str, dict[str, list[str]]] = {}
     for inside in found_below(folder):
-        name = posixpath.basename(inside)
+        parent, name = posixpath.split(inside)
+        place = below(folder, inside)
         if name.endswith(SITE_FILE):
-            place = below(folder, inside)
             yield FleetSite(id=_id_of(place, inside), kind="site", site=place)
         stem, _, suffix = name.partition(".")
         # Beside packets of an Ouster lie their metadata.
         if stem in ROLES and suffix != "json":
-            of_pair = pairs.setdefault(posixpath.dirname(inside), {role: [] for role in ROLES})
-            of_pair[stem].append(below(folder, inside))
+            pairs.setdefault(parent, {role: [] for role in ROLES})[stem].append(place)
     for inside, found in pairs.items():
         counts = [len(found[role]) for role in ROLES]
         fault = ""
         if counts != [1, 1]:
             fault = f"there are {counts[0]} named target and {counts[1]} source, expected one each"
-        target, source = (found[role][0] if found[role] else "" for role in ROLES)
-        yield FleetSite(
-            id=inside or posixpath.basename(folder.rstrip("/")),
-            kind="pair",
-            target=target,
-            source=source,
-            config=config,
-            fault=fault,
-        )
+        target, source = (next(iter(found[role]), "") for role in ROLES)
+        name = inside or posixpath.basename(folder.rstrip("/"))
+        pair = FleetSite(id=name, kind="pair", target=target, source=source, config=config)
+        yield msgspec.structs.replace(pair, fault=fault)
 
 
 def _in_list(place: str, config: RunConfig) -> Iterator[FleetSite]:
     """Take the sites of a CSV or Parquet list; paths in it count from its folder."""
     for number, line in enumerate(lines_of(place, COLUMNS, "id"), 1):
-        given = dict(line)
-        name = str(given.pop("id", ""))
-        fault = id_fault(name)
-        if fault:
+        name = str(line.get("id", ""))
+        if fault := id_fault(name):
             raise ReadError(f"{place}: row {number}, id: {fault}")
-        yield _listed(name, folder_of(place), given, config)
+        yield _listed(name, folder_of(place), line, config)
 
 
 def id_fault(name: str) -> str:
     """Say what is wrong with an id; empty where nothing is. It names a folder of reports."""
-    parts = name.split("/")
     sound = len(name) <= LONGEST_ID and name.isprintable() and "\\" not in name
-    if sound and not any(part.strip() in ("", ".", "..") for part in parts):
+    if sound and not any(part.strip() in ("", ".", "..") for part in name.split("/")):
         return ""
     return (
         f"{quoting(name)!r}, expected a name of at most {LONGEST_ID} printable characters; "
@@ -219,32 +209,29 @@ def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig)
     names = {key: below(folder, str(given[key])) for key in files if key in given}
     expected = {"site"} if kind == "site" else set(ROLES)
     options = {key: value for key, value in given.items() if key in OPTIONS}
-    fault, position = "", _Position()
-    time, wrong = _time(given.get("time"))
-    if set(names) - {"result"} != expected:
+    position = _Position()
+    time, fault = _time(given.get("time"))
+    if names.keys() - {"result"} != expected:
         fault = "expected target and source, or site alone"
     elif kind == "site" and options:
         fault = f"{', '.join(options)}: of a site, its file says that"
-    elif wrong:
-        fault = wrong
     try:
         position = msgspec.convert(given, _Position, strict=False)
         base = msgspec.structs.asdict(config)
         config = msgspec.convert({**base, **options}, RunConfig, strict=False)
     except msgspec.ValidationError as error:
         fault = fault or str(error).replace("`$.", "`")
-    radians = [
-        None if each is None else math.radians(each)
-        for each in (position.latitude_deg, position.longitude_deg)
-    ]
-    if (radians[0] is None) != (radians[1] is None):
+    latitude, longitude = (
+        None if each is None else math.radians(each) for each in msgspec.structs.astuple(position)
+    )
+    if (latitude is None) != (longitude is None):
         fault = fault or "latitude_deg and longitude_deg need each other"
     return FleetSite(
         id=name,
         kind=kind,
         config=config,
-        latitude=radians[0],
-        longitude=radians[1],
+        latitude=latitude,
+        longitude=longitude,
         time=time,
         fault=quoting(fault),
         **names,

@@ -82,12 +82,25 @@ def is_folder(place: str) -> bool:
 
 
 @contextmanager
-def _asked(place: str, fault: str = "cannot be listed") -> Iterator[None]:
+def _asked(place: str, fault: str) -> Iterator[None]:
     """Say of which place it is, and what cannot be done, whatever a file system raises."""
     try:
         yield
     except Exception as error:
-        raise ReadError(f"{place}: {fault} ({error})") from None
+        if getattr(error, "errno", None) == errno.ENOSPC:
+            raise
+        why = getattr(error, "strerror", None) or error or type(error).__name__
+        raise ReadError(f"{place}: {fault} ({why})") from None
+
+
+@contextmanager
+def _changed(place: str) -> Iterator[None]:
+    """Make an `OSError` that names the place of whatever a file system raises."""
+    try:
+        yield
+    except Exception as error:
+        number, why = getattr(error, "errno", None), getattr(error, "strerror", None)
+        raise OSError(number or errno.EIO, why or str(error), place) from None
 
 
 def found_below(folder: str) -> list[str]:
@@ -99,7 +112,7 @@ def found_below(folder: str) -> list[str]:
         Where it cannot be listed.
     """
     system, path = filesystem(folder)
-    with _asked(folder):
+    with _asked(folder, "cannot be listed"):
         found = system.find(path, withdirs=True)
     return sorted(posixpath.relpath(each, path) for each in found if each.rstrip("/") != path)
 
@@ -113,7 +126,7 @@ def matching(pattern: str) -> list[str]:
         Where the file system cannot be asked.
     """
     system, path = filesystem(pattern)
-    with _asked(pattern):
+    with _asked(pattern, "cannot be listed"):
         found = sorted(system.glob(path))
     scheme = pattern.partition("://")[0] + "://" if is_url(pattern) else ""
     return [each if each.startswith(scheme) else scheme + each.lstrip("/") for each in found]
@@ -129,7 +142,7 @@ def names_in(folder: str) -> list[str]:
     """
     system, path = filesystem(folder)
     system.invalidate_cache()
-    with _asked(folder):
+    with _asked(folder, "cannot be listed"):
         try:
             found = system.ls(path, detail=False)
         except FileNotFoundError:
@@ -161,12 +174,8 @@ def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
         Where it cannot be read or is longer.
     """
     system, path = filesystem(place)
-    try:
-        with system.open(path, "rb") as file:
-            data = file.read(most + 1)
-    except Exception as error:
-        why = getattr(error, "strerror", None) or error or type(error).__name__
-        raise ReadError(f"{place}: cannot be read ({why})") from None
+    with _asked(place, "cannot be read"), system.open(path, "rb") as file:
+        data = file.read(most + 1)
     if len(data) > most:
         raise ReadError(f"{place}: more than {most} bytes")
     return bytes(data)
@@ -186,13 +195,9 @@ def write_bytes(place: str, data: bytes) -> None:
     if not is_url(place):
         write_atomically(Path(path), data)
         return
-    try:
+    with _changed(place):
         system.makedirs(posixpath.dirname(path), exist_ok=True)
         system.pipe_file(path, data)
-    except OSError as error:
-        raise OSError(error.errno or errno.EIO, error.strerror or str(error), place) from None
-    except Exception as error:
-        raise OSError(errno.EIO, str(error), place) from None
 
 
 def remove(place: str) -> None:
@@ -204,10 +209,8 @@ def remove(place: str) -> None:
         Where it cannot be removed; names the place.
     """
     system, path = filesystem(place)
-    try:
+    with _changed(place):
         system.rm_file(path)
-    except Exception as error:
-        raise OSError(getattr(error, "errno", None) or errno.EIO, str(error), place) from None
 
 
 def fetch(place: str, into: Path) -> Path:
@@ -230,19 +233,9 @@ def fetch(place: str, into: Path) -> Path:
     system, path = filesystem(place)
     local = into / posixpath.basename(path.rstrip("/"))
     into.mkdir(parents=True, exist_ok=True)
-    wanted = [path]
-    if path.endswith(".pcap"):
-        wanted.append(f"{path.removesuffix('.pcap')}.json")
-    for number, each in enumerate(wanted):
-        try:
-            if number and not system.exists(each):
-                continue
-            folder = system.isdir(each)
-            system.get(each, str(into / posixpath.basename(each)), recursive=folder)
-        except OSError as error:
-            if error.errno == errno.ENOSPC:
-                raise
-            raise ReadError(f"{place}: cannot be read ({error.strerror or error})") from None
-        except Exception as error:
-            raise ReadError(f"{place}: cannot be read ({error})") from None
+    beside = f"{path.removesuffix('.pcap')}.json"
+    with _asked(place, "cannot be read"):
+        system.get(path, str(local), recursive=system.isdir(path))
+        if path.endswith(".pcap") and system.exists(beside):
+            system.get(beside, str(into / posixpath.basename(beside)))
     return local

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import platform
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,9 +23,9 @@ from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
 from .answers import answered, document_of
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
 from .history.task import Check
-from .local import LocalFiles, hash_of
-from .sites import ROLES, FleetSite
-from .storage import below, exists, is_url, read_bytes, write_bytes
+from .local import LocalFiles, hash_of, local_files, pair_inputs
+from .sites import FleetSite
+from .storage import below, is_url, read_bytes, write_bytes
 
 if TYPE_CHECKING:
     from ..api.result import CalibrationResult
@@ -80,10 +79,10 @@ class Outcome(msgspec.Struct, frozen=True, tag=True):
 @cache
 def environment() -> str:
     """Name what the numbers of an answer depend on, beside its inputs."""
-    named = []
-    for name in ("retropole", "numpy", "scipy", "small_gicp"):
+    named = [f"retropole {__version__}"]
+    for name in ("numpy", "scipy", "small_gicp"):
         try:
-            named.append(f"{name} {__version__ if name == 'retropole' else version(name)}")
+            named.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             named.append(name)
     return ", ".join([*named, f"Python {platform.python_version()}", platform.machine()])
@@ -113,12 +112,8 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
 
     seconds: Mapping[str, float] = {}
     try:
-        with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
-            local = LocalFiles(task.site, Path(folder))
-            try:
-                done = _calibrated(task, local, note)
-            except RetropoleError as error:
-                raise local.renamed_error(error) from None
+        with local_files(task.site) as local:
+            done = _calibrated(task, local, note)
         if done is None:
             return Outcome(task.site.id)
         row, seconds = done
@@ -143,24 +138,29 @@ def failed(
     site: FleetSite, status: Status, code: str, message: str, hashed: Hashed | None = None
 ) -> Row:
     """Make the row of a site without an answer."""
-    roles = ROLES if site.kind == "pair" else ()
-    inputs = [
-        InputEntry(lidar=role, placement="1", path=printable(getattr(site, role))) for role in roles
-    ]
-    return Row(
-        id=site.id,
-        kind=site.kind,
+    return _row(
+        site,
+        hashed,
         status=status,
         codes=[code],
         messages=[message],
-        site_file=printable(site.site) if site.site else None,
-        site_sha256=None if hashed is None else hashed.site_sha256,
-        inputs=inputs if hashed is None else hashed.inputs,
+        inputs=pair_inputs(site) if hashed is None else hashed.inputs,
         latitude_rad=site.latitude,
         longitude_rad=site.longitude,
+    )
+
+
+def _row(site: FleetSite, hashed: Hashed | None, **columns: Any) -> Row:
+    """Make a row of what became of a site, with what all rows have."""
+    return Row(
+        id=site.id,
+        kind=site.kind,
+        site_file=printable(site.site) if site.site else None,
+        site_sha256=None if hashed is None else hashed.site_sha256,
         key=None if hashed is None else hashed.key,
         version=__version__,
         libraries=environment(),
+        **columns,
     )
 
 
@@ -213,17 +213,7 @@ def _calibrated(
         raise ReadError(f"{site.id}: a recording changed while it was read")
     if task.reports is not None:
         _report(result, below(task.reports, site.id), local.folder / "report")
-    row = Row(
-        id=site.id,
-        kind=site.kind,
-        key=hashed.key,
-        site_file=printable(site.site) if site.site else None,
-        site_sha256=site_sha256,
-        version=__version__,
-        libraries=environment(),
-        **answered(site, result.document, inputs),
-    )
-    return row, result.document.seconds
+    return _row(site, hashed, **answered(site, result.document, inputs)), result.document.seconds
 
 
 def _key(
@@ -242,14 +232,10 @@ def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResul
 
         of_site = calibrate_site(local.site)
         config = of_site.document.config
-        return replace(
-            of_site,
-            document=msgspec.structs.replace(
-                of_site.document,
-                inputs=local.named(of_site.document.inputs),
-                config=msgspec.structs.replace(config, site_file=local.renamed(config.site_file)),
-            ),
-        )
+        config = msgspec.structs.replace(config, site_file=local.renamed(config.site_file))
+        recordings = local.named(of_site.document.inputs)
+        document = msgspec.structs.replace(of_site.document, inputs=recordings, config=config)
+        return replace(of_site, document=document)
     from ..api.calibration import calibrate_with
 
     target, source = local.pair
@@ -269,17 +255,13 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
 
 def _is_reported(folder: str, site: FleetSite, inputs: Sequence[InputEntry]) -> bool:
     """Whether a folder has the result of these inputs."""
-    for name in (RESULT_FILE, SITE_RESULT_FILE):
-        place = below(folder, name)
-        if not exists(place):
-            continue
-        try:
-            document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), site.kind)
-        except (ReadError, UnicodeDecodeError):
-            return False
-        same = [each.sha256 for each in document.inputs] == [each.sha256 for each in inputs]
-        return same and document.version == __version__
-    return False
+    place = below(folder, RESULT_FILE if site.kind == "pair" else SITE_RESULT_FILE)
+    try:
+        document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), site.kind)
+    except (ReadError, UnicodeDecodeError):
+        return False
+    same = [each.sha256 for each in document.inputs] == [each.sha256 for each in inputs]
+    return same and document.version == __version__
 
 
 def _memory() -> int:

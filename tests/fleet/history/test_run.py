@@ -165,6 +165,18 @@ def test_an_interrupt_loses_no_check(city: Path, answers: str, tmp_path: Path) -
     assert len(newest(str(tmp_path))) == 1
 
 
+def test_an_interrupt_loses_no_fault_that_was_met(city: Path, answers: str, tmp_path: Path) -> None:
+    def interrupted(tasks: Iterator[Task]) -> Iterator[Outcome]:
+        yield from here(tasks)
+        raise KeyboardInterrupt
+
+    sites = [site for site in find_sites([str(city)]) if site.id in ("small/1", "slip", "absent")]
+    with pytest.raises(KeyboardInterrupt):
+        check_fleet(sites, str(tmp_path), interrupted, answers=answers, now=NOW)
+    assert "small/1" in newest(str(tmp_path))
+    assert len(newest(str(tmp_path))) > 1
+
+
 def test_what_is_wrong_with_all_sites_is_no_row(city: Path, answers: str, tmp_path: Path) -> None:
     sites = find_sites([str(city)])
     with pytest.raises(UsageError, match="is no dataset"):

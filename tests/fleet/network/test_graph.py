@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import UsageError
-from retropole.fleet.network.graph import Edges, Graph
-from tests.fleet.network.networks import city
+from retropole.fleet.network.graph import Edges, Graph, grouped
+from tests.fleet.network.networks import city, ladder
 
 
 def with_first(values: np.ndarray, value: object) -> np.ndarray:
@@ -38,3 +38,21 @@ def test_a_network_of_no_poses_is_refused() -> None:
     _, graph = city(0, 20)
     with pytest.raises(UsageError, match="0 poses"):
         Graph(0, graph.edges)
+
+
+def test_what_is_known_is_an_edge_from_the_ground() -> None:
+    _, graph = ladder(2, np.random.default_rng(0))
+    relative, known = graph.relative, graph.known
+    assert len(relative) == len(graph.edges) + len(known)
+    last = slice(len(graph.edges), None)
+    assert set(relative.i[last]) == {graph.nodes}
+    np.testing.assert_array_equal(relative.j[last], known.node)
+    np.testing.assert_array_equal(relative.T_i_j[last], known.T_world_node)
+    first, second = graph.ends
+    np.testing.assert_array_equal(np.stack([relative.i, relative.j]), [first, second])
+
+
+def test_each_number_is_in_the_group_of_its_label() -> None:
+    label = np.array([2, 0, 2, 4, 0])
+    groups = [group.tolist() for group in grouped(label, 6)]
+    assert groups == [[1, 4], [], [0, 2], [], [3], []]

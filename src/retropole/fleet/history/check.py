@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -15,7 +14,7 @@ from ...base.files import LARGEST_DOCUMENT, read_document
 from ...base.version import __version__
 from ...result.folder import RESULT_FILE, result_file
 from ..dataset import Row
-from ..local import LocalFiles
+from ..local import LocalFiles, local_files
 from ..sites import FleetSite
 from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, written
 from ..work import Hashed, code_of
@@ -45,36 +44,28 @@ def check_site(
         same recordings and stored result, at the same time.
     """
     tried = _tried(site, check)
-    with tempfile.TemporaryDirectory(prefix="retropole-") as folder:
-        try:
-            local = LocalFiles(site, Path(folder))
-            stored = _stored(site, check, Path(folder))
-            tried = _hashed(tried, site, local, stored, tell)
+    try:
+        with local_files(site) as local:
+            stored, inputs = _stored(site, check, local), local.inputs()
+            target, source = (each.sha256 or "" for each in inputs)
+            tried = replace(
+                tried,
+                # Where the list has no time, it is when the later recording was written.
+                time=tried.time if site.time else max(written(site.target), written(site.source)),
+                stored_sha256=hashlib.sha256(read_document(stored)).hexdigest(),
+                target_sha256=target,
+                source_sha256=source,
+            )
+            tell(Hashed(tried.key, inputs, tried.stored_sha256))
             if tried.key in check.known:
                 return None
             tried = _checked(site, check, local, stored, tried)
-        except Refusal as refusal:
-            tried = replace(tried, codes=(refusal.code,), message=quoting(refusal.message))
-        except Exception as error:
-            code, words = code_of(error)
-            tried = replace(tried, status="error", codes=(code,), message=words)
-        if tried.message is not None:
-            tried = replace(tried, message=_named(tried.message, site, check, Path(folder)))
+    except Refusal as refusal:
+        tried = replace(tried, codes=(refusal.code,), message=quoting(refusal.message))
+    except Exception as error:
+        code, words = code_of(error)
+        tried = replace(tried, status="error", codes=(code,), message=words)
     return plain(tried)
-
-
-def _place(site: FleetSite) -> str:
-    """Name the place of the stored result."""
-    return site.result or below(folder_of(site.target), RESULT_FILE)
-
-
-def _named(words: str, site: FleetSite, check: Check, folder: Path) -> str:
-    """Call copies in a folder of our own as they were given."""
-    stored = RESULT_FILE if check.document is not None else _place(site)
-    for role, place in (("target", site.target), ("source", site.source), ("stored", stored)):
-        copy = folder / role / place.rstrip("/").rpartition("/")[2]
-        words = words.replace(quoting(f"{copy}"), quoting(place))
-    return words
 
 
 def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
@@ -97,44 +88,20 @@ def _tried(site: FleetSite, check: Check) -> CheckRow:
     return CheckRow(site.id, time, "cannot_tell", version=__version__)
 
 
-def _stored(site: FleetSite, check: Check, folder: Path) -> Path:
+def _stored(site: FleetSite, check: Check, local: LocalFiles) -> Path:
     """Bring the stored result to this machine."""
     if check.document is not None:
-        data, path = check.document.encode(), folder / "stored" / RESULT_FILE
-    else:
-        place = _place(site)
-        if not exists(place):
-            raise ReadError(
-                f"{place}: there is no stored result; name it in a column result, or give the "
-                "answers of 'fleet calibrate'"
-            )
-        if not is_url(place):
-            return result_file(Path(place))
-        data = read_bytes(
-            below(place, RESULT_FILE) if is_folder(place) else place, LARGEST_DOCUMENT
+        return local.keep(check.document.encode(), RESULT_FILE)
+    place = site.result or below(folder_of(site.target), RESULT_FILE)
+    if not exists(place):
+        raise ReadError(
+            f"{place}: there is no stored result; name it in a column result, or give the "
+            "answers of 'fleet calibrate'"
         )
-        path = folder / "stored" / place.rstrip("/").rpartition("/")[2]
-    path.parent.mkdir()
-    path.write_bytes(data)
-    return path
-
-
-def _hashed(
-    tried: CheckRow,
-    site: FleetSite,
-    local: LocalFiles,
-    stored: Path,
-    tell: Callable[[Hashed], None],
-) -> CheckRow:
-    """Add the hashes, and when the later recording was written where the list has no time."""
-    inputs = local.inputs()
-    sha256 = hashlib.sha256(read_document(stored)).hexdigest()
-    if not site.time:
-        tried = replace(tried, time=max(written(site.target), written(site.source)))
-    target, source = (each.sha256 or "" for each in inputs)
-    tried = replace(tried, stored_sha256=sha256, target_sha256=target, source_sha256=source)
-    tell(Hashed(tried.key, inputs, sha256))
-    return tried
+    if not is_url(place):
+        return result_file(Path(place))
+    inside = below(place, RESULT_FILE) if is_folder(place) else place
+    return local.keep(read_bytes(inside, LARGEST_DOCUMENT), place)
 
 
 def _checked(
@@ -147,16 +114,10 @@ def _checked(
         stored = stored._replace(config=site.config)
     rotation, translation = check.tolerance
     answer = check_recordings(stored, *local.pair, rotation=rotation, translation=translation)
-    words = [reason.message for reason in answer.reasons]
+    names = ("status", "used", "step", "covariance", "random", "chi2", "power")
     return replace(
         tried,
-        status=answer.status,
-        used=answer.used,
         codes=tuple(reason.code for reason in answer.reasons),
-        message=quoting(words[0]) if words else None,
-        step=answer.step,
-        covariance=answer.covariance,
-        random=answer.random,
-        chi2=answer.chi2,
-        power=answer.power,
+        message=quoting(answer.reasons[0].message) if answer.reasons else None,
+        **{name: getattr(answer, name) for name in names},
     )

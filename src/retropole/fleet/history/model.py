@@ -98,8 +98,7 @@ class State:
     knows_other: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Changes:
+class Changes(NamedTuple):
     """Changes that may have begun, one for each onset and kind, as the filter sees them.
 
     Attributes
@@ -151,6 +150,10 @@ class Changes:
         return np.asarray((sizes * vector).sum(axis=(-2, -1)))
 
 
+COUNTED = 0, 0, 0, -2, -3, -2
+"""The axis of each field of `Changes` along which they are counted."""
+
+
 def no_changes(*runs: int) -> Changes:
     """Give no change at all; of so many filters that run beside each other."""
     none = np.zeros(0)
@@ -161,19 +164,18 @@ def no_changes(*runs: int) -> Changes:
 def begin(changes: Changes, check: int, days: float, *, kinds: tuple[Kind, ...]) -> Changes:
     """Add the changes that begin with a check."""
     runs, count = changes.vector.shape[:-2], len(kinds)
-    fresh = np.zeros((*runs, SIZE, count, 6))
+    deviation = np.zeros((*runs, SIZE, count, 6))
     for m, kind in enumerate(kinds):
-        fresh[..., SLOPE if kind == "trend" else LEVEL, m, :] = IDENTITY
-    known = np.broadcast_to(NOTHING_KNOWN, (*runs, count, 6, 6))
-    joined = np.concatenate
-    return Changes(
-        joined([changes.onset, np.full(count, check)]),
-        joined([changes.days, np.full(count, days)]),
-        joined([changes.is_trend, [kind == "trend" for kind in kinds]]),
-        joined([changes.deviation, fresh], axis=-2),
-        joined([changes.information, known], axis=-3),
-        joined([changes.vector, np.zeros((*runs, count, 6))], axis=-2),
+        deviation[..., SLOPE if kind == "trend" else LEVEL, m, :] = IDENTITY
+    fresh = Changes(
+        np.full(count, check),
+        np.full(count, days),
+        np.array(kinds) == "trend",
+        deviation,
+        np.broadcast_to(NOTHING_KNOWN, (*runs, count, 6, 6)),
+        np.zeros((*runs, count, 6)),
     )
+    return Changes._make(map(np.concatenate, zip(changes, fresh, strict=True), COUNTED))
 
 
 def some(changes: Changes, keep: BoolArray) -> Changes:
@@ -181,13 +183,8 @@ def some(changes: Changes, keep: BoolArray) -> Changes:
     if keep.all():
         return changes
     kept = np.flatnonzero(keep)
-    return Changes(
-        changes.onset[kept],
-        changes.days[kept],
-        changes.is_trend[kept],
-        changes.deviation.take(kept, axis=-2),
-        changes.information.take(kept, axis=-3),
-        changes.vector.take(kept, axis=-2),
+    return Changes._make(
+        values.take(kept, axis) for values, axis in zip(changes, COUNTED, strict=True)
     )
 
 
@@ -236,7 +233,7 @@ def predicted(
     knows = state.knows_other or check.other
     mean = (F @ state.mean[..., None])[..., 0]
     ahead = State(mean, P, check.days, knows)
-    return ahead, replace(changes, deviation=deviation)
+    return ahead, changes._replace(deviation=deviation)
 
 
 def weights(check: Observed) -> Array:
@@ -277,16 +274,12 @@ def updated(
     across = np.moveaxis(shown.reshape(split), -3, -1)
     through = np.moveaxis((inverse @ shown).reshape(split), -3, -2)
     vector = (np.swapaxes(weighted, -1, -2) @ shown).reshape(changes.vector.shape)
-    return (
-        after,
-        replace(
-            changes,
-            deviation=(deviation - gain @ shown).reshape(changes.deviation.shape),
-            information=changes.information + across @ through,
-            vector=changes.vector + vector,
-        ),
-        told,
+    changes = changes._replace(
+        deviation=(deviation - gain @ shown).reshape(changes.deviation.shape),
+        information=changes.information + across @ through,
+        vector=changes.vector + vector,
     )
+    return after, changes, told
 
 
 def adopted(state: State, changes: Changes, m: int) -> State:

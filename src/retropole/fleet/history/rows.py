@@ -116,17 +116,16 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     """
     values = {name: columns[name] for name in CHECK_FIELDS}
     values["codes"] = tuple(values["codes"] or ())
-    for name, shape in (("step", (6,)), ("covariance", (6, 6)), ("random", (6, 6))):
-        if values[name] is not None:
-            array = np.array(values[name], dtype=float).reshape(shape)
-            what = f"history, site {values['id']!r}, {name}"
-            if len(shape) == 2:
-                check_covariance(what, array, is_part=name == "random")
-            elif not np.isfinite(array).all():
-                raise ReadError(f"{what}: a number is not finite")
-            values[name] = array
-    there = [values[name] is not None for name in ("step", "covariance", "random")]
-    if any(there) and not all(there):
+    arrays = {"step": (6,), "covariance": (6, 6), "random": (6, 6)}
+    there = [name for name in arrays if values[name] is not None]
+    for name in there:
+        values[name] = array = np.array(values[name], dtype=float).reshape(arrays[name])
+        what = f"history, site {values['id']!r}, {name}"
+        if name != "step":
+            check_covariance(what, array, is_part=name == "random")
+        elif not np.isfinite(array).all():
+            raise ReadError(f"{what}: a number is not finite")
+    if len(there) not in (0, 3):
         raise ReadError(f"history, site {values['id']!r}: a step without its covariances")
     row = CheckRow(**values)
     if row.key != columns["key"]:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import chain, groupby
+
+import msgspec
 
 from ...base.errors import UsageError
 from .. import TIME_LIMIT
-from ..batch import Doing, how_far
+from ..batch import Doing, how_far, whole_groups
 from ..dataset import Row, partition_of, partitions_in, read_rows
 from ..sites import FleetSite
 from ..storage import absolute
-from ..work import Outcome, Task, environment, failed
+from ..work import Outcome, Task, environment, lost
 from . import store
 from .check import lost_check
 from .events import Event, Watched
@@ -130,45 +132,61 @@ def check_fleet(
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
     known = store.keys(history, by_id)
     blank = Check(tolerance=tolerance, tried=tried)
-    rows = _Rows(history, known, list(by_id))
+    faulty: list[Outcome] = []
 
     def tasks() -> Iterator[Task]:
-        stored: dict[str, Row] = {}
-        part = ""
-        for pair in ordered:
-            site = pair.site
-            if answers is not None and partition_of(pair.origin) != part:
-                part = partition_of(pair.origin)
-                stored = read_rows(answers, part)
-            own = stored.get(pair.origin)
-            fault = site.fault or ("" if answers is None else _unanswered(own, pair.lidars))
-            if fault:
-                rows.add(site.id, lost_check(site, blank, failed(site, "error", "usage", fault)))
-                continue
-            yield Task(
-                site=site,
-                check=Check(
-                    tolerance=blank.tolerance,
-                    tried=tried,
+        for part, of_part in groupby(ordered, lambda pair: partition_of(pair.origin)):
+            stored = {} if answers is None else read_rows(answers, part)
+            for pair in of_part:
+                site, own = pair.site, stored.get(pair.origin)
+                fault = site.fault or ("" if answers is None else _unanswered(own, pair.lidars))
+                if fault:
+                    faulty.append(lost(site, "usage", fault))
+                    continue
+                check = msgspec.structs.replace(
+                    blank,
                     document=None if own is None else own.document,
                     lidars=pair.lidars,
                     known=sorted(known.get(site.id, ())),
-                ),
-                time_limit=time_limit,
-                environment=environment(),
-            )
+                )
+                yield Task(site=site, check=check, time_limit=time_limit, environment=environment())
 
-    start = time.monotonic()
+    newest: dict[str, CheckRow] = {}
+
+    def outcomes() -> Iterator[Outcome]:
+        # Which are faulty is known as tasks are taken, and of the last after all outcomes.
+        for outcome in chain(doing(tasks()), (None,)):
+            if outcome is not None:
+                yield outcome
+            while faulty:
+                yield faulty.pop()
+
+    def found() -> Iterator[tuple[str, CheckRow | None]]:
+        start = time.monotonic()
+        for over, outcome in enumerate(outcomes(), 1):
+            yield outcome.id, _row(outcome, by_id[outcome.id], blank)
+            progress(how_far("check", over, len(ordered), time.monotonic() - start))
+
+    def append(rows: Iterable[CheckRow | None]) -> int:
+        new = [row for row in rows if row is not None]
+        newest.update((row.id, row) for row in new)
+        return store.append(history, new, set().union(*(known.get(row.id, ()) for row in new)))
+
+    # Rows come in any order: those of the same sites are appended together, so that the files of
+    # the history are the same whatever the workers.
+    appended = 0
+    waiting: dict[int, dict[str, CheckRow | None]] = {}
+    chunk_of = {name: k // FLUSH for k, name in enumerate(by_id)}
     try:
-        for outcome in doing(tasks()):
-            rows.add(outcome.id, _row(outcome, by_id[outcome.id], blank))
-            progress(how_far("check", rows.done, len(ordered), time.monotonic() - start))
+        for _, rows in whole_groups(found(), chunk_of, waiting):
+            appended += append(rows.values())
     finally:
         # Also what was checked before an interrupt.
-        rows.write_rest()
+        rest = chain.from_iterable(rows.values() for rows in waiting.values())
+        append([*rest, *(_row(each, by_id[each.id], blank) for each in faulty)])
     progress("look at the history")
-    changes = (changes_of(own, rows.of.get(name)) for name, own in store.read(history, by_id))
-    return FleetCheck(rows.appended, tuple(changes))
+    changes = (changes_of(own, newest.get(name)) for name, own in store.read(history, by_id))
+    return FleetCheck(appended, tuple(changes))
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:
@@ -181,43 +199,6 @@ def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> Site
         watch([one for _, one in usable]),
         newest,
     )
-
-
-class _Rows:
-    """Rows that come in any order, appended to the history in that of the sites, many together.
-
-    So the files of the history are the same whatever the workers.
-    """
-
-    def __init__(self, history: str, known: Mapping[str, set[str]], ids: Sequence[str]) -> None:
-        self._history = history
-        self._known = known
-        self._chunk_of = {name: k // FLUSH for k, name in enumerate(ids)}
-        self._left = Counter(self._chunk_of.values())
-        self._rows: dict[int, list[CheckRow]] = {}
-        self.of: dict[str, CheckRow] = {}
-        self.appended = self.done = 0
-
-    def add(self, name: str, row: CheckRow | None) -> None:
-        """Take the row of a site; None where the history has it."""
-        chunk = self._chunk_of[name]
-        self._left[chunk] -= 1
-        self.done += 1
-        if row is not None:
-            self.of[name] = row
-            self._rows.setdefault(chunk, []).append(row)
-        if not self._left[chunk]:
-            self._write(chunk)
-
-    def write_rest(self) -> None:
-        """Append what is there of sites whose neighbours are missing."""
-        for chunk in sorted(self._rows):
-            self._write(chunk)
-
-    def _write(self, chunk: int) -> None:
-        rows = self._rows.pop(chunk, [])
-        known = set[str]().union(*(self._known.get(row.id, ()) for row in rows))
-        self.appended += store.append(self._history, rows, known)
 
 
 def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:

@@ -57,8 +57,7 @@ def watched_pairs(site: FleetSite, answers: str | None = None) -> Iterator[Watch
         file = decode_site_file(read_bytes(site.site, LARGEST_SITE_FILE))
         yield from _pairs(site, stored, file, place)
     except RetropoleError as error:
-        fault = quoting(f"{site.site}: {error}")
-        yield WatchedPair(_faulty(site, fault), site.id)
+        yield WatchedPair(_faulty(site, quoting(f"{site.site}: {error}")), site.id)
 
 
 def _faulty(site: FleetSite, fault: str) -> FleetSite:
@@ -95,27 +94,28 @@ def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iter
             latitude=site.latitude,
             longitude=site.longitude,
         )
-        if not all(name in tables for name in both):
-            fault = f"{site.site}: it has no LiDARs {quoting(' and '.join(both))}"
-            yield WatchedPair(_faulty(pair, fault), site.id, both)
-            continue
-        yield WatchedPair(_recorded(pair, site, stored, *(tables[n] for n in both)), site.id, both)
+        if tables.keys() >= {*both}:
+            pair = _recorded(pair, site, stored, *(tables[name] for name in both))
+        else:
+            pair = _faulty(pair, f"{site.site}: it has no LiDARs {quoting(' and '.join(both))}")
+        yield WatchedPair(pair, site.id, both)
 
 
 def _recorded(
     pair: FleetSite, site: FleetSite, stored: SiteDoc, target: LidarTable, source: LidarTable
 ) -> FleetSite:
     """Take the recordings of the first placement that both have, with the options of the file."""
-    there = [each for each in zip(target.recordings, source.recordings, strict=False) if all(each)]
-    if not there:
+    both = zip(target.recordings, source.recordings, strict=False)
+    recordings = next(filter(all, both), None)
+    if recordings is None:
         return _faulty(pair, f"{site.site}: no placement of both {target.name} and {source.name}")
     if target.frames or source.frames:
         return _faulty(pair, f"{site.site}: frames: a check takes whole recordings")
     folder = folder_of(site.site)
     return msgspec.structs.replace(
         pair,
-        target=below(folder, there[0][0]),
-        source=below(folder, there[0][1]),
+        target=below(folder, recordings[0]),
+        source=below(folder, recordings[1]),
         config=RunConfig(
             radius_m=stored.radius_m,
             radius_sigma_m=stored.radius_sigma_m,

@@ -54,15 +54,13 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None =
         months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
     count = 0
     for month, own in sorted(months.items()):
-        kept = known
-        if kept is None:
-            kept = set().union(*keys(folder, months=[month]).values())
+        there = keys(folder, months=[month]).values() if known is None else ()
+        kept = set().union(*there) if known is None else known
         fresh = {key: row for key, row in sorted(own.items()) if key not in kept}
-        if not fresh:
-            continue
-        name = hashlib.sha256("\n".join(fresh).encode()).hexdigest()[:32]
-        place = below(below(folder, month), f"{name}.parquet")
-        write_bytes(place, parquet_of(map(plain, fresh.values()), schema()))
+        if fresh:
+            name = hashlib.sha256("\n".join(fresh).encode()).hexdigest()[:32]
+            place = below(below(folder, month), f"{name}.parquet")
+            write_bytes(place, parquet_of(map(plain, fresh.values()), schema()))
         count += len(fresh)
     return count
 
@@ -73,10 +71,9 @@ def keys(
     """Give the keys of the checks of each site of a history, or of some of its months."""
     found: dict[str, set[str]] = {}
     for place in _files(folder, months):
-        columns = _table(place, ["id", "key"])
-        for name, key in zip(*(columns.column(c).to_pylist() for c in ("id", "key")), strict=True):
-            if ids is None or name in ids:
-                found.setdefault(name, set()).add(key)
+        for row in _table(place, ["id", "key"]).to_pylist():
+            if ids is None or row["id"] in ids:
+                found.setdefault(row["id"], set()).add(row["key"])
     return found
 
 
@@ -103,8 +100,14 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
         Where a file of it is damaged, or not of this schema.
     """
     pa, _ = arrow()
-    tables = [_of_sites(_table(place), ids) for place in _files(folder)]
-    whole = pa.concat_tables([schema().empty_table(), *tables])
+    from pyarrow import compute
+
+    tables = [schema().empty_table()]
+    for place in _files(folder):
+        table = _table(place)
+        some = None if ids is None else compute.field("id").isin(sorted(ids))
+        tables.append(table if some is None else table.filter(some))
+    whole = pa.concat_tables(tables)
     whole = whole.sort_by([(name, "ascending") for name in ("id", "time", "key")])
     names = whole.column("id").to_pylist()
     start = 0
@@ -115,41 +118,19 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
         start = end
 
 
-def _of_sites(table: Any, ids: Collection[str] | None) -> Any:
-    if ids is None:
-        return table
-    pa, _ = arrow()
-    from pyarrow import compute
-
-    return table.filter(compute.is_in(table.column("id"), pa.array(sorted(ids), pa.string())))
-
-
 def schema() -> Any:
     """Give the schema of the files."""
     pa, _ = arrow()
-    double = pa.float64()
-    text = pa.string()
-    return pa.schema(
-        [
-            pa.field("key", text, nullable=False),
-            pa.field("id", text, nullable=False),
-            pa.field("time", pa.timestamp("us", tz="UTC"), nullable=False),
-            pa.field("status", text, nullable=False),
-            ("used", text),
-            ("codes", pa.list_(text)),
-            ("message", text),
-            ("step", pa.list_(double)),
-            ("covariance", pa.list_(double)),
-            ("random", pa.list_(double)),
-            ("chi2", double),
-            ("power", double),
-            ("stored_sha256", text),
-            ("target_sha256", text),
-            ("source_sha256", text),
-            ("version", text),
-        ],
-        metadata={"schema": SCHEMA},
-    )
+    text, double = pa.string(), pa.float64()
+    always = {"key": text, "id": text, "time": pa.timestamp("us", tz="UTC"), "status": text}
+    columns = {
+        **{"used": text, "codes": pa.list_(text), "message": text},
+        **dict.fromkeys(("step", "covariance", "random"), pa.list_(double)),
+        **dict.fromkeys(("chi2", "power"), double),
+        **dict.fromkeys(("stored_sha256", "target_sha256", "source_sha256", "version"), text),
+    }
+    needed = [pa.field(name, kind, nullable=False) for name, kind in always.items()]
+    return pa.schema([*needed, *columns.items()], metadata={"schema": SCHEMA})
 
 
 def _files(folder: str, months: Collection[str] | None = None) -> Iterator[str]:

@@ -159,14 +159,13 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
         branch = None
         if off <= GATE and not waiting:
             runs = taken.told(surprise)
-            change = _found(runs, runs.best, n, n - 1, needed)
-            branch = None if change is None else _Branch(runs, (n,), change)
+            branch = _found(runs, (n,), n - 1, needed)
         else:
             branch = _confirmed(runs, checks, {**waiting, n: off}, needed)
         if branch is not None:
             # The others that waited agree with nothing.
             events += [Event("outlier", k, n) for k in waiting if k not in branch.numbers]
-            events.append(_event(branch.runs, runs.best, branch.change, n))
+            events.append(branch.event)
             runs, waiting = _adopted(branch.runs, branch.change), {}
         elif off <= GATE and waiting:
             # The filter has not taken them in: they are left out for good.
@@ -210,11 +209,12 @@ def _taken(ahead: _Runs, check: Observed) -> tuple[_Runs, Surprise]:
 
 @dataclass(frozen=True, eq=False)
 class _Branch:
-    """Runs that have taken in some checks, and the number of the change that explains them."""
+    """Runs that have taken in some checks, the number of the change that explains them, and it."""
 
     runs: _Runs
     numbers: tuple[int, ...]
     change: int
+    event: Event
 
 
 def _quick(singles: int, n: int) -> float:
@@ -234,23 +234,18 @@ def _confirmed(
     `off` is the χ² of each against what was expected, the newest last.
     """
     *waiting, n = off
-    likely: list[tuple[float, _Branch]] = []
+    likely: list[_Branch] = []
     whole = [(*waiting, n)] if len(waiting) > 1 else []
     for numbers in ((n,), *((k, n) for k in waiting), *whole):
         after, surprises = _with_all(runs, checks, numbers)
         alone = numbers[-2] if len(numbers) > 1 else n - 1
-        change = _found(after, runs.best, n, alone, needed)
-        if change is None:
+        branch = _found(after, numbers, alone, needed)
+        if branch is None or not _explains(runs.changes.of(runs.best), branch.event, surprises):
             continue
-        before, changes = runs.changes.of(runs.best), after.changes.of(runs.best)
-        if not _explains(before, changes, change, surprises):
-            continue
-        statistic = float(changes.statistics()[change])
-        fading = min(off[k] for k in numbers) <= WEAKER * statistic
-        if changes.onset[change] == alone and fading:
-            continue
-        likely.append((statistic, _Branch(after, numbers, change)))
-    return max(likely, key=lambda one: one[0], default=(0.0, None))[1]
+        fading = min(off[k] for k in numbers) <= WEAKER * branch.event.statistic
+        if branch.event.onset != alone or not fading:
+            likely.append(branch)
+    return max(likely, key=lambda one: one.event.statistic, default=None)
 
 
 def _with_all(
@@ -264,60 +259,43 @@ def _with_all(
     return runs, surprises
 
 
-def _explains(old: Changes, new: Changes, m: int, surprises: Sequence[float]) -> bool:
+def _explains(before: Changes, event: Event, surprises: Sequence[float]) -> bool:
     """Tell whether under a change the checks that were taken in are no surprise."""
-    same = (old.onset == new.onset[m]) & (old.is_trend == new.is_trend[m])
+    same = (before.onset == event.onset) & (before.is_trend == (event.kind == "trend"))
     # What the change explained before these checks is none of their surprise.
-    known = float(old.statistics()[same].sum())
-    left = sum(surprises) - (float(new.statistics()[m]) - known)
+    left = sum(surprises) - (event.statistic - float(before.statistics()[same].sum()))
     freedom = 6 * len(surprises) - (0 if same.any() else 6)
     return bool(left <= chdtri(freedom, CHANCE))
 
 
-def _statistics(changes: Changes, n: int, days: float) -> Array:
-    """Likelihood ratio of each change that at least two checks show, and days enough."""
-    long = ~changes.is_trend | (days - changes.days >= SHORTEST_TREND)
-    shown = (n - changes.onset >= 1) & long
-    return np.where(shown, changes.statistics(), 0.0)
-
-
 def _found(
-    runs: _Runs, best: int, n: int, alone: int, needed: tuple[float, float, float]
-) -> int | None:
-    """Give the number of the likeliest change that matters, where one was found.
+    runs: _Runs, numbers: tuple[int, ...], alone: int, needed: tuple[float, float, float]
+) -> _Branch | None:
+    """Find the likeliest change that matters, of those that two checks show, and days enough.
 
-    A step that begins with the check `alone` is shown by two. `needed` is of a step, of a trend,
-    and of a step that two show.
+    The last of the checks `numbers` is the newest. A step that begins with the check `alone` is
+    shown by two. `needed` is of a step, of a trend, and of a step that two show.
     """
-    changes = runs.changes.of(best)
+    n, changes = numbers[-1], runs.changes.of(runs.best)
     least = np.where(changes.is_trend, needed[1], needed[0])
     two = ~changes.is_trend & (changes.onset >= alone)
     least = np.where(two, np.maximum(least, needed[2]), least)
-    statistics = _statistics(changes, n, runs.state.days)
+    long = ~changes.is_trend | (runs.state.days - changes.days >= SHORTEST_TREND)
+    statistics = np.where((changes.onset < n) & long, changes.statistics(), 0.0)
     beyond = statistics - least
-    for m in np.argsort(-beyond, kind="stable"):
+    for m in np.argsort(-beyond, kind="stable").tolist():
         if beyond[m] <= 0.0:
             return None
-        size, _ = changes.size(int(m))
+        size, covariance = changes.size(m)
         quick = two[m] and statistics[m] <= SURE
         if any(np.linalg.norm(size[part]) >= one for part, one in (LARGE if quick else LEAST)):
-            return int(m)
+            kind: Literal["step", "trend"] = "trend" if changes.is_trend[m] else "step"
+            others = statistics[changes.is_trend != changes.is_trend[m]]
+            lead = float(statistics[m] - others.max(initial=0.0))
+            onset, statistic = int(changes.onset[m]), float(statistics[m])
+            event = Event(kind, onset, n, size, covariance, statistic, lead)
+            return _Branch(runs, numbers, m, event)
     return None
-
-
-def _event(runs: _Runs, best: int, m: int, n: int) -> Event:
-    changes = runs.changes.of(best)
-    statistics = _statistics(changes, n, runs.state.days)
-    is_trend = bool(changes.is_trend[m])
-    others = statistics[changes.is_trend != is_trend]
-    return Event(
-        "trend" if is_trend else "step",
-        int(changes.onset[m]),
-        n,
-        *changes.size(m),
-        float(statistics[m]),
-        float(statistics[m] - others.max(initial=0.0)),
-    )
 
 
 def _adopted(runs: _Runs, m: int) -> _Runs:

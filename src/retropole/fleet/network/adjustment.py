@@ -33,7 +33,8 @@ class Layout:
     turned
         (E,) whether its first pose is the second of the pair.
     onto_nodes
-        For edges' first and second poses, known poses and points: (N, K) sums over observations.
+        (N, K) sums over observations, by the first and the second end of relative poses, known
+        ones last, and by who sees the points.
     onto_pairs
         (P, E) sums over edges.
     """
@@ -70,8 +71,11 @@ def find_layout(model: Model) -> Layout:
     ends = np.sort(np.stack([i, j], axis=1), axis=1)
     pairs, pair = np.unique(ends, axis=0, return_inverse=True)
     pair = pair.reshape(-1)
+    relative = model.relative
     onto_nodes = tuple(
-        _sums(node, graph.nodes) for node in (i, j, graph.known.node, graph.points.node)
+        # No unknowns are of the ground.
+        _sums(node, graph.nodes + 1)[:-1]
+        for node in (relative.i, relative.j, graph.points.node)
     )
     pattern = find_pattern(graph.nodes, pairs)
     return Layout(pattern, pair, i > j, onto_nodes, _sums(pair, len(pairs)))
@@ -92,7 +96,7 @@ def added(sums: csr_array, values: Array) -> Array:
 
 def normal_equations(
     layout: Layout,
-    observed: tuple[Whitened, Whitened, Whitened],
+    observed: tuple[Whitened, Whitened],
     weight: Array,
     components: tuple[Component, ...],
 ) -> tuple[Blocks, Array]:
@@ -103,21 +107,18 @@ def normal_equations(
     layout
         Where they stand.
     observed
-        Edges, known poses and control points, as `residuals.Model.at` gives them.
+        Relative poses and control points, as `residuals.Model.at` gives them.
     weight
         (M,) of each observation.
     components
         With what holds the datum of each.
     """
-    edges, known, points = observed
-    assert edges.by_i is not None
-    bounds = np.cumsum([len(edges.residual), len(known.residual)])
-    weights = np.split(weight, bounds)
+    relative, points = observed
+    of_relative, of_points = np.split(weight, [len(relative.residual)])
     sides = (
-        (edges.by_i, edges.residual, weights[0]),
-        (edges.by_j, edges.residual, weights[0]),
-        (known.by_j, known.residual, weights[1]),
-        (points.by_j, points.residual, weights[2]),
+        (relative.by_i, relative.residual, of_relative),
+        (relative.by_j, relative.residual, of_relative),
+        (points.by_j, points.residual, of_points),
     )
     size = layout.pattern.size
     diagonal, right = np.zeros((size, 6, 6)), np.zeros((size, 6))
@@ -125,7 +126,9 @@ def normal_equations(
         heavy = np.swapaxes(J, 1, 2) * w[:, None, None]
         diagonal += added(sums, heavy @ J)
         right -= added(sums, np.einsum("kab,kb->ka", heavy, residual))
-    cross = np.swapaxes(edges.by_i, 1, 2) @ (edges.by_j * weights[0][:, None, None])
+    edges = slice(0, len(layout.pair))
+    heavy = relative.by_j[edges] * of_relative[edges, None, None]
+    cross = np.swapaxes(relative.by_i[edges], 1, 2) @ heavy
     pairs = added(layout.onto_pairs, layout.turn(cross))
     _hold(diagonal, pairs, right, layout.pattern.pairs, components)
     return Blocks(diagonal, pairs), right
@@ -144,18 +147,15 @@ def _hold(
 ) -> None:
     """Take what is held out of the unknowns, and let it stand by itself instead."""
     nodes, held = held_nodes(components)
-    free = np.eye(6) - held
+    free = np.tile(np.eye(6), (len(diagonal), 1, 1))
+    free[nodes] -= held
     # Of the size of the rest, so that it does no harm to what is solved.
     scale = np.maximum(np.trace(diagonal[nodes], axis1=1, axis2=2) / 6, 1.0)
-    diagonal[nodes] = free @ diagonal[nodes] @ free + scale[:, None, None] * held
-    right[nodes] = np.einsum("kab,kb->ka", free, right[nodes])
-    which = np.full(len(diagonal), -1)
-    which[nodes] = np.arange(len(nodes))
-    for side in (0, 1):
-        at = which[ends[:, side]]
-        some = np.flatnonzero(at >= 0)
-        P = free[at[some]]
-        pairs[some] = P @ pairs[some] if side == 0 else pairs[some] @ P
+    diagonal[nodes] = free[nodes] @ diagonal[nodes] @ free[nodes] + scale[:, None, None] * held
+    right[nodes] = np.einsum("kab,kb->ka", free[nodes], right[nodes])
+    some = np.isin(ends, nodes).any(axis=1)
+    a, b = ends[some].T
+    pairs[some] = free[a] @ pairs[some] @ free[b]
 
 
 def step(

@@ -42,14 +42,14 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
     pa, _ = arrow()
     text, real, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
     columns = {
-        **{"kind": text, "node": text, "other": text, "site": text},
+        **dict.fromkeys(("kind", "node", "other", "site"), text),
         **{"T": pa.list_(real), "covariance": pa.list_(real), "component": whole, "datum": text},
         **{"doubtful": truth, "used": truth, "chi2": real, "freedom": whole, "w": real},
         **{"redundancy": real, "detectable_rotation_rad": real, "detectable_translation_m": real},
         **{"rivals": pa.list_(text), "reason": text},
     }
     metadata = {"schema": NETWORK_SCHEMA, "unit_variance": repr(found.unit_variance)}
-    schema = pa.schema(list(columns.items()), metadata=metadata)
+    schema = pa.schema(columns, metadata)
     write_bytes(absolute(place), parquet_of(_lines(of, found), schema))
 
 
@@ -71,15 +71,16 @@ def _lines(of: FleetNetwork, found: NetworkAdjustment) -> Iterator[dict[str, Any
     component: dict[int, int] = {
         node: k for k, each in enumerate(found.components) for node in each.nodes.tolist()
     }
+    datums = [each.datum_of(of.nodes) for each in found.components]
     for k, name in enumerate(of.nodes):
         yield {
             "kind": "pose",
             "node": name,
-            "T": found.T_world_node[k].ravel().tolist(),
-            "covariance": found.covariance[k].ravel().tolist(),
+            "T": found.T_world_node[k].ravel(),
+            "covariance": found.covariance[k].ravel(),
             "component": component[k],
-            "datum": found.components[component[k]].datum_of(of.nodes),
-            "doubtful": bool(found.doubtful[k]),
+            "datum": datums[component[k]],
+            "doubtful": found.doubtful[k],
         }
     out = {(one.kind, one.index): one for one in found.left_out}
     i, j = of.graph.edges.i.tolist(), of.graph.edges.j.tolist()

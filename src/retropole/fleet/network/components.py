@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from ...api import Array, BoolArray, IntArray, se3
-from .graph import Graph
+from .graph import Graph, grouped
 
 LEAST_LEVER = 1e-3
 """Control points that lie on one line but for so much, metres, hold no rotation about it."""
@@ -54,39 +54,31 @@ class Component:
         return f"{self.controls} controls"
 
 
-def labels(graph: Graph, active: BoolArray) -> IntArray:
-    """(N,) number of the component of each node; components are counted by their first node."""
-    edges = active[: len(graph.edges)]
-    i, j = graph.edges.i[edges], graph.edges.j[edges]
-    matrix = coo_array((np.ones(len(i)), (i, j)), shape=(graph.nodes, graph.nodes))
-    found = connected_components(matrix, directed=False)[1]
-    _, first, inverse = np.unique(found, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(rank[inverse])
+def hanging_together(graph: Graph, kept: BoolArray) -> IntArray:
+    """(N + 1,) label of each node and, last, of the ground: equal where those kept (M,) join."""
+    ends = tuple(end[kept] for end in graph.ends)
+    size = graph.nodes + 1
+    matrix = coo_array((np.ones(len(ends[0])), ends), shape=(size, size))
+    return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
 
 
 def find_components(graph: Graph, active: BoolArray) -> tuple[Component, ...]:
     """Find the components of a network, by those of its observations that are active (M,)."""
-    label = labels(graph, active)
-    edges, known = len(graph.edges), len(graph.known)
-    by_label = np.argsort(label, kind="stable")
-    bounds = np.searchsorted(label[by_label], np.arange(label[by_label[-1]] + 2))
-    posed = label[graph.known.node[active[edges : edges + known]]]
-    seen = active[edges + known :]
-    pointed, world = label[graph.points.node[seen]], graph.points.world[seen]
-    full = np.bincount(posed, minlength=len(bounds) - 1)
-    some = np.bincount(pointed, minlength=len(bounds) - 1)
-    by_part = np.argsort(pointed, kind="stable")
-    ends = np.cumsum(some)
-    components = []
-    for k in range(len(bounds) - 1):
-        held = np.zeros((0, 6))
-        if not full[k]:
-            held = _open(world[by_part[ends[k] - some[k] : ends[k]]])
-        nodes = by_label[bounds[k] : bounds[k + 1]]
-        components.append(Component(nodes, int(full[k] + some[k]), held))
-    return tuple(components)
+    is_edge = np.arange(graph.observations) < len(graph.edges)
+    label = np.unique(hanging_together(graph, active & is_edge)[:-1], return_inverse=True)[1]
+    _, known, points = np.split(active, np.cumsum([len(graph.edges), len(graph.known)]))
+    world, count = graph.points.world[points], int(label.max()) + 1
+    groups = (
+        grouped(label[nodes], count)
+        for nodes in (slice(None), graph.known.node[known], graph.points.node[points])
+    )
+    components = [
+        Component(
+            nodes, len(posed) + len(seen), np.zeros((0, 6)) if len(posed) else _open(world[seen])
+        )
+        for nodes, posed, seen in zip(*groups, strict=True)
+    ]
+    return tuple(sorted(components, key=lambda component: int(component.nodes[0])))
 
 
 def _open(points: Array) -> Array:
@@ -106,20 +98,14 @@ def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     Two contradicting edges that a node alone hangs by both look wrong; without either it would
     have no place at all.
     """
-    i, j = graph.ends
-    # Between the same two ends the best one counts; a weight of zero would be none.
-    weight = np.where(wanted, 1e-3, 1.0 + squares)
-    order = np.argsort(weight, kind="stable")
-    low, high = np.minimum(i, j)[order], np.maximum(i, j)[order]
-    _, best = np.unique(low * (graph.nodes + 1) + high, return_index=True)
-    one = order[best]
     size = graph.nodes + 1
-    matrix = coo_array((weight[one], (low[best], high[best])), shape=(size, size)).tocsr()
-    tree = minimum_spanning_tree(matrix).tocoo()
-    a, b = np.minimum(tree.row, tree.col), np.maximum(tree.row, tree.col)
-    keys = low[best].astype(np.int64) * size + high[best]
-    # `keys` rise: they are unique and sorted.
-    found = one[np.searchsorted(keys, a.astype(np.int64) * size + b)]
+    order = np.lexsort((squares, ~wanted))
+    low, high = np.sort(np.stack(graph.ends), axis=0)[:, order]
+    # Between the same two ends the best one counts.
+    best = np.unique(np.ravel_multi_index((low, high), (size, size)), return_index=True)[1]
+    # What the tree is the least sum of, ranks, tells which they are.
+    ranks = coo_array((best + 1.0, (low[best], high[best])), shape=(size, size))
+    tree = minimum_spanning_tree(ranks.tocsr())
     kept = wanted.copy()
-    kept[found] = True
+    kept[order[tree.data.astype(np.int64) - 1]] = True
     return kept

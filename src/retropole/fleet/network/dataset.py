@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ...api import Array, se3
 from ...base.errors import ReadError, quoting
+from ...base.relative import RelativePose
 from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
 from ..answers import document_of
@@ -20,13 +20,6 @@ from ..sites import ROLES
 from ..storage import absolute
 from .graph import ControlPoints, Edges, Graph
 from .nodes import NodeList
-
-
-class RelativePose(NamedTuple):
-    """(4, 4) maps points of the second node into the frame of the first, and its covariance."""
-
-    T_i_j: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -82,18 +75,16 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
     edges: list[tuple[str, str, str, RelativePose]] = []
     not_used: list[NotUsed] = []
     missing = set(nodes.of_site)
-    partitions = partitions_in(out)
-    if not partitions:
+    if not (partitions := partitions_in(out)):
         raise ReadError(f"{dataset}: no answers of 'retropole fleet calibrate'")
     for partition in partitions:
         for row in read_rows(out, partition).values():
             missing.discard(row.id)
             lidars = nodes.of_site.get(row.id, {})
-            why = _why_not(row, lidars)
-            if why:
+            if why := _why_not(row, lidars):
                 not_used.append(NotUsed("site", row.id, why))
-                continue
-            edges += [(row.id, *edge) for edge in _edges_of(row, lidars, nodes.place)]
+            else:
+                edges += [(row.id, *edge) for edge in _edges_of(row, lidars, nodes.place)]
     if missing:
         name = min(missing)
         raise ReadError(f"{nodes.place}: there is no site {quoting(name)!r} in {dataset}")
@@ -101,15 +92,14 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
         raise ReadError(f"{dataset}: no answer has two LiDARs that are nodes of {nodes.place}")
     edges.sort(key=lambda edge: edge[:3])
     sites, first, second, poses = zip(*edges, strict=True)
-    names = tuple(sorted({*first, *second}))
-    number = {name: k for k, name in enumerate(names)}
+    number = {name: k for k, name in enumerate(sorted({*first, *second}))}
     named = {each for lidars in nodes.of_site.values() for each in lidars.values()}
     named |= {point.node for point in nodes.surveyed}
-    lone = sorted(named - set(names))
+    lone = sorted(named - number.keys())
     not_used += [NotUsed("node", name, "no relative pose leads to it") for name in lone]
     points = [point for point in nodes.surveyed if point.node in number]
     graph = Graph(
-        len(names),
+        len(number),
         Edges(
             np.array([number[name] for name in first]),
             np.array([number[name] for name in second]),
@@ -123,7 +113,7 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
             _rows([(point.seen_x_m, point.seen_y_m, point.seen_z_m) for point in points]),
         ),
     )
-    return FleetNetwork(graph, names, sites, tuple(not_used))
+    return FleetNetwork(graph, tuple(number), sites, tuple(not_used))
 
 
 def _rows(points: list[tuple[float, float, float]]) -> Array:
@@ -180,10 +170,11 @@ def _tree(document: SiteDoc, lidars: Mapping[str, str]) -> Iterator[tuple[str, s
         (i, j): RelativePose(site.T(a, b), site.covariance(a, b))
         for (i, a), (j, b) in combinations(enumerate(some), 2)
     }
+    # The variance of a point at the range.
+    each = np.repeat([AT_RANGE**2, 1.0], 3)
     weight = np.zeros((len(some), len(some)))
     for ends, pose in found.items():
-        C = pose.covariance
-        weight[ends] = AT_RANGE**2 * np.trace(C[:3, :3]) + np.trace(C[3:, 3:])
+        weight[ends] = each @ np.diag(pose.covariance)
     tree = minimum_spanning_tree(weight).tocoo()
     for i, j in sorted(zip(tree.row.tolist(), tree.col.tolist(), strict=True)):
         yield lidars[some[i]], lidars[some[j]], found[i, j]

@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from ...api import Array, BoolArray, IntArray, se3
-from .components import Component
+from .components import Component, hanging_together
 from .graph import ControlPoints, Edges, Graph, KnownPoses
-from .residuals import Model
+from .residuals import Model, with_ground
 from .testing import critical
 
 AGREE = 10.0
@@ -44,7 +44,7 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
     """
     i, j = graph.ends
     lone = active & (checked == 0)
-    label = _components(graph, active & ~lone)
+    label = hanging_together(graph, active & ~lone)
     bridges = np.flatnonzero(lone)
     left_out = np.flatnonzero(~active & (label[i] != label[j]))
     if not len(bridges) or not len(left_out):
@@ -52,20 +52,18 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
     size = int(label.max()) + 1
     a, b = label[i[bridges]], label[j[bridges]]
     forest = csr_array((np.ones(len(bridges)), (a, b)), shape=(size, size))
-    by_ends = {
-        tuple(sorted(ends)): int(k)
-        for ends, k in zip(zip(a.tolist(), b.tolist(), strict=True), bridges, strict=True)
-    }
+    ends = zip(a.tolist(), b.tolist(), strict=True)
+    by_ends = dict(zip(map(frozenset, ends), bridges.tolist(), strict=True))
     found = {}
     for k in left_out.tolist():
         first, last = int(label[i[k]]), int(label[j[k]])
         _, before = breadth_first_order(forest, first, directed=False)
         path, at = [], last
         while before[at] >= 0:
-            path.append(by_ends[tuple(sorted((at, int(before[at]))))])
+            path.append(by_ends[frozenset((at, int(before[at])))])
             at = int(before[at])
         if at == first:
-            found[k] = tuple(reversed(path))
+            found[k] = tuple(path[::-1])
     return found
 
 
@@ -130,23 +128,21 @@ def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, othe
     label = _components_without(graph, active, [rival])
     i, j = (int(end[both[0]]) for end in graph.ends)
     side = label == label[j if label[j] != label[-1] else i]
-    about = T[j, :3, 3]
+    # A turn of the side by φ moves a pose of it by φ × (t − about).
+    away = with_ground(T)[:, :3, 3] - T[j, :3, 3]
+    moves = np.tile(np.eye(6), (len(away), 1, 1))
+    moves[:, 3:, :3] = -se3.hat(away)
+    moves *= side[:, None, None]
     two = _only(graph, both)
-    derivative, residual = [], []
-    first, last = two.ends
-    for seen in Model(two).at(T):
-        count = len(seen.residual)
-        rows = np.zeros((*seen.residual.shape, 6))
-        for nodes, J in ((first[:count], seen.by_i), (last[:count], seen.by_j)):
-            if J is not None:
-                # A turn of the side by φ moves a pose of it by φ × (t − about).
-                moves = J.copy()
-                moves[:, :, :3] -= J[:, :, 3:] @ se3.hat(T[nodes, :3, 3] - about)
-                rows += moves * side[nodes, None, None]
-        first, last = first[count:], last[count:]
-        derivative.append(rows.reshape(-1, 6))
-        residual.append(seen.residual.ravel())
-    A, e = np.concatenate(derivative), np.concatenate(residual)
+    relative, points = Model(two).at(T)
+    first, last = (np.split(end, [len(relative.residual)]) for end in two.ends)
+    A = np.concatenate(
+        [
+            (seen.by_i @ moves[i] + seen.by_j @ moves[j]).reshape(-1, 6)
+            for seen, i, j in zip((relative, points), first, last, strict=True)
+        ]
+    )
+    e = np.concatenate([relative.residual.ravel(), points.residual.ravel()])
     left = e - A @ np.linalg.lstsq(A, e)[0]
     return bool(left @ left <= AGREE * critical(np.array(len(e) - 6)))
 
@@ -181,32 +177,27 @@ def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) 
     instead
         An edge or a known pose that joins the same two sides.
     """
-    edges, known = graph.edges, graph.known
-    label = _components_without(graph, active, [rival])
-    i, j = (int(end[instead]) for end in graph.ends)
-    if instead >= len(edges) + len(known) or label[i] == label[j]:
+    relative = graph.relative
+    if instead >= len(relative):
         return T
-    if instead >= len(edges):
-        target = known.T_world_node[instead - len(edges)]
-    else:
-        T_i_j = edges.T_i_j[instead]
-        # The side without the ground moves, or the smaller one.
-        sizes = [np.count_nonzero(label == label[end]) for end in (i, j)]
-        if label[j] == label[-1] or (label[i] != label[-1] and sizes[1] > sizes[0]):
-            i, j, T_i_j = j, i, se3.inverse(T_i_j)
-        target = T[i] @ T_i_j
-    T = T.copy()
-    side = label[:-1] == label[j]
-    T[side] = target @ se3.inverse(T[j]) @ T[side]
-    return T
+    label = _components_without(graph, active, [rival])
+    i, j, T_i_j = relative.i[instead], relative.j[instead], relative.T_i_j[instead]
+    if label[i] == label[j]:
+        return T
+    # The side without the ground moves, or the smaller one.
+    sizes = [np.count_nonzero(label == label[end]) for end in (i, j)]
+    if label[j] == label[-1] or (label[i] != label[-1] and sizes[1] > sizes[0]):
+        i, j, T_i_j = j, i, se3.inverse(T_i_j)
+    T = with_ground(T)
+    side = label == label[j]
+    T[side] = T[i] @ T_i_j @ se3.inverse(T[j]) @ T[side]
+    return T[:-1]
 
 
 def hanging(
     graph: Graph, active: BoolArray, components: tuple[Component, ...], rivals: set[int]
 ) -> BoolArray:
     """Which poses (N,) are tied to their datum by observations that may be wrong alone."""
-    if not rivals:
-        return np.zeros(graph.nodes, dtype=bool)
     label = _components_without(graph, active, sorted(rivals))
     doubtful = np.zeros(graph.nodes, dtype=bool)
     for component in components:
@@ -215,16 +206,8 @@ def hanging(
     return doubtful
 
 
-def _components(graph: Graph, kept: BoolArray) -> IntArray:
-    """(N + 1,) which nodes, the ground last, hang together by some of the observations."""
-    i, j = graph.ends
-    size = graph.nodes + 1
-    matrix = coo_array((np.ones(int(kept.sum())), (i[kept], j[kept])), shape=(size, size))
-    return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
-
-
 def _components_without(graph: Graph, active: BoolArray, left_out: Sequence[int]) -> IntArray:
-    """The same by the active observations but some."""
+    """(N + 1,) which nodes, the ground last, hang together by the active observations but some."""
     kept = active.copy()
     kept[left_out] = False
-    return _components(graph, kept)
+    return hanging_together(graph, kept)

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpotrf
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from ...api import Array, IntArray
 from ...base.errors import RetropoleError
+from .graph import grouped
 
 SMALL_FRONT, MOST_ZEROS = 8, 0.2
 """Nodes of a front that may be filled up with zeros to half, and the part of zeros in a larger one.
@@ -99,68 +100,49 @@ def find_pattern(size: int, pairs: IntArray) -> Pattern:
         (P, 2) pairs of nodes, the lower number first, each pair once.
     """
     order = _minimum_degree(size, pairs)
-    groups, parents = _merged(*_columns(size, pairs, order))
-    place = np.empty(size, dtype=np.int64)
+    groups, parents = _merged(*_columns(pairs, order))
     sequence = _postorder(parents)
-    ordered = np.concatenate([groups[g][0] for g in sequence])
-    ordered = order[ordered]
-    place[ordered] = np.arange(size)
-    front_of = np.repeat(np.arange(len(sequence)), [len(groups[g][0]) for g in sequence])
-    number = np.empty(len(sequence) + 1, dtype=np.int64)
-    number[sequence], number[-1] = np.arange(len(sequence)), -1
+    own = [len(groups[g][0]) for g in sequence]
+    ordered = order[np.concatenate([groups[g][0] for g in sequence])]
+    place, number = np.argsort(ordered), [*np.argsort(sequence).tolist(), -1]
     places = place[pairs]
-    owner = front_of[places.min(axis=1)] if len(pairs) else np.zeros(0, dtype=np.int64)
-    sorted_pairs = np.argsort(owner, kind="stable")
-    bounds = np.searchsorted(owner[sorted_pairs], np.arange(len(sequence) + 1))
-    members: list[IntArray] = []
-    for g in sequence:
-        mine, later = groups[g]
-        # Its own come before all later ones, and one after the other.
-        members.append(np.r_[np.sort(place[order[mine]]), np.sort(place[order[later]])])
+    front_of = np.repeat(np.arange(len(sequence)), own)
+    pairs_of = grouped(front_of[places.min(axis=1)], len(sequence))
+    # Its own come before all later ones, and one after the other.
+    members = [
+        np.concatenate([np.sort(place[order[part]]) for part in groups[g]]) for g in sequence
+    ]
     fronts = []
     for f, g in enumerate(sequence):
-        own = len(groups[g][0])
-        parent = int(number[parents[g]])
-        into = np.searchsorted(members[parent], members[f][own:]) if parent >= 0 else members[f][:0]
-        some = sorted_pairs[bounds[f] : bounds[f + 1]]
-        rows, columns = np.searchsorted(members[f], places[some]).T
-        fronts.append(Front(ordered[members[f]], own, parent, into, some, rows, columns))
+        parent, later = number[parents[g]], members[f][own[f] :]
+        into = np.searchsorted(members[parent], later) if parent >= 0 else later
+        rows, columns = np.searchsorted(members[f], places[pairs_of[f]]).T
+        fronts.append(Front(ordered[members[f]], own[f], parent, into, pairs_of[f], rows, columns))
     return Pattern(size, pairs, tuple(fronts))
 
 
 def _minimum_degree(size: int, pairs: IntArray) -> IntArray:
     """(N,) nodes in the order of minimum degree."""
-    a, b = pairs.T
-    diagonal = np.arange(size)
+    one_way = csc_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size))
+    joined = one_way + one_way.T
     # Diagonally dominant: any values do, only the pattern counts.
-    weight = np.bincount(np.r_[a, b], minlength=size) + 1.0
-    entries = np.r_[weight, np.full(2 * len(pairs), -1.0)]
-    index = np.r_[diagonal, a, b], np.r_[diagonal, b, a]
-    matrix = csc_array((entries, index), shape=(size, size))
+    matrix = csc_array(diags_array(joined.sum(axis=1) + 1.0) - joined)
     options = {"SymmetricMode": True}
     found = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     return np.argsort(found.perm_c).astype(np.int64)
 
 
-def _columns(size: int, pairs: IntArray, order: IntArray) -> tuple[list[set[int]], list[int]]:
+def _columns(pairs: IntArray, order: IntArray) -> tuple[list[set[int]], list[int]]:
     """Later places that each place touches when it is eliminated, and the first of them or -1."""
-    place = np.empty(size, dtype=np.int64)
-    place[order] = np.arange(size)
-    ends = np.sort(place[pairs], axis=1)
-    later = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(size, size))
-    first, index = later.indptr.tolist(), later.indices.tolist()
-    touched: list[set[int]] = []
-    parent: list[int] = []
-    children: list[list[int]] = [[] for _ in range(size)]
-    for k in range(size):
-        own = set(index[first[k] : first[k + 1]])
-        own.update(*(touched[child] for child in children[k]))
-        own.discard(k)
-        touched.append(own)
-        parent.append(min(own, default=-1))
-        if own:
-            children[parent[k]].append(k)
-    return touched, parent
+    touched = [set[int]() for _ in order]
+    for first, later in np.sort(np.argsort(order)[pairs], axis=1).tolist():
+        touched[first].add(later)
+    parents = [-1] * len(order)
+    for k, later in enumerate(touched):
+        if later:
+            parents[k] = min(later)
+            touched[parents[k]] |= later - {parents[k]}
+    return touched, parents
 
 
 def _merged(
@@ -189,17 +171,9 @@ def _merged(
         children[k] = kept
         if parent[k] >= 0:
             children[parent[k]].append(k)
-    number: dict[int, int] = {}
-    groups: list[tuple[list[int], list[int]]] = []
-    for k in range(size):
-        if not gone[k]:
-            number[k] = len(groups)
-            groups.append((own[k], list(touched[k])))
-    parents = [-1] * len(groups)
-    for k, g in number.items():
-        for child in children[k]:
-            parents[number[child]] = g
-    return groups, parents
+    left = [k for k in range(size) if not gone[k]]
+    above = {child: g for g, k in enumerate(left) for child in children[k]}
+    return [(own[k], list(touched[k])) for k in left], [above.get(k, -1) for k in left]
 
 
 def _postorder(parents: list[int]) -> list[int]:

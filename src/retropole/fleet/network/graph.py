@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...api import Array, IntArray, se3
+from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
 
 MOST_NODES = 10_000_000
@@ -123,8 +123,8 @@ class Graph:
             raise UsageError(f"a network of {self.nodes} poses: expected 1 to {MOST_NODES}")
         edges, known, points = self.edges, self.known, self.points
         count = len(edges)
-        for what, ends in (("edge", edges.i), ("edge", edges.j)):
-            _check_nodes(what, ends, self.nodes, count)
+        _check_nodes("edge", edges.i, self.nodes, count)
+        _check_nodes("edge", edges.j, self.nodes, count)
         _check_nodes("known pose", known.node, self.nodes, len(known))
         _check_nodes("control point", points.node, self.nodes, len(points))
         loops = np.flatnonzero(edges.i == edges.j)
@@ -147,6 +147,17 @@ class Graph:
         return len(self.edges) + len(self.known) + len(self.points)
 
     @property
+    def relative(self) -> Edges:
+        """Edges, then known poses as edges from the ground, whose number is `nodes`."""
+        edges, known = self.edges, self.known
+        return Edges(
+            np.concatenate([edges.i, np.full(len(known), self.nodes)]),
+            np.concatenate([edges.j, known.node]),
+            np.concatenate([edges.T_i_j, known.T_world_node]),
+            np.concatenate([edges.covariance, known.covariance]),
+        )
+
+    @property
     def ends(self) -> tuple[IntArray, IntArray]:
         """(M,) the two ends of every observation; `nodes` stands for the ground."""
         held = np.concatenate([self.known.node, self.points.node])
@@ -157,6 +168,12 @@ class Graph:
     def freedom(self) -> IntArray:
         """(M,) how many numbers each observation is."""
         return np.repeat([6, 6, 3], [len(self.edges), len(self.known), len(self.points)])
+
+
+def grouped(label: IntArray, count: int) -> list[IntArray]:
+    """Give for each label from 0 on the numbers of those that have it, in rising order."""
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
 
 
 def _check_nodes(what: str, nodes: IntArray, most: int, count: int) -> None:
@@ -175,8 +192,7 @@ def _check_transforms(what: str, T: Array, count: int) -> None:
         off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
         fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
         fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
-    if not fine.all():
-        raise UsageError(f"{what} {np.flatnonzero(~fine)[0]}: its transform is not rigid")
+    _refuse(what, ~fine, "its transform is not rigid")
 
 
 def _check_covariances(what: str, covariance: Array, count: int, size: int) -> None:
@@ -190,7 +206,9 @@ def _check_covariances(what: str, covariance: Array, count: int, size: int) -> N
     skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
     fine &= skew < 1e-6
     fine[fine] = np.linalg.eigvalsh(correlation[fine])[:, 0] > 1e-12
-    if not fine.all():
-        raise UsageError(
-            f"{what} {np.flatnonzero(~fine)[0]}: its covariance is not symmetric and positive"
-        )
+    _refuse(what, ~fine, "its covariance is not symmetric and positive")
+
+
+def _refuse(what: str, wrong: BoolArray, words: str) -> None:
+    if wrong.any():
+        raise UsageError(f"{what} {np.flatnonzero(wrong)[0]}: {words}")

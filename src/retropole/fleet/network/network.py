@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain
 from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ...api import Array, BoolArray
-from .adjustment import find_layout
+from .adjustment import Layout, find_layout
 from .components import Component
 from .doubtful import hanging, inseparable
 from .graph import Graph
 from .residuals import Model
-from .snooping import snoop
+from .snooping import Snooped, snoop
 from .start import find_start, narrowed
 from .testing import ObservationTests, critical
 
@@ -125,55 +126,52 @@ def adjust_network(
     RetropoleError
         Where the normal equations cannot be solved.
     """
-    with threadpool_limits(1, user_api="blas"):
-        return _adjust_network(graph, progress)
-
-
-def _adjust_network(graph: Graph, progress: Callable[[str], None]) -> NetworkAdjustment:
     model = Model(graph)
-    progress("order")
-    layout = find_layout(model)
-    progress("start")
-    T = find_start(model, layout)
-    T = narrowed(model, layout, T, critical(graph.freedom))
-    progress("tests")
-    found = snoop(model, layout, T)
-    progress("end")
+    with threadpool_limits(1, user_api="blas"):
+        progress("order")
+        layout = find_layout(model)
+        progress("start")
+        T = find_start(model, layout)
+        T = narrowed(model, layout, T, critical(graph.freedom))
+        progress("tests")
+        found = snoop(model, layout, T)
+        progress("end")
+        return _summed_up(model, layout, found)
 
+
+def _summed_up(model: Model, layout: Layout, found: Snooped) -> NetworkAdjustment:
+    graph = model.graph
     active, tests = found.active, found.tests
     alone = inseparable(graph, active, tests.freedom)
-    doubtful = hanging(
-        graph, active, found.components, {k for path in alone.values() for k in path}
-    )
+    doubtful = hanging(graph, active, found.components, set(chain.from_iterable(alone.values())))
     cross = layout.turn(found.covariance.pairs[layout.pair])
     shares = np.sum((tests.redundancy * graph.freedom)[active])
     squares = model.squares(found.adjusted.T)[active].sum()
-    ends = np.cumsum([len(graph.edges), len(graph.known)])
-
-    def named(k: int) -> tuple[Kind, int]:
-        kind = int(np.searchsorted(ends, k, side="right"))
-        kinds: tuple[Kind, ...] = ("edge", "known pose", "control point")
-        return kinds[kind], k - int(ends[kind - 1] if kind else 0)
-
-    left_out = []
-    for k in np.flatnonzero(~active).tolist():
-        rivals = dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
-        left_out.append(
-            LeftOut(
-                *named(k),
-                float(tests.w[k]),
-                float(tests.chi2[k]),
-                int(tests.freedom[k]),
-                tuple(named(r) for r in rivals if active[r]),
-            )
+    kinds: tuple[Kind, ...] = ("edge", "known pose", "control point")
+    counts = len(graph.edges), len(graph.known), len(graph.points)
+    named = [(kind, k) for kind, count in zip(kinds, counts, strict=True) for k in range(count)]
+    edges, known, points = tests.split(counts[:2])
+    left_out = [
+        LeftOut(
+            *named[k],
+            float(tests.w[k]),
+            float(tests.chi2[k]),
+            int(tests.freedom[k]),
+            tuple(
+                named[rival]
+                for rival in dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
+                if active[rival]
+            ),
         )
+        for k in np.flatnonzero(~active).tolist()
+    ]
     return NetworkAdjustment(
         found.adjusted.T,
         found.covariance.diagonal,
         cross,
-        tests.part(slice(0, ends[0])),
-        tests.part(slice(ends[0], ends[1])),
-        tests.part(slice(ends[1], None)),
+        edges,
+        known,
+        points,
         tuple(left_out),
         found.components,
         doubtful,

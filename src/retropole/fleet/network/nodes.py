@@ -83,8 +83,7 @@ def read_nodes(place: str) -> NodeList:
     for number, line in enumerate(lines_of(absolute(place), COLUMNS, "node"), 1):
         here = f"{place}: row {number}"
         node = str(line.get("node", ""))
-        fault = id_fault(node)
-        if fault:
+        if fault := id_fault(node):
             raise ReadError(f"{here}, node: {fault}")
         is_member, is_surveyed = bool({"site", "lidar"} & line.keys()), bool({*WORLD} & line.keys())
         if is_surveyed:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from ...api import Array, BoolArray, IntArray
 from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
@@ -107,27 +106,25 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
         wrong, fits = active & beyond, ~active & ~beyond & (back < PUT_BACK)
         worst = worst_around(graph, tests.chi2, wrong)
         wanted = connected(graph, (active & ~worst) | fits, tests.chi2)
-        if (wanted == active).all():
-            # Two that are out and agree are more than the one that they contradict. Two that do
-            # not are wrong themselves: put back, they would bend all that is around them.
-            alone = inseparable(graph, active, tests.freedom)
-            out = outvoted(alone, tried, partial(agrees, graph, active, T))
-            if rounds == MOST_ROUNDS or (not out and until == SETTLED):
-                break
-            if not out:
-                until = SETTLED
-                continue
-            wanted = active.copy()
-            for rival, instead in out.items():
-                T = relaid(graph, active, T, rival, instead[0])
-                wanted[rival], wanted[instead] = False, True
-            tried |= out.keys()
-            active = wanted
+        if (wanted != active).any():
+            if rounds < MOST_ROUNDS:
+                rivals |= _as_likely(graph, tests.chi2, active, np.flatnonzero(active & ~wanted))
+                back += wanted & ~active
+                active = wanted
             continue
-        if rounds < MOST_ROUNDS:
-            rivals |= _as_likely(graph, tests.chi2, active, np.flatnonzero(active & ~wanted))
-            back += wanted & ~active
-            active = wanted
+        # Two that are out and agree are more than the one that they contradict. Two that do not
+        # are wrong themselves: put back, they would bend all that is around them.
+        alone = inseparable(graph, active, tests.freedom)
+        out = outvoted(alone, tried, partial(agrees, graph, active, T))
+        if rounds == MOST_ROUNDS or (not out and until == SETTLED):
+            break
+        until = until if out else SETTLED
+        wanted = active.copy()
+        for rival, instead in out.items():
+            T = relaid(graph, active, T, rival, instead[0])
+            wanted[rival], wanted[instead] = False, True
+        tried |= out.keys()
+        active = wanted
     settled = adjusted.settled and bool((wanted == active).all())
     return Snooped(adjusted, components, covariance, active, tests, rivals, rounds, settled)
 
@@ -137,22 +134,18 @@ def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
 
     Around an edge are all that share one of its poses, or are one edge away from it.
     """
-    ends = np.stack(graph.ends)
-    # The ground is no neighbourhood: controls at two ends of a city do not meet there.
-    real = ends < graph.nodes
-    largest = np.zeros(graph.nodes + 1)
+    i, j = graph.ends
     score = np.where(wrong, chi2, 0.0)
-    for side in (0, 1):
-        np.maximum.at(largest, ends[side][real[side]], score[real[side]])
+    largest = np.zeros(graph.nodes + 1)
+    np.maximum.at(largest, i, score)
+    np.maximum.at(largest, j, score)
+    # The ground is no neighbourhood: controls at two ends of a city do not meet there.
+    largest[-1] = 0.0
     farther = largest.copy()
-    edges = slice(0, len(graph.edges))
-    i, j = ends[0][edges], ends[1][edges]
     np.maximum.at(farther, i, largest[j])
     np.maximum.at(farther, j, largest[i])
-    around = np.maximum(
-        np.where(real[0], farther[ends[0]], 0), np.where(real[1], farther[ends[1]], 0)
-    )
-    return wrong & (score >= around)
+    farther[-1] = 0.0
+    return wrong & (score >= np.maximum(farther[i], farther[j]))
 
 
 def _as_likely(
@@ -163,17 +156,11 @@ def _as_likely(
         return {}
     candidates = np.flatnonzero(active & (chi2 > chi2[taken_out].min() - TOLD_APART))
     ends = np.stack(graph.ends, axis=1)
-    rows, columns = np.repeat(np.arange(len(candidates)), 2), ends[candidates].ravel()
-    real = columns < graph.nodes
-    at = csr_array(
-        (np.ones(int(real.sum())), (columns[real], rows[real])),
-        shape=(graph.nodes, len(candidates)),
-    )
     found = {}
     for k in taken_out.tolist():
-        near = [at.indices[at.indptr[n] : at.indptr[n + 1]] for n in ends[k] if n < graph.nodes]
-        others = candidates[np.unique(np.concatenate(near))]
-        others = others[(others != k) & (chi2[others] > chi2[k] - TOLD_APART)]
+        near = np.isin(ends[candidates], ends[k][ends[k] < graph.nodes]).any(axis=1)
+        others = candidates[near & (candidates != k)]
+        others = others[chi2[others] > chi2[k] - TOLD_APART]
         if len(others):
             found[k] = tuple(others.tolist())
     return found

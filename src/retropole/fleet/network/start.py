@@ -8,13 +8,15 @@ likewise, and where all of it lies in the frame of the network by its controls.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ...api import Array, se3
 from .adjustment import Layout, added, step
 from .components import Component, find_components
 from .elimination import Blocks, factorise, solve
-from .graph import Graph
+from .graph import Graph, grouped
 from .residuals import Model
 
 REWEIGHTED = (4, 4)
@@ -84,9 +86,28 @@ def _majority(ratio: Array, precision: Array) -> Array:
     return np.asarray(1 / np.sqrt(np.maximum(ratio, 1e-2) * precision / np.median(precision)))
 
 
-def _reweighted() -> list[bool]:
-    """Which of the rounds forget what misses by far."""
-    return [k >= REWEIGHTED[0] for k in range(sum(REWEIGHTED))]
+def _reweighted(
+    precision: Array, solved: Callable[[Array], Array], squares: Callable[[Array], Array]
+) -> tuple[Array, Array]:
+    """Solve again and again, with edges weighted by what they miss; gives the weights (E,) too.
+
+    Parameters
+    ----------
+    precision
+        (E,) of each edge.
+    solved
+        Poses by the weights of the edges.
+    squares
+        (E,) squares of what edges miss by poses.
+    """
+    weight = np.ones(len(precision))
+    found = solved(weight)
+    for k in range(sum(REWEIGHTED)):
+        # Four σ are plain.
+        ratio = precision * squares(found) / 16
+        weight = _forgetting(ratio) if k >= REWEIGHTED[0] else _majority(ratio, precision)
+        found = solved(weight)
+    return found, weight
 
 
 def _rotations(graph: Graph, layout: Layout, first: Array) -> tuple[Array, Array]:
@@ -94,42 +115,49 @@ def _rotations(graph: Graph, layout: Layout, first: Array) -> tuple[Array, Array
     edges = graph.edges
     R_i_j = edges.T_i_j[:, :3, :3]
     precision = 3 / np.trace(edges.covariance[:, :3, :3], axis1=1, axis2=2)
-    weight = np.ones(len(edges))
-    R = np.zeros((0, 3, 3))
-    for forgets in (None, *_reweighted()):
-        if forgets is not None:
-            R_i, R_j = R[edges.i], R[edges.j]
-            turned = R_i @ R_i_j @ np.swapaxes(R_j, 1, 2)
-            # 3 − tr R = 2 (1 − cos) is the squared angle to second order; four σ are plain.
-            ratio = precision * np.maximum(3 - np.trace(turned, axis1=1, axis2=2), 0) / 16
-            weight = _forgetting(ratio) if forgets else _majority(ratio, precision)
+
+    def solved(weight: Array) -> Array:
         # Rows x of a rotation: |R_i_jᵀ x_i − x_j|².
-        w = (weight * precision)[:, None, None]
-        R = _nearest_rotations(_solved(layout, w * np.eye(3), w * np.eye(3), -w * R_i_j, first))
-    return R, weight
+        w = weight * precision
+        right = np.zeros((graph.nodes, 3, 3))
+        x = _solved(layout, w, -w[:, None, None] * R_i_j, right, first, np.eye(3))
+        # Columns of x are rows of the rotations.
+        return _nearest_rotations(np.swapaxes(x, 1, 2))
+
+    def squares(R: Array) -> Array:
+        turned = R[edges.i] @ R_i_j @ np.swapaxes(R[edges.j], 1, 2)
+        # 3 − tr R = 2 (1 − cos) is the squared angle to second order.
+        return np.asarray(np.maximum(3 - np.trace(turned, axis1=1, axis2=2), 0))
+
+    return _reweighted(precision, solved, squares)
 
 
-def _solved(layout: Layout, at_i: Array, at_j: Array, cross: Array, first: Array) -> Array:
-    """Rotations that solve the linear equations (N, 3, 3), the first of each component held."""
-    diagonal = added(layout.onto_nodes[0], at_i) + added(layout.onto_nodes[1], at_j)
+def _solved(
+    layout: Layout, weight: Array, cross: Array, right: Array, first: Array, held: Array
+) -> Array:
+    """Solve linear equations (N, B, K), the first node of each component held at (B, K).
+
+    `weight` (E,) is what each edge adds at its own ends, `cross` (E, B, B) between them.
+    """
+    eye = np.eye(cross.shape[-1])
+    by_i, by_j = (sums[:, : len(weight)] for sums in layout.onto_nodes[:2])
+    diagonal = (by_i @ weight + by_j @ weight)[:, None, None] * eye
     pairs = added(layout.onto_pairs, layout.turn(cross))
-    right = np.zeros_like(diagonal)
     a, b = layout.pattern.pairs.T
-    held = np.zeros(layout.pattern.size, dtype=bool)
-    held[first] = True
-    # Held at the identity: what it says of its neighbours is their right-hand side.
-    np.subtract.at(right, b[held[a]], np.swapaxes(pairs[held[a]], 1, 2))
-    np.subtract.at(right, a[held[b]], pairs[held[b]])
-    pairs[held[a] | held[b]] = 0.0
-    diagonal[first], right[first] = np.eye(3), np.eye(3)
-    x = solve(factorise(layout.pattern, Blocks(diagonal, pairs)), right)
-    # Columns of x are rows of the rotations.
-    return np.swapaxes(x, 1, 2)
+    is_first = np.zeros(layout.pattern.size, dtype=bool)
+    is_first[first] = True
+    # What is held says of its neighbours is their right-hand side.
+    np.subtract.at(right, b[is_first[a]], np.swapaxes(pairs[is_first[a]], 1, 2) @ held)
+    np.subtract.at(right, a[is_first[b]], pairs[is_first[b]] @ held)
+    pairs[is_first[a] | is_first[b]] = 0.0
+    diagonal[first], right[first] = eye, held
+    return solve(factorise(layout.pattern, Blocks(diagonal, pairs)), right)
 
 
 def _nearest_rotations(matrices: Array) -> Array:
+    """Rotations (..., 3, 3) nearest to matrices."""
     U, _, Vt = np.linalg.svd(matrices)
-    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+    U[..., 2] *= np.linalg.det(U @ Vt)[..., None]
     return np.asarray(U @ Vt)
 
 
@@ -141,48 +169,35 @@ def _translations(graph: Graph, layout: Layout, first: Array, R: Array, turned: 
     variance = np.trace(edges.covariance[:, 3:, 3:], axis1=1, axis2=2) / 3
     rotation = np.trace(edges.covariance[:, :3, :3], axis1=1, axis2=2) / 3
     precision = 1 / (variance + rotation * np.sum(arm**2, axis=1))
-    weight = turned
-    a, b = layout.pattern.pairs.T
-    held = np.zeros(graph.nodes, dtype=bool)
-    held[first] = True
-    t = np.zeros((graph.nodes, 3))
-    for forgets in (None, *_reweighted()):
-        if forgets is not None:
-            missed = t[edges.j] - t[edges.i] - arm
-            ratio = precision * np.sum(missed**2, axis=1) / 16
-            weight = _forgetting(ratio) if forgets else _majority(ratio, precision)
-            weight = np.maximum(weight * turned, LEAST_WEIGHT)
-        w = (weight * precision)[:, None, None]
-        diagonal = added(layout.onto_nodes[0], w) + added(layout.onto_nodes[1], w)
-        pairs = added(layout.onto_pairs, -w)
-        right = added(layout.onto_nodes[1], w[:, 0] * arm) - added(
-            layout.onto_nodes[0], w[:, 0] * arm
-        )
-        pairs[held[a] | held[b]] = 0.0
-        diagonal[first], right[first] = 1.0, 0.0
-        t = solve(factorise(layout.pattern, Blocks(diagonal, pairs)), right[:, None, :])[:, 0]
-    return t
+    by_i, by_j = (sums[:, : len(edges)] for sums in layout.onto_nodes[:2])
+
+    def solved(weight: Array) -> Array:
+        w = np.maximum(weight * turned, LEAST_WEIGHT) * precision
+        right = ((by_j - by_i) @ (w[:, None] * arm))[:, None, :]
+        t = _solved(layout, w, -w[:, None, None], right, first, np.zeros((1, 3)))
+        return np.asarray(t[:, 0])
+
+    def squares(t: Array) -> Array:
+        return np.asarray(np.sum((t[edges.j] - t[edges.i] - arm) ** 2, axis=1))
+
+    return _reweighted(precision, solved, squares)[0]
 
 
 def _onto_control(graph: Graph, components: tuple[Component, ...], T: Array) -> Array:
     """Lay each component into the frame of the network by its controls."""
     known, points = graph.known, graph.points
-    corners = np.concatenate([np.zeros((1, 3)), LEVER * np.eye(3)])
-    own, world = T[known.node], known.T_world_node
-    here = [own[:, :3, 3, None] + own[:, :3, :3] @ corners.T]
-    there = [world[:, :3, 3, None] + world[:, :3, :3] @ corners.T]
-    seen = np.einsum("kab,kb->ka", T[points.node, :3, :3], points.at) + T[points.node, :3, 3]
-    source = np.concatenate([np.swapaxes(here[0], 1, 2).reshape(-1, 3), seen])
-    target = np.concatenate([np.swapaxes(there[0], 1, 2).reshape(-1, 3), points.world])
     node = np.concatenate([np.repeat(known.node, 4), points.node])
+    corners = np.tile(np.concatenate([np.zeros((1, 3)), LEVER * np.eye(3)]), (len(known), 1))
+    at = np.concatenate([corners, points.at])
+    source = np.einsum("kab,kb->ka", T[node, :3, :3], at) + T[node, :3, 3]
+    world = np.repeat(known.T_world_node, 4, axis=0)
+    corners = np.einsum("kab,kb->ka", world[:, :3, :3], corners) + world[:, :3, 3]
+    target = np.concatenate([corners, points.world])
     number = np.empty(graph.nodes, dtype=np.int64)
     for k, component in enumerate(components):
         number[component.nodes] = k
     T = T.copy()
-    by_component = np.argsort(number[node], kind="stable")
-    bounds = np.searchsorted(number[node][by_component], np.arange(len(components) + 1))
-    for k, component in enumerate(components):
-        some = by_component[bounds[k] : bounds[k + 1]]
+    for some, component in zip(grouped(number[node], len(components)), components, strict=True):
         if len(some):
             T[component.nodes] = _laid(source[some], target[some]) @ T[component.nodes]
     return T
@@ -194,8 +209,7 @@ def _laid(source: Array, target: Array) -> Array:
     for _ in range(20):
         share = weight / weight.sum()
         a, b = share @ source, share @ target
-        U, _, Vt = np.linalg.svd((target - b).T @ ((source - a) * share[:, None]))
-        R = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        R = _nearest_rotations((target - b).T @ ((source - a) * share[:, None]))
         T = se3.from_rt(R, b - R @ a)
         missed = np.linalg.norm(se3.apply(T, source) - target, axis=1)
         weight = 1 / np.maximum(missed, 1e-3)

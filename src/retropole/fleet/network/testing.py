@@ -7,8 +7,9 @@ of its own ends alone (Baarda 1968): with A its whitened derivative and Q that c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
@@ -32,8 +33,7 @@ LEAST_CHECKED = 1e-5
 left of what nothing checks, far below what any test could find."""
 
 
-@dataclass(frozen=True, eq=False)
-class ObservationTests:
+class ObservationTests(NamedTuple):
     """Tests of some observations.
 
     Attributes
@@ -59,16 +59,10 @@ class ObservationTests:
     detectable_rotation: Array
     detectable_translation: Array
 
-    def part(self, some: slice) -> ObservationTests:
-        """Those of some of the observations."""
-        return ObservationTests(
-            self.chi2[some],
-            self.freedom[some],
-            self.w[some],
-            self.redundancy[some],
-            self.detectable_rotation[some],
-            self.detectable_translation[some],
-        )
+    def split(self, counts: Sequence[int]) -> list[ObservationTests]:
+        """So many of each kind, and the rest."""
+        parts = (np.split(values, np.cumsum(counts)) for values in self)
+        return [ObservationTests._make(part) for part in zip(*parts, strict=True)]
 
 
 def covariances(adjusted: AdjustedNetwork, components: tuple[Component, ...]) -> Blocks:
@@ -96,27 +90,21 @@ def all_tests(
     active
         (M,) which observations were adjusted; the others are tested against these.
     """
-    graph = model.graph
-    edges, known, points = model.at(T)
-    assert edges.by_i is not None
+    of, (relative, points) = model.relative, model.at(T)
+    # The ground is certain.
+    own = np.concatenate([covariance.diagonal, np.zeros((1, 6, 6))])
     cross = layout.turn(covariance.pairs[layout.pair])
-    own = covariance.diagonal
-    mixed = edges.by_i @ cross @ np.swapaxes(edges.by_j, 1, 2)
-    taken_up = _through(edges.by_i, own[graph.edges.i]) + _through(edges.by_j, own[graph.edges.j])
-    taken_up += mixed + np.swapaxes(mixed, 1, 2)
-    ends = np.cumsum([len(graph.edges), len(graph.known)])
-    used = np.split(active, ends)
+    edges = slice(0, len(cross))
+    mixed = relative.by_i[edges] @ cross @ np.swapaxes(relative.by_j[edges], 1, 2)
+    taken_up = _through(relative.by_i, own[of.i]) + _through(relative.by_j, own[of.j])
+    taken_up[edges] += mixed + np.swapaxes(mixed, 1, 2)
+    of_points = _through(points.by_j, own[model.graph.points.node])
+    used = np.split(active, [len(of)])
     some = (
-        _tests(edges, taken_up, model.roots[0], used[0]),
-        _tests(known, _through(known.by_j, own[graph.known.node]), model.roots[1], used[1]),
-        _tests(points, _through(points.by_j, own[graph.points.node]), model.roots[2], used[2]),
+        _tests(relative, taken_up, model.roots[0], used[0]),
+        _tests(points, of_points, model.roots[1], used[1]),
     )
-    return ObservationTests(
-        *(
-            np.concatenate([getattr(one, name) for one in some])
-            for name in ObservationTests.__dataclass_fields__
-        )
-    )
+    return ObservationTests._make(map(np.concatenate, zip(*some, strict=True)))
 
 
 def _through(J: Array, covariance: Array) -> Array:
