@@ -228,7 +228,7 @@ def alone(job: Alone) -> Iterator[Row]:
 
 def by_scene(pair: Loaded) -> Site | None:
     """Let the scene alone say what is stored, from about the reference."""
-    model = ErrorModel(sizes_of(pair.sensors[0]), sizes_of(pair.sensors[1]))
+    model = ErrorModel((sizes_of(pair.sensors[0]), sizes_of(pair.sensors[1])))
     start = PoseEstimate(pair.T, search_covariance(), 0.0)
     found = refine(pair.target, pair.source, start, model=model)
     return None if found is None else Site(found.pose, found.uncertainty, pair.sensors)

@@ -94,7 +94,7 @@ def from_reference(pairs: Sequence[Pair], data: Path) -> None:
     print("| --- " * 8 + "|")
     for pair in pairs:
         given = load(pair.name, data)
-        model = ErrorModel(*(sizes_of(sensor) for sensor in given.sensors))
+        model = ErrorModel(tuple(sizes_of(sensor) for sensor in given.sensors))
         refined = refine(given.target, given.source, PoseEstimate(given.T, WIDE, 0.01), model=model)
         cells = ["none"] * 2
         off: Array | None = None
