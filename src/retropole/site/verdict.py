@@ -173,6 +173,9 @@ def _confirmation(scans: SiteScans, adjusted: Adjusted, pair: Pair) -> Confirmat
             if pole.placement == p
         )
         paired.append(PairedPlacement(Placement(target, source), _hypothesis(T, pairs)))
+    if len(scans.by_lidar) > 2:
+        # The poles of many placements check each other: the place is asked once.
+        paired = [max(paired, key=lambda each: len(each.hypothesis.match.pairs))]
     # What does not recur in all placements is no rival.
     most = max((len(each.placements) for each in pair.hypotheses), default=0)
     recurring = [each for each in pair.hypotheses if len(each.placements) == most]
