@@ -98,7 +98,8 @@ class State:
     knows_other: bool = False
 
 
-class Changes(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Changes:
     """Changes that may have begun, one for each onset and kind, as the filter sees them.
 
     Attributes
@@ -175,7 +176,8 @@ def begin(changes: Changes, check: int, days: float, *, kinds: tuple[Kind, ...])
         np.broadcast_to(NOTHING_KNOWN, (*runs, count, 6, 6)),
         np.zeros((*runs, count, 6)),
     )
-    return Changes._make(map(np.concatenate, zip(changes, fresh, strict=True), COUNTED))
+    both = zip(vars(changes).values(), vars(fresh).values(), strict=True)
+    return Changes(*map(np.concatenate, both, COUNTED))
 
 
 def some(changes: Changes, keep: BoolArray) -> Changes:
@@ -183,9 +185,8 @@ def some(changes: Changes, keep: BoolArray) -> Changes:
     if keep.all():
         return changes
     kept = np.flatnonzero(keep)
-    return Changes._make(
-        values.take(kept, axis) for values, axis in zip(changes, COUNTED, strict=True)
-    )
+    fields = zip(vars(changes).values(), COUNTED, strict=True)
+    return Changes(*(values.take(kept, axis) for values, axis in fields))
 
 
 def first_state(first: Observed, share: float | Array) -> State:
@@ -233,7 +234,7 @@ def predicted(
     knows = state.knows_other or check.other
     mean = (F @ state.mean[..., None])[..., 0]
     ahead = State(mean, P, check.days, knows)
-    return ahead, changes._replace(deviation=deviation)
+    return ahead, replace(changes, deviation=deviation)
 
 
 def weights(check: Observed) -> Array:
@@ -274,7 +275,8 @@ def updated(
     across = np.moveaxis(shown.reshape(split), -3, -1)
     through = np.moveaxis((inverse @ shown).reshape(split), -3, -2)
     vector = (np.swapaxes(weighted, -1, -2) @ shown).reshape(changes.vector.shape)
-    changes = changes._replace(
+    changes = replace(
+        changes,
         deviation=(deviation - gain @ shown).reshape(changes.deviation.shape),
         information=changes.information + across @ through,
         vector=changes.vector + vector,

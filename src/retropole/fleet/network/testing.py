@@ -8,8 +8,8 @@ of its own ends alone (Baarda 1968): with A its whitened derivative and Q that c
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
@@ -33,7 +33,8 @@ LEAST_CHECKED = 1e-5
 left of what nothing checks, far below what any test could find."""
 
 
-class ObservationTests(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ObservationTests:
     """Tests of some observations.
 
     Attributes
@@ -61,8 +62,8 @@ class ObservationTests(NamedTuple):
 
     def split(self, counts: Sequence[int]) -> list[ObservationTests]:
         """So many of each kind, and the rest."""
-        parts = (np.split(values, np.cumsum(counts)) for values in self)
-        return [ObservationTests._make(part) for part in zip(*parts, strict=True)]
+        parts = (np.split(values, np.cumsum(counts)) for values in vars(self).values())
+        return [ObservationTests(*part) for part in zip(*parts, strict=True)]
 
 
 def covariances(adjusted: AdjustedNetwork, components: tuple[Component, ...]) -> Blocks:
@@ -104,7 +105,8 @@ def all_tests(
         _tests(relative, taken_up, model.roots[0], used[0]),
         _tests(points, of_points, model.roots[1], used[1]),
     )
-    return ObservationTests._make(map(np.concatenate, zip(*some, strict=True)))
+    columns = zip(*(vars(one).values() for one in some), strict=True)
+    return ObservationTests(*map(np.concatenate, columns))
 
 
 def _through(J: Array, covariance: Array) -> Array:
