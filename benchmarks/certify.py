@@ -19,7 +19,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from retropole.base.datatypes import Placement
-from retropole.pipeline import find_poles
+from retropole.scene.scans import find_poles
 from retropole.simulation import (
     FIELD,
     TYPICAL,

@@ -10,10 +10,11 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.errors import Refusal
-from retropole.matching.confirmation import Chosen
+from retropole.matching.placements import Chosen
 from retropole.matching.placements import PlacementHypotheses
-from retropole.pipeline import calibrate, choose_settled
+from retropole.pipeline import calibrate
 from retropole.scene import settling
+from retropole.scene.search import choose_settled
 from retropole.simulation import SimulatedPair, simulate_pair
 
 

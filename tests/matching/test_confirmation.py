@@ -2,71 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from retropole.base import se3
-from retropole.base.datatypes import Array, Calibration, Hypothesis, Placement, PointCloud, Scan
-from retropole.base.errors import Refusal
-from retropole.base.sensors import find_sensor
+from retropole.base.datatypes import Hypothesis, PointCloud
 from retropole.matching import scene_support
-from retropole.matching.budget import Share, Tried
 from retropole.matching.confirmation import (
-    Chosen,
-    choose_with_doubtful,
     doubtful_in,
     doubtful_reasons,
     is_confirmed,
 )
-from retropole.matching.placements import PairedPlacement, PlacementHypotheses
+from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
-from retropole.simulation import Box, Rectangle, Surface, scan
-from tests.extraction.scenes import GROUND, PAINT, TAPE, X, Y, Z, pole
-
-SENSOR = find_sensor("XT32")
-T_TARGET = np.eye(4)
-T_SOURCE = se3.from_rt(se3.exp_so3(np.array([0.02, -0.03, 0.9])), np.array([0.8, -1.4, 0.2]))
-PLACE: list[Surface] = [
-    GROUND,
-    Rectangle(5.2 * X, Y, Z, (4, 2), PAINT),
-    Rectangle(np.array([0.0, 5.0, 0.5]), X, Z, (5.2, 2.5), PAINT),
-    Box(np.array([-3.0, -3.5, 0]), np.eye(3), np.array([0.6, 1.0, 1.2]), PAINT),
-    Box(np.array([1.5, 4.0, -0.6]), np.eye(3), np.array([0.4, 0.7, 0.6]), PAINT),
-]
-FREE = pole((3.6, 1.4), 0.35 * Y)
-AT_THE_WALL = pole((5.0, -0.8), length=0.7)
-"""A short pole 0.2 m from the wall."""
-
-
-def vest(at: tuple[float, float]) -> list[Surface]:
-    bands = [
-        Box(np.array([*at, z]), np.eye(3), np.array([0.14, 0.24, 0.025]), TAPE)
-        for z in (-0.15, 0.1)
-    ]
-    return [Box(np.array([*at, -0.35]), np.eye(3), np.array([0.12, 0.22, 0.85]), PAINT), *bands]
-
-
-def recorded(things: list[Surface], seed: int = 0) -> tuple[PointCloud, PointCloud]:
-    rng = np.random.default_rng(seed)
-    target, source = (scan([*PLACE, *things], SENSOR, T, rng).cloud for T in (T_TARGET, T_SOURCE))
-    return target, source
-
-
-def answer_of(clouds: tuple[PointCloud, PointCloud], radius: float = 0.02) -> Calibration:
-    return calibrate(*clouds, sensors=(SENSOR, SENSOR), radius=radius)
-
-
-def assert_right(T: Array | None) -> None:
-    assert T is not None
-    apart = se3.difference(se3.inverse(T_TARGET) @ T_SOURCE, T)
-    assert apart.rotation < np.radians(1.0)
-    assert apart.translation < 0.1
+from tests.extraction.scenes import X, Y, pole
+from tests.matching.walls import (
+    AT_THE_WALL,
+    FREE,
+    SENSOR,
+    Confirmed,
+    answer_of,
+    assert_right,
+    confirmed_answer,
+    recorded,
+    vest,
+)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -121,12 +83,8 @@ def test_a_constant_ring_gives_the_answer_of_none() -> None:
 
 
 @pytest.fixture(scope="module")
-def confirmed() -> tuple[Calibration, tuple[PairedPlacement, ...]]:
-    answer = answer_of(recorded([FREE, AT_THE_WALL]))
-    return answer, (PairedPlacement(answer.placements[0], answer.hypotheses[0]),)
-
-
-Confirmed = tuple[Calibration, tuple[PairedPlacement, ...]]
+def confirmed() -> Confirmed:
+    return confirmed_answer()
 
 
 def test_every_witness_is_needed(confirmed: Confirmed) -> None:
@@ -158,10 +116,6 @@ def test_every_witness_is_needed(confirmed: Confirmed) -> None:
         assert is_confirmed(again, answer.hypotheses, 0.02) is holds
 
 
-def untimed(step: str) -> AbstractContextManager[None]:
-    return nullcontext()
-
-
 def settled(hypothesis: Hypothesis, **changes: Any) -> Hypothesis:
     return replace(hypothesis, match=replace(hypothesis.match, settled=True, **changes))
 
@@ -189,111 +143,6 @@ def test_three_settled_poles_need_not_fit_as_closely_as_two(confirmed: Confirmed
     assert not counts(settled(best, pairs=two, pole_rms=0.045))
     assert not counts(replace(best, match=replace(best.match, pairs=three, pole_rms=0.045)))
     assert not counts(settled(best, pairs=three, pole_rms=0.045, exact=False))
-
-
-def test_hypotheses_settle_only_where_nothing_else_is_confirmed(confirmed: Confirmed) -> None:
-    answer, paired = confirmed
-    refusal = Refusal("too_few_poles", "", {})
-    nothing = Chosen((), (), refusal)
-    right = Chosen(answer.hypotheses, paired)
-    for answers, asked in (
-        ([right], "match"),
-        ([nothing, right], "match match"),
-        ([nothing, nothing, right], "match match settle"),
-        ([nothing, nothing, nothing], "match match settle"),
-    ):
-        told: list[str] = []
-        left = iter(answers)
-
-        def ask(
-            of: object, what: str, told: list[str] = told, left: Iterator[Chosen] = left
-        ) -> Chosen:
-            told.append(what)
-            return next(left)
-
-        chosen = choose_with_doubtful(
-            partial(ask, what="match"),
-            partial(ask, what="settle"),
-            answer.placements,
-            0.02,
-            untimed,
-        )
-        assert chosen.refusal is answers[-1].refusal
-        assert chosen.paired == answers[-1].paired
-        assert " ".join(told) == asked
-
-
-def nothing_bright(of: Scan) -> Scan:
-    """Take what passes the threshold out of a recording; lower ones are not tried."""
-    assert of.detection is not None
-    assert of.cloud.intensity is not None
-    cloud = of.cloud.select(of.cloud.intensity < of.detection.threshold)
-    detection = replace(of.detection, poles=(), doubtful=(), threshold_source="given")
-    return replace(of, cloud=cloud, detection=detection)
-
-
-def test_without_doubtful_poles_what_was_matched_settles(confirmed: Confirmed) -> None:
-    """Nothing is matched twice."""
-    answer, _ = confirmed
-    (placement,) = answer.placements
-    target, source = (nothing_bright(scan_) for scan_ in (placement.target, placement.source))
-    nothing = Chosen((), (), Refusal("too_few_poles", "", {}))
-    settled: list[Chosen] = []
-
-    def settle(chosen: Chosen) -> Chosen:
-        settled.append(chosen)
-        return chosen
-
-    answers = iter([nothing])
-    choose_with_doubtful(
-        lambda placements: next(answers), settle, [Placement(target, source)], 0.02, untimed
-    )
-    assert settled == [nothing]
-
-
-def test_a_refusal_says_what_was_not_tried(confirmed: Confirmed) -> None:
-    answer, _ = confirmed
-    tried = Tried(ways=Share(16, 310))
-    scored = PlacementHypotheses(answer.placements[0], answer.hypotheses, tried)
-    refusal = Refusal("ambiguous", "two are alike", {"rivals": 1})
-    chosen = choose_with_doubtful(
-        lambda placements: Chosen((), (), refusal, scored=(scored,)),
-        lambda chosen: chosen,
-        answer.placements,
-        0.02,
-        untimed,
-    )
-    assert chosen.refusal is not None
-    assert chosen.refusal.code == "ambiguous"
-    assert "16 of 310" in chosen.refusal.message
-    assert chosen.refusal.values == {"rivals": 1, "ways": 310, "ways_tried": 16}
-
-
-@pytest.mark.parametrize("is_third", [True, False])
-def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
-    confirmed: Confirmed, is_third: bool
-) -> None:
-    answer, paired = confirmed
-    best = answer.hypotheses[0]
-    nothing = Chosen((), (), Refusal("too_few_poles", "", {}))
-    right = Chosen(answer.hypotheses, paired)
-    pairs = (*best.match.pairs, best.match.pairs[-1]) if is_third else best.match.pairs
-    loose = replace(best, match=replace(best.match, pairs=pairs, pole_rms=0.1))
-    asked: list[int] = []
-
-    def choose(placements: Sequence[Placement]) -> Chosen:
-        detection = placements[0].target.detection
-        assert detection is not None
-        asked.append(len(detection.doubtful))
-        if len(asked) == 1:
-            return nothing
-        if detection.doubtful:
-            return Chosen((loose,), (PairedPlacement(placements[0], loose),))
-        return right
-
-    chosen = choose_with_doubtful(choose, lambda chosen: chosen, answer.placements, 0.02, untimed)
-    assert (chosen is right) == is_third
-    assert asked == ([1, 1, 0] if is_third else [1, 1])
 
 
 @pytest.mark.parametrize(("turn", "shift"), [(0.15, 0.0), (0.0, 1.5)])

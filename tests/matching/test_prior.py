@@ -10,7 +10,8 @@ from retropole.base.datatypes import Detection, Match, Placement, PointCloud, Sc
 from retropole.base.errors import Refusal, UsageError
 from retropole.matching.correspondence import MAX_HYPOTHESES, every_match
 from retropole.matching.prior import RotationPrior, agreeing_with_prior, rotation_prior
-from retropole.pipeline import calibrate, match_poles
+from retropole.pipeline import calibrate
+from retropole.scene.search import match_poles
 from retropole.simulation import simulate_pair
 from tests.conftest import PoleMaker
 

@@ -86,7 +86,7 @@ def test_doubtful_poles_are_left_alone_where_the_stored_pose_fits(
     class TriedError(Exception):
         pass
 
-    def tried(*args: Any) -> None:
+    def tried(*_: object, **__: object) -> None:
         raise TriedError
 
     monkeypatch.setattr(pipeline, "choose_with_doubtful", tried)

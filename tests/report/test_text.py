@@ -12,7 +12,7 @@ from retropole.base.datatypes import Array
 from retropole.base.quantities import counted
 from retropole.base.reasons import REASONS, plain
 from retropole.base.uncertainty.purpose import Fitness
-from retropole.pipeline import calibrate, find_poles
+from retropole.pipeline import calibrate
 from retropole.report.layout import LINES, WIDTH
 from retropole.report.text import describe_detection, describe_result, reason_lines, transform_lines
 from retropole.result import (
@@ -25,6 +25,7 @@ from retropole.result import (
     detection_document,
     result_document,
 )
+from retropole.scene.scans import find_poles
 from retropole.simulation import simulate_pair
 from tests.report.made_up import made_up
 

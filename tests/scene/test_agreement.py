@@ -9,7 +9,8 @@ import pytest
 from retropole.alignment.axes_test import AxesTest
 from retropole.base.errors import Refusal
 from retropole.matching.placements import PairedPlacement
-from retropole.scene.agreement import MOST_LEFT_OUT, align_consistent
+from retropole.scene import agreement
+from retropole.scene.agreement import MOST_LEFT_OUT, without_misplaced
 
 
 class Paired:
@@ -29,30 +30,36 @@ def aligned(chi2: float, by_pole: list[float]) -> Any:
 
 
 @pytest.mark.parametrize(("poles", "tries"), [(2, 0), (3, 3), (6, 6), (13, MOST_LEFT_OUT)])
-def test_of_many_poles_the_worst_are_left_out(poles: int, tries: int) -> None:
+def test_of_many_poles_the_worst_are_left_out(
+    poles: int, tries: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     by_pole = [float(k) for k in np.random.default_rng(poles).permutation(poles)]
     tried: list[int] = []
 
-    def align(paired: Any, T: Any) -> Any:
+    def align(paired: Any, T: Any, **_: float) -> Any:
         left = {k for k, _ in paired[0].target_poles}
         missing = set(range(poles)) - left
         tried.extend(missing)
         return aligned(1000.0, by_pole)
 
     every = Paired(tuple((k, k) for k in range(poles)))
+    paired = [cast(PairedPlacement, every)]
+    monkeypatch.setattr(agreement, "align", align)
     with pytest.raises(Refusal) as refused:
-        align_consistent([cast(PairedPlacement, every)], np.eye(4), align, lambda one: None)
+        without_misplaced(paired, aligned(1000.0, by_pole), radius=0.02, radius_sigma=0.0)
     assert refused.value.code == "poles_inconsistent"
     assert sorted(tried) == sorted(np.argsort(by_pole)[::-1][:tries])
 
 
-def test_the_pole_that_mends_it_is_left_out() -> None:
+def test_the_pole_that_mends_it_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     moved = 4
 
-    def align(paired: Any, T: Any) -> Any:
+    def align(paired: Any, T: Any, **_: float) -> Any:
         is_mended = all(k != moved for k, _ in paired[0].target_poles)
         return aligned(1.0 if is_mended else 1000.0, [1.0, 5.0, 2.0, 3.0, 9.0])
 
     every = Paired(tuple((k, k) for k in range(5)))
-    paired, _ = align_consistent([cast(PairedPlacement, every)], np.eye(4), align, lambda one: None)
+    paired: Any = [every]
+    monkeypatch.setattr(agreement, "align", align)
+    paired, _ = without_misplaced(paired, align(paired, None), radius=0.02, radius_sigma=0.0)
     assert paired[0].hypothesis.match.pairs == ((0, 0), (1, 1), (2, 2), (3, 3))

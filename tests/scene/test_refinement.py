@@ -12,11 +12,14 @@ from retropole.base.sensors import find_sensor
 from retropole.base.systematic import ErrorModel, Layout, Sizes, sizes_of
 from retropole.evaluation.metrics import e_rt
 from retropole.io import read_cloud
-from retropole.pipeline import align, calibrate, choose, find_poles
+from retropole.matching.placements import align
+from retropole.pipeline import calibrate
 from retropole.scene.agreement import check_agreement
 from retropole.scene.patch_pairs import pair_patches, prepare_patches, without_errors
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import refine
+from retropole.scene.scans import find_poles
+from retropole.scene.search import choose
 from retropole.simulation import FIELD, SimulatedPair, draw_device, record_again, simulate_pair
 from tests.numeric import CHI2_6_95, covariance_of, mahalanobis_sq, numeric_jacobian
 from tests.paths import SHARED
@@ -107,7 +110,7 @@ def poles_of(pair: SimulatedPair) -> BeamAlignment:
         find_poles(cloud, sensor=sensor, threshold=None, radius=0.02)
         for cloud, sensor in zip((pair.target, pair.source), sensors, strict=True)
     )
-    chosen = choose([Placement(target, source)], None, None, lambda name: nullcontext())
+    chosen = choose([Placement(target, source)], lambda name: nullcontext())
     T = chosen.hypotheses[0].match.T_target_source
     return align(chosen.paired, T, radius=0.02, radius_sigma=0.0)
 

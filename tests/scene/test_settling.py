@@ -12,8 +12,8 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Hypothesis, Match, Pole, Scan
 from retropole.matching.correspondence import match_poles
 from retropole.matching.extension import EXACT_RMS
-from retropole.pipeline import find_poles
 from retropole.scene import settling
+from retropole.scene.scans import find_poles
 from retropole.scene.settling import SETTLED_AT_MOST, rms_after, settle
 from retropole.simulation import simulate_pair
 

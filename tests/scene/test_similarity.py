@@ -13,9 +13,10 @@ from threadpoolctl import threadpool_limits
 from retropole.base import se3
 from retropole.base.datatypes import DEFAULT_RADIUS, Calibration, Placement, PointCloud, Scan
 from retropole.base.errors import Refusal
-from retropole.pipeline import calibrate, find_poles
+from retropole.pipeline import calibrate
 from retropole.scene.refinement import Refinement
-from retropole.scene.similarity import UNITS, check_similarity, explained
+from retropole.scene.scans import find_poles
+from retropole.scene.similarity import UNITS, check_similarity, explain
 from retropole.simulation import SimulatedPair, simulate_pair
 
 FIND = partial(find_poles, sensor=None, threshold=None, radius=DEFAULT_RADIUS)
@@ -29,7 +30,7 @@ def times(cloud: PointCloud, *by: float) -> PointCloud:
 
 def reason(target: PointCloud, source: PointCloud) -> Refusal:
     """Ask of a refusal, whatever it was."""
-    return explained(REFUSED, [Placement(FIND(target), FIND(source))], (), (FIND, FIND))
+    return explain(REFUSED, [Placement(FIND(target), FIND(source))], (), radius=DEFAULT_RADIUS)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -110,10 +111,10 @@ def test_other_refusals_stay_what_they_are(pair: SimulatedPair) -> None:
     mirrored = Placement(FIND(pair.target), FIND(times(pair.source, -1, 1, 1)))
     for code in ("no_intensity", "moving_pole"):
         refusal = Refusal(code, "as it was")
-        assert explained(refusal, [mirrored], (), (FIND, FIND)) is refusal
+        assert explain(refusal, [mirrored], (), radius=DEFAULT_RADIUS) is refusal
     none = Scan(pair.target)
-    assert explained(REFUSED, [Placement(none, none)], (), (FIND, FIND)) is REFUSED
-    assert explained(REFUSED, [], (), (FIND, FIND)) is REFUSED
+    assert explain(REFUSED, [Placement(none, none)], (), radius=DEFAULT_RADIUS) is REFUSED
+    assert explain(REFUSED, [], (), radius=DEFAULT_RADIUS) is REFUSED
 
 
 def scaled_answer(pair: SimulatedPair, factor: float) -> Calibration:

@@ -16,7 +16,7 @@ from retropole.scene.patches import Patches
 from retropole.scene.terms import ScenePair, scene_pairs
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite, simulate_site
-from retropole.site.adjustment import Adjusted, adjust
+from retropole.site.adjustment import Adjusted, Recorded, adjust
 from retropole.site.answer import SiteCalibration
 from retropole.site.choice import Choices, choose_poses
 from retropole.site.datum import Datum, find_datum
@@ -86,7 +86,11 @@ class Steps:
     def again(self, datum: Datum, *, few: bool = False) -> Adjusted:
         """Adjust anew from another datum."""
         with one_thread():
-            return adjust(self.site, self.scans, datum, self.patches, self.scenes, few=few)
+            return adjust(self.recorded, datum, few=few)
+
+    @property
+    def recorded(self) -> Recorded:
+        return Recorded(self.site, self.scans, self.patches, self.scenes)
 
 
 def steps_of(site: Site) -> Steps:
@@ -102,7 +106,7 @@ def steps_of(site: Site) -> Steps:
     patches = patches_of(scans)
     scenes = scene_pairs(patches, range(count))
     with one_thread():
-        adjusted = adjust(site, scans, datum, patches, scenes)
+        adjusted = adjust(Recorded(site, scans, patches, scenes), datum)
     return Steps(site, scans, views, pairs, at, choices, poles, datum, patches, scenes, adjusted)
 
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from retropole.base.datatypes import Placement
-from retropole.pipeline import find_poles
+from retropole.scene.scans import find_poles
 from retropole.simulation import TYPICAL, SimulatedPair, simulate_pair
 
 RADIUS = 0.02

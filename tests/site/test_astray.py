@@ -34,7 +34,7 @@ def test_however_far_a_pole_is_pushed_it_is_named(steps: Steps, by: float) -> No
     poor = significant(first.tests)
     assert poor
     assert max(poor, key=lambda test: test.w).pole == k
-    left, reasons = without_blunders(steps.site, first, bumped.again)
+    left, reasons = without_blunders(bumped.recorded, first)
     assert [reason.code for reason in reasons] == ["pole_moved"]
     assert reasons[0].values["pole"] == steps.datum.poles[k].name(steps.site)
     assert not significant(left.tests)

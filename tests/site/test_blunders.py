@@ -12,6 +12,7 @@ from retropole.base.errors import Reason, Refusal
 from retropole.base.relative import joint_of, relative
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite
+from retropole.site import blunders
 from retropole.site.answer import SiteCalibration
 from retropole.site.blunders import (
     ANOTHER,
@@ -38,7 +39,7 @@ def check_true(found: SiteCalibration, simulated: SimulatedSite) -> None:
 
 def test_a_sound_site_has_none(steps: Steps) -> None:
     assert worst_test(steps.adjusted.tests) is None
-    left, reasons = without_blunders(steps.site, steps.adjusted, steps.again)
+    left, reasons = without_blunders(steps.recorded, steps.adjusted)
     assert left is steps.adjusted
     assert not reasons
 
@@ -106,7 +107,7 @@ def test_one_lidars_wrong_recording_of_a_placement_is_left_out(steps: Steps) -> 
     first = replace(steps, scenes=[]).again(datum)
     found = {(test.kind, test.lidar, test.placement) for test in significant(first.tests)}
     assert ("placement", 2, 0) in found
-    left, reasons = without_blunders(steps.site, first, replace(steps, scenes=[]).again)
+    left, reasons = without_blunders(replace(steps, scenes=[]).recorded, first)
     (reason,) = reasons
     assert reason.code == "recording_left_out"
     assert reason.values["lidar"] == "posts-3"
@@ -118,16 +119,19 @@ def test_one_lidars_wrong_recording_of_a_placement_is_left_out(steps: Steps) -> 
     assert off(pose, se3.inverse(end.T[0]) @ end.T[1]) < FIVE_SIGMA
 
 
-def test_what_nothing_explains_is_refused(steps: Steps) -> None:
+def test_what_nothing_explains_is_refused(steps: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything that is left out leaves the rest as bad as it was."""
     tests = tuple(replace(test, w=20.0, chi2=500.0) for test in steps.adjusted.tests)
     bad = replace(steps.adjusted, tests=tests)
+    monkeypatch.setattr(blunders, "adjust", lambda *_, **__: bad)
     with pytest.raises(Refusal) as refused:
-        without_blunders(steps.site, bad, lambda datum, *, few=False: bad)
+        without_blunders(steps.recorded, bad)
     assert refused.value.code == "site_inconsistent"
 
 
-def test_refusals_of_what_is_left_are_no_answer(steps: Steps) -> None:
+def test_refusals_of_what_is_left_are_no_answer(
+    steps: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
     worst = max(
         (test for test in steps.adjusted.tests if test.kind == "pole"),
         key=lambda test: test.chi2,
@@ -136,11 +140,12 @@ def test_refusals_of_what_is_left_are_no_answer(steps: Steps) -> None:
         replace(test, w=9.0, chi2=100.0) if test is worst else test for test in steps.adjusted.tests
     )
 
-    def adjust(datum: object, *, few: bool = False) -> None:
+    def adjust(*_: object, **__: object) -> None:
         raise Refusal("degenerate_poles", "nothing is left")
 
+    monkeypatch.setattr(blunders, "adjust", adjust)
     with pytest.raises(Refusal) as refused:
-        without_blunders(steps.site, replace(steps.adjusted, tests=tests), adjust)  # type: ignore[arg-type]
+        without_blunders(steps.recorded, replace(steps.adjusted, tests=tests))
     assert refused.value.code == "site_inconsistent"
 
 
@@ -163,7 +168,7 @@ def test_where_nothing_alone_leaves_what_fits_the_worst_of_equals_is_it(steps: S
     """Two blunders: without either the other is left, and what hardly fits is not the first."""
 
     def suspect(chi2: float) -> Suspect:
-        return Suspect(Reason("survey_outlier", "", {}), lambda datum: datum, chi2, f"C{chi2:g}")
+        return Suspect(Reason("survey_outlier", "", {}), steps.datum, chi2, f"C{chi2:g}")
 
     one, other, third = suspect(65.0), suspect(106.0), suspect(200.0)
     tried = [(64.0, steps.adjusted, one), (66.0, steps.adjusted, other)]
@@ -179,7 +184,7 @@ def test_poles_that_nothing_tells_apart_are_both_named(steps: Steps) -> None:
     moved = np.stack([rest.end.T[0], *(se3.retract(T, step) for T in rest.end.T[1:])])
     other = replace(rest, end=replace(rest.end, T=moved))
     suspects = [
-        Suspect(Reason("pole_moved", name, {"pole": name}), lambda datum: datum, 50.0)
+        Suspect(Reason("pole_moved", name, {"pole": name}), steps.datum, 50.0)
         for name in ("pole 1", "pole 2")
     ]
     with pytest.raises(Refusal, match="pole 1 or pole 2 moved") as refused:

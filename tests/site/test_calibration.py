@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,12 +15,10 @@ from retropole.base.uncertainty import predicted_error
 from retropole.pipeline import calibrate
 from retropole.simulation.sites import SimulatedSite
 from retropole.site import calibration
-from retropole.site.adjustment import Adjusted, adjust
+from retropole.site.adjustment import Adjusted, Recorded, adjust
 from retropole.site.answer import SiteCalibration
 from retropole.site.calibration import calibrate_site
 from retropole.site.datum import Datum
-from retropole.site.description import Site
-from retropole.site.scans import SiteScans
 from tests.numeric import numeric_jacobian
 from tests.site.adjusting import between, made, off, poses_of, reordered, with_lidar
 
@@ -239,9 +236,9 @@ def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
     """Under rough poses returns may lie beside their pole that do not under the adjusted ones."""
     starts: list[Array] = []
 
-    def misfits_at_first(site: Site, scans: SiteScans, datum: Datum, **given: Any) -> Adjusted:
+    def misfits_at_first(recorded: Recorded, datum: Datum) -> Adjusted:
         starts.append(datum.poses[1])
-        adjusted = adjust(site, scans, datum, **given)
+        adjusted = adjust(recorded, datum)
         if len(starts) > 1:
             return adjusted
         tests = tuple(replace(test, w=9.0, chi2=200.0) for test in adjusted.tests)
@@ -259,7 +256,7 @@ def test_what_does_not_fit_is_adjusted_again_from_where_it_ended(
 def test_a_refusal_says_what_was_left_out_before_it(
     pair_site: SimulatedSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def one_left_out(site: Site, first: Adjusted, adjust: object) -> tuple[Adjusted, list[Reason]]:
+    def one_left_out(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:
         return first, [Reason("pole_moved", "pole 1 of placement 1 was left out", {})]
 
     def denied(*_: object) -> list[Reason]:

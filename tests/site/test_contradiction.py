@@ -8,7 +8,8 @@ import pytest
 from retropole.base import se3
 from retropole.base.errors import Refusal
 from retropole.base.relative import joint_of, relative
-from retropole.site.adjustment import Adjusted
+from retropole.site import contradiction
+from retropole.site.adjustment import Adjusted, Recorded
 from retropole.site.blunders import SIGNIFICANT, without_blunders, worst_test
 from retropole.site.contradiction import LEAST, denied_poles, more_coincide
 from retropole.site.datum import Datum, without_poles
@@ -33,14 +34,15 @@ def displaced(datum: Datum, which: int, by: float) -> Datum:
     return replace(datum, poles=poles)
 
 
-def test_of_a_sound_site_no_pole_is_denied(own: Steps) -> None:
+def test_of_a_sound_site_no_pole_is_denied(own: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
     two = own.again(without_poles(own.datum, {2}))
 
-    def by_few(datum: Datum, *, few: bool = False) -> Adjusted:
+    def by_few(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
         assert few, "a part of the patches is enough to see that nothing moved"
         return own.again(datum, few=few)
 
-    assert not list(denied_poles(two, by_few))
+    monkeypatch.setattr(contradiction, "adjust", by_few)
+    assert not list(denied_poles(own.recorded, two))
     for k in (0, 1):
         one = own.again(without_poles(two.datum, {k}))
         assert more_coincide(two.end, one.end) == 0.0
@@ -70,8 +72,9 @@ def test_what_both_place_alike_does_not_tell(own: Steps) -> None:
         assert more_coincide(near, end) == more_coincide(end, near) == 0.0
 
 
-def test_three_poles_check_each_other(own: Steps) -> None:
-    assert not list(denied_poles(own.adjusted, lambda datum, *, few=False: pytest.fail("again")))
+def test_three_poles_check_each_other(own: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contradiction, "adjust", lambda *_, **__: pytest.fail("again"))
+    assert not list(denied_poles(own.recorded, own.adjusted))
 
 
 @pytest.mark.parametrize(
@@ -86,31 +89,34 @@ def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     pose = relative(sound.end.T[0], sound.end.T[1], joint_of(sound.covariance, 0, 1))
     apart = se3.difference(pose.T_i_j, se3.inverse(bad.end.T[0]) @ bad.end.T[1])
     assert 0.3 < apart.translation < 0.9
-    more = {k: more for k, _, more in denied_poles(bad, own.again)}
+    more = {k: more for k, _, more in denied_poles(own.recorded, bad)}
     assert max(more, key=lambda k: more[k]) == which
     assert LEAST < more[which] < 2000
-    left, (reason,) = without_blunders(own.site, bad, own.again)
+    left, (reason,) = without_blunders(own.recorded, bad)
     assert reason.code == "pole_moved"
     assert reason.values["pole"] == bad.datum.poles[which].name(own.site)
     assert off(pose, se3.inverse(left.end.T[0]) @ left.end.T[1]) < 12.6
 
 
-def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(own: Steps) -> None:
+def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(
+    own: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bad = own.again(displaced(without_poles(own.datum, {2}), 0, 0.8))
 
-    def refused_by_few(datum: Datum, *, few: bool = False) -> Adjusted:
+    def refused_by_few(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
         if few:
             raise Refusal("degenerate_poles", "too little of the surroundings")
         return own.again(datum)
 
-    assert 0 in {k for k, _, _ in denied_poles(bad, refused_by_few)}
+    monkeypatch.setattr(contradiction, "adjust", refused_by_few)
+    assert 0 in {k for k, _, _ in denied_poles(own.recorded, bad)}
 
 
 def test_little_else_than_ground_tells() -> None:
     """Nearly all that is seen coincides as well where the pose is 0.18 m off."""
     steps = steps_of(made(seed=9, lidars=2, placements=1).as_site())
     bad = steps.again(displaced(without_poles(steps.datum, {0}), 1, 0.2))
-    left, (reason,) = without_blunders(steps.site, bad, steps.again)
+    left, (reason,) = without_blunders(steps.recorded, bad)
     assert reason.values["pole"] == bad.datum.poles[1].name(steps.site)
     sound = steps.adjusted
     pose = relative(sound.end.T[0], sound.end.T[1], joint_of(sound.covariance, 0, 1))
@@ -122,6 +128,6 @@ def test_of_two_suspects_that_leave_what_fits_the_surroundings_tell(own: Steps) 
     bad = own.again(displaced(without_poles(own.datum, {1}), 1, 0.2))
     assert worst_test(bad.tests, SIGNIFICANT) is not None
     assert worst_test(own.again(without_poles(bad.datum, {0})).tests) is None
-    left, (reason,) = without_blunders(own.site, bad, own.again)
+    left, (reason,) = without_blunders(own.recorded, bad)
     assert reason.values["pole"] == bad.datum.poles[1].name(own.site)
     assert more_coincide(bad.end, left.end) > LEAST

@@ -14,7 +14,7 @@ from retropole.scene.terms import scene_pairs
 from retropole.simulation import SimulationError
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import simulate_site
-from retropole.site.adjustment import Adjusted, adjust
+from retropole.site.adjustment import Adjusted, Recorded, adjust
 from retropole.site.datum import find_datum
 from retropole.site.description import Site, Up
 from retropole.site.scans import find_scans, patches_of
@@ -55,7 +55,8 @@ def simulated(seed: int) -> Adjusted:
     poles = shared_poles(scans, found, site.radius)
     datum = find_datum(site, scans.origins, found, poles)
     patches = patches_of(scans)
-    return adjust(site, scans, datum, patches, scene_pairs(patches, range(len(poses))))
+    scenes = scene_pairs(patches, range(len(poses)))
+    return adjust(Recorded(site, scans, patches, scenes), datum)
 
 
 def with_up(site: Site, poses: tuple[Array, ...], rng: np.random.Generator) -> Site:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ..base.datatypes import Placement, Scan
 from ..base.errors import UsageError
-from ..pipeline import find_poles
 from ..result import RunConfig
 from ..result.certification import FieldTestDoc, field_test_document
+from ..scene.scans import find_poles
 from ..site import certification
 from .inputs import CloudSource, Input, input_documents, read_placements
 from .site_inputs import read_site

@@ -16,10 +16,10 @@ from ..export import Transform
 from ..export.documents import is_result
 from ..export.recording import frames_of, write_mcap
 from ..io import ARRAY_SOURCE, sha256_of
-from ..pipeline import find_poles
 from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc, RunConfig
 from ..result.decoding import decode
 from ..result.folder import any_result_file
+from ..scene.scans import find_poles
 from .inputs import Input, read_input
 
 SAME_POLE_DISTANCE = 1e-3

@@ -48,12 +48,9 @@ class PointCloud:
         (N, 3) float64, metres; finite, and none at zero range.
     intensity
         (N,) float64 on the sensor's own scale, or None where the file has none.
-    ring
-        (N,) int64 index of the ring (laser channel), or None.
-    time
-        (N,) float64 seconds, or None.
-    frame
-        (N,) int64 index of the sweep that the point came from, or None for a single sweep.
+    ring, time, frame
+        (N,) int64 index of the ring (laser channel), float64 seconds, and int64 index of the sweep
+        that the point came from; or None.
     origin, axis
         (3,) where the beams start, and the unit vector about which they turn.
     recorded
@@ -110,17 +107,13 @@ class Pole:
 
     Attributes
     ----------
-    point
-        (3,) a point on the fitted line: the centroid of `xyz`.
-    direction
-        (3,) unit vector; its sign means nothing.
+    point, direction
+        (3,) a point on the fitted line, the centroid of `xyz`; and a unit vector of any sign.
     xyz
         (N, 3) the returns on the pole. They lie on its surface, facing the sensor, so that the line
         fitted to them runs in front of the axis (docs/method.md, A line is not the axis).
-    length
-        Extent of the points along the line, metres.
-    rms
-        Root mean square distance of the points from the line, metres.
+    length, rms
+        Extent of the points along the line, and their root mean square distance from it, metres.
     rings
         How many rings of the LiDAR hit it.
     index
@@ -160,10 +153,8 @@ class Detection:
 
     Attributes
     ----------
-    poles
-        Accepted poles, the best supported first.
-    rejected
-        Every other cluster, each with its reason.
+    poles, rejected
+        Accepted poles, the best supported first; every other cluster, each with its reason.
     threshold, threshold_source
         Intensity from which a return counts as retro-reflective, on the sensor's own scale; and
         where it comes from: ``given``, ``VLP-16``, ``auto: …``.
@@ -281,6 +272,11 @@ class Scan:
         """Poles found in it."""
         return self.detection.poles if self.detection else ()
 
+    @property
+    def doubtful(self) -> tuple[Pole, ...]:
+        """Those found in it that are doubtful by themselves."""
+        return self.detection.doubtful if self.detection else ()
+
 
 @dataclass(frozen=True, eq=False)
 class Placement:
@@ -291,13 +287,17 @@ class Placement:
     target, source
         What each LiDAR recorded.
     left_out
-        How far the poles' pose lies from that without this placement; None where it is the only
-        one, or where the others give no pose.
+        How far the poles' pose lies from that without it; None where the others give none.
     """
 
     target: Scan
     source: Scan
     left_out: PoseDifference | None = None
+
+    @property
+    def scans(self) -> tuple[Scan, Scan]:
+        """Those of the target and of the source."""
+        return self.target, self.source
 
 
 @dataclass(frozen=True, eq=False)

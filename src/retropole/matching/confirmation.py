@@ -7,21 +7,15 @@ nearly as well: that does not happen by chance (docs/detection.md, Doubtful pole
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
 
-from ..base.datatypes import Detection, Hypothesis, Placement, PointCloud, Pole, Scan
-from ..base.errors import Reason, Refusal
-from ..base.sensors import Sensor
+from ..base.datatypes import Hypothesis, Placement, Pole
+from ..base.errors import Reason
 from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
-from ..extraction.dimmer import with_dimmer
-from ..extraction.doubtful import with_doubtful
-from .budget import with_what_was_tried
 from .line_pairs import direction_sigma, line_pair
-from .placements import Choice, PairedPlacement, PlacementHypotheses
+from .placements import PairedPlacement
 from .scene_support import lead_needed, scene_agrees
 
 FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
@@ -34,184 +28,10 @@ CONFIRMED_DISTANCE = 0.05
 """The two LiDARs agree on the angle and the distance of two lines within this, rad and m, beyond
 two sigma of what their returns fix."""
 
-RESCUED = {
-    *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
-    "prior_contradicted",
-}
-"""Refusals after which doubtful poles are tried: other poles may give what these did not."""
-
 CONFIRMED_COUNT = 3
 """So many poles need not meet the limits above where they fit under the pose that the scenes
 register to: two lines have two measures of their own, the angle and the distance, and by chance
 some agree in both. Of a third pole's four numbers none is left free."""
-
-ENOUGH_SURE = 2
-"""With so many sure poles in a cloud its threshold is right, and lower ones are not tried."""
-
-
-@dataclass(frozen=True, eq=False)
-class Chosen:
-    """The pose that the poles and the scene agree on: every placement paired by it; or why none.
-
-    Attributes
-    ----------
-    hypotheses
-        The one that was taken, then all others, the best first.
-    paired, refusal
-        Every placement, its poles paired by the one that was taken; or why none was.
-    choices, place
-        All that could be taken, the best first, and the place of the one that was.
-    scored
-        Every placement with its hypotheses, as the scene scored them; empty where none match.
-    """
-
-    hypotheses: tuple[Hypothesis, ...]
-    paired: tuple[PairedPlacement, ...]
-    refusal: Refusal | None = None
-    choices: tuple[Choice, ...] = ()
-    place: int = 0
-    scored: tuple[PlacementHypotheses, ...] = ()
-
-
-def choose_with_doubtful(
-    choose: Callable[[Sequence[Placement]], Chosen],
-    settle: Callable[[Chosen], Chosen],
-    placements: Sequence[Placement],
-    radius: float,
-    step: Callable[[str], AbstractContextManager[None]],
-) -> Chosen:
-    """Choose by the sure poles; where they give nothing, by the doubtful ones too.
-
-    Where these are not confirmed either, the hypotheses first settle on the scene.
-
-    Parameters
-    ----------
-    choose
-        Matches the poles of some placements, and lets the scene choose.
-    settle
-        Lets the hypotheses of a choice settle, and the scene choose once more.
-    placements
-        With what was found in each of their clouds.
-    radius
-        Of the poles, metres.
-    step
-        Names a step that starts, and times it.
-
-    Returns
-    -------
-    Chosen
-        With the first refusal where the doubtful poles are not confirmed, and with what was not
-        tried.
-    """
-    first = choose(placements)
-    attempts = [first]
-    if first.refusal is not None and first.refusal.code in RESCUED:
-        for attempt in _attempts(first, choose, settle, placements, radius, step):
-            attempts.append(attempt)
-            if attempt.refusal is None and is_confirmed(attempt.paired, attempt.hypotheses, radius):
-                return attempt
-    if first.refusal is None:
-        return first
-    tried = [placement.tried for attempt in attempts for placement in attempt.scored]
-    return replace(first, refusal=with_what_was_tried(first.refusal, tried))
-
-
-def _attempts(
-    first: Chosen,
-    choose: Callable[[Sequence[Placement]], Chosen],
-    settle: Callable[[Chosen], Chosen],
-    placements: Sequence[Placement],
-    radius: float,
-    step: Callable[[str], AbstractContextManager[None]],
-) -> Iterator[Chosen]:
-    """Choose by the doubtful poles too, in one way after the other."""
-    tried = -1
-    for look in (with_doubtful, _with_dimmer_where_few):
-        with step("doubtful"):
-            found = [
-                replace(
-                    each,
-                    target=_looked_at(each.target, radius, look),
-                    source=_looked_at(each.source, radius, look),
-                )
-                for each in placements
-            ]
-        placements, before, tried = found, tried, _doubtful_returns(found)
-        if tried == before:
-            continue
-        # Without any doubtful pole the sure ones may still settle.
-        wider = choose([_counting_doubtful(each) for each in placements]) if tried else first
-        yield wider
-        settled = settle(wider)
-        yield settled
-        # A third line that fits by chance turns the pose of two poles, and keeps it from settling.
-        for fewer in _without_one(placements, settled.paired):
-            yield settle(choose([_counting_doubtful(each) for each in fewer]))
-
-
-def _without_one(
-    placements: Sequence[Placement], paired: Sequence[PairedPlacement]
-) -> Iterator[Sequence[Placement]]:
-    """A placement without one pair's doubtful poles; of several none, where no chance recurs."""
-    if len(paired) != 1 or len(paired[0].hypothesis.match.pairs) < CONFIRMED_COUNT:
-        return
-    for pair in zip(paired[0].target_poles, paired[0].source_poles, strict=True):
-        target, source = (
-            _without(scan, pole)
-            for scan, pole in zip((placements[0].target, placements[0].source), pair, strict=True)
-        )
-        if target is not placements[0].target or source is not placements[0].source:
-            yield [replace(placements[0], target=target, source=source)]
-
-
-def _without(scan: Scan, pole: Pole) -> Scan:
-    """A scan without one of its doubtful poles; itself where it is none of them."""
-    assert scan.detection is not None
-    left = tuple(own for own in scan.detection.doubtful if own is not pole)
-    if len(left) == len(scan.detection.doubtful):
-        return scan
-    return replace(scan, detection=replace(scan.detection, doubtful=left))
-
-
-def _with_dimmer_where_few(
-    cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None
-) -> Detection:
-    if len(detection.poles) >= ENOUGH_SURE:
-        return detection
-    return with_dimmer(cloud, detection, radius, sensor)
-
-
-def _looked_at(
-    scan: Scan,
-    radius: float,
-    look: Callable[[PointCloud, Detection, float, Sensor | None], Detection],
-) -> Scan:
-    if scan.detection is None:
-        return scan
-    return replace(scan, detection=look(scan.cloud, scan.detection, radius, scan.sensor))
-
-
-def _doubtful_returns(placements: Sequence[Placement]) -> int:
-    """How many returns the doubtful poles of all clouds have: a lower threshold shows more."""
-    scans = [scan for each in placements for scan in (each.target, each.source)]
-    found = [scan.detection for scan in scans if scan.detection is not None]
-    return sum(len(pole.index) for detection in found for pole in detection.doubtful)
-
-
-def _counting_doubtful(placement: Placement) -> Placement:
-    """Count the doubtful poles of both clouds among the poles, after the sure ones."""
-    target, source = (
-        scan
-        if scan.detection is None
-        else replace(
-            scan,
-            detection=replace(
-                scan.detection, poles=(*scan.detection.poles, *scan.detection.doubtful)
-            ),
-        )
-        for scan in (placement.target, placement.source)
-    )
-    return replace(placement, target=target, source=source)
 
 
 def counts_doubtful(placement: Placement) -> bool:

@@ -6,15 +6,17 @@ pose is averaged over the placements.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..alignment.adjustment import BeamAlignment
+from ..alignment.adjustment import BeamAlignment, align_beams
+from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..base.errors import Refusal
+from ..base.systematic import sizes_of
 from .budget import NOTHING, Tried
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4
@@ -70,6 +72,30 @@ class Choice:
 
     joint: Hypothesis
     paired: tuple[PairedPlacement, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The pose that the poles and the scene agree on: every placement paired by it; or why none.
+
+    Attributes
+    ----------
+    hypotheses
+        The one that was taken, then all others, the best first.
+    paired, refusal
+        Every placement, its poles paired by the one that was taken; or why none was.
+    choices, place
+        All that could be taken, the best first, and the place of the one that was.
+    scored
+        Every placement with its hypotheses, as the scene scored them; empty where none match.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    paired: tuple[PairedPlacement, ...]
+    refusal: Refusal | None = None
+    choices: tuple[Choice, ...] = ()
+    place: int = 0
+    scored: tuple[PlacementHypotheses, ...] = ()
 
 
 def recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
@@ -144,10 +170,30 @@ def _joint(each: Sequence[Hypothesis]) -> Hypothesis:
     )
 
 
+def align(
+    paired: Sequence[PairedPlacement], T_start: Array, *, radius: float, radius_sigma: float
+) -> BeamAlignment:
+    """Align the paired poles of all placements by where the beams can have met them."""
+    target = [(pole, each.placement.target.cloud) for each in paired for pole in each.target_poles]
+    source = [(pole, each.placement.source.cloud) for each in paired for pole in each.source_poles]
+    sensors = [scan.sensor for scan in paired[0].placement.scans]
+    return align_beams(
+        beams_of(target, sensors[0]),
+        beams_of(source, sensors[1]),
+        T_start,
+        radius=radius,
+        radius_sigma=radius_sigma,
+        sizes=(sizes_of(sensors[0]), sizes_of(sensors[1])),
+        placement=np.repeat(np.arange(len(paired)), [len(each.target_poles) for each in paired]),
+    )
+
+
 def leave_one_out(
     paired: Sequence[PairedPlacement],
     aligned: BeamAlignment,
-    align_poles: Callable[[Sequence[PairedPlacement], Array], BeamAlignment],
+    *,
+    radius: float,
+    radius_sigma: float,
 ) -> tuple[Placement, ...]:
     """Say of each of several placements how the poles' pose differs without it."""
     if len(paired) < 2:
@@ -156,7 +202,8 @@ def leave_one_out(
     found = []
     for one in paired:
         try:
-            without = align_poles([each for each in paired if each is not one], T)
+            others = [each for each in paired if each is not one]
+            without = align(others, T, radius=radius, radius_sigma=radius_sigma)
         except Refusal:
             found.append(one.placement)
             continue

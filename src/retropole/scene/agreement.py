@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ..alignment.adjustment import RADIUS_DENIED, BeamAlignment
-from ..base.datatypes import Array
 from ..base.errors import Reason, Refusal
 from ..base.quantities import error, value, value_and_error
 from ..base.uncertainty import RadiusEstimate
-from ..matching.placements import PairedPlacement
-from .refinement import Refinement
+from ..matching.placements import PairedPlacement, align
+from .refinement import Refinement, refine_by_scene
 
 WARN_MAHALANOBIS_SQ, MAX_MAHALANOBIS_SQ = 22.5, 100.0
 """Squared Mahalanobis distance of the refined pose from the poles' own above which it is said, and
@@ -32,13 +31,15 @@ MOST_LEFT_OUT = 6
 each takes an alignment of all others, seconds for a row of posts."""
 
 
-def align_consistent(
+def without_misplaced(
     paired: Sequence[PairedPlacement],
-    T_start: Array,
-    align: Callable[[Sequence[PairedPlacement], Array], BeamAlignment],
-    refine: Callable[[BeamAlignment], Refinement | None],
+    aligned: BeamAlignment,
+    *,
+    radius: float,
+    radius_sigma: float,
+    scene: bool = True,
 ) -> tuple[Sequence[PairedPlacement], BeamAlignment]:
-    """Align the poles; of three or more, without one that does not stand as the others do.
+    """Leave out the pole, of three or more, that does not stand as the others do, if one does not.
 
     Each is left out in turn, and the others are tested. Two that are left of three fit each other
     easily, so where that mends it for several, the scene says for which: only without the pole that
@@ -46,19 +47,18 @@ def align_consistent(
 
     Parameters
     ----------
-    paired, T_start
-        The poles of all placements, paired, and where to start, (4, 4).
-    align
-        Aligns paired poles from a start.
-    refine
-        Refines their pose by the scene.
+    paired, aligned
+        The poles of all placements, paired; and aligned.
+    radius, radius_sigma
+        Of the poles, and its 1 σ, metres.
+    scene
+        Whether the scene may be asked.
 
     Raises
     ------
     Refusal
         ``poles_inconsistent``.
     """
-    aligned = align(paired, T_start)
     if _stand_alike(aligned):
         return paired, aligned
     T, found = aligned.pose.T_target_source, []
@@ -70,13 +70,13 @@ def align_consistent(
                 continue
             fewer = [*paired[:k], each.without(pair), *paired[k + 1 :]]
             try:
-                other = align(fewer, T)
+                other = align(fewer, T, radius=radius, radius_sigma=radius_sigma)
             except Refusal:
                 continue
             if _stand_alike(other):
                 found.append((fewer, other))
     if len(found) > 1:
-        found = [(fewer, other) for fewer, other in found if _scene_agrees(refine(other))]
+        found = [one for one in found if scene and _scene_agrees(refine_by_scene(*one))]
     if len(found) != 1:
         check_axes(aligned)
     return found[0]

@@ -16,9 +16,10 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, Calibration, Hypothesis, Placement
 from ..base.errors import Reason, Refusal, UsageError
-from ..matching.confirmation import Chosen, counts_doubtful
+from ..matching.confirmation import counts_doubtful
 from ..matching.placements import (
     Choice,
+    Chosen,
     PairedPlacement,
     PlacementHypotheses,
     rank_joint_hypotheses,

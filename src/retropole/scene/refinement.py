@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..alignment.adjustment import BeamAlignment
 from ..alignment.certainty import (
     Part,
     excess,
@@ -24,8 +25,9 @@ from ..alignment.factor import PoleFactor, gaussian_factor, poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
-from ..base.systematic import DEVICE_KINDS, ErrorModel
+from ..base.systematic import DEVICE_KINDS, ErrorModel, sizes_of
 from ..base.uncertainty import Uncertainty
+from ..matching.placements import PairedPlacement, merged
 from .decisive import Decisive, without_decisive
 from .descent import End, RefinementProblem, approach, settle, support_of
 from .patch_pairs import without_errors
@@ -111,6 +113,19 @@ class Refinement:
     parts: tuple[Part, ...]
     scale: tuple[float, float] | None = None
     decisive: tuple[Decisive, ...] = ()
+
+
+def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -> Refinement | None:
+    """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
+    targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
+    sizes = sizes_of(targets[0].sensor), sizes_of(sources[0].sensor)
+    return refine(
+        merged([scan.cloud for scan in targets]),
+        merged([scan.cloud for scan in sources]),
+        aligned.pose,
+        factor=aligned.factor,
+        model=ErrorModel(sizes, aligned.radius.given_sigma),
+    )
 
 
 def refine(

@@ -8,18 +8,19 @@ a place may be its own mirror image but for a few things in it. It never gives a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import Array, Hypothesis, Placement, PointCloud, Scan
+from ..base.datatypes import Array, Hypothesis, Placement, Scan
 from ..base.errors import Refusal
 from ..io.coordinates import Oddity, oddity_of
 from ..io.units import NAMES, Unit
 from ..matching.similar import Change, changed_cloud
 from .refinement import Refinement
+from .scans import find_poles
 from .similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
 
 EXPLAINED = {
@@ -49,14 +50,14 @@ REACH_RATIO = 2.5
 LEVEL = 0.5
 """Cosine between the LiDARs' axes from which both stand upright, or one is upside down."""
 
-Find = Callable[[PointCloud], Scan]
 
-
-def explained(
+def explain(
     refusal: Refusal,
     placements: Sequence[Placement],
     hypotheses: Sequence[Hypothesis],
-    find: tuple[Find, Find],
+    *,
+    radius: float,
+    thresholds: tuple[float | None, float | None] = (None, None),
 ) -> Refusal:
     """Say of a refusal where a mirrored or scaled cloud is its cause.
 
@@ -68,8 +69,10 @@ def explained(
         What was found.
     hypotheses
         Rigid poses from the source of the first placement; empty where the poles gave none.
-    find
-        Find the poles in a target's and in a source's cloud.
+    radius
+        Of the poles, metres.
+    thresholds
+        Intensity from which a return counts as retro-reflective, in each cloud.
 
     Returns
     -------
@@ -85,7 +88,7 @@ def explained(
         found = find_change(first, rigid)
         if found is not None:
             return _refusal(*found, first)
-    for factor, changed in _in_other_units(first, find):
+    for factor, changed in _in_other_units(first, radius, thresholds):
         found = find_change(changed, (), is_changed=True)
         if found is not None:
             best, rival = found
@@ -129,13 +132,22 @@ def check_similarity(refined: Refinement | None, placements: Sequence[Placement]
 
 
 def _in_other_units(
-    placement: Placement, find: tuple[Find, Find]
+    placement: Placement, radius: float, thresholds: tuple[float | None, float | None]
 ) -> Iterator[tuple[float, Placement]]:
     """Find the poles again with one cloud brought to the other's unit; the source's factor first.
 
     In feet a pole of 4 cm is as thick as one of 13 cm, and is none.
     """
     clouds = placement.target.cloud, placement.source.cloud
+
+    def searched(lidar: int, factor: float) -> Scan:
+        return find_poles(
+            changed_cloud(clouds[lidar], Change(factor)),
+            sensor=placement.scans[lidar].sensor,
+            threshold=thresholds[lidar],
+            radius=radius,
+        )
+
     if any(len(cloud) == 0 or np.abs(cloud.xyz).max() > se3.FARTHEST for cloud in clouds):
         return
     far = [float(np.median(np.linalg.norm(each.xyz - each.origin, axis=1))) for each in clouds]
@@ -145,10 +157,10 @@ def _in_other_units(
             is_near = off < min(np.log(REACH_RATIO), abs(np.log(far[0] / far[1])))
             if not is_near:
                 continue
-            source = find[1](changed_cloud(clouds[1], Change(factor)))
+            source = searched(1, factor)
             if len(source.poles) > 1 and len(placement.target.poles) > 1:
                 yield factor, replace(placement, source=source)
-            target = find[0](changed_cloud(clouds[0], Change(1.0 / factor)))
+            target = searched(0, 1.0 / factor)
             if len(target.poles) > 1 and len(placement.source.poles) > 1:
                 yield factor, replace(placement, target=target)
 

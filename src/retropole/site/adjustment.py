@@ -25,7 +25,7 @@ from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
-from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, sizes_of
+from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, sizes_of
 from ..scene.descent import End, RefinementProblem, descend
 from ..scene.patches import Patches
 from ..scene.places import parts_of
@@ -48,6 +48,29 @@ MORE_NOISE, LEAST_BOUND = 1.5, 0.005
 """A LiDAR's returns lie so much further from the common axes than from its own at most, beyond a
 least bound in metres: of few returns axes of their own take up much of the noise, ten lie
 √(10/6) = 1.3 times nearer. More is no noise, but a pole that moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What an adjustment starts from: the site, what was recorded, and its surfaces.
+
+    Attributes
+    ----------
+    site, scans
+        What was recorded.
+    patches, scenes
+        Surfaces of each LiDAR, and the pairs that may be compared.
+    """
+
+    site: Site
+    scans: SiteScans
+    patches: Sequence[Patches | None]
+    scenes: Sequence[ScenePair]
+
+    @property
+    def sizes(self) -> tuple[Sizes, ...]:
+        """Of the systematic errors of each LiDAR."""
+        return tuple(sizes_of(lidar.sensor) for lidar in self.site.lidars)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,25 +111,15 @@ class Adjusted:
         return self.aligned.network
 
 
-def adjust(
-    site: Site,
-    scans: SiteScans,
-    datum: Datum,
-    patches: Sequence[Patches | None],
-    scenes: Sequence[ScenePair],
-    *,
-    few: bool = False,
-) -> Adjusted:
+def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     """Adjust all poses by poles, survey and scenes together.
 
     Parameters
     ----------
-    site, scans
+    recorded
         What was recorded.
     datum
         Poses to start from, shared poles and what is known of them.
-    patches, scenes
-        Surfaces of each LiDAR, and the pairs that may be compared.
     few
         Whether to adjust by a part of the surfaces alone, which is faster.
 
@@ -115,32 +128,30 @@ def adjust(
     Refusal
         ``poor_fit``; ``degenerate_poles`` or ``survey_too_weak`` where a pose is left all but free.
     """
-    sights = sights_of(scans, datum.poles)
-    sizes = tuple(sizes_of(lidar.sensor) for lidar in site.lidars)
+    site = recorded.site
+    sights = sights_of(recorded.scans, datum.poles)
     radius_sigma = max(site.radius_sigma, RADIUS_TOLERANCE * site.radius, MIN_ERROR_SIGMA)
     none = np.zeros(0, dtype=np.int64)
     aligned = align_all(
         _start(site, datum),
         sights,
-        ErrorModel(sizes, radius_sigma),
+        ErrorModel(recorded.sizes, radius_sigma),
         np.array([pole.placement for pole in datum.poles], dtype=np.int64),
         datum.free,
         surveyed=datum.surveyed,
-        scene_bands=[none if one is None else np.unique(one.bands) for one in patches],
+        scene_bands=[none if one is None else np.unique(one.bands) for one in recorded.patches],
         most_noise=_most_noise(sights, site),
     )
     factor, groups = factor_of(aligned.network), aligned.network.unknowns.groups()
-    known = ErrorModel(sizes, aligned.radius_sigma).sigmas(groups)
-    problem = RefinementProblem(factor, tuple(scenes), groups, known)
+    known = ErrorModel(recorded.sizes, aligned.radius_sigma).sigmas(groups)
+    problem = RefinementProblem(factor, tuple(recorded.scenes), groups, known)
     end = descend(problem, few=few)
     parts = parts_of(problem, end, POLES_AND_SURVEY)
     check_held(site, joint_covariance(parts), is_surveyed=bool(site.poles or site.points))
-    return _tested(site, scans, datum, aligned, problem, end, parts)
+    return _tested(recorded, datum, aligned, problem, end, parts)
 
 
-def searched_as_pair(
-    site: Site, scans: SiteScans, adjusted: Adjusted, patches: Sequence[Patches | None]
-) -> Adjusted:
+def searched_as_pair(recorded: Recorded, adjusted: Adjusted) -> Adjusted:
     """Search the pose of two LiDARs from several starts, and state it as that of a pair.
 
     Where there are more, or the first one's frame is not that of the site, others and the survey
@@ -148,32 +159,30 @@ def searched_as_pair(
 
     Parameters
     ----------
-    site, scans, patches
+    recorded
         As for `adjust`.
     adjusted
         The site, without what did not fit.
     """
     aligned, problem = adjusted.aligned, adjusted.problem
-    sizes = tuple(sizes_of(lidar.sensor) for lidar in site.lidars)
-    poles = _poles_of_pair(aligned, ErrorModel(sizes, aligned.radius_sigma))
+    poles = _poles_of_pair(aligned, ErrorModel(recorded.sizes, aligned.radius_sigma))
     if poles is None or not problem.scenes:
         return adjusted
-    own, far = patches[0], patches[1]
+    own, far = recorded.patches[0], recorded.patches[1]
     assert own is not None
     assert far is not None
-    ranges = [se3.lengths(scan.cloud.xyz - scan.cloud.origin) for scan in scans.used(1)]
+    ranges = [se3.lengths(scan.cloud.xyz - scan.cloud.origin) for scan in recorded.scans.used(1)]
     lever = float(np.median(np.concatenate(ranges)))
     refined = refine_pair(problem, poles.pose, (own, far), lever)
     if refined is None:
         return adjusted
     end, parts = refined.end, refined.parts
-    found = _tested(site, scans, adjusted.datum, aligned, problem, end, parts)
+    found = _tested(recorded, adjusted.datum, aligned, problem, end, parts)
     return replace(found, poles=poles, refined=refined)
 
 
 def _tested(
-    site: Site,
-    scans: SiteScans,
+    recorded: Recorded,
     datum: Datum,
     aligned: Aligned,
     problem: RefinementProblem,
@@ -182,10 +191,10 @@ def _tested(
 ) -> Adjusted:
     """Test every observation at the answer."""
     at = solved(aligned.network, end, problem.groups, parts)
-    sights = sights_of(scans, datum.poles)
+    sights = sights_of(recorded.scans, datum.poles)
     astray_at = astray(aligned.climbed.point, aligned.network, sights)
     beside = {(i, k): chi2 for i, k, chi2 in astray_at}
-    tests = tuple(all_tests(at, site, datum.poles, beside))
+    tests = tuple(all_tests(at, recorded.site, datum.poles, beside))
     converged = aligned.climbed.converged and end.converged
     covariance = joint_covariance(parts)
     return Adjusted(datum, aligned, problem, end, parts, covariance, at, tests, converged)

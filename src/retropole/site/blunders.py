@@ -6,16 +6,16 @@ the one without which everything fits is the blunder.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from ..alignment.unknowns import POSE
 from ..base.errors import Reason, Refusal
 from ..scene.agreement import MAX_AXES_CHI2
 from ..scene.starts import distance_sq
-from .adjustment import Adjusted, without_observations
+from .adjustment import Adjusted, Recorded, adjust, without_observations
 from .answer import Test
-from .contradiction import LEAST, Adjust, denied_poles, least_denied, more_coincide
+from .contradiction import LEAST, denied_poles, least_denied, more_coincide
 from .datum import Datum, without_poles, without_survey
 from .description import Site
 from .links import links
@@ -49,13 +49,13 @@ TAKES_ALONG = {"pole": 1, "placement": 2}
 
 @dataclass(frozen=True, eq=False)
 class Suspect:
-    """What may be the blunder: the reason to give, how to leave it out, and its χ².
+    """What may be the blunder: the reason to give, the datum without it, and its χ².
 
     `point` names the surveyed point that it is about; None of poles and recordings.
     """
 
     reason: Reason
-    without: Callable[[Datum], Datum]
+    without: Datum
     chi2: float
     point: str | None = None
 
@@ -71,17 +71,13 @@ def significant(tests: Sequence[Test], above: float = SIGNIFICANT) -> list[Test]
     return [test for test in tests if test.w > above and test.chi2 > PER_FREEDOM * test.freedom]
 
 
-def without_blunders(site: Site, first: Adjusted, adjust: Adjust) -> tuple[Adjusted, list[Reason]]:
+def without_blunders(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:
     """Leave out what does not fit, one after the other, until the rest does.
 
     Parameters
     ----------
-    site
-        For names.
-    first
-        Everything adjusted together.
-    adjust
-        Adjusts what is left.
+    recorded, first
+        What was recorded, and everything adjusted together.
 
     Returns
     -------
@@ -93,11 +89,11 @@ def without_blunders(site: Site, first: Adjusted, adjust: Adjust) -> tuple[Adjus
     Refusal
         ``site_inconsistent`` where no few observations explain it.
     """
-    now = first
+    site, now = recorded.site, first
     reasons: list[Reason] = []
     for _ in range(MOST_BLUNDERS):
         if worst_test(now.tests) is None:
-            denied = sorted(denied_poles(now, adjust), key=lambda each: -each[2])
+            denied = sorted(denied_poles(recorded, now), key=lambda each: -each[2])
             if not denied:
                 return now, reasons
             pole, rest, more = denied[least_denied([rest.end for _, rest, _ in denied])]
@@ -107,7 +103,7 @@ def without_blunders(site: Site, first: Adjusted, adjust: Adjust) -> tuple[Adjus
         tried: list[tuple[float, Adjusted, Suspect]] = []
         for suspect in _suspects(site, now):
             try:
-                rest = adjust(suspect.without(now.datum))
+                rest = adjust(recorded, suspect.without)
             except Refusal:
                 continue
             worst = worst_test(rest.tests)
@@ -249,7 +245,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
     if test.kind == "pole":
         assert test.pole is not None
         pole = now.datum.poles[test.pole]
-        name, gone = pole.name(site), {test.pole}
+        name = pole.name(site)
         seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
         values |= place_of(site, pole)
         misfit = f"w {test.w:.1f}" if test.w > SIGNIFICANT else "a pole that it checks does not fit"
@@ -260,7 +256,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
                 "and was left out: did it move between the recordings?",
                 values,
             ),
-            lambda datum: without_poles(datum, gone),
+            without_poles(now.datum, {test.pole}),
             test.chi2,
         )
     if test.kind == "placement":
@@ -275,7 +271,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
                 f"{test.w:.1f}), and were left out: was it recorded with that placement?",
                 values,
             ),
-            lambda datum: without_observations(datum, lidar, placement),
+            without_observations(now.datum, lidar, placement),
             test.chi2,
         )
     values["observation"] = test.name
@@ -285,7 +281,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
             f"{test.name} does not fit (w {test.w:.1f}), and was left out: check its coordinates",
             values,
         ),
-        lambda datum: _without_survey(datum, test.name),
+        replace(now.datum, surveyed=without_survey(now.datum.surveyed, test.name)),
         test.chi2,
         test.name.split(" as ")[0],
     )
@@ -310,7 +306,3 @@ def place_of(site: Site, pole: SharedPole) -> dict[str, float | int | str]:
         "placement": site.placements[pole.placement],
         **{f"at_{axis}_m": float(x) for axis, x in zip("xyz", at, strict=True)},
     }
-
-
-def _without_survey(datum: Datum, name: str) -> Datum:
-    return replace(datum, surveyed=without_survey(datum.surveyed, name))

@@ -11,19 +11,19 @@ from ..alignment.certainty import budget_of
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from ..base.errors import Reason, Refusal
+from ..base.timing import timed
 from ..base.uncertainty import predicted_error
-from ..pipeline import timed
 from ..scene.agreement import check_contradiction
 from ..scene.preference import check_near_poles
 from ..scene.terms import scene_pairs
-from .adjustment import Adjusted, adjust, searched_as_pair
+from .adjustment import Adjusted, Recorded, adjust, searched_as_pair
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from .blunders import without_blunders, worst_test
 from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
 from .description import Site
-from .doubtful import counting_doubtful, link_by_doubtful
+from .doubtful import link_by_doubtful, with_own_doubtful
 from .exchanged import check_exchanged, check_places
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
@@ -81,18 +81,17 @@ def calibrate_site(
                 poles = shared_poles(scans, choices.best.poses, site.radius)
                 datum = find_datum(site, scans.origins, choices.best.poses, poles)
                 patches = patches_of(scans)
-                scenes = scene_pairs(patches, groups[0])
-                adjust_from = partial(adjust, site, scans, patches=patches, scenes=scenes)
-                adjusted = adjust_from(datum)
+                recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
+                adjusted = adjust(recorded, datum)
                 # Rough poses may be off by more than poles of few returns lie apart, and returns
                 # that lie beside a pole under them pull no more.
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
                 if not same_poles(again, poles) or worst_test(adjusted.tests) is not None:
-                    adjusted = adjust_from(find_datum(site, scans.origins, poses, again))
+                    adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
             with step("test"):
-                adjusted, blunders = without_blunders(site, adjusted, adjust_from)
-                adjusted = searched_as_pair(site, scans, adjusted, patches)
+                adjusted, blunders = without_blunders(recorded, adjusted)
+                adjusted = searched_as_pair(recorded, adjusted)
             with step("confirm"):
                 check_contradiction(adjusted.refined)
                 check_near_poles(adjusted.poles, adjusted.refined)
@@ -113,7 +112,7 @@ def decided_by_doubtful(
     radius: float,
 ) -> tuple[SiteScans, tuple[Pair, ...], Choices]:
     """Count doubtful poles, too, where with them one choice alone goes together."""
-    more = counting_doubtful(scans, radius)
+    more = with_own_doubtful(scans, radius)
     found = find_pairs(more, views)
     at = [poles_of(more, lidar) for lidar in range(len(more.by_lidar))]
     again = choose_poses(group, found, at, group[0])

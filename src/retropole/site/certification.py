@@ -22,7 +22,7 @@ from ..base.bounded import Count, Number, Size
 from ..base.datatypes import Placement, Pole, Scan
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
-from ..pipeline import find_poles
+from ..scene.scans import find_poles
 from ..scene.static import check_poles
 from .axes import OwnAxes, find_axes
 from .correspondence import Correspondence, correspond
@@ -122,7 +122,7 @@ def certify(
     Parameters
     ----------
     placements
-        What both recorded, and the poles found in it (`pipeline.find_poles`).
+        What both recorded, and the poles found in it (`scene.scans.find_poles`).
     radius, radius_sigma
         Of the poles, and its 1 σ, metres.
     """

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from ..base.errors import Refusal
 from ..scene.descent import End
 from ..scene.patch_pairs import pair_patches
 from ..scene.terms import FEW, SceneTerm
-from .adjustment import Adjusted
-from .datum import Datum, without_poles
+from .adjustment import Adjusted, Recorded, adjust
+from .datum import without_poles
 from .links import links
 
 CLOSE = 0.02
@@ -98,24 +97,15 @@ def least_denied(ends: Sequence[End]) -> int:
     return int(np.argmin(np.floor(against)))
 
 
-class Adjust(Protocol):
-    """Adjusts what is left."""
-
-    def __call__(self, datum: Datum, *, few: bool = False) -> Adjusted:
-        """Adjust what is left, by a part of the surfaces where `few` are enough."""
-
-
-def denied_poles(adjusted: Adjusted, adjust: Adjust) -> Iterator[tuple[int, Adjusted, float]]:
+def denied_poles(recorded: Recorded, adjusted: Adjusted) -> Iterator[tuple[int, Adjusted, float]]:
     """Find the poles without which far more of the surroundings coincides.
 
     Only where two poles alone link some LiDARs to all others: more check each other.
 
     Parameters
     ----------
-    adjusted
-        What fits by its own tests.
-    adjust
-        Adjusts what is left.
+    recorded, adjusted
+        What was recorded, and what fits by its own tests.
 
     Yields
     ------
@@ -126,20 +116,25 @@ def denied_poles(adjusted: Adjusted, adjust: Adjust) -> Iterator[tuple[int, Adju
     for k in sorted({k for link in weak for k in link.poles}):
         across = [link.near for link in weak if k in link.poles]
         # A part of the patches is enough to see that nothing moved, but may hold too little.
-        some = _without(k, adjusted, adjust, across, few=True)
+        some = _without(k, recorded, adjusted, across, few=True)
         if some is not None and some[1] < LEAST / FEW:
             continue
-        every = _without(k, adjusted, adjust, across, few=False)
+        every = _without(k, recorded, adjusted, across, few=False)
         if every is not None and every[1] >= LEAST:
             yield k, *every
 
 
 def _without(
-    pole: int, adjusted: Adjusted, adjust: Adjust, across: Sequence[frozenset[int]], *, few: bool
+    pole: int,
+    recorded: Recorded,
+    adjusted: Adjusted,
+    across: Sequence[frozenset[int]],
+    *,
+    few: bool,
 ) -> tuple[Adjusted, float] | None:
     """Adjust without a pole, and count how many more patches coincide; None where it is refused."""
     try:
-        rest = adjust(without_poles(adjusted.datum, {pole}), few=few)
+        rest = adjust(recorded, without_poles(adjusted.datum, {pole}), few=few)
     except Refusal:
         return None
     return rest, max(more_coincide(adjusted.end, rest.end, near) for near in across)

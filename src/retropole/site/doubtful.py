@@ -7,14 +7,13 @@ distance, under a pose at which the scenes coincide and at no other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 
 from ..base.datatypes import Placement, Pole, Scan
 from ..extraction.doubtful import with_doubtful
-from ..matching.confirmation import ENOUGH_SURE, Chosen, choose_with_doubtful
-from ..pipeline import choose, choose_settled
+from ..matching.placements import Chosen
+from ..scene.search import ENOUGH_SURE, choose_with_doubtful, counting_doubtful
 from .choice import linked_groups
 from .pairs import Pair, PairHypothesis
 from .scans import SiteScans
@@ -55,7 +54,7 @@ def link_by_doubtful(
     return scans, tuple(found.values())
 
 
-def counting_doubtful(scans: SiteScans, radius: float) -> SiteScans:
+def with_own_doubtful(scans: SiteScans, radius: float) -> SiteScans:
     """Count the doubtful poles of recordings with fewer than two sure ones.
 
     They are no evidence by themselves: only a loop that closes with them, and with no other choice,
@@ -72,7 +71,7 @@ def _with_own_doubtful(scan: Scan, radius: float) -> Scan:
     if scan.detection is None or len(scan.poles) >= ENOUGH_SURE:
         return scan
     found = with_doubtful(scan.cloud, scan.detection, radius, scan.sensor)
-    return replace(scan, detection=replace(found, poles=(*found.poles, *found.doubtful)))
+    return counting_doubtful(replace(scan, detection=found))
 
 
 def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[int, int]]:
@@ -113,16 +112,11 @@ def _linked(
     for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
         if target is None or source is None:
             continue
-        ask = partial(choose, count=None, prior=None, step=_untimed)
-        settle = partial(choose_settled, step=_untimed)
-        chosen = choose_with_doubtful(ask, settle, [Placement(target, source)], radius, _untimed)
+        placement = Placement(target, source)
+        chosen = choose_with_doubtful([placement], radius, lambda step: nullcontext())
         if chosen.refusal is None:
             return _with_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
     return None
-
-
-def _untimed(name: str) -> AbstractContextManager[None]:
-    return nullcontext()
 
 
 def _pair(lidars: tuple[int, int], placement: int, chosen: Chosen) -> Pair:

@@ -10,9 +10,9 @@ from ..base import se3
 from ..base.datatypes import Array, PointCloud, Pole, Scan
 from ..base.errors import Refusal
 from ..matching.placements import merged
-from ..pipeline import find_poles
 from ..scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from ..scene.patches import Patches, surface_patches
+from ..scene.scans import find_poles
 from ..scene.static import check_static, check_still
 from ..scene.visibility import View, compare_views, view_of
 from .description import Site, SiteLidar

@@ -1,0 +1,27 @@
+"""A recording searched for poles, without what moved."""
+
+from __future__ import annotations
+
+from ..base.datatypes import PointCloud, Scan
+from ..base.errors import Refusal
+from ..base.sensors import Sensor
+from ..extraction.extent import located
+from ..extraction.poles import extract_poles
+from .copies import without_copies
+from .static import remove_dynamic_points
+
+
+def find_poles(
+    cloud: PointCloud, *, sensor: Sensor | None, threshold: float | None, radius: float
+) -> Scan:
+    """Find the poles in a cloud; of several frames, without what moved.
+
+    Never raises a refusal: the scan holds it, and `static.check_poles` raises it, so that what was
+    found elsewhere is not lost.
+    """
+    try:
+        cloud = remove_dynamic_points(located(without_copies(cloud), radius))
+        detection = extract_poles(cloud, sensor=sensor, threshold=threshold, radius=radius)
+    except Refusal as refusal:
+        return Scan(cloud, sensor, None, refusal)
+    return Scan(cloud, sensor, detection)

@@ -1,0 +1,223 @@
+"""Search for the pose that the poles allow and the scene confirms: match, score, choose.
+
+By the sure poles first; where they give nothing, by the doubtful ones too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from ..base.datatypes import Placement, Pole, Scan
+from ..base.errors import Refusal
+from ..base.timing import Step
+from ..extraction.dimmer import with_dimmer
+from ..extraction.doubtful import with_doubtful
+from ..matching import correspondence
+from ..matching.budget import Share, Tried, with_what_was_tried
+from ..matching.confirmation import CONFIRMED_COUNT, counts_doubtful, is_confirmed
+from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
+from ..matching.prior import RotationPrior, agreeing_with_prior
+from . import disambiguation, settling
+from .choice import choose_best
+
+RESCUED = {
+    *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
+    "prior_contradicted",
+}
+"""Refusals after which doubtful poles are tried: other poles may give what these did not."""
+
+ENOUGH_SURE = 2
+"""With so many sure poles in a cloud its threshold is right, and lower ones are not tried."""
+
+
+def choose_with_doubtful(
+    placements: Sequence[Placement],
+    radius: float,
+    step: Step,
+    *,
+    count: int | None = None,
+    prior: RotationPrior | None = None,
+) -> Chosen:
+    """Choose by the sure poles; where they give nothing, by the doubtful ones too.
+
+    Where these are not confirmed either, the hypotheses first settle on the scene.
+
+    Parameters
+    ----------
+    placements
+        With what was found in each of their clouds.
+    radius
+        Of the poles, metres.
+    step
+        Names a step that starts, and times it.
+    count, prior
+        How many poles both LiDARs see, and what is known of the rotation.
+
+    Returns
+    -------
+    Chosen
+        With the first refusal where the doubtful poles are not confirmed, and with what was not
+        tried.
+    """
+    first = choose(placements, step, count=count, prior=prior)
+    if first.refusal is None:
+        return first
+    attempts = [first]
+    if first.refusal.code in RESCUED:
+        for found in _looks(placements, radius, step):
+            for attempt in _attempts(first, found, step, count, prior):
+                attempts.append(attempt)
+                if attempt.refusal is None and is_confirmed(
+                    attempt.paired, attempt.hypotheses, radius
+                ):
+                    return attempt
+    tried = [placement.tried for attempt in attempts for placement in attempt.scored]
+    return replace(first, refusal=with_what_was_tried(first.refusal, tried))
+
+
+def _looks(
+    placements: Sequence[Placement], radius: float, step: Step
+) -> Iterator[Sequence[Placement]]:
+    """Look for doubtful poles, and then for dimmer ones, where that finds more."""
+    returns = -1
+    for is_dimmer in (False, True):
+        with step("doubtful"):
+            placements = [
+                Placement(
+                    _searched(each.target, radius, is_dimmer),
+                    _searched(each.source, radius, is_dimmer),
+                )
+                for each in placements
+            ]
+        before, returns = returns, _doubtful_returns(placements)
+        if returns != before:
+            yield placements
+
+
+def _attempts(
+    first: Chosen,
+    placements: Sequence[Placement],
+    step: Step,
+    count: int | None,
+    prior: RotationPrior | None,
+) -> Iterator[Chosen]:
+    """Choose by the doubtful poles too, in one way after the other."""
+    # Without any doubtful pole the sure ones may still settle.
+    wider = first
+    if _doubtful_returns(placements):
+        wider = choose(_with_all(placements), step, count=count, prior=prior)
+    yield wider
+    settled = choose_settled(wider, step)
+    yield settled
+    # A third line that fits by chance turns the pose of two poles, and keeps it from settling.
+    for fewer in _without_one(placements, settled.paired):
+        chosen = choose(_with_all(fewer), step, count=count, prior=prior)
+        yield choose_settled(chosen, step)
+
+
+def choose(
+    placements: Sequence[Placement],
+    step: Step,
+    *,
+    count: int | None = None,
+    prior: RotationPrior | None = None,
+) -> Chosen:
+    """Match the poles of every placement and let the scene choose; a refusal is kept."""
+    try:
+        with step("match"):
+            matched = [match_poles(placement, count, prior) for placement in placements]
+        with step("disambiguate"):
+            return choose_best([score_hypotheses(each) for each in matched])
+    except Refusal as refusal:
+        return Chosen((), (), refusal)
+
+
+def choose_settled(chosen: Chosen, step: Step) -> Chosen:
+    """Let the scene move the hypotheses of a choice, if it has any, and choose once more."""
+    if not chosen.scored:
+        return chosen
+    try:
+        with step("settle"):
+            settled = [settle(each) for each in chosen.scored]
+            return choose_best([score_hypotheses(each) for each in settled])
+    except Refusal as refusal:
+        return Chosen((), (), refusal)
+
+
+def match_poles(
+    placement: Placement, count: int | None, prior: RotationPrior | None
+) -> PlacementMatches:
+    """Find the ways of laying the source poles on the target poles that the prior allows."""
+    found, laid = correspondence.every_match(
+        placement.target.poles, placement.source.poles, count, part=counts_doubtful(placement)
+    )
+    allowed = agreeing_with_prior(found, prior)
+    best = allowed[: correspondence.MAX_HYPOTHESES]
+    return PlacementMatches(placement, best, Tried(laid, Share(len(best), len(allowed))))
+
+
+def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
+    """Score every match of a placement by the scene."""
+    target, source = matched.placement.target.cloud, matched.placement.source.cloud
+    hypotheses = disambiguation.score_hypotheses(target, source, matched.matches)
+    return PlacementHypotheses(matched.placement, hypotheses, matched.tried)
+
+
+def settle(scored: PlacementHypotheses) -> PlacementMatches:
+    """Let the scene move the hypotheses of a placement as far as their poles allow."""
+    target, source = scored.placement.target, scored.placement.source
+    matches = settling.settle(target.cloud, source.cloud, scored.hypotheses, source.poles)
+    exact = sum(each.match.exact for each in scored.hypotheses)
+    fitting = Share(min(exact, settling.SETTLED_AT_MOST), exact)
+    return PlacementMatches(scored.placement, matches, scored.tried._replace(fitting=fitting))
+
+
+def _without_one(
+    placements: Sequence[Placement], paired: Sequence[PairedPlacement]
+) -> Iterator[Sequence[Placement]]:
+    """A placement without one pair's doubtful poles; of several none, where no chance recurs."""
+    if len(paired) != 1 or len(paired[0].hypothesis.match.pairs) < CONFIRMED_COUNT:
+        return
+    for pair in zip(paired[0].target_poles, paired[0].source_poles, strict=True):
+        whole = placements[0]
+        fewer = Placement(_without(whole.target, pair[0]), _without(whole.source, pair[1]))
+        if fewer.target is not whole.target or fewer.source is not whole.source:
+            yield [fewer]
+
+
+def _without(scan: Scan, pole: Pole) -> Scan:
+    """A scan without one of its doubtful poles; itself where it is none of them."""
+    left = tuple(own for own in scan.doubtful if own is not pole)
+    if scan.detection is None or len(left) == len(scan.doubtful):
+        return scan
+    return replace(scan, detection=replace(scan.detection, doubtful=left))
+
+
+def _searched(scan: Scan, radius: float, is_dimmer: bool) -> Scan:
+    """A scan with its doubtful poles; the `is_dimmer` ones only where few are sure."""
+    if scan.detection is None or (is_dimmer and len(scan.poles) >= ENOUGH_SURE):
+        return scan
+    look = with_dimmer if is_dimmer else with_doubtful
+    return replace(scan, detection=look(scan.cloud, scan.detection, radius, scan.sensor))
+
+
+def _doubtful_returns(placements: Sequence[Placement]) -> int:
+    """How many returns the doubtful poles of all clouds have: a lower threshold shows more."""
+    return sum(
+        len(pole.index) for each in placements for scan in each.scans for pole in scan.doubtful
+    )
+
+
+def counting_doubtful(scan: Scan) -> Scan:
+    """Count the doubtful poles of a scan among its poles, after the sure ones."""
+    if scan.detection is None:
+        return scan
+    return replace(scan, detection=replace(scan.detection, poles=(*scan.poles, *scan.doubtful)))
+
+
+def _with_all(placements: Sequence[Placement]) -> list[Placement]:
+    return [
+        Placement(counting_doubtful(each.target), counting_doubtful(each.source))
+        for each in placements
+    ]

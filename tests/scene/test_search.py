@@ -1,0 +1,131 @@
+"""Which poles are tried, and in which order, until the scene confirms a choice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from retropole.base.datatypes import Placement, Scan
+from retropole.base.errors import Refusal
+from retropole.matching.budget import Share, Tried
+from retropole.matching.placements import Chosen, PairedPlacement, PlacementHypotheses
+from retropole.scene import search
+from retropole.scene.search import choose_with_doubtful
+from tests.matching.walls import Confirmed, confirmed_answer
+
+
+@pytest.fixture(scope="module")
+def confirmed() -> Confirmed:
+    return confirmed_answer()
+
+
+def untimed(step: str) -> Any:
+    return nullcontext()
+
+
+def test_hypotheses_settle_only_where_nothing_else_is_confirmed(
+    confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer, paired = confirmed
+    refusal = Refusal("too_few_poles", "", {})
+    nothing = Chosen((), (), refusal)
+    right = Chosen(answer.hypotheses, paired)
+    for answers, asked in (
+        ([right], "match"),
+        ([nothing, right], "match match"),
+        ([nothing, nothing, right], "match match settle"),
+        ([nothing, nothing, nothing], "match match settle"),
+    ):
+        told: list[str] = []
+        left = iter(answers)
+
+        def ask(what: str, told: list[str] = told, left: Iterator[Chosen] = left) -> Chosen:
+            told.append(what)
+            return next(left)
+
+        monkeypatch.setattr(search, "choose", lambda *_, ask=ask, **__: ask("match"))
+        monkeypatch.setattr(search, "choose_settled", lambda *_, ask=ask: ask("settle"))
+        chosen = choose_with_doubtful(answer.placements, 0.02, untimed)
+        assert chosen.refusal is answers[-1].refusal
+        assert chosen.paired == answers[-1].paired
+        assert " ".join(told) == asked
+
+
+def nothing_bright(of: Scan) -> Scan:
+    """Take what passes the threshold out of a recording; lower ones are not tried."""
+    assert of.detection is not None
+    assert of.cloud.intensity is not None
+    cloud = of.cloud.select(of.cloud.intensity < of.detection.threshold)
+    detection = replace(of.detection, poles=(), doubtful=(), threshold_source="given")
+    return replace(of, cloud=cloud, detection=detection)
+
+
+def test_without_doubtful_poles_what_was_matched_settles(
+    confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is matched twice."""
+    answer, _ = confirmed
+    (placement,) = answer.placements
+    target, source = (nothing_bright(scan_) for scan_ in (placement.target, placement.source))
+    nothing = Chosen((), (), Refusal("too_few_poles", "", {}))
+    settled: list[Chosen] = []
+
+    def settle(chosen: Chosen, step: object) -> Chosen:
+        settled.append(chosen)
+        return chosen
+
+    answers = iter([nothing])
+    monkeypatch.setattr(search, "choose", lambda *_, **__: next(answers))
+    monkeypatch.setattr(search, "choose_settled", settle)
+    choose_with_doubtful([Placement(target, source)], 0.02, untimed)
+    assert settled == [nothing]
+
+
+def test_a_refusal_says_what_was_not_tried(
+    confirmed: Confirmed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer, _ = confirmed
+    tried = Tried(ways=Share(16, 310))
+    scored = PlacementHypotheses(answer.placements[0], answer.hypotheses, tried)
+    refusal = Refusal("ambiguous", "two are alike", {"rivals": 1})
+    ambiguous = Chosen((), (), refusal, scored=(scored,))
+    monkeypatch.setattr(search, "choose", lambda *_, **__: ambiguous)
+    monkeypatch.setattr(search, "choose_settled", lambda chosen, step: chosen)
+    chosen = choose_with_doubtful(answer.placements, 0.02, untimed)
+    assert chosen.refusal is not None
+    assert chosen.refusal.code == "ambiguous"
+    assert "16 of 310" in chosen.refusal.message
+    assert chosen.refusal.values == {"rivals": 1, "ways": 310, "ways_tried": 16}
+
+
+@pytest.mark.parametrize("is_third", [True, False])
+def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
+    confirmed: Confirmed, is_third: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer, paired = confirmed
+    best = answer.hypotheses[0]
+    nothing = Chosen((), (), Refusal("too_few_poles", "", {}))
+    right = Chosen(answer.hypotheses, paired)
+    pairs = (*best.match.pairs, best.match.pairs[-1]) if is_third else best.match.pairs
+    loose = replace(best, match=replace(best.match, pairs=pairs, pole_rms=0.1))
+    asked: list[int] = []
+
+    def choose(placements: Sequence[Placement], *_: object, **__: object) -> Chosen:
+        detection = placements[0].target.detection
+        assert detection is not None
+        asked.append(len(detection.doubtful))
+        if len(asked) == 1:
+            return nothing
+        if detection.doubtful:
+            return Chosen((loose,), (PairedPlacement(placements[0], loose),))
+        return right
+
+    monkeypatch.setattr(search, "choose", choose)
+    monkeypatch.setattr(search, "choose_settled", lambda chosen, step: chosen)
+    chosen = choose_with_doubtful(answer.placements, 0.02, untimed)
+    assert (chosen is right) == is_third
+    assert asked == ([1, 1, 0] if is_third else [1, 1])
