@@ -10,8 +10,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.errors import Refusal
-from retropole.matching.placements import Chosen
-from retropole.matching.placements import PlacementHypotheses
+from retropole.matching.placements import Chosen, PlacementHypotheses
 from retropole.pipeline import calibrate
 from retropole.scene import settling
 from retropole.scene.search import choose_settled

@@ -10,6 +10,7 @@ from scipy.stats import chi2, kstest
 from retropole.alignment.network import Observation
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
+from retropole.base.uncertainty.purpose import DEFAULT_AT
 from retropole.site.datum import without_poles
 from retropole.site.own_errors import (
     OwnError,
@@ -20,7 +21,7 @@ from retropole.site.own_errors import (
     splits,
     value_wrong,
 )
-from retropole.site.snooping import EXTERNAL_RANGE, NONCENTRALITY, all_tests, outcome
+from retropole.site.snooping import NONCENTRALITY, all_tests, outcome
 from retropole.site.solved import Solved
 from tests.site import geodetic
 from tests.site.adjusting import Steps
@@ -202,7 +203,7 @@ def test_the_least_error_that_is_found_is_found_and_moves_what_it_says() -> None
         if np.diff(least)[0] > 1e-3:
             before, after = network.state.T, now.network.state.T
             steps = np.array([se3.local(a, b) for a, b in zip(before, after, strict=True)])
-            by_turn = EXTERNAL_RANGE * np.linalg.norm(steps[:, :3], axis=1)
+            by_turn = DEFAULT_AT * np.linalg.norm(steps[:, :3], axis=1)
             moved = float((by_turn + np.linalg.norm(steps[:, 3:], axis=1)).max())
             assert found.external == pytest.approx(moved, rel=1e-2)
 

@@ -13,24 +13,15 @@ import numpy as np
 
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import prior_precision
-from ..alignment.climb import (
-    MAX_POLE_ITERATIONS,
-    NOISE_DAMPING,
-    POLE_GAIN,
-    POLE_SLACK,
-    POLE_STEP,
-    lines_of,
-    start_noise,
-)
+from ..alignment.climb import lines_of, maximise, start_noise
 from ..alignment.expansion import expand_lidar, semidefinite
 from ..alignment.joint import JointPriors, Sight, evaluate_joint
 from ..alignment.observations import Beams, beams_of
 from ..alignment.posterior import SHARED, Posterior, State
-from ..alignment.solver import levenberg_marquardt
 from ..alignment.state import JointState
 from ..alignment.survey import NOTHING_SURVEYED
 from ..alignment.unknowns import POSE, Unknowns
-from ..alignment.views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE, find_view
+from ..alignment.views import find_view
 from ..base.datatypes import Array, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
 from ..base.systematic import ErrorModel, Layout, band_of, sizes_of
@@ -174,21 +165,5 @@ def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Ar
     def at(state: JointState, log_noise: Array) -> Posterior[JointState]:
         return evaluate_joint(state, log_noise, sights, NOTHING_SURVEYED, priors)
 
-    def advance(now: Posterior[JointState], step: Array, damping: float) -> Posterior[JointState]:
-        noise = now.log_noise + now.noise_step / (1.0 + damping)
-        depth = max(noise[0, 0], np.log(MIN_NOISE))
-        bounds = depth + np.log([MIN_LATERAL_NOISE, MAX_LATERAL_NOISE])
-        noise[0] = depth, np.clip(noise[0, 1], *bounds)
-        return at(now.state.moved(step), noise)
-
-    found = levenberg_marquardt(
-        at(joint, log_noise[None]),
-        advance,
-        lambda step: step.gain < POLE_GAIN,
-        tolerance=POLE_STEP,
-        damping=NOISE_DAMPING,
-        min_damping=NOISE_DAMPING,
-        slack=POLE_SLACK,
-        max_iterations=MAX_POLE_ITERATIONS,
-    )
+    found = maximise(joint, log_noise[None], at)
     return found.point.state.of(0, own), np.exp(found.point.log_noise[0])

@@ -16,6 +16,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import chdtrc
 
+from ..alignment.adjustment import MAX_TRANSLATION_SIGMA
 from ..alignment.certainty import excess
 from ..alignment.network import Observation
 from ..alignment.unknowns import POSE
@@ -30,9 +31,6 @@ from .solved import Solved
 
 MOST_LOOPS = 60
 """So many loops are closed at most: of 8 LiDARs that all see each other, all 56 triangles."""
-
-MAX_SIGMA = 0.5
-"""A pair that leaves its pose more open than this, metres or rad, closes no loop."""
 
 RIDGE = 1e-9
 """Precision of unknowns that a pair says nothing of."""
@@ -156,7 +154,7 @@ def _edge(
     slope[rows] -= precision * end.errors[place[errors] - unknowns.poses]
     inverse = np.linalg.inv(information)
     of_pose = np.flatnonzero(np.isin(place, unknowns.pose(lidars[1])))
-    if np.sqrt(np.diag(inverse)[of_pose].max()) > MAX_SIGMA:
+    if np.sqrt(np.diag(inverse)[of_pose].max()) > MAX_TRANSLATION_SIGMA:
         return None
     gain = np.asarray(inverse[of_pose], dtype=np.float64)
     scatter = np.zeros((POSE, 2, count))

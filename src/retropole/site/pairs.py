@@ -16,13 +16,9 @@ from ..base.datatypes import Array, Hypothesis, Match
 from ..base.errors import Reason, Refusal
 from ..matching.correspondence import match_poles
 from ..matching.placements import AGREE_ANGLE, AGREE_DISTANCE
-from ..scene.choice import RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap
+from ..scene.choice import MIN_OVERLAP, RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLAP, check_overlap
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views
 from .scans import SiteScans, Views
-
-UNTOLD = 0.25
-"""Scores of scenes that hardly overlap tell hypotheses apart by more than this only: it is the
-overlap below which they count as not overlapping (`scene.choice.MIN_OVERLAP`)."""
 
 DENIED = 0.06
 """Share of the points beyond the best's own that speaks against a hypothesis, from which no loop is
@@ -50,7 +46,7 @@ class PairHypothesis:
     stands
         Whether the scene leaves it standing beside the best of the pair.
     possible
-        Whether it stands, or scores no less than `UNTOLD` below the best: on bare ground a pose
+        Whether it stands, or scores no less than `MIN_OVERLAP` below the best: on bare ground a pose
         that brings the LiDARs near each other overlaps twice as much as the right one.
     """
 
@@ -253,4 +249,4 @@ def _stands(each: Hypothesis, best: Hypothesis) -> bool:
 
 def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:
     undenied = each.free_space_violation <= best.free_space_violation + DENIED
-    return undenied and each.score >= best.score - UNTOLD
+    return undenied and each.score >= best.score - MIN_OVERLAP

@@ -17,6 +17,7 @@ from scipy.special import chdtrc, erfcinv
 from ..alignment.certainty import excess
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
+from ..base.uncertainty.purpose import DEFAULT_AT
 from .answer import Test
 from .description import Site
 from .own_errors import (
@@ -33,9 +34,6 @@ from .solved import Solved
 
 NONCENTRALITY = 17.07
 """Of a test at 0.1 % with a power of 80 %: (3.29 + 0.84)² (Baarda 1968)."""
-
-EXTERNAL_RANGE = 30.0
-"""How far away a point is that an unseen error moves, metres."""
 
 LEAST_CHECKED = 1e-9
 """Part of an error's own information below which the others do not determine it at all."""
@@ -107,9 +105,9 @@ def outcome(at: Solved, error: OwnError, unit: float) -> Outcome:
 
 
 def _at_range(step: Array, at: Solved) -> float:
-    """Farthest that a step of the unknowns moves a point at `EXTERNAL_RANGE` of a LiDAR, metres."""
+    """Farthest that a step of the unknowns moves a point at `DEFAULT_AT` of a LiDAR, metres."""
     poses = step[: at.network.unknowns.poses].reshape(-1, POSE)
-    turned = EXTERNAL_RANGE * np.linalg.norm(poses[:, :3], axis=1)
+    turned = DEFAULT_AT * np.linalg.norm(poses[:, :3], axis=1)
     return float((turned + np.linalg.norm(poses[:, 3:], axis=1)).max())
 
 

@@ -6,14 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..alignment.adjustment import MAX_TRANSLATION_SIGMA
 from ..alignment.network import Network, about, factor_of
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array, IntArray
 from ..scene.descent import End
 from .answer import WithoutPlacement
-
-MAX_SIGMA = 0.5
-"""Where a pose is left more open than this without a placement, m or rad, there is none."""
 
 GONE = 1.0
 """Precision of axes that nothing is left of, to keep the equations solvable."""
@@ -56,7 +54,7 @@ def _changed(
     scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
     inverse = np.linalg.inv(scaled) / np.outer(scale, scale)
     own = free < poses
-    if np.sqrt(np.diag(inverse)[own].max()) > MAX_SIGMA:
+    if np.sqrt(np.diag(inverse)[own].max()) > MAX_TRANSLATION_SIGMA:
         return WithoutPlacement(placement, None, None, None)
     step = np.zeros(poses)
     step[free[own]] = (inverse @ slope)[own]
