@@ -46,8 +46,8 @@ class PairHypothesis:
     stands
         Whether the scene leaves it standing beside the best of the pair.
     possible
-        Whether it stands, or scores no less than `MIN_OVERLAP` below the best: on bare ground a pose
-        that brings the LiDARs near each other overlaps twice as much as the right one.
+        Whether it stands, or scores no less than `MIN_OVERLAP` below the best: on bare ground a
+        pose that brings the LiDARs near each other overlaps twice as much as the right one.
     """
 
     T: Array
