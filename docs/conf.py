@@ -13,7 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.inspect import TypeAliasForwardRef
 
 import retropole
-from retropole.base.reasons import GROUPS, PREFIXED, Explanation
+from retropole.base.reasons import Explanation, tables
 from retropole.base.sensors import SENSORS
 from retropole.cli import cli
 
@@ -79,10 +79,10 @@ def reason_entries() -> str:
         return f"### {code}\n\n{text.title}. {text.help}\n\n{actions}\n"
 
     parts = []
-    for group in GROUPS:
-        entries = [entry(code, text) for code, text in group.reasons]
+    for group in tables().groups.values():
+        entries = [entry(code, text) for code, text in group.reasons.items()]
         if group.title == "Check":
-            entries += [entry(f"{prefix}_", text) for prefix, text in PREFIXED.items()]
+            entries += [entry(f"{prefix}_", text) for prefix, text in tables().prefixes.items()]
         parts += [f"## {group.title}\n\n{group.introduction}\n\n", *entries]
     return "".join(parts)
 

@@ -9,7 +9,7 @@ import click
 import pytest
 
 from retropole.base.datatypes import PointCloud
-from retropole.base.reasons import REASONS, page, plain
+from retropole.base.reasons import page, plain, reasons
 from retropole.cli import COMMANDS, cli
 from retropole.io import write_pcd
 from tests.cli.commands import retropole, retropole_here
@@ -127,7 +127,7 @@ def test_a_refusal_says_why_what_to_do_and_where_to_read_on(
     assert done.stdout == ""
     why, *what_to_do, where = done.stderr.splitlines()
     assert why.startswith("retropole: refused (no_intensity): ")
-    advice = [plain(action) for action in REASONS["no_intensity"].advice]
+    advice = [plain(action) for action in reasons()["no_intensity"].advice]
     assert what_to_do[0] == f"what to do: {advice[0]}"
     assert [line.strip() for line in what_to_do[1:]] == advice[1:]
     assert where == f"read on: documentation, {page('no_intensity')}"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
-from retropole.base.reasons import REASONS
+from retropole.base.reasons import reasons
 from retropole.cli import COMMANDS, run
 from retropole.cli.common import in_colour
 from retropole.cli.errors import asks_for_json, failure_of
@@ -106,7 +106,7 @@ def test_every_kind_of_error_says_what_to_do(error: Exception, code: str) -> Non
 def test_a_refusal_gives_the_advice_of_its_code() -> None:
     failure = failure_of(Refusal("parallel_poles", "they are", {}), "retropole calibrate")
     assert failure.code == "parallel_poles"
-    assert len(failure.what_to_do) == len(REASONS["parallel_poles"].advice)
+    assert len(failure.what_to_do) == len(reasons()["parallel_poles"].advice)
 
 
 @pytest.mark.parametrize(

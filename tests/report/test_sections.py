@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from retropole.base.reasons import REASONS, plain
+from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty import Confirmation
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.export import export_lines
@@ -21,10 +21,10 @@ from retropole.result import ReasonDoc
 from tests.report.made_up import T_TRUE, Page, made_up
 
 
-@pytest.mark.parametrize("code", REASONS)
+@pytest.mark.parametrize("code", reasons())
 def test_a_reason_is_told_with_its_meaning_and_all_that_helps(code: str) -> None:
     result = replace(made_up("warn", 500).result, reasons=[ReasonDoc(code, "because of 7", {})])
-    page, known = Page(verdict(result)), REASONS[code]
+    page, known = Page(verdict(result)), reasons()[code]
     assert page.open == []
     said = [plain(text) for text in (known.help, *known.advice)]
     for words in (code, "because of 7", known.title, *said):

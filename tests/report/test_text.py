@@ -10,7 +10,7 @@ from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.quantities import counted
-from retropole.base.reasons import REASONS, plain
+from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate
 from retropole.report.layout import LINES, WIDTH
@@ -64,11 +64,11 @@ def test_it_names_what_a_person_looks_for() -> None:
     )
 
 
-@pytest.mark.parametrize("code", REASONS)
+@pytest.mark.parametrize("code", reasons())
 def test_what_to_do_stands_below_the_reason(code: str) -> None:
     first, *rest = reason_lines(ReasonDoc(code, "because of 7", {}))
     assert first == f"  {code}: because of 7"
-    advice = REASONS[code].advice
+    advice = reasons()[code].advice
     below = " ".join(line.strip() for line in rest)
     assert below.startswith("what to do: ") is bool(advice)
     for action in advice[:2]:
@@ -156,7 +156,7 @@ WORDS = "a reason of as many words as the longest that there is, with numbers su
 def test_a_result_is_a_screen_at_most_and_names_every_verdict(status: Status, many: int) -> None:
     result = made_up(status, 500).result
     first = result.poles.target[0]
-    codes = list(REASONS)[:many] if status != "ok" else []
+    codes = list(reasons())[:many] if status != "ok" else []
     asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm at 30 m: yes, 98 % sure")
     for poles, placements in ((many, 0), (2, many), (0, 0)):
         each = replace(

@@ -9,7 +9,7 @@ from msgspec import structs
 from retropole.alignment.certainty import FLOOR
 from retropole.base.datatypes import Calibration, Placement, PointCloud, PoseEstimate, Scan
 from retropole.base.errors import Reason
-from retropole.base.reasons.sources import REMEDIES, SPREAD_OUT, remedy
+from retropole.base.reasons import remedy, tables
 from retropole.base.sensors import SENSORS
 from retropole.base.systematic import RADIUS_KIND
 from retropole.base.uncertainty import (
@@ -134,7 +134,9 @@ def test_what_the_scene_says_counts_unless_the_poles_are_trusted() -> None:
 
 
 def test_every_source_that_is_no_lidars_has_a_remedy_of_its_own() -> None:
-    assert RADIUS_KIND.name in REMEDIES
-    assert remedy("scatter of the surfaces", "source") == REMEDIES["scatter of the surfaces"]
-    assert remedy("encoder") == SPREAD_OUT
+    assert RADIUS_KIND.name in tables().remedies
+    assert (
+        remedy("scatter of the surfaces", "source") == tables().remedies["scatter of the surfaces"]
+    )
+    assert remedy("encoder") == tables().of_a_lidar
     assert "--sensor-target" in remedy("encoder", "target")

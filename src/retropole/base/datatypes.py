@@ -138,7 +138,7 @@ class RejectedCluster:
     index, centre
         (N,) index of its points in their cloud, and (3,) their centroid, metres.
     code, reason
-        One of `reasons.cluster` or ``too_few_points``; the same in words and numbers.
+        One of `reasons.Code`, such as ``too_few_points``; the same in words and numbers.
     """
 
     index: IntArray

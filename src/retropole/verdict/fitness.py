@@ -9,7 +9,7 @@ from ..alignment.certainty import BUDGET_RANGE, FLOOR
 from ..base import quantities
 from ..base.datatypes import Calibration
 from ..base.errors import Reason
-from ..base.reasons.sources import remedy
+from ..base.reasons import remedy
 from ..base.uncertainty import floor, source_words
 from ..base.uncertainty.purpose import (
     USABLE,

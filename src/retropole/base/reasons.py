@@ -1,0 +1,237 @@
+"""Every reason code: what it means, and what to do about it.
+
+The texts stand in ``reasons.toml``, one table for each place where codes are met. The report, the
+command line and the page *Every reason code* of the documentation take their words from there.
+`Code` is the type of all codes, so that mypy finds one that is in no table: a new code is added to
+both.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any, Literal, cast
+
+import msgspec
+
+Code = Literal[
+    # refused
+    "no_intensity",
+    "threshold_too_low",
+    "far_from_lidar",
+    "same_recording",
+    "wrong_unit",
+    "wrong_sensor",
+    "too_few_poles",
+    "parallel_poles",
+    "no_match",
+    "pole_count",
+    "ambiguous",
+    "no_overlap",
+    "too_few_points",
+    "prior_contradicted",
+    "placements_disagree",
+    "moving_pole",
+    "moving_lidar",
+    "poor_fit",
+    "poles_inconsistent",
+    "degenerate_poles",
+    "poles_scene_contradict",
+    "scene_contradicts",
+    "mirrored",
+    "wrong_scale",
+    "registration_failed",
+    "refused",
+    # warning
+    "not_confirmed",
+    "other_times",
+    "sensor_doubtful",
+    "pole_left_out",
+    "not_converged",
+    "small_margin",
+    "chosen_by_hand",
+    "doubtful_poles",
+    "nearly_parallel_poles",
+    "few_points",
+    "few_rings",
+    "noisy_poles",
+    "weak_direction",
+    "offset_not_separable",
+    "poles_and_scene_disagree",
+    "radius_differs",
+    "several_minima",
+    "one_place_decides",
+    "not_fit_for_purpose",
+    # check
+    "swapped",
+    "poles_not_trusted",
+    "no_covariance",
+    "no_common_surfaces",
+    "clouds_do_not_fit",
+    "too_weak",
+    "wider_tolerance",
+    "within_tolerance",
+    "size_unsure",
+    "stored_fits_as_well",
+    "scene_denies_stored",
+    # site
+    "too_few_lidars",
+    "disconnected",
+    "ambiguous_loop",
+    "recordings_exchanged",
+    "lidar_moved",
+    "survey_unmatched",
+    "survey_ambiguous",
+    "survey_too_weak",
+    "site_inconsistent",
+    "pole_moved",
+    "survey_outlier",
+    "recording_left_out",
+    "recording_unusable",
+    "misfit",
+    "loop_open",
+    "not_checked",
+    # field_test
+    "too_few_distances",
+    # other_methods
+    "unmatched",
+    "too_few_planes",
+    "planes_unmatched",
+    "no_scene",
+    # cluster
+    "too_short",
+    "too_long",
+    "too_wide",
+    "too_few_rows",
+    "along_a_beam",
+    "part_of_a_surface",
+    "goes_on_without_tape",
+    "interrupted",
+    "end_on",
+    "on_a_body",
+]
+
+Prefix = Literal["stored", "poles"]
+"""Put in front of a code of the stored result, and of the new recordings' poles."""
+
+
+class Explanation(msgspec.Struct, frozen=True):
+    """What a code means, and what to do about it; help and advice are Markdown.
+
+    Attributes
+    ----------
+    title
+        A few plain words.
+    help
+        What it means, with the limit in numbers.
+    advice
+        What to do, one action each; empty where there is nothing to do.
+    """
+
+    title: str
+    help: str
+    advice: tuple[str, ...] = ()
+
+
+class Group(msgspec.Struct, frozen=True):
+    """The codes of one place where they are met, with the words that introduce them."""
+
+    title: str
+    introduction: str
+    reasons: Mapping[str, Explanation]
+
+
+class Tables(msgspec.Struct, frozen=True):
+    """All that ``reasons.toml`` holds.
+
+    Attributes
+    ----------
+    groups, prefixes
+        Codes by the place where they are met, and what may stand in front of them.
+    remedies
+        What makes each source of error smaller, by its name in the error budget: those that are no
+        matter of a single LiDAR.
+    of_a_lidar
+        What makes all others smaller.
+    """
+
+    groups: Mapping[str, Group]
+    prefixes: Mapping[Prefix, Explanation]
+    remedies: Mapping[str, str]
+    of_a_lidar: str
+
+
+@cache
+def tables() -> Tables:
+    """Read the texts, when they are first asked for; line breaks in them are spaces."""
+    text = files("retropole.base").joinpath("reasons.toml").read_text(encoding="utf-8")
+    return msgspec.convert(_joined(tomllib.loads(text)), Tables)
+
+
+def _joined(given: Any) -> Any:
+    if isinstance(given, dict):
+        return {key: _joined(value) for key, value in given.items()}
+    return " ".join(given.split()) if isinstance(given, str) else [_joined(each) for each in given]
+
+
+@cache
+def reasons() -> Mapping[str, Explanation]:
+    """Every code with its explanation."""
+    return {
+        code: text for group in tables().groups.values() for code, text in group.reasons.items()
+    }
+
+
+def explain(code: str) -> Explanation | None:
+    """Look a code up, with or without a prefix; None where it is not known."""
+    prefix = next((p for p in tables().prefixes if code.startswith(f"{p}_")), None)
+    return reasons().get(code) or (tables().prefixes[prefix] if prefix else None)
+
+
+def page(code: str) -> str | None:
+    """Name the page of the documentation that explains a code; None where it is not known."""
+    known = explain(code)
+    if known is None:
+        return None
+    anchor = code if code in reasons() else code.partition("_")[0]
+    return f"reasons.html#{anchor.replace('_', '-')}"
+
+
+def prefixed(prefix: Prefix, code: str) -> Code:
+    """Put a prefix in front of a code: ``prefixed("stored", "few_points")``."""
+    return cast("Code", f"{prefix}_{code}")
+
+
+def remedy(source: str, unknown_lidar: str | None = None) -> str:
+    """Say what makes a source of error smaller; nothing helps against what no model names.
+
+    Parameters
+    ----------
+    source
+        Its name in the error budget.
+    unknown_lidar
+        ``target`` or ``source``, where it is an error of a LiDAR whose sensor is not known.
+    """
+    if unknown_lidar is not None and source not in tables().remedies:
+        return f"name the sensor with --sensor-{unknown_lidar}, so that its own figures count"
+    return tables().remedies.get(source, tables().of_a_lidar)
+
+
+MARKDOWN_LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
+MARKDOWN_LINK_SENTENCE = re.compile(rf"(?:^|(?<=[.!?]))\s*{MARKDOWN_LINK.pattern}\.")
+
+
+def unlinked(markdown: str) -> str:
+    """Take the links out of help or advice: a page or terminal is read away from the documentation.
+
+    A link becomes its words; a sentence that is nothing but a link goes.
+    """
+    return MARKDOWN_LINK.sub(r"\1", MARKDOWN_LINK_SENTENCE.sub("", markdown)).strip()
+
+
+def plain(markdown: str) -> str:
+    """Take links, emphasis and code marks out of help or advice, for a terminal."""
+    return re.sub(r"[`*]", "", unlinked(markdown))
