@@ -35,7 +35,6 @@ from .options import (
     "--out",
     type=OUT,
     default=DEFAULT_OUT,
-    show_default=True,
     help="Folder for result.json and report.html.",
 )
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")

@@ -17,7 +17,6 @@ def cluster_options(command: Callable[..., int]) -> Callable[..., int]:
             "--time-limit",
             type=Number(min=1, max=1e6),
             default=TIME_LIMIT,
-            show_default=True,
             metavar="SECONDS",
             help="Of one site.",
         ),

@@ -7,8 +7,9 @@ import io
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from inspect import cleandoc
 from pathlib import Path
 from subprocess import list2cmdline
 from typing import TYPE_CHECKING
@@ -31,7 +32,18 @@ ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ":
 ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
 """What stands for our own signs where a terminal has them not."""
 
-CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+CONTEXT = {
+    "help_option_names": ["-h", "--help"],
+    "max_content_width": 100,
+    "show_default": True,
+}
+
+
+def fill_in(command: click.Command, word: str, titles: Mapping[str, str], *, width: int) -> None:
+    """List names and titles, a line each, where the help of a command has a word."""
+    lines = (f"  {name:<{width}}  {title}" for name, title in titles.items())
+    text = cleandoc(command.help or "")
+    command.help = text.replace(f"  {word}\n", "\n".join([*lines, ""]))
 
 
 def never_fail_to_encode() -> None:

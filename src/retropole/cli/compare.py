@@ -15,7 +15,16 @@ from msgspec import to_builtins
 
 from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..result import RunConfig
-from .common import CONTEXT, EXIT_REFUSED, EXIT_USAGE, progress_on_terminal, say, show, told
+from .common import (
+    CONTEXT,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    fill_in,
+    progress_on_terminal,
+    say,
+    show,
+    told,
+)
 from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
 
 if TYPE_CHECKING:
@@ -25,44 +34,14 @@ if TYPE_CHECKING:
 COMPARE_SCHEMA = "retropole/compare/1"
 
 
-def _list_of_methods() -> str:
-    """Every method with its title, and the extra that it needs, one per line."""
-    width = max(map(len, ALL_METHODS))
-    lines = [f"  {name:<{width}}  {title}" for name, title in OURS.items()]
-    for name, rival in RIVALS.items():
-        needs = "" if rival.extra is None else f"; needs the extra {rival.extra.name!r}"
-        lines.append(f"  {name:<{width}}  {rival.title}{needs}")
-    return "\n".join(lines)
+TITLES = OURS | {
+    name: rival.title + (f"; needs the extra {rival.extra.name!r}" if rival.extra else "")
+    for name, rival in RIVALS.items()
+}
+"""Every method, and the extra that it needs."""
 
 
-HELP = f"""Compare retropole with other methods on one pair of clouds.
-
-\b
-Methods:
-{_list_of_methods()}
-
-The others use the surroundings and no poles. Their ok is their own word: only the errors against a
-truth tell whether they are right.
-
-\b
-Examples:
-  retropole compare front.pcd rear.pcd
-  retropole simulate corridor --seed 4 --out s
-  retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
-  retropole compare front.pcd rear.pcd --methods poles+scene,kiss
-  retropole compare drive.bag drive.bag --target-topic /front --source-topic /rear
-  retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
-
-\b
-Exit code:
-  0    at least one method answered
-  2    a file or an option is wrong, or no method that was asked for is installed
-  3    all refused
-  130  interrupted
-"""
-
-
-@click.command(context_settings=CONTEXT, help=HELP)
+@click.command(context_settings=CONTEXT)
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(
@@ -88,7 +67,31 @@ def compare(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Run the methods, print a table or JSON, and tell by the exit code whether one answered."""
+    """Compare retropole with other methods on one pair of clouds.
+
+    \b
+    Methods:
+      METHODS
+
+    The others use the surroundings and no poles. Their ok is their own word: only the errors
+    against a truth tell whether they are right.
+
+    \b
+    Examples:
+      retropole compare front.pcd rear.pcd
+      retropole simulate corridor --seed 4 --out s
+      retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
+      retropole compare front.pcd rear.pcd --methods poles+scene,kiss
+      retropole compare drive.bag drive.bag --target-topic /front --source-topic /rear
+      retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
+
+    \b
+    Exit code:
+      0    at least one method answered
+      2    a file or an option is wrong, or no method that was asked for is installed
+      3    all refused
+      130  interrupted
+    """
     from ..api.evaluation import compare as run
     from ..api.transforms import read_transform
     from ..base.files import path_in_text
@@ -131,6 +134,9 @@ def compare(
     if any(each.T_target_source is not None for each in found):
         return 0
     return EXIT_USAGE if all(each.status == "missing" for each in found) else EXIT_REFUSED
+
+
+fill_in(compare, "METHODS", TITLES, width=max(map(len, ALL_METHODS)))
 
 
 @contextmanager

@@ -18,7 +18,6 @@ from .options import CLOUD, OUT, run_option, run_options
     "--out",
     type=OUT,
     default=Path("retropole-out"),
-    show_default=True,
     help="Folder for detect.png.",
 )
 @run_options("radius_m")

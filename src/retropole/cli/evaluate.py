@@ -30,7 +30,6 @@ TRANSFORM = click.Path(path_type=Path)
     "--sigma",
     type=METRES,
     default=0.05,
-    show_default=True,
     help="Kernel width of the entropy, m.",
 )
 @run_options(*TOPICS, "frames", "unit", "unit_source")

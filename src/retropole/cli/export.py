@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..api.transforms import FORMATS, TREE_FORMATS
-from .common import CONTEXT, echo_warning, say, show
+from .common import CONTEXT, echo_warning, fill_in, say, show
 from .options import CLOUD, FILE
 
 if TYPE_CHECKING:
@@ -22,57 +22,9 @@ TITLES = {name: each.title for name, each in FORMATS.items()}
 TITLES[MCAP] = "ROS 2 recording for Foxglove, RViz: both clouds and /tf_static"
 TREE_TITLES = {name: each.title for name, each in TREE_FORMATS.items()}
 TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
-FORMAT_HELP, TREE_HELP = (
-    "\n".join(f"      {name:<14}{title}" for name, title in titles.items())
-    for titles in (TITLES, TREE_TITLES)
-)
 
 
-@click.command(
-    context_settings=CONTEXT,
-    help=f"""Write the transform of RESULT, or all of a site, in the format of another program.
-
-    RESULT is result.json, the folder that holds it, or any file that this command wrote. The
-    target is the parent frame, the source the child: the transform maps points of the child into
-    the parent, and is the pose of the child in the parent. Every output says so in words.
-
-    \b
-    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
-    lie elsewhere now, or where RESULT is no result.json.
-
-    \b
-    Formats:
-{FORMAT_HELP}
-
-    Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
-    survey has coordinates of its own) over site over every LiDAR. With --parent and --child, which
-    name two LiDARs, site or map, the transform between these is written, in any format above, with
-    the covariance of both together.
-
-    \b
-    Formats of a whole site:
-{TREE_HELP}
-
-    \b
-    Examples:
-      retropole export retropole-out --to ros2 --parent base_link --child rear_lidar
-      retropole export result.json --to json --out calibration.json
-      retropole export result.json --to matrix --invert
-      retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
-      retropole export sensors_calibration.yaml --to urdf --parent front --child rear
-      retropole export retropole-out --to mcap --out aligned.mcap
-      retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
-      retropole export site-result.json --to geojson --out lidars.geojson
-      retropole export site-result.json --to urdf --out site.urdf
-      retropole export site-result.json --to ros2 --parent mast-a --child mast-b
-
-    \b
-    Exit code:
-      0    written
-      2    a file or an option is wrong
-      3    RESULT was refused: it holds no transform
-    """,
-)
+@click.command(context_settings=CONTEXT)
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
 @click.option("--to", "fmt", type=click.Choice(list(TITLES | TREE_TITLES)), help="Format to write.")
@@ -81,7 +33,6 @@ FORMAT_HELP, TREE_HELP = (
     "source_format",
     type=click.Choice(["auto", *FORMATS]),
     default="auto",
-    show_default=True,
     help="Format of RESULT.",
 )
 @click.option("--out", type=FILE, help="File to write.  [default: print]")
@@ -105,7 +56,48 @@ def export(
     invert: bool,
     into: Path | None,
 ) -> int:
-    """Read the transform, invert it where asked, write it."""
+    """Write the transform of RESULT, or all of a site, in the format of another program.
+
+    RESULT is result.json, the folder that holds it, or any file that this command wrote. The
+    target is the parent frame, the source the child: the transform maps points of the child into
+    the parent, and is the pose of the child in the parent. Every output says so in words.
+
+    \b
+    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
+    lie elsewhere now, or where RESULT is no result.json.
+
+    \b
+    Formats:
+      FORMATS
+
+    Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
+    survey has coordinates of its own) over site over every LiDAR. With --parent and --child, which
+    name two LiDARs, site or map, the transform between these is written, in any format above, with
+    the covariance of both together.
+
+    \b
+    Formats of a whole site:
+      FORMATS_OF_A_SITE
+
+    \b
+    Examples:
+      retropole export retropole-out --to ros2 --parent base_link --child rear_lidar
+      retropole export result.json --to json --out calibration.json
+      retropole export result.json --to matrix --invert
+      retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
+      retropole export sensors_calibration.yaml --to urdf --parent front --child rear
+      retropole export retropole-out --to mcap --out aligned.mcap
+      retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
+      retropole export site-result.json --to geojson --out lidars.geojson
+      retropole export site-result.json --to urdf --out site.urdf
+      retropole export site-result.json --to ros2 --parent mast-a --child mast-b
+
+    \b
+    Exit code:
+      0    written
+      2    a file or an option is wrong
+      3    RESULT was refused: it holds no transform
+    """
     from ..api.transforms import inverted, read_transform, read_tree, write_transforms
 
     if fmt is None and into is None:
@@ -149,6 +141,10 @@ def export(
     else:
         _write(FORMATS[fmt or "urdf"].write(transform), out)
     return 0
+
+
+fill_in(export, "FORMATS_OF_A_SITE", TREE_TITLES, width=12)
+fill_in(export, "FORMATS", TITLES, width=12)
 
 
 def _write(words: str | bytes, out: Path | None) -> None:

@@ -106,12 +106,11 @@ def run_option(field: str, name: str | None = None, **changes: Any) -> Callable[
     kind, words = OPTIONS[field]
     name = name or NAMES.get(field, f"--{field.removesuffix('_m').replace('_', '-')}")
     default = getattr(DEFAULT_CONFIG, field)
-    settings: dict[str, Any] = {"help": words, "metavar": METAVARS.get(field)}
+    settings = {"help": words, "metavar": METAVARS.get(field), "default": default}
     if isinstance(kind, inspect.BoolType):
-        settings |= {"is_flag": True, "flag_value": not default, "default": default}
+        settings |= {"is_flag": True, "flag_value": not default, "show_default": False}
     else:
-        settings |= {"type": _type(field, kind), "default": default}
-        settings["show_default"] = default is not None
+        settings["type"] = _type(field, kind)
     if field == "frames":
         settings["callback"] = _frames
     return click.option(name, field, **settings | changes)

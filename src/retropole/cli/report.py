@@ -18,17 +18,17 @@ from .options import CLOUD, FILE
     type=FILE,
     help="File to write.  [default: report.html beside RESULT]",
 )
-@click.option("--site", default="", help="Where it was calibrated, for the certificate.")
-@click.option("--serial-target", default="", help="Serial number of TARGET, for the certificate.")
-@click.option("--serial-source", default="", help="The same for SOURCE.")
+@click.option("--site", help="Where it was calibrated, for the certificate.")
+@click.option("--serial-target", help="Serial number of TARGET, for the certificate.")
+@click.option("--serial-source", help="The same for SOURCE.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def report(
     result: Path,
     clouds: tuple[Path, ...],
     out: Path | None,
-    site: str,
-    serial_target: str,
-    serial_source: str,
+    site: str | None,
+    serial_target: str | None,
+    serial_source: str | None,
     quiet: bool,
 ) -> int:
     """Make the report of RESULT, result.json or the folder that holds it, again.
@@ -70,8 +70,8 @@ def report(
             document,
             stored.placements,
             notes=stored.notes,
-            site=site,
-            serials=(serial_target, serial_source),
+            site=site or "",
+            serials=(serial_target or "", serial_source or ""),
         )
     for note in stored.notes:
         say(f"retropole: {note}")

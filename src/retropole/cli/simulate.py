@@ -14,9 +14,9 @@ from .options import OUT, run_options
 
 @click.command("site", context_settings=CONTEXT)
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
-@click.option("--out", type=OUT, default=Path("retropole-site"), show_default=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--lidars", type=click.IntRange(2, 12), default=4, show_default=True)
+@click.option("--out", type=OUT, default=Path("retropole-site"))
+@click.option("--seed", type=click.IntRange(min=0), default=0)
+@click.option("--lidars", type=click.IntRange(2, 12), default=4)
 @click.option(
     "--placements", type=click.IntRange(1, 8), help="Of the poles.  [default: 2; ring: one a LiDAR]"
 )
@@ -29,7 +29,6 @@ from .options import OUT, run_options
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
     default="typical",
-    show_default=True,
     help="Errors of the LiDARs and of the site, as for pairs.",
 )
 @click.option(
@@ -104,13 +103,12 @@ class _OrSite(click.Group):
     "--out",
     type=OUT,
     default=Path("retropole-simulated"),
-    show_default=True,
     help="Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0)
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
-@click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2, show_default=True)
+@click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2)
 @run_options("radius_m")
 @click.option(
     "--nuisances",

@@ -90,7 +90,6 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
     "--out",
     type=OUT,
     default=DEFAULT_OUT,
-    show_default=True,
     help="Folder for site-result.json and site-report.html.",
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")

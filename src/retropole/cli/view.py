@@ -27,7 +27,6 @@ from .options import CLOUD, run_option, run_options
     "--port",
     type=click.IntRange(1, 65535),
     default=8080,
-    show_default=True,
     help="Port on this machine; the next free one where it is in use.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the address and errors.")
