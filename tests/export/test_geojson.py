@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import UsageError
-from retropole.export.geojson import write_geojson
+from retropole.export.tree_formats import write_geojson
 from retropole.export.tree import tree_of
 from retropole.result.site import SiteDoc
 from retropole.site.geodesy import local_of

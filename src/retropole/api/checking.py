@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +15,7 @@ from ..base.files import read_document
 from ..base.reasons import prefixed
 from ..base.uncertainty import Uncertainty
 from ..export import inverted, read_transform
-from ..export.documents import is_result
+from ..export.documents import result_in
 from ..io import sha256_of, topics_of
 from ..io.units import Unit
 from ..monitoring.certainty import FALSE_ALARM as FALSE_ALARM
@@ -25,10 +24,9 @@ from ..monitoring.movement import CheckResult as CheckResult
 from ..monitoring.movement import Movement as Movement
 from ..monitoring.swapped import swap
 from ..monitoring.tolerance import NOT_ASKED, Asked
-from ..result import DEFAULT_CONFIG, RunConfig
-from ..result.decoding import decode
+from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
-from .inputs import Input, read_pair
+from .inputs import SILENT, Input, Listener, read_pair
 
 
 class Stored(NamedTuple):
@@ -82,10 +80,9 @@ def read_stored(
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    data = read_document(result_file(path))
-    if not is_result(data):
+    document = result_in(read_document(result_file(path)))
+    if not isinstance(document, ResultDoc):
         return Stored(pose, DEFAULT_CONFIG, ())
-    document = decode(data)
     warnings = tuple(
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons
@@ -136,8 +133,7 @@ def check_recordings(
     source_topic: str | None = None,
     unit: Unit | None = None,
     unit_source: Unit | None = None,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> CheckResult:
     """Read new recordings with the options of the stored run, and check them against it.
 
@@ -151,10 +147,8 @@ def check_recordings(
         Movement that matters, rad and m; None for as little as the data tell.
     target_topic, source_topic, unit, unit_source
         Of the new recordings; None takes those of the stored run. A unit is that of both.
-    progress
-        Called with the name of each step as it starts.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
@@ -173,8 +167,8 @@ def check_recordings(
         unit=unit or known.unit,
         unit_source=unit_source or unit or known.source_unit,
     )
-    pair = read_pair(target, source, config, progress=progress, on_read=on_read)
-    progress("check")
+    pair = read_pair(target, source, config, listener)
+    listener.progress("check")
     return checked(stored, *pair, Asked(rotation, translation))
 
 

@@ -12,25 +12,25 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Scan
-from ..base.errors import ReadError, Reason, UsageError
-from ..base.files import read_document, write_together
+from ..base.errors import Reason, UsageError
 from ..base.quantities import error as in_words
 from ..base.relative import joint_of, relative
 from ..report.site import render_site
 from ..report.site_text import pose_rows
-from ..result import ReasonDoc, encode, refusal_of
+from ..result import refusal_of
+from ..result.decoding import decode_site
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
-from ..result.site_decoding import decode_site
 from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
 from ..site.description import Site
-from .inputs import Input
+from .inputs import Input, Listener
+from .saved import Result, loaded
 from .site_inputs import SiteInputs, inputs_of, read_site, repeated
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SiteResult:
+class SiteResult(Result[SiteDoc]):
     """The calibration of a site, or why there is none.
 
     Attributes
@@ -43,18 +43,7 @@ class SiteResult:
         ``ok``, ``warn`` or ``refused``.
     """
 
-    document: SiteDoc
     calibration: SiteCalibration | None = None
-
-    @property
-    def status(self) -> str:
-        """``ok``, ``warn`` or ``refused``."""
-        return self.document.status
-
-    @property
-    def reasons(self) -> tuple[ReasonDoc, ...]:
-        """What is wrong or weak: code, message and values of each; empty when ok."""
-        return tuple(self.document.reasons)
 
     @property
     def lidars(self) -> tuple[str, ...]:
@@ -132,13 +121,10 @@ class SiteResult:
         OSError
             Where the folder cannot be written to.
         """
-        result, page = Path(folder) / SITE_RESULT_FILE, Path(folder) / SITE_REPORT_FILE
         html = render_site(self.document, self.calibration)
-        write_together({result: encode(self.document), page: html.encode()})
-        return result, page
+        return self._write(Path(folder, SITE_RESULT_FILE), Path(folder, SITE_REPORT_FILE), html)
 
-    def __repr__(self) -> str:
-        """Say the verdict, the datum, where each LiDAR is and the reasons, a line each."""
+    def _rows(self) -> list[tuple[str, str]]:
         rows = [("datum", self.document.datum)] if self.document.datum else []
         rows += [
             (
@@ -148,10 +134,7 @@ class SiteResult:
             )
             for each in pose_rows(self.document)
         ]
-        rows += [(reason.code, reason.message) for reason in self.reasons]
-        return "\n".join(
-            [f"SiteResult: {self.status}"] + [f"  {name:<16} {value}" for name, value in rows]
-        )
+        return rows + super()._rows()
 
     @cached_property
     def _joint(self) -> Array:
@@ -201,14 +184,11 @@ def calibrate_site(
         check_site(site)
         read = inputs_of(site)
     else:
-        read = read_site(Path(site), progress=progress, on_read=on_read)
+        read = read_site(Path(site), Listener(progress, on_read))
     documents = read.documents()
     seconds = {"read": time.perf_counter() - start}
     twice = repeated(read, documents)
-    if twice is None:
-        calibration = find_poses(read.site, progress=progress)
-    else:
-        calibration = _refused(read, twice)
+    calibration = _refused(read, twice) if twice else find_poses(read.site, progress=progress)
     document = site_document(
         calibration,
         inputs=documents,
@@ -234,14 +214,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     file = Path(path)
     if file.is_dir():
         file = file / SITE_RESULT_FILE
-    try:
-        data = read_document(file)
-    except OSError as error:
-        raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
-    try:
-        return SiteResult(decode_site(data))
-    except ReadError as error:
-        raise ReadError(f"{file}: {error}") from None
+    return SiteResult(loaded(file, decode_site))
 
 
 def check_site(site: Site) -> None:
@@ -256,9 +229,8 @@ def check_site(site: Site) -> None:
     if len(names) < 2 or len(set(names)) < len(names):
         raise UsageError(f"the LiDARs are {names}, expected two or more of different names")
     for lidar in site.lidars:
-        if len(lidar.clouds) != len(site.placements) or not any(
-            cloud is not None for cloud in lidar.clouds
-        ):
+        recorded = len(lidar.clouds) - lidar.clouds.count(None)
+        if len(lidar.clouds) != len(site.placements) or not recorded:
             raise UsageError(
                 f"{lidar.name} has {len(lidar.clouds)} clouds, expected {len(site.placements)}, "
                 "one for each placement or None, and one at least"

@@ -14,6 +14,7 @@ from ..base.errors import ReadError, UsageError, printable, shortened
 from ..base.quantities import counted
 from ..io import BAGS, PACKETS, READERS
 from ..io.bag_files import is_rosbag2
+from ..io.failures import readable
 from .site_file import decode_site_file
 
 SUFFIXES = frozenset((*READERS, *BAGS, *PACKETS)) - {".txt"}
@@ -132,11 +133,8 @@ def _look_through(folder: Path) -> _Seen:
 
 def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
     """List recordings, folders, and names of neither; what is hidden, and site files, are not."""
-    try:
-        with os.scandir(folder) as entries:
-            names = [entry.name for entry in islice(entries, MOST_ENTRIES + 1)]
-    except OSError as error:
-        raise ReadError(f"{folder}: cannot be read ({error.strerror or error})") from None
+    with readable(folder), os.scandir(folder) as entries:
+        names = [entry.name for entry in islice(entries, MOST_ENTRIES + 1)]
     if len(names) > MOST_ENTRIES:
         raise UsageError(f"{folder}: has more than {MOST_ENTRIES} entries, no site has so many")
     paths = [folder / name for name in _ordered(names) if not name.startswith(".")]

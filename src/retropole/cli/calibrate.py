@@ -12,7 +12,6 @@ from ..result import RunConfig
 from .common import (
     CONTEXT,
     command_line,
-    echo_sensor_doubt,
     in_colour,
     progress_on_terminal,
     show,
@@ -90,6 +89,7 @@ def calibrate(
       130  interrupted
     """
     from ..api.calibration import calibrate_with
+    from ..api.inputs import Listener
     from ..report.text import describe_result
     from ..result import encode
 
@@ -99,9 +99,9 @@ def calibrate(
         pairs = placed_pairs(target, source, placements)
     targets, sources = ([pair[lidar] for pair in pairs] for lidar in (0, 1))
     config = RunConfig(**options)
-    tell = told(quiet, config.frames, echo_sensor_doubt)
+    tell = told(quiet, config.frames, units=False)
     with older_set_aside(out), progress_on_terminal(quiet) as progress:
-        result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)
+        result = calibrate_with(targets, sources, config, Listener(progress, tell))
         written = result.save(out)
     if as_json:
         show(encode(result.document))

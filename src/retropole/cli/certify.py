@@ -68,6 +68,7 @@ def certify(
       130  interrupted
     """
     from ..api import certification
+    from ..api.inputs import Listener
     from ..base.errors import printable
     from ..base.files import write_together
     from ..report.field_test import describe_field_test, render_field_test
@@ -76,17 +77,13 @@ def certify(
     with progress_on_terminal(quiet or as_json) as progress:
         if target is not None and target.suffix == ".toml" and source is None and not placements:
             _refuse_options()
-            tell = told(quiet, None)
-            document = certification.certify_site(target, progress=progress, on_read=tell)
+            listener = Listener(progress, told(quiet, None))
+            document = certification.certify_site(target, listener)
         else:
             pairs, config = placed_pairs(target, source, placements), RunConfig(**options)
-            document = certification.certify(
-                [pair[0] for pair in pairs],
-                [pair[1] for pair in pairs],
-                config,
-                progress=progress,
-                on_read=told(quiet, config.frames),
-            )
+            targets, sources = zip(*pairs, strict=True)
+            listener = Listener(progress, told(quiet, config.frames))
+            document = certification.certify(targets, sources, config, listener)
     written = {}
     if out is not None:
         written = {

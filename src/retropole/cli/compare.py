@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from msgspec import to_builtins
 
 from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..result import RunConfig
@@ -20,6 +18,7 @@ from .common import (
     EXIT_REFUSED,
     EXIT_USAGE,
     fill_in,
+    json_text,
     progress_on_terminal,
     say,
     show,
@@ -93,6 +92,7 @@ def compare(
       130  interrupted
     """
     from ..api.evaluation import compare as run
+    from ..api.inputs import Listener
     from ..api.transforms import read_transform
     from ..base.files import path_in_text
 
@@ -105,15 +105,8 @@ def compare(
     config = RunConfig(**options)
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
-        found = run(
-            target,
-            source,
-            config,
-            names,
-            T_true=T_true,
-            progress=progress,
-            on_read=told(quiet, config.frames),
-        )
+        listener = Listener(progress, told(quiet, config.frames))
+        found = run(target, source, config, names, T_true, listener)
     if as_json:
         document = {
             "schema": COMPARE_SCHEMA,
@@ -122,7 +115,7 @@ def compare(
             "seed": config.seed,
             "methods": [_document(each) for each in found],
         }
-        show(json.dumps(document, indent=1))
+        show(json_text(document, indent=1))
     else:
         show(in_words(found))
     for each in found:
@@ -166,15 +159,15 @@ def _document(each: Compared) -> dict[str, Any]:
     return {
         "method": each.method,
         "status": each.status,
-        "codes": list(each.codes),
+        "codes": each.codes,
         "message": each.message,
-        "T_target_source": None if T is None else T.tolist(),
+        "T_target_source": T,
         "rpy_deg": None if T is None else _angles_deg(T),
         "overlap": alignment and alignment.overlap,
         "plane_residual_m": alignment and alignment.plane_residual,
         "rqe_sum": alignment and alignment.entropy.sum,
         "rqe_log": alignment and alignment.entropy.log,
-        "confirmation": alignment and to_builtins(alignment.confirmation),
+        "confirmation": alignment and alignment.confirmation,
         "seconds": each.seconds,
         "e_rt_m": errors and errors.e_rt,
         "rotation_error_rad": errors and errors.rotation,

@@ -50,7 +50,7 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
     from dataclasses import replace
 
     from ..api.detection import detect_in
-    from ..api.inputs import input_documents, read_input
+    from ..api.inputs import Listener, input_documents, read_input
     from ..base.errors import MissingExtraError, printable
     from ..report.figures import draw_detection
     from ..report.text import describe_detection
@@ -59,8 +59,8 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
     config = RunConfig(**options)
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        tell = told(quiet, config.frames)
-        given = read_input(file, config.of_target, progress=progress, on_read=tell)
+        listener = Listener(progress, told(quiet, config.frames))
+        given = read_input(file, config.of_target, listener)
         progress("extract")
         found = detect_in(given, config.radius_m)
         written: list[str] = []

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, progress_on_terminal, show, told
+from .common import CONTEXT, json_text, progress_on_terminal, show, told
 from .options import CLOUD, METRES, TOPICS, run_options
 
 TRANSFORM = click.Path(path_type=Path)
@@ -65,22 +65,18 @@ def evaluate(
       2    a file or an option is wrong
       3    a cloud is too small to score by, or the transform is a refused result
     """
-    import json
-
     import numpy as np
-    from msgspec import to_builtins
 
     from ..api.evaluation import errors_of, evaluate_with
+    from ..api.inputs import Listener
     from ..api.transforms import read_transform
 
     config = RunConfig(**options)
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with progress_on_terminal(as_json) as progress:
-        tell = told(False, config.frames)
-        aligned = evaluate_with(
-            target, source, T, config, sigma=sigma, progress=progress, on_read=tell
-        )
+        listener = Listener(progress, told(False, config.frames))
+        aligned = evaluate_with(target, source, T, config, sigma, listener)
     figures: dict[str, float | None] = {
         "overlap": aligned.overlap,
         "plane_residual_m": aligned.plane_residual,
@@ -97,8 +93,7 @@ def evaluate(
         error["rotation_error_rad"] = errors.rotation
         error["translation_error_m"] = errors.translation
     if as_json:
-        scene = {"confirmation": to_builtins(aligned.confirmation)}
-        show(json.dumps(figures | scene | error))
+        show(json_text({**figures, "confirmation": aligned.confirmation, **error}))
         return 0
     residual = aligned.plane_residual
     lines = [

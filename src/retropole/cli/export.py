@@ -13,7 +13,6 @@ from .options import CLOUD, FILE
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
-    from ..api.transforms import Transform
 
 MCAP = "mcap"
 """The one that holds the clouds too; it is written to a file, and no transform is read from it."""
@@ -98,7 +97,13 @@ def export(
       2    a file or an option is wrong
       3    RESULT was refused: it holds no transform
     """
-    from ..api.transforms import inverted, read_transform, read_tree, write_transforms
+    from ..api.transforms import (
+        inverted,
+        put_into_robot,
+        read_transform,
+        read_tree,
+        write_transforms,
+    )
 
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
@@ -133,11 +138,13 @@ def export(
     if invert:
         transform = inverted(transform)
     if into is not None:
-        _put_into(into, transform, out)
+        _write(put_into_robot(into, transform), out or into)
     elif fmt == MCAP:
+        from ..api.inputs import Listener
         from ..api.stored import recording_of
 
-        _write(recording_of(transform, result, clouds, note=_note, on_read=_tell_origin), out)
+        listener = Listener(on_read=_tell_origin)
+        _write(recording_of(transform, result, clouds, _note, listener), out)
     else:
         _write(FORMATS[fmt or "urdf"].write(transform), out)
     return 0
@@ -176,16 +183,3 @@ def _tell_origin(given: Input) -> None:
             f"{given.name}: its beams start at {given.cloud.origin.tolist()}, which a PointCloud2 "
             "does not say: look at the copy, and calibrate from the original"
         )
-
-
-def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:
-    """Edit a URDF, in place through links and with its permissions, or write it elsewhere."""
-    from ..api.transforms import put_into_urdf
-    from ..base.errors import ReadError, UsageError
-    from ..base.files import read_document
-
-    try:
-        data = put_into_urdf(read_document(robot), transform)
-    except (ReadError, UsageError) as error:
-        raise type(error)(f"{robot}: {error}") from None
-    _write(data, robot if out is None else out)

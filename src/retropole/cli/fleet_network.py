@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from typing import TYPE_CHECKING
 
 import click
 
-from .check import EXIT_MOVED
-from .common import CONTEXT, EXIT_REFUSED, progress_on_terminal, show
+from .common import CONTEXT, EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
 
 if TYPE_CHECKING:
     from ..fleet.network.dataset import FleetNetwork
@@ -91,7 +89,7 @@ def json_line(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     """Write what was found as one line of JSON."""
     from ..fleet.network.answer import name_of
 
-    return json.dumps(
+    return json_text(
         {
             "schema": SCHEMA,
             "out": out if found.settled else None,

@@ -24,9 +24,16 @@ OUT = click.Path(path_type=Path, file_okay=False)
 
 
 class Number(click.FloatRange):
-    """A finite number within bounds: click lets nan through any, and inf where there is none."""
+    """A finite number within bounds: click lets nan through any, and inf where there is none.
+
+    It is typed in one unit and made another inside, as `into` does.
+    """
 
     name = "number"
+
+    def __init__(self, into: Callable[[float], float] = float, **bounds: Any) -> None:
+        super().__init__(**bounds)
+        self.into = into
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -35,17 +42,12 @@ class Number(click.FloatRange):
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value!r} is no number.", param, ctx)
-        return number
+        return self.into(number)
 
 
-class Centimetres(Number):
-    """A length that is typed in centimetres and is metres inside."""
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Take a number, and give metres."""
-        return super().convert(value, param, ctx) / 100
+def metres(centimetres: float) -> float:
+    """Give a length in metres."""
+    return centimetres / 100
 
 
 def _frames(context: click.Context, option: click.Parameter, value: str | None) -> Frames | None:
@@ -58,7 +60,9 @@ def _frames(context: click.Context, option: click.Parameter, value: str | None) 
     return frames.start, frames.stop, frames.step
 
 
-DEGREES = Number(min=0, min_open=True, max=180)
+DEGREES = Number(math.radians, min=0, min_open=True, max=180)
+"""An angle, which is radians inside."""
+
 METRES = Number(min=0, min_open=True, max=1000)
 
 METAVARS = {
@@ -130,7 +134,7 @@ def run_options(*fields: str) -> Callable[[Command], Command]:
 def _type(field: str, kind: inspect.Type) -> Any:
     """Give the type of an option on the command line, with the bounds of its field."""
     if field == "need_m":
-        return _number(kind, Centimetres, 100)
+        return _number(kind, metres, 100)
     if field == "prior_rpy_deg":
         return (_number(kind),) * 3
     match kind:
@@ -143,8 +147,8 @@ def _type(field: str, kind: inspect.Type) -> Any:
     return None
 
 
-def _number(kind: inspect.Type, made: type[Number] = Number, scale: int = 1) -> Number:
+def _number(kind: inspect.Type, into: Callable[[float], float] = float, scale: int = 1) -> Number:
     assert isinstance(kind, inspect.FloatType)
     assert kind.le is not None
     open_ = kind.ge is None
-    return made(min=kind.gt if open_ else kind.ge, min_open=open_, max=scale * kind.le)
+    return Number(into, min=kind.gt if open_ else kind.ge, min_open=open_, max=scale * kind.le)

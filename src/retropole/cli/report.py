@@ -63,7 +63,7 @@ def report(
     file = result_file(result)
     document, page = load_result(file).document, out or file.with_name(REPORT_FILE)
     with progress_on_terminal(quiet) as progress:
-        stored = placements_of(document, file.parent, clouds, progress=progress)
+        stored = placements_of(document, file.parent, clouds, progress)
         progress("write")
         write_report(
             page,

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from .common import (
     CONTEXT,
+    Advice,
     command_line,
-    echo_left_out,
-    echo_sensor_doubt,
     in_colour,
     progress_on_terminal,
     say,
     show,
+    told,
     verdict_told,
 )
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
 from .options import CLOUD, FILE, OUT
 
-if TYPE_CHECKING:
-    from ..api.inputs import Input
+SITE_FILE = Advice("max_points = N", 'unit = "{}"', "set {} of its LiDAR in the site file")
 
 
 @click.group(context_settings=CONTEXT)
@@ -67,11 +65,11 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
       retropole site init recordings --out quay.toml
     """
     from ..api.site_draft import draft_site
-    from ..api.site_file import SITE_FILE
+    from ..api.site_file import SITE_FILE as NAME
     from ..base.errors import UsageError, printable
     from ..base.files import write_atomically
 
-    path = folder / SITE_FILE if out is None else out
+    path = folder / NAME if out is None else out
     if path.exists() and not force:
         raise UsageError(f"{path}: is there already; --force replaces it, --out names another")
     draft = draft_site(folder, path)
@@ -127,10 +125,7 @@ def calibrate(
     from ..report.site_text import describe_site
     from ..result import encode
 
-    def tell(given: Input) -> None:
-        if not quiet:
-            _echo_doubts(given)
-
+    tell = told(quiet, "as the site file says", SITE_FILE)
     with older_set_aside(out, site=True), progress_on_terminal(quiet) as progress:
         result = calibrate_site(site_file, progress=progress, on_read=tell)
         progress("report")
@@ -143,17 +138,3 @@ def calibrate(
         words = describe_site(result.document, paths, following, verbose=verbose)
         show(in_colour(words, result.status))
     return verdict_told(result, unseen=quiet or as_json, strict=strict)
-
-
-def _echo_doubts(given: Input) -> None:
-    """Say on stderr what was left out unasked, and what cannot be right."""
-    read = given.read
-    chosen = read is not None and len(read.asked) < read.recording.count
-    echo_left_out(given, asked=chosen, to_keep="max_points = N", to_choose='frames = "A:B"')
-    odd = given.oddity
-    if odd is None:
-        echo_sensor_doubt(given)
-        return
-    keys = " or ".join(f'unit = "{unit}"' for unit in odd.units)
-    advice = f"; if they are, set {keys} of its LiDAR in the site file" if keys else ""
-    say(f"retropole: {given.name}: {odd.words}{advice}")

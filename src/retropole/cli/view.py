@@ -52,14 +52,14 @@ def view(files: tuple[Path, ...], port: int, quiet: bool, **options: Any) -> int
     import time
 
     from ..api.detection import finder
-    from ..api.inputs import read_input
+    from ..api.inputs import Listener, read_input
     from ..report.viewer import Shown, serve
 
     config = RunConfig(**options)
     with progress_on_terminal(quiet) as progress:
         progress("read")
-        tell = told(quiet, config.frames)
-        inputs = [read_input(file, config.of_target, on_read=tell) for file in files]
+        listener = Listener(on_read=told(quiet, config.frames))
+        inputs = [read_input(file, config.of_target, listener) for file in files]
         progress("extract")
         shown = [
             Shown(str(file), given.cloud, finder(given, config.radius_m), given.threshold)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError, UsageError
+from .failures import reported
 from .fields import PLAIN_COLUMNS, REAL_KINDS, cloud_from_columns, has_meaning, read_whole
-from .recordings import reported
 from .table import is_number, read_table
 from .unpacking import Spend, allowance
 

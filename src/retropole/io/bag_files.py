@@ -13,7 +13,7 @@ from ..base.errors import MissingExtraError, ReadError
 from .bag import MAX_MESSAGES, Bag, counted
 from .bag_mcap import open_mcap
 from .bag_sqlite import open_sqlite
-from .recordings import reported
+from .failures import reported
 from .unpacking import allowance, unpack_file, unpacked
 
 REPAIR = (
