@@ -9,14 +9,14 @@ import click
 from click.core import ParameterSource
 
 from ..result import RunConfig
-from .calibrate import placed_pairs
+from .calibrate import placed
 from .common import (
-    CONTEXT,
     EXIT_REFUSED,
     echo_refusal,
     in_colour,
     progress_on_terminal,
     show,
+    show_written,
     told,
 )
 from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
@@ -26,7 +26,7 @@ RESULT_FILE, PAGE_FILE = "field-test.json", "field-test.html"
 EXITS = {"pass": 0, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @placement_arguments
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source")
@@ -69,34 +69,30 @@ def certify(
     """
     from ..api import certification
     from ..api.inputs import Listener
-    from ..base.errors import printable
     from ..base.files import write_together
     from ..report.field_test import describe_field_test, render_field_test
     from ..result import encode
 
+    config = RunConfig(**options)
     with progress_on_terminal(quiet or as_json) as progress:
+        listener = Listener(progress, told(quiet, config.frames))
         if target is not None and target.suffix == ".toml" and source is None and not placements:
             _refuse_options()
-            listener = Listener(progress, told(quiet, None))
             document = certification.certify_site(target, listener)
         else:
-            pairs, config = placed_pairs(target, source, placements), RunConfig(**options)
-            targets, sources = zip(*pairs, strict=True)
-            listener = Listener(progress, told(quiet, config.frames))
-            document = certification.certify(targets, sources, config, listener)
-    written = {}
+            document = certification.certify(*placed(target, source, placements), config, listener)
+    files = {}
     if out is not None:
-        written = {
-            out / RESULT_FILE: encode(document),
-            out / PAGE_FILE: render_field_test(document).encode(),
-        }
-        write_together(written)
+        page = render_field_test(document).encode()
+        files = {out / RESULT_FILE: encode(document), out / PAGE_FILE: page}
+        write_together(files)
     if as_json:
         show(encode(document))
     elif not quiet:
         show(in_colour(describe_field_test(document), document.status))
-        if written:
-            show("\nwritten: " + ", ".join(printable(str(path)) for path in written))
+        if files:
+            show("")
+            show_written(*files)
     if document.status == "refused" and (as_json or quiet):
         for reason in document.pairs[0].reasons if document.pairs else ():
             echo_refusal(reason.code, reason.message)

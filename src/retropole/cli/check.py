@@ -11,16 +11,7 @@ import click
 from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc
 from ..result.options import OPTIONS
-from .common import (
-    CONTEXT,
-    EXIT_MOVED,
-    EXIT_REFUSED,
-    in_colour,
-    json_text,
-    progress_on_terminal,
-    show,
-    told,
-)
+from .common import EXIT_MOVED, EXIT_REFUSED, in_colour, json_text, progress_on_terminal, show, told
 from .options import CLOUD, DEGREES, METRES, Command, run_option
 
 if TYPE_CHECKING:
@@ -57,7 +48,7 @@ def tolerance_options(command: Command) -> Command:
     return rotation(translation(command))
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
@@ -67,9 +58,7 @@ def tolerance_options(command: Command) -> Command:
 )
 @run_option("source_topic")
 @run_option(
-    "unit",
-    default=None,
-    help="Unit of the new recordings' coordinates.  [default: that of RESULT]",
+    "unit", default=None, help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
 )
 @run_option("unit_source", help="The same for SOURCE alone.")
 @tolerance_options
@@ -136,11 +125,7 @@ def check(
             answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
         else:
             answer = check_recordings(
-                stored,
-                target,
-                source,
-                listener=Listener(progress, told(quiet, None)),
-                **asked,
+                stored, target, source, listener=Listener(progress, told(quiet, None)), **asked
             )
     if as_json:
         show(json_line(answer))

@@ -21,6 +21,7 @@ from msgspec import to_builtins
 
 from ..base.errors import escaped, printable
 from ..base.reasons import explain, page, plain
+from ..result import encode
 from ..result import plain as plain_value
 
 if TYPE_CHECKING:
@@ -43,11 +44,7 @@ ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ":
 ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
 """What stands for our own signs where a terminal has them not."""
 
-CONTEXT = {
-    "help_option_names": ["-h", "--help"],
-    "max_content_width": 100,
-    "show_default": True,
-}
+CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
 
 
 def fill_in(command: click.Command, word: str, titles: Mapping[str, str], *, width: int) -> None:
@@ -197,19 +194,32 @@ def echo_warning(code: str, message: str) -> None:
     say(f"retropole: warning ({code}): {message}")
 
 
-def verdict_told(result: CalibrationResult | SiteResult, *, unseen: bool, strict: bool) -> int:
-    """Say on stderr what a verdict that is no plain ok rests on, and give the exit code.
+def result_told(
+    result: CalibrationResult | SiteResult,
+    describe: Callable[[], str],
+    *,
+    as_json: bool,
+    quiet: bool,
+    strict: bool,
+) -> int:
+    """Print a result, say on stderr what its verdict rests on, and give the exit code.
 
     Parameters
     ----------
     result
         Of two LiDARs or of a site.
-    unseen
-        Whether the result was not printed in words.
+    describe
+        Writes it in words.
+    as_json, quiet
+        Print the document instead, or nothing.
     strict
         Whether a warning is an error.
     """
-    refused = result.status == "refused"
+    if as_json:
+        show(encode(result.document))
+    elif not quiet:
+        show(in_colour(describe(), result.status))
+    refused, unseen = result.status == "refused", quiet or as_json
     for reason in result.reasons:
         if refused and (unseen or not sys.stdout.isatty()):
             # Who sees stdout has read it there.
@@ -219,6 +229,11 @@ def verdict_told(result: CalibrationResult | SiteResult, *, unseen: bool, strict
     if refused:
         return EXIT_REFUSED
     return EXIT_WARNED if strict and result.status == "warn" else 0
+
+
+def show_written(*places: str | Path) -> None:
+    """Print which files were written."""
+    show("written: " + ", ".join(printable(str(place)) for place in places))
 
 
 def command_line(*words: str | Path) -> str:

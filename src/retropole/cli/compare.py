@@ -14,7 +14,6 @@ import click
 from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..result import RunConfig
 from .common import (
-    CONTEXT,
     EXIT_REFUSED,
     EXIT_USAGE,
     fill_in,
@@ -40,7 +39,7 @@ TITLES = OURS | {
 """Every method, and the extra that it needs."""
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(

@@ -8,18 +8,13 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, progress_on_terminal, say, show, told
+from .common import progress_on_terminal, say, show, told
 from .options import CLOUD, OUT, run_option, run_options
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("file", type=CLOUD)
-@click.option(
-    "--out",
-    type=OUT,
-    default=Path("retropole-out"),
-    help="Folder for detect.png.",
-)
+@click.option("--out", type=OUT, default=Path("retropole-out"), help="Folder for detect.png.")
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
 @run_option(

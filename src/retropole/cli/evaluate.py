@@ -8,13 +8,13 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, json_text, progress_on_terminal, show, told
+from .common import json_text, progress_on_terminal, show, told
 from .options import CLOUD, METRES, TOPICS, run_options
 
 TRANSFORM = click.Path(path_type=Path)
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(
@@ -26,12 +26,7 @@ TRANSFORM = click.Path(path_type=Path)
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
 )
-@click.option(
-    "--sigma",
-    type=METRES,
-    default=0.05,
-    help="Kernel width of the entropy, m.",
-)
+@click.option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options(*TOPICS, "frames", "unit", "unit_source")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 def evaluate(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..api.transforms import FORMATS, TREE_FORMATS
-from .common import CONTEXT, echo_warning, fill_in, say, show
+from .common import echo_warning, fill_in, say, show
 from .options import CLOUD, FILE
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ TREE_TITLES = {name: each.title for name, each in TREE_FORMATS.items()}
 TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
 @click.option("--to", "fmt", type=click.Choice(list(TITLES | TREE_TITLES)), help="Format to write.")

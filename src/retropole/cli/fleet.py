@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .cluster import check_cluster, cluster_options
-from .common import CONTEXT, EXIT_WARNED, json_text, progress_on_terminal, show
+from .common import EXIT_WARNED, json_text, progress_on_terminal, show, show_written
 from .fleet_check import fleet_check
 from .fleet_network import fleet_network
 from .options import SENSORS, run_options
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FLEET_SCHEMA = "retropole/fleet-run/1"
 
 
-@click.group(context_settings=CONTEXT)
+@click.group()
 def fleet() -> None:
     """Calibrate thousands of sites into one dataset, and watch them over time.
 
@@ -36,7 +36,7 @@ fleet.add_command(fleet_check)
 fleet.add_command(fleet_network)
 
 
-@fleet.command(context_settings=CONTEXT)
+@fleet.command()
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option("--out", required=True, metavar="DATASET", help="Folder or URL of the dataset.")
 @cluster_options
@@ -128,7 +128,7 @@ def calibrate(
     return EXIT_WARNED if strict and set(summary.statuses) - {"ok"} else 0
 
 
-@fleet.command(context_settings=CONTEXT)
+@fleet.command()
 @click.argument("dataset", metavar="DATASET")
 @click.option("--out", required=True, metavar="FILE", help="File or URL to write.")
 @click.option(
@@ -155,7 +155,6 @@ def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
       2    DATASET cannot be read, or the page not be written
       130  interrupted
     """
-    from ..base.errors import printable
     from ..fleet.overview import overview_of
     from ..fleet.report import write_fleet_report
 
@@ -165,7 +164,7 @@ def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
         progress("write")
         write_fleet_report(out, overview, reports)
     if not quiet:
-        show(f"written: {printable(out)}")
+        show_written(out)
     return 0
 
 

@@ -8,7 +8,7 @@ import click
 
 from .check import tolerance_options
 from .cluster import check_cluster, cluster_options
-from .common import CONTEXT, EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
+from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SCHEMA = "retropole/fleet-check/1"
 
 
-@click.command("check", context_settings=CONTEXT)
+@click.command("check")
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option(
     "--history",

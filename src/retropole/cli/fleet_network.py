@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .common import CONTEXT, EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
+from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
 
 if TYPE_CHECKING:
     from ..fleet.network.dataset import FleetNetwork
@@ -19,7 +19,7 @@ MOST_COMPONENTS = 10
 """The largest that are told by a line each."""
 
 
-@click.command("network", context_settings=CONTEXT)
+@click.command("network")
 @click.argument("dataset")
 @click.option(
     "--nodes",

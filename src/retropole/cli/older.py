@@ -28,10 +28,20 @@ def older_set_aside(folder: Path, *, site: bool = False) -> Iterator[None]:
     site
         Whether the results are those of a site.
     """
+    from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE
+
+    names = (SITE_RESULT_FILE, SITE_REPORT_FILE) if site else (RESULT_FILE, REPORT_FILE)
     try:
         yield
     except (RetropoleError, click.UsageError, OSError, MemoryError):
-        _set_aside(folder, site)
+        try:
+            moved = set_aside([folder / name for name in names])
+        except OSError as error:
+            say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
+        else:
+            now = " and ".join(printable(str(path)) for path in moved)
+            if moved:
+                say(f"retropole: no result of this run; the one before is now {now}")
         raise
 
 
@@ -69,17 +79,3 @@ def _out_of(words: Sequence[str]) -> Path:
         elif word.startswith("--out="):
             out = Path(word.removeprefix("--out="))
     return out
-
-
-def _set_aside(folder: Path, site: bool) -> None:
-    from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE
-
-    names = (SITE_RESULT_FILE, SITE_REPORT_FILE) if site else (RESULT_FILE, REPORT_FILE)
-    try:
-        moved = set_aside([folder / name for name in names])
-    except OSError as error:
-        say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
-        return
-    if moved:
-        now = " and ".join(printable(str(path)) for path in moved)
-        say(f"retropole: no result of this run; the one before is now {now}")

@@ -133,22 +133,15 @@ def run_options(*fields: str) -> Callable[[Command], Command]:
 
 def _type(field: str, kind: inspect.Type) -> Any:
     """Give the type of an option on the command line, with the bounds of its field."""
-    if field == "need_m":
-        return _number(kind, metres, 100)
-    if field == "prior_rpy_deg":
-        return (_number(kind),) * 3
     match kind:
         case inspect.LiteralType():
             return click.Choice(UNITS)
         case inspect.IntType() if field != "frames":
             return click.IntRange(min=kind.ge)
         case inspect.FloatType():
-            return _number(kind)
+            into, scale = (metres, 100) if field == "need_m" else (float, 1)
+            assert kind.le is not None
+            least = kind.gt if kind.ge is None else kind.ge
+            number = Number(into, min=least, min_open=kind.ge is None, max=scale * kind.le)
+            return (number,) * 3 if field == "prior_rpy_deg" else number
     return None
-
-
-def _number(kind: inspect.Type, into: Callable[[float], float] = float, scale: int = 1) -> Number:
-    assert isinstance(kind, inspect.FloatType)
-    assert kind.le is not None
-    open_ = kind.ge is None
-    return Number(into, min=kind.gt if open_ else kind.ge, min_open=open_, max=scale * kind.le)

@@ -6,18 +6,14 @@ from pathlib import Path
 
 import click
 
-from .common import CONTEXT, progress_on_terminal, say, show
+from .common import progress_on_terminal, say, show_written
 from .options import CLOUD, FILE
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]...")
-@click.option(
-    "--out",
-    type=FILE,
-    help="File to write.  [default: report.html beside RESULT]",
-)
+@click.option("--out", type=FILE, help="File to write.  [default: report.html beside RESULT]")
 @click.option("--site", help="Where it was calibrated, for the certificate.")
 @click.option("--serial-target", help="Serial number of TARGET, for the certificate.")
 @click.option("--serial-source", help="The same for SOURCE.")
@@ -56,7 +52,6 @@ def report(
     """
     from ..api.result import load_result
     from ..api.stored import placements_of
-    from ..base.errors import printable
     from ..report import write_report
     from ..result.folder import REPORT_FILE, result_file
 
@@ -76,5 +71,5 @@ def report(
     for note in stored.notes:
         say(f"retropole: {note}")
     if not quiet:
-        show(f"written: {printable(str(page))}")
+        show_written(page)
     return 0

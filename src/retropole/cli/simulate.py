@@ -8,11 +8,11 @@ from typing import Any
 import click
 
 from ..base.datatypes import MAX_POLES
-from .common import CONTEXT, progress_on_terminal, show
+from .common import progress_on_terminal, show_written
 from .options import OUT, run_options
 
 
-@click.command("site", context_settings=CONTEXT)
+@click.command("site")
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
 @click.option("--out", type=OUT, default=Path("retropole-site"))
 @click.option("--seed", type=click.IntRange(min=0), default=0)
@@ -50,7 +50,6 @@ def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: A
     """
     from ..api.simulation import simulate_site as run
     from ..api.simulation import write_site
-    from ..base.errors import printable
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
@@ -58,7 +57,7 @@ def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: A
         write_site(site, out)
     if not quiet:
         files = sum(cloud is not None for own in site.clouds for cloud in own)
-        show(f"written: {printable(str(out / 'site.toml'))}, truth.json, {files} recordings")
+        show_written(out / "site.toml", "truth.json", f"{files} recordings")
     return 0
 
 
@@ -91,7 +90,7 @@ class _OrSite(click.Group):
     commands={"site": simulate_site},
     invoke_without_command=True,
     subcommand_metavar="| site KIND",
-    context_settings={**CONTEXT, "allow_extra_args": False, "allow_interspersed_args": True},
+    context_settings={"allow_extra_args": False, "allow_interspersed_args": True},
 )
 @click.argument(
     "scene",
@@ -129,13 +128,11 @@ def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) 
     """
     from ..api.simulation import simulate as run
     from ..api.simulation import write_pair
-    from ..base.errors import printable
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
         pair = run(scene, radius=radius_m, **drawn)
         write_pair(pair, out)
     if not quiet:
-        names = ", ".join(str(out / name) for name in ("lidar0.pcd", "lidar1.pcd", "truth.json"))
-        show(f"written: {printable(names)}")
+        show_written(*(out / name for name in ("lidar0.pcd", "lidar1.pcd", "truth.json")))
     return 0

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
 
 from .common import (
-    CONTEXT,
     Advice,
     command_line,
-    in_colour,
     progress_on_terminal,
+    result_told,
     say,
     show,
+    show_written,
     told,
-    verdict_told,
 )
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
 from .options import CLOUD, FILE, OUT
@@ -23,7 +23,7 @@ from .options import CLOUD, FILE, OUT
 SITE_FILE = Advice("max_points = N", 'unit = "{}"', "set {} of its LiDAR in the site file")
 
 
-@click.group(context_settings=CONTEXT)
+@click.group()
 def site() -> None:
     """Calibrate many LiDARs of one site in one frame.
 
@@ -37,13 +37,9 @@ def site() -> None:
     """
 
 
-@site.command(context_settings=CONTEXT)
+@site.command()
 @click.argument("folder", type=CLOUD)
-@click.option(
-    "--out",
-    type=FILE,
-    help="The site file to write.  [default: site.toml in FOLDER]",
-)
+@click.option("--out", type=FILE, help="The site file to write.  [default: site.toml in FOLDER]")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
@@ -77,18 +73,16 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
     if not quiet:
         for note in draft.notes:
             say(f"retropole: {note}")
-        show(f"{draft.summary}\nwritten: {printable(str(path))}")
+        show(draft.summary)
+        show_written(path)
         show(f"next: {printable(command_line('site', 'calibrate', path))}")
     return 0
 
 
-@site.command(cls=SettingSiteAside, context_settings=CONTEXT)
+@site.command(cls=SettingSiteAside)
 @click.argument("site_file", metavar="SITE.toml", type=CLOUD)
 @click.option(
-    "--out",
-    type=OUT,
-    default=DEFAULT_OUT,
-    help="Folder for site-result.json and site-report.html.",
+    "--out", type=OUT, default=DEFAULT_OUT, help="Folder for site-result.json and site-report.html."
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
@@ -123,18 +117,13 @@ def calibrate(
     """
     from ..api.site import calibrate_site
     from ..report.site_text import describe_site
-    from ..result import encode
 
     tell = told(quiet, "as the site file says", SITE_FILE)
     with older_set_aside(out, site=True), progress_on_terminal(quiet) as progress:
         result = calibrate_site(site_file, progress=progress, on_read=tell)
         progress("report")
         written = result.save(out)
-    if as_json:
-        show(encode(result.document))
-    elif not quiet:
-        paths = [str(path) for path in written]
-        following = {"next": command_line("export", written[0], "--to", "urdf")}
-        words = describe_site(result.document, paths, following, verbose=verbose)
-        show(in_colour(words, result.status))
-    return verdict_told(result, unseen=quiet or as_json, strict=strict)
+    paths = [str(path) for path in written]
+    following = {"next": command_line("export", written[0], "--to", "urdf")}
+    describe = partial(describe_site, result.document, paths, following, verbose=verbose)
+    return result_told(result, describe, as_json=as_json, quiet=quiet, strict=strict)

@@ -8,18 +8,16 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, progress_on_terminal, say, show, told
+from .common import progress_on_terminal, say, show, told
 from .options import CLOUD, run_option, run_options
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("files", type=CLOUD, nargs=-1, required=True)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
 @run_option(
-    "threshold_target",
-    "--threshold",
-    help="Where the sliders start.  [default: as in detect]",
+    "threshold_target", "--threshold", help="Where the sliders start.  [default: as in detect]"
 )
 @run_option("target_topic", "--topic")
 @run_options("frames", "unit")

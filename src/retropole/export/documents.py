@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -144,8 +144,7 @@ def _of_result(result: ResultDoc) -> Found:
     if T is None:
         words = "the calibration was refused, there is no transform: "
         raise refusal_of(result.reasons, words)
-    covariance = None if result.covariance is None else _square(result.covariance)
-    return Found(None, None, lambda: np.array(T), covariance)
+    return Found(None, None, lambda: T, result.covariance)
 
 
 def _name(document: dict[str, Any], role: str) -> str | None:
@@ -174,15 +173,13 @@ def _covariance(document: dict[str, Any]) -> Array | None:
     """Read the covariance in the order that it names."""
     if document.get("covariance") is None:
         return None
-    orders: dict[tuple[str, ...], Callable[[Array], Array]] = {
-        ROS_COVARIANCE_ORDER: covariance_from_ros,
-        COVARIANCE_ORDER: lambda C: C,
-    }
     given = document.get("covariance_order")
     order = tuple(map(str, given)) if isinstance(given, list) else ()
-    if order not in orders:
-        raise ReadError(f"covariance_order {given} is neither {' nor '.join(map(str, orders))}")
-    return orders[order](_square(document["covariance"]))
+    if order not in (ROS_COVARIANCE_ORDER, COVARIANCE_ORDER):
+        known = f"{ROS_COVARIANCE_ORDER} nor {COVARIANCE_ORDER}"
+        raise ReadError(f"covariance_order {given} is neither {known}")
+    C = _square(document["covariance"])
+    return covariance_from_ros(C) if order == ROS_COVARIANCE_ORDER else C
 
 
 def _square(values: Any) -> Array:
@@ -243,11 +240,11 @@ def read_yaml(data: bytes) -> list[Found]:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except (yaml.YAMLError, RecursionError) as error:
         raise ReadError(f"no YAML: {error}") from None
-    found = []
-    for parent, children in _mapping(root).items():
-        for child, pose in _mapping(children).items():
-            found.append(Found(parent, child, lambda pose=pose: pose_of(_scalars(pose))))  # type: ignore[misc]
-    return found
+    return [
+        Found(parent, child, lambda pose=pose: pose_of(_scalars(pose)))  # type: ignore[misc]
+        for parent, children in _mapping(root).items()
+        for child, pose in _mapping(children).items()
+    ]
 
 
 def _mapping(node: Any) -> dict[str, Any]:

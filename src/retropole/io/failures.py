@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from ..base.errors import MissingExtraError, ReadError, UsageError
 
@@ -43,7 +42,7 @@ def readable(place: object) -> Iterator[None]:
 
 
 @contextmanager
-def reported(path: Path, what: str, remedy: str = "") -> Iterator[None]:
+def reported(path: object, what: str, remedy: str = "") -> Iterator[None]:
     """Turn any failure of a library into a `ReadError` with the file and what to do.
 
     For damaged files the libraries raise a dozen unrelated types. An OSError with a number comes

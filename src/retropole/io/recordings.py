@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,6 +83,36 @@ class Topic:
     def of_clouds(self) -> bool:
         """Whether its messages are point clouds."""
         return self.kind == CLOUDS
+
+
+MAX_MESSAGES = 2**22
+"""More are not read: those of 200 topics at 10 Hz for half an hour, and the index of all of them
+is to fit into memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bag:
+    """An open bag.
+
+    Attributes
+    ----------
+    topics
+        By name.
+    messages
+        From the name and the type of a topic to time (ns), bytes and encoding of its messages. The
+        encoding is ``ros1`` or ``cdr``.
+    """
+
+    topics: tuple[Topic, ...]
+    messages: Callable[[str, str], Iterator[tuple[int, bytes, str]]]
+
+
+def counted_topics(parts: Iterable[tuple[str, str, int]]) -> tuple[Topic, ...]:
+    """Make topics of names, types and numbers of messages; equal ones are added up."""
+    counts: dict[tuple[str, str], int] = {}
+    for name, kind, count in parts:
+        counts[name, kind] = counts.get((name, kind), 0) + count
+    return tuple(Topic(*key, count) for key, count in sorted(counts.items()))
 
 
 @dataclass(frozen=True, eq=False)
