@@ -50,10 +50,7 @@ def certify(
     )
 
 
-def certify_site(
-    path: Path,
-    listener: Listener = SILENT,
-) -> FieldTestDoc:
+def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
     """Test every pair of LiDARs of a site file.
 
     Raises

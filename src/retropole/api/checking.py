@@ -23,7 +23,7 @@ from ..monitoring.drift import check
 from ..monitoring.movement import CheckResult as CheckResult
 from ..monitoring.movement import Movement as Movement
 from ..monitoring.swapped import swap
-from ..monitoring.tolerance import NOT_ASKED, Asked
+from ..monitoring.tolerance import Asked
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
 from .inputs import SILENT, Input, Listener, read_pair
@@ -44,9 +44,7 @@ class Stored(NamedTuple):
 
 
 def read_stored(
-    path: Path,
-    sigma: tuple[float, float] | None = None,
-    lidars: tuple[str, str] | None = None,
+    path: Path, sigma: tuple[float, float] | None = None, lidars: tuple[str, str] | None = None
 ) -> Stored:
     """Read a stored result; of a file that is not a result document, the options are the defaults.
 
@@ -93,35 +91,6 @@ def read_stored(
     return Stored(pose, document.config, warnings, parts, pairs)
 
 
-def checked(
-    stored: Stored, target: Input, source: Input, tolerance: Asked = NOT_ASKED
-) -> CheckResult:
-    """Check new recordings against a stored result, with the options of its run.
-
-    Raises
-    ------
-    Refusal
-        As `monitoring.drift.check`.
-    """
-    swapped = files_swapped(stored, target, source)
-    if swapped is not None:
-        answer = CheckResult("cannot_tell", (swapped,))
-    else:
-        config = stored.config
-        answer = check(
-            stored.pose,
-            target.cloud,
-            source.cloud,
-            uncertainty=stored.uncertainty,
-            tolerance=tolerance,
-            radius=config.radius_m,
-            radius_sigma=config.radius_sigma_m,
-            sensors=(target.sensor, source.sensor),
-            thresholds=(config.threshold_target, config.threshold_source),
-        )
-    return replace(answer, reasons=(*answer.reasons, *stored.warnings))
-
-
 def check_recordings(
     stored: Stored,
     target: Path,
@@ -155,7 +124,7 @@ def check_recordings(
     UsageError, ReadError, MissingExtraError
         Where one cannot be read.
     Refusal
-        As `checked`.
+        As `monitoring.drift.check`.
     """
     known = stored.config
     config = replace_options(
@@ -169,7 +138,22 @@ def check_recordings(
     )
     pair = read_pair(target, source, config, listener)
     listener.progress("check")
-    return checked(stored, *pair, Asked(rotation, translation))
+    swapped = files_swapped(stored, *pair)
+    if swapped is not None:
+        answer = CheckResult("cannot_tell", (swapped,))
+    else:
+        answer = check(
+            stored.pose,
+            pair.target.cloud,
+            pair.source.cloud,
+            uncertainty=stored.uncertainty,
+            tolerance=Asked(rotation, translation),
+            radius=config.radius_m,
+            radius_sigma=config.radius_sigma_m,
+            sensors=(pair.target.sensor, pair.source.sensor),
+            thresholds=(config.threshold_target, config.threshold_source),
+        )
+    return replace(answer, reasons=(*answer.reasons, *stored.warnings))
 
 
 def files_swapped(stored: Stored, target: Input, source: Input) -> Reason | None:

@@ -32,7 +32,7 @@ from ..io.coordinates import Oddity, oddity_of
 from ..io.rings import with_trusted_rings
 from ..io.units import in_metres, unit_named
 from ..pipeline import find_poles
-from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig
+from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig, document_of
 from ..scene.copies import what_to_give
 
 CloudSource = str | Path | PointCloud | NDArray[Any]
@@ -236,16 +236,15 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
     """Write the entries of clouds in the result document; each file is hashed once."""
     hash_of = cache(sha256_of)
     return [
-        InputDoc(
+        document_of(
+            InputDoc,
+            each.cloud,
             path=path_in_text(each.name),
             sha256=hash_of(each.name) if each.read else _hash_of_arrays(each.given),
             points=len(each.cloud),
-            dropped=each.cloud.dropped,
-            thinned=each.cloud.thinned,
             frames_left_out=0 if each.read is None else each.read.left_out,
             sensor="auto" if each.sensor is None else each.sensor.name,
             threshold=each.threshold,
-            notes=list(each.cloud.notes),
         )
         for each in inputs
     ]

@@ -21,11 +21,7 @@ from ..base.uncertainty.purpose import Fitness
 from ..export.documents import is_result
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
-from ..result import (
-    ErrorAtRange,
-    ResultDoc,
-    refusal_of,
-)
+from ..result import ErrorAtRange, ResultDoc, refusal_of
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
 from ..result.site import SITE_SCHEMA

@@ -137,33 +137,33 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
         names = [entry.name for entry in islice(entries, MOST_ENTRIES + 1)]
     if len(names) > MOST_ENTRIES:
         raise UsageError(f"{folder}: has more than {MOST_ENTRIES} entries, no site has so many")
-    paths = [folder / name for name in _ordered(names) if not name.startswith(".")]
-    paths = [path for path in paths if path.suffix != ".toml"]
-    folders = [path for path in paths if path.is_dir() and not is_rosbag2(path)]
-    files = [
-        path
-        for path in paths
-        if is_rosbag2(path) or (path.suffix.lower() in SUFFIXES and path.is_file())
-    ]
-    known = {*files, *folders}
-    return files, folders, tuple(path.name for path in paths if path not in known)
+    files, folders, others = list[Path](), list[Path](), list[str]()
+    for name in _ordered(names):
+        path = folder / name
+        if name.startswith(".") or path.suffix == ".toml":
+            continue
+        if is_rosbag2(path) or (path.suffix.lower() in SUFFIXES and path.is_file()):
+            files.append(path)
+        elif path.is_dir():
+            folders.append(path)
+        else:
+            others.append(name)
+    return files, folders, tuple(others)
 
 
 def _flat(folder: Path, files: Sequence[Path]) -> dict[tuple[str, str], Path]:
     """Take LiDAR and placement from the name of each file."""
     both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
+    named = [path.name for path, match in both.items() if match]
     found: dict[tuple[str, str], Path] = {}
-    if not any(both.values()):
-        for path in files:
-            _add(found, _name(path), "1", path)
-        return found
     for path, match in both.items():
-        if match is None:
+        if named and match is None:
             raise UsageError(
-                f"{folder}: {_quoted([p.name for p, m in both.items() if m])} may be LIDAR_"
-                f"PLACEMENT, {path.name} is not; name all the same way"
+                f"{folder}: {_quoted(named)} may be LIDAR_PLACEMENT, {path.name} is not; name all "
+                "the same way"
             )
-        _add(found, match[1], match[2], path)
+        lidar, placement = match.groups() if match else (_name(path), "1")
+        _add(found, lidar, placement, path)
     return found
 
 
@@ -237,12 +237,13 @@ def _written(
             placement=_text(placements[0]),
         )
     ]
+    # With slashes on every system.
+    there = {
+        at: PurePath(os.path.relpath(recording, path.parent)).as_posix()
+        for at, recording in recordings.items()
+    }
     for lidar in lidars:
-        lines = []
-        for placement in placements:
-            recording = recordings.get((lidar, placement))
-            there = "" if recording is None else _relative(recording, path.parent)
-            lines.append(f"  {_text(there)},  # placement {placement}\n")
+        lines = (f"  {_text(there.get((lidar, p), ''))},  # placement {p}\n" for p in placements)
         table = f'[[lidar]]\nname = {_text(lidar)}\nsensor = "auto"\n'
         parts.append(f"{table}recordings = [\n{''.join(lines)}]\n")
     return "\n".join([*parts, TAIL.format(first=_text(lidars[0]), placement=_text(placements[0]))])
@@ -305,11 +306,6 @@ TAIL = """\
 # at_m = [5.0, 0.0, 0.0]   # in the LiDAR's frame
 # sigma_m = 0.01
 """
-
-
-def _relative(recording: Path, folder: Path) -> str:
-    """Write a path from a folder, with slashes on every system."""
-    return PurePath(os.path.relpath(recording, folder)).as_posix()
 
 
 def _text(text: str) -> str:

@@ -67,10 +67,7 @@ class SiteInputs:
         return dict(zip(self.inputs, input_documents(self.inputs.values()), strict=True))
 
 
-def read_site(
-    path: Path,
-    listener: Listener = SILENT,
-) -> SiteInputs:
+def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     """Read a site file and all its recordings.
 
     Parameters
