@@ -39,8 +39,6 @@ class SiteResult(Result[SiteDoc]):
         Everything that was found, as ``site-result.json`` holds it.
     calibration
         The same as arrays, with the clouds; None of a result that was loaded.
-    status
-        ``ok``, ``warn`` or ``refused``.
     """
 
     calibration: SiteCalibration | None = None

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import command_line, progress_on_terminal, result_told, told
+from .common import command_line, listening, result_told
 from .older import DEFAULT_OUT, SettingAside, older_set_aside
 from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
 
@@ -73,7 +73,6 @@ def calibrate(
       130  interrupted
     """
     from ..api.calibration import calibrate_with
-    from ..api.inputs import Listener
     from ..report.text import describe_result
 
     with older_set_aside(out):
@@ -81,9 +80,8 @@ def calibrate(
             raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
         targets, sources = placed(target, source, placements)
     config = RunConfig(**options)
-    tell = told(quiet, config.frames, units=False)
-    with older_set_aside(out), progress_on_terminal(quiet) as progress:
-        result = calibrate_with(targets, sources, config, Listener(progress, tell))
+    with older_set_aside(out), listening(quiet, config.frames, units=False) as listener:
+        result = calibrate_with(targets, sources, config, listener)
         written = result.save(out)
     following = {
         "next": command_line("export", out, "--to", "ros2"),

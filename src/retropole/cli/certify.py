@@ -10,15 +10,7 @@ from click.core import ParameterSource
 
 from ..result import RunConfig
 from .calibrate import placed
-from .common import (
-    EXIT_REFUSED,
-    echo_refusal,
-    in_colour,
-    progress_on_terminal,
-    show,
-    show_written,
-    told,
-)
+from .common import EXIT_REFUSED, echo_refusal, in_colour, listening, show, show_written
 from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
 
 EXIT_FAILED = 4
@@ -68,14 +60,12 @@ def certify(
       130  interrupted
     """
     from ..api import certification
-    from ..api.inputs import Listener
     from ..base.files import write_together
     from ..report.field_test import describe_field_test, render_field_test
     from ..result import encode
 
     config = RunConfig(**options)
-    with progress_on_terminal(quiet or as_json) as progress:
-        listener = Listener(progress, told(quiet, config.frames))
+    with listening(quiet, config.frames, hidden=as_json) as listener:
         if target is not None and target.suffix == ".toml" and source is None and not placements:
             _refuse_options()
             document = certification.certify_site(target, listener)

@@ -11,7 +11,7 @@ import click
 from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc
 from ..result.options import OPTIONS
-from .common import EXIT_MOVED, EXIT_REFUSED, in_colour, json_text, progress_on_terminal, show, told
+from .common import EXIT_MOVED, EXIT_REFUSED, in_colour, json_text, listening, show
 from .options import CLOUD, DEGREES, METRES, Command, run_option
 
 if TYPE_CHECKING:
@@ -109,24 +109,21 @@ def check(
       130  interrupted
     """
     from ..api.checking import CheckResult, check_recordings, read_stored
-    from ..api.inputs import Listener
     from ..base.errors import Reason, Refusal
     from ..base.reasons import prefixed
 
     if (sigma_rotation is None) != (sigma_translation is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
     sigma = (sigma_rotation, sigma_translation) if sigma_rotation and sigma_translation else None
-    with progress_on_terminal(quiet or as_json) as progress:
-        progress("read")
+    with listening(quiet, None, hidden=as_json) as listener:
+        listener.progress("read")
         try:
             stored = read_stored(result, sigma)
         except Refusal as refusal:
             code = prefixed("stored", refusal.code)
             answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
         else:
-            answer = check_recordings(
-                stored, target, source, listener=Listener(progress, told(quiet, None)), **asked
-            )
+            answer = check_recordings(stored, target, source, listener=listener, **asked)
     if as_json:
         show(json_line(answer))
     elif not quiet:

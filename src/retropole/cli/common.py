@@ -25,20 +25,13 @@ from ..result import encode
 from ..result import plain as plain_value
 
 if TYPE_CHECKING:
-    from ..api.inputs import Input
+    from ..api.inputs import Input, Listener
     from ..api.result import CalibrationResult
     from ..api.site import SiteResult
 
-EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_MOVED, EXIT_INTERRUPTED, EXIT_PIPE = (
-    1,
-    2,
-    3,
-    4,
-    130,
-    141,
-)
-"""The first is for --strict alone; the last is 128 + SIGPIPE, as of any program whose reader is
-gone."""
+EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_MOVED = 1, 2, 3, 4
+EXIT_INTERRUPTED, EXIT_PIPE = 130, 128 + 13
+"""The first is for --strict alone; the last is that of any program whose reader is gone."""
 
 ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ": "chi", "²": "^2"}
 ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
@@ -122,10 +115,16 @@ class Advice(NamedTuple):
 BY_OPTIONS = Advice("--max-points N", "--unit {}", "read them with {}")
 
 
-def told(
-    quiet: bool, frames: object, advice: Advice = BY_OPTIONS, *, units: bool = True
-) -> Callable[[Input], None]:
-    """Make what says on stderr, of each cloud once it is read, what was left out and is odd.
+@contextmanager
+def listening(
+    quiet: bool,
+    frames: object,
+    advice: Advice = BY_OPTIONS,
+    *,
+    units: bool = True,
+    hidden: bool = False,
+) -> Iterator[Listener]:
+    """Say on stderr how a run goes on, and of each cloud that is read what was left out and is odd.
 
     Parameters
     ----------
@@ -137,7 +136,10 @@ def told(
         What to do about it.
     units
         Doubt the unit of the coordinates, beside the sensor's name.
+    hidden
+        Does not show the progress.
     """
+    from ..api.inputs import Listener
 
     def tell(given: Input) -> None:
         if quiet:
@@ -152,7 +154,8 @@ def told(
         elif given.sensor_doubt:
             say(f"retropole: {given.sensor_doubt}")
 
-    return tell
+    with progress_on_terminal(quiet or hidden) as progress:
+        yield Listener(progress, tell)
 
 
 def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:

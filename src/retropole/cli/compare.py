@@ -13,16 +13,7 @@ import click
 
 from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..result import RunConfig
-from .common import (
-    EXIT_REFUSED,
-    EXIT_USAGE,
-    fill_in,
-    json_text,
-    progress_on_terminal,
-    say,
-    show,
-    told,
-)
+from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
 from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
 
 if TYPE_CHECKING:
@@ -91,7 +82,6 @@ def compare(
       130  interrupted
     """
     from ..api.evaluation import compare as run
-    from ..api.inputs import Listener
     from ..api.transforms import read_transform
     from ..base.files import path_in_text
 
@@ -103,8 +93,7 @@ def compare(
             )
     config = RunConfig(**options)
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
-        listener = Listener(progress, told(quiet, config.frames))
+    with listening(quiet, config.frames) as listener, _libraries_print_to_stderr():
         found = run(target, source, config, names, T_true, listener)
     if as_json:
         document = {

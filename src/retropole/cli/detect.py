@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import progress_on_terminal, say, show, told
+from .common import listening, say, show
 from .options import CLOUD, OUT, run_option, run_options
 
 
@@ -45,21 +45,20 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
     from dataclasses import replace
 
     from ..api.detection import detect_in
-    from ..api.inputs import Listener, input_documents, read_input
+    from ..api.inputs import input_documents, read_input
     from ..base.errors import MissingExtraError, printable
     from ..report.figures import draw_detection
     from ..report.text import describe_detection
     from ..result import detection_document, encode
 
     config = RunConfig(**options)
-    with progress_on_terminal(quiet) as progress:
-        progress("read")
-        listener = Listener(progress, told(quiet, config.frames))
+    with listening(quiet, config.frames) as listener:
+        listener.progress("read")
         given = read_input(file, config.of_target, listener)
-        progress("extract")
+        listener.progress("extract")
         found = detect_in(given, config.radius_m)
         written: list[str] = []
-        progress("draw")
+        listener.progress("draw")
         try:
             draw_detection(given.cloud, found, out / "detect.png", title=printable(file.name))
             written.append(str(out / "detect.png"))

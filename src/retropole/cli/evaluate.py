@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import json_text, progress_on_terminal, show, told
+from .common import json_text, listening, show
 from .options import CLOUD, METRES, TOPICS, run_options
 
 TRANSFORM = click.Path(path_type=Path)
@@ -63,14 +63,12 @@ def evaluate(
     import numpy as np
 
     from ..api.evaluation import errors_of, evaluate_with
-    from ..api.inputs import Listener
     from ..api.transforms import read_transform
 
     config = RunConfig(**options)
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    with progress_on_terminal(as_json) as progress:
-        listener = Listener(progress, told(False, config.frames))
+    with listening(False, config.frames, hidden=as_json) as listener:
         aligned = evaluate_with(target, source, T, config, sigma, listener)
     figures: dict[str, float | None] = {
         "overlap": aligned.overlap,

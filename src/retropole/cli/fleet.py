@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .cluster import check_cluster, cluster_options
 from .common import EXIT_WARNED, json_text, progress_on_terminal, show, show_written
-from .fleet_check import fleet_check
+from .fleet_check import check_cluster, cluster_options, fleet_check
 from .fleet_network import fleet_network
 from .options import SENSORS, run_options
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..fleet import TIME_LIMIT
 from .check import tolerance_options
-from .cluster import check_cluster, cluster_options
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
+from .options import Command, Number
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event
@@ -16,6 +17,30 @@ if TYPE_CHECKING:
     from ..fleet.history.run import FleetCheck, SiteChange
 
 SCHEMA = "retropole/fleet-check/1"
+
+
+def cluster_options(command: Command) -> Command:
+    """Give a command --scheduler, --workers and --time-limit, for work that a Dask cluster does."""
+    scheduler = click.option(
+        "--scheduler", metavar="ADDRESS", help="Of a Dask cluster: tcp://host:8786."
+    )
+    workers = click.option(
+        "--workers",
+        type=click.IntRange(min=1, max=1024),
+        help="Number of local processes, where there is no --scheduler.  "
+        "[default: one per processor]",
+    )
+    kind = Number(min=1, max=1e6)
+    time_limit = click.option(
+        "--time-limit", type=kind, default=TIME_LIMIT, metavar="SECONDS", help="Of one site."
+    )
+    return scheduler(workers(time_limit(command)))
+
+
+def check_cluster(scheduler: str | None, workers: int | None) -> None:
+    """Refuse a number of local processes for a cluster that is elsewhere."""
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
 
 
 @click.command("check")

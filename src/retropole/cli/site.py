@@ -7,16 +7,7 @@ from pathlib import Path
 
 import click
 
-from .common import (
-    Advice,
-    command_line,
-    progress_on_terminal,
-    result_told,
-    say,
-    show,
-    show_written,
-    told,
-)
+from .common import Advice, command_line, listening, result_told, say, show, show_written
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
 from .options import CLOUD, FILE, OUT
 
@@ -118,10 +109,10 @@ def calibrate(
     from ..api.site import calibrate_site
     from ..report.site_text import describe_site
 
-    tell = told(quiet, "as the site file says", SITE_FILE)
-    with older_set_aside(out, site=True), progress_on_terminal(quiet) as progress:
-        result = calibrate_site(site_file, progress=progress, on_read=tell)
-        progress("report")
+    asked = "as the site file says"
+    with older_set_aside(out, site=True), listening(quiet, asked, SITE_FILE) as listener:
+        result = calibrate_site(site_file, **listener._asdict())
+        listener.progress("report")
         written = result.save(out)
     paths = [str(path) for path in written]
     following = {"next": command_line("export", written[0], "--to", "urdf")}

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import progress_on_terminal, say, show, told
+from .common import listening, say, show
 from .options import CLOUD, run_option, run_options
 
 
@@ -50,15 +50,14 @@ def view(files: tuple[Path, ...], port: int, quiet: bool, **options: Any) -> int
     import time
 
     from ..api.detection import finder
-    from ..api.inputs import Listener, read_input
+    from ..api.inputs import read_input
     from ..report.viewer import Shown, serve
 
     config = RunConfig(**options)
-    with progress_on_terminal(quiet) as progress:
-        progress("read")
-        listener = Listener(on_read=told(quiet, config.frames))
+    with listening(quiet, config.frames) as listener:
+        listener.progress("read")
         inputs = [read_input(file, config.of_target, listener) for file in files]
-        progress("extract")
+        listener.progress("extract")
         shown = [
             Shown(str(file), given.cloud, finder(given, config.radius_m), given.threshold)
             for file, given in zip(files, inputs, strict=True)

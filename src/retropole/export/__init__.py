@@ -22,7 +22,6 @@ from ..result import ReasonDoc
 from ..result.folder import any_result_file
 from ..result.site import SiteDoc
 from .documents import read_json, read_yaml, result_in, write_json, write_yaml
-from .found import Found, choose
 from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
 from .text import (
     read_matrix,
@@ -32,6 +31,7 @@ from .text import (
     write_quaternion,
     write_rpy,
 )
+from .transform import Found, choose
 from .transform import Transform as Transform
 from .transform import inverted as inverted
 from .tree import Tree, tree_of

@@ -22,10 +22,10 @@ from ..base.se3 import rigid
 from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of
 from ..result.decoding import check_covariance, decode, decode_site
 from ..result.site import SITE_SCHEMA, SiteDoc
-from .found import Found
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,
+    Found,
     Transform,
     covariance_from_ros,
     covariance_to_ros,

@@ -20,8 +20,7 @@ from ..result.site import LidarDoc, SiteDoc
 from ..site.description import Frame
 from ..site.projection import Grid, grid_at
 from ..site.world import geodetic, site_in_frame, to_frame
-from .found import Found
-from .transform import Transform
+from .transform import Found, Transform
 
 MAP, SITE = "map", "site"
 

@@ -27,13 +27,14 @@ from .certainty import (
     MIN_POWER,
     ROTATION,
     TRANSLATION,
+    Weakness,
     detection_power,
+    directions_in_words,
     least_certain,
     upper_limit,
 )
 from .repeated import in_parts, step_covariance
 from .tolerance import NOT_ASKED, WIDEST_TOLERANCE, Asked, Tolerance
-from .weakness import Weakness, directions_in_words
 
 BOUND_SIGMAS = 3.0
 """A movement that was found is certainly below the tolerance where so many σ more would be."""
@@ -174,16 +175,7 @@ def compare_poses(
         words = directions_in_words(covariance)
         message = f"that it moved is certain, but not by how much: {words}"
         said.append(Reason("size_unsure", message, {}))
+    T, random = new.T_target_source, parts[1].random
     return CheckResult(
-        status,
-        tuple(said),
-        used,
-        new.T_target_source,
-        step,
-        covariance,
-        parts[1].random,
-        chi2,
-        p_value,
-        power,
-        told,
+        status, tuple(said), used, T, step, covariance, random, chi2, p_value, power, told
     )
