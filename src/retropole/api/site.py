@@ -5,16 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from ..base import se3
 from ..base.datatypes import Array, Scan
 from ..base.errors import Reason, UsageError
 from ..base.quantities import error as in_words
-from ..base.relative import joint_of, relative
+from ..base.relative import RelativePose, joint_of, relative
 from ..report.site import render_site
 from ..report.site_text import pose_rows
 from ..result import refusal_of
@@ -63,7 +61,9 @@ class SiteResult(Result[SiteDoc]):
         Refusal
             Where the calibration was refused.
         """
-        k = self._index(name)
+        if name not in self.lidars:
+            raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
+        k = self.lidars.index(name)
         pose = self.document.lidars[k].pose(k)
         if pose is None:
             raise refusal_of(self.reasons)
@@ -82,8 +82,7 @@ class SiteResult(Result[SiteDoc]):
         UsageError, Refusal
             As `pose`.
         """
-        T_a, T_b = self.pose(a).T_site_lidar, self.pose(b).T_site_lidar
-        return np.asarray(se3.inverse(T_a) @ T_b)
+        return self._relative(a, b).T_i_j
 
     def covariance(self, a: str, b: str) -> Array:
         """Give (6, 6) of `T`, over ``[φ, δ]``, rad and m, axes of a.
@@ -100,9 +99,12 @@ class SiteResult(Result[SiteDoc]):
         UsageError, Refusal
             As `pose`.
         """
-        poses = self.pose(a), self.pose(b)
-        joint = joint_of(self._joint, self._index(a), self._index(b))
-        return relative(poses[0].T_site_lidar, poses[1].T_site_lidar, joint).covariance
+        return self._relative(a, b).covariance
+
+    def _relative(self, a: str, b: str) -> RelativePose:
+        i, j = self.pose(a), self.pose(b)
+        joint = joint_of(np.asarray(self.document.joint_covariance), i.lidar, j.lidar)
+        return relative(i.T_site_lidar, j.T_site_lidar, joint)
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:
         """Write ``site-result.json`` and ``site-report.html`` to a folder, never of two runs.
@@ -124,25 +126,10 @@ class SiteResult(Result[SiteDoc]):
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("datum", self.document.datum)] if self.document.datum else []
-        rows += [
-            (
-                each.name,
-                f"x {each.x}  y {each.y}  z {each.z} m"
-                + (f", ± {in_words(each.sigma)} at 30 m" if each.sigma else ""),
-            )
-            for each in pose_rows(self.document)
-        ]
+        for each in pose_rows(self.document):
+            error = f", ± {in_words(each.sigma)} at 30 m" if each.sigma else ""
+            rows.append((each.name, f"x {each.x}  y {each.y}  z {each.z} m{error}"))
         return rows + super()._rows()
-
-    @cached_property
-    def _joint(self) -> Array:
-        """(6 L, 6 L) covariance of all poses together."""
-        return np.asarray(self.document.joint_covariance)
-
-    def _index(self, name: str) -> int:
-        if name not in self.lidars:
-            raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
-        return self.lidars.index(name)
 
 
 def calibrate_site(

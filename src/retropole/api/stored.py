@@ -81,18 +81,14 @@ def placements_of(
     inputs = [read_input(path, reads[k % 2]) for k, path in enumerate(paths)]
     progress("extract")
     # With the sensor and the threshold that the run used.
-    scans = [
-        replace(each, sensor=sensor_or_auto(item.sensor), threshold=item.threshold).search(
-            config.radius_m
-        )
+    used = [
+        replace(each, sensor=sensor_or_auto(item.sensor), threshold=item.threshold)
         for each, item in zip(inputs, result.inputs, strict=True)
     ]
-    placements = [Placement(*pair) for pair in zip(scans[::2], scans[1::2], strict=True)]
-    first = Placement(
-        _agreeing(placements[0].target, result.poles.target),
-        _agreeing(placements[0].source, result.poles.source),
-    )
-    return StoredInputs((first, *placements[1:]), notes)
+    scans = [each.search(config.radius_m) for each in used]
+    scans[:2] = _agreeing(scans[0], result.poles.target), _agreeing(scans[1], result.poles.source)
+    placements = (Placement(*pair) for pair in zip(scans[::2], scans[1::2], strict=True))
+    return StoredInputs(tuple(placements), notes)
 
 
 def find_inputs(result: ResultDoc, beside: Path, given: Sequence[Path] = ()) -> list[Path]:
