@@ -51,15 +51,11 @@ class SettingAside(click.Command):
     of_site = False
 
     def make_context(
-        self,
-        info_name: str | None,
-        args: list[str],
-        parent: click.Context | None = None,
-        **extra: Any,
+        self, info_name: str | None, args: list[str], *rest: Any, **extra: Any
     ) -> click.Context:
         """Read the options, as any command."""
         with older_set_aside(_out_of(args), site=self.of_site):
-            return super().make_context(info_name, args, parent, **extra)
+            return super().make_context(info_name, args, *rest, **extra)
 
 
 class SettingSiteAside(SettingAside):

@@ -35,13 +35,11 @@ class Number(click.FloatRange):
         super().__init__(**bounds)
         self.into = into
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
+    def convert(self, value: Any, *of: Any) -> float:
         """Take a number as click does, but no nan."""
-        number = float(super().convert(value, param, ctx))
+        number = float(super().convert(value, *of))
         if not math.isfinite(number):
-            self.fail(f"{value!r} is no number.", param, ctx)
+            self.fail(f"{value!r} is no number.", *of)
         return self.into(number)
 
 

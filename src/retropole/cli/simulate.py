@@ -65,24 +65,16 @@ class _OrSite(click.Group):
     """The command for pairs, and ``simulate site`` behind the word that no scene has."""
 
     def make_context(
-        self,
-        info_name: str | None,
-        args: list[str],
-        parent: click.Context | None = None,
-        **extra: Any,
+        self, info_name: str | None, args: list[str], *rest: Any, **extra: Any
     ) -> click.Context:
         """Read the words of either command."""
         if args[:1] == ["site"]:
-            return simulate_site.make_context(f"{info_name} site", args[1:], parent, **extra)
-        return super().make_context(info_name, args, parent, **extra)
+            return simulate_site.make_context(f"{info_name} site", args[1:], *rest, **extra)
+        return super().make_context(info_name, args, *rest, **extra)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of a pair as a plain command does: a scene is no command."""
         return click.Command.parse_args(self, ctx, args)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command whose words were read."""
-        return click.Command.invoke(self if ctx.command is self else simulate_site, ctx)
 
 
 @click.group(

@@ -122,9 +122,7 @@ class PairDoc(msgspec.Struct, frozen=True):
 
 
 class LoopDoc(
-    msgspec.Struct,
-    frozen=True,
-    rename={"rotation": "rotation_rad", "translation": "translation_m"},
+    msgspec.Struct, frozen=True, rename={"rotation": "rotation_rad", "translation": "translation_m"}
 ):
     """What the pairwise poses around a loop fail to close by; `site.answer.LoopClosure`."""
 
