@@ -252,16 +252,16 @@ def _written(value: Any) -> Any:
     return value
 
 
-class Origin(NamedTuple):
+class Provenance(NamedTuple):
     """What wrote a document, and when."""
 
     version: str
     created: str
 
 
-def made_now() -> Origin:
+def made_now() -> Provenance:
     """Say that a document is made now, by this version."""
-    return Origin(__version__, datetime.now(UTC).isoformat(timespec="seconds"))
+    return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"))
 
 
 def finite(value: float | None) -> float | None:
