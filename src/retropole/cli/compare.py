@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from ..api.choices import ALL_METHODS, OURS, RIVALS
+from ..base.files import path_in_text
 from ..result import RunConfig
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
 from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
@@ -83,7 +85,6 @@ def compare(
     """
     from ..api.evaluation import compare as run
     from ..api.transforms import read_transform
-    from ..base.files import path_in_text
 
     names = list(ALL_METHODS) if methods is None else [name.strip() for name in methods.split(",")]
     for name in names:
@@ -135,8 +136,6 @@ def _libraries_print_to_stderr() -> Iterator[None]:
 
 def _angles_deg(T: Array) -> list[float]:
     """Roll, pitch and yaw of a pose (4, 4), degrees; see `se3.rpy_from_rotation`."""
-    import numpy as np
-
     from ..base.se3 import rpy_from_rotation
 
     return [float(angle) for angle in np.degrees(rpy_from_rotation(T[:3, :3]))]
@@ -165,8 +164,6 @@ def _document(each: Compared) -> dict[str, Any]:
 
 def in_words(found: Sequence[Compared]) -> str:
     """Write the findings as tables no wider than a screen, and why a method does not answer."""
-    import numpy as np
-
     from ..report.layout import table, wrapped
 
     verdicts, poses, errors = [], [], []

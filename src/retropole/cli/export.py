@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..api import transforms
 from ..api.transforms import FORMATS, TREE_FORMATS
+from ..base.files import write_atomically
 from .common import echo_warning, fill_in, say, show
 from .options import CLOUD, FILE
 
@@ -97,14 +99,6 @@ def export(
       2    a file or an option is wrong
       3    RESULT was refused: it holds no transform
     """
-    from ..api.transforms import (
-        inverted,
-        put_into_robot,
-        read_transform,
-        read_tree,
-        write_transforms,
-    )
-
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
     if into is not None and fmt not in (None, "urdf"):
@@ -114,7 +108,7 @@ def export(
     if fmt == MCAP and out is None:
         raise click.UsageError(f"--to {MCAP} needs --out: it is nothing to print")
     if parent is None or child is None:
-        tree = read_tree(result) if source_format in ("auto", "json") else None
+        tree = transforms.read_tree(result) if source_format in ("auto", "json") else None
         if tree is not None:
             if parent or child or invert or clouds or into is not None:
                 raise click.UsageError(
@@ -128,17 +122,17 @@ def export(
                     f"--to {fmt} holds one transform; name two frames of the site with --parent "
                     f"and --child, or write all of them: --to {', '.join(TREE_TITLES)}"
                 )
-            is_mcap = fmt == MCAP
-            _write(write_transforms(tree.edges) if is_mcap else TREE_FORMATS[fmt].write(tree), out)
+            whole = TREE_FORMATS.get(fmt)
+            _write(whole.write(tree) if whole else transforms.write_transforms(tree.edges), out)
             return 0
     if fmt not in (None, *TITLES):
         raise click.UsageError(f"--to {fmt} takes all of a site: site-result.json")
-    transform = read_transform(result, fmt=source_format, parent=parent, child=child)
+    transform = transforms.read_transform(result, fmt=source_format, parent=parent, child=child)
     _warn(result)
     if invert:
-        transform = inverted(transform)
+        transform = transforms.inverted(transform)
     if into is not None:
-        _write(put_into_robot(into, transform), out or into)
+        _write(transforms.put_into_robot(into, transform), out or into)
     elif fmt == MCAP:
         from ..api.inputs import Listener
         from ..api.stored import recording_of
@@ -156,8 +150,6 @@ fill_in(export, "FORMATS", TITLES, width=12)
 
 def _write(words: str | bytes, out: Path | None) -> None:
     """Write to a file, or print."""
-    from ..base.files import write_atomically
-
     if out is None:
         show(words)
     else:
@@ -166,9 +158,7 @@ def _write(words: str | bytes, out: Path | None) -> None:
 
 def _warn(path: Path) -> None:
     """Say on stderr what a result warns of; other files hold no verdict."""
-    from ..api.transforms import read_verdict
-
-    for reason in read_verdict(path):
+    for reason in transforms.read_verdict(path):
         echo_warning(reason.code, reason.message)
 
 

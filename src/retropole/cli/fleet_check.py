@@ -5,7 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
+from ..base.errors import printable
+from ..base.quantities import counted, value_and_error
 from ..fleet import TIME_LIMIT
 from .check import tolerance_options
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
@@ -174,9 +177,6 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
 
 def in_words(found: FleetCheck) -> str:
     """Write what was found as a person reads it: a line for each site that has something to say."""
-    from ..base.errors import printable
-    from ..base.quantities import counted
-
     lines = []
     for site in found.sites:
         said = [_said(site, event) for event in site.changes]
@@ -205,8 +205,6 @@ def _untold(newest: CheckRow) -> str:
 
 
 def _said(site: SiteChange, event: Event) -> str:
-    from ..base.quantities import value_and_error
-
     since = f"{site.times[event.onset]:%Y-%m-%d}"
     new = ", new" if site.is_new(event) else ""
     if event.size is None or event.covariance is None:
@@ -221,8 +219,6 @@ def _said(site: SiteChange, event: Event) -> str:
 
 def lengths(event: Event, part: slice) -> tuple[float, float]:
     """Give the length of a part of a change, and 1 σ of it along its own direction."""
-    import numpy as np
-
     assert event.size is not None
     assert event.covariance is not None
     vector = event.size[part]
