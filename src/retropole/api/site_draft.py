@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -52,12 +51,8 @@ class Draft(NamedTuple):
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """Recordings by LiDAR and placement, and the names of what is none."""
-
-    recordings: Mapping[tuple[str, str], Path]
-    left_out: tuple[str, ...] = ()
+Recordings = dict[tuple[str, str], Path]
+"""Recordings by LiDAR and placement."""
 
 
 def draft_site(folder: Path, path: Path) -> Draft:
@@ -78,15 +73,15 @@ def draft_site(folder: Path, path: Path) -> Draft:
     UsageError
         Where its names do not say which recording is whose; says what was seen.
     """
-    seen = _look_through(folder)
-    lidars = _ordered({lidar for lidar, _ in seen.recordings})
-    placements = _ordered({placement for _, placement in seen.recordings})
+    recordings, others = _look_through(folder)
+    lidars = _ordered({lidar for lidar, _ in recordings})
+    placements = _ordered({placement for _, placement in recordings})
     if len(lidars) < 2:
         raise UsageError(
             f"{folder}: recordings of one LiDAR, {lidars[0]}, in {_list(placements, 'placement')}; "
             "a site has two LiDARs at least"
         )
-    text = _written(folder, path, lidars, placements, seen.recordings)
+    text = _written(folder, path, lidars, placements, recordings)
     try:
         decode_site_file(text.encode())
     except (ReadError, UnicodeEncodeError) as error:
@@ -96,15 +91,15 @@ def draft_site(folder: Path, path: Path) -> Draft:
         f"{lidar} has no recording of placement {placement}"
         for lidar in lidars
         for placement in placements
-        if (lidar, placement) not in seen.recordings
+        if (lidar, placement) not in recordings
     ]
-    left_out = [f"{folder}: left out {_quoted(seen.left_out)}"] if seen.left_out else []
+    left_out = [f"{folder}: left out {_quoted(others)}"] if others else []
     summary = f"{_list(lidars, 'LiDAR')}; {_list(placements, 'placement')}"
     return Draft(text, summary, (*left_out, *missing))
 
 
-def _look_through(folder: Path) -> _Seen:
-    """Find recordings, and whose they are."""
+def _look_through(folder: Path) -> tuple[Recordings, tuple[str, ...]]:
+    """Find recordings, and whose they are; and the names of what is none."""
     files, folders, others = _entries(folder)
     if files and folders:
         raise UsageError(
@@ -112,7 +107,7 @@ def _look_through(folder: Path) -> _Seen:
             f"({_quoted([f.name for f in folders])}); expected one or the other"
         )
     if files:
-        return _Seen(_flat(folder, files), others)
+        return _flat(folder, files), others
     inner: dict[str, list[Path]] = {}
     for each in folders:
         here, deeper, left = _entries(each)
@@ -128,7 +123,7 @@ def _look_through(folder: Path) -> _Seen:
             f"{folder}: holds no recordings; expected LIDAR/PLACEMENT.pcd, PLACEMENT/LIDAR.pcd or "
             f"LIDAR_PLACEMENT.pcd, or another of {', '.join(sorted(SUFFIXES))}"
         )
-    return _Seen(_nested(folder, inner), others)
+    return _nested(folder, inner), others
 
 
 def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
@@ -151,11 +146,11 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
     return files, folders, tuple(others)
 
 
-def _flat(folder: Path, files: Sequence[Path]) -> dict[tuple[str, str], Path]:
+def _flat(folder: Path, files: Sequence[Path]) -> Recordings:
     """Take LiDAR and placement from the name of each file."""
     both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
     named = [path.name for path, match in both.items() if match]
-    found: dict[tuple[str, str], Path] = {}
+    found: Recordings = {}
     for path, match in both.items():
         if named and match is None:
             raise UsageError(
@@ -167,7 +162,7 @@ def _flat(folder: Path, files: Sequence[Path]) -> dict[tuple[str, str], Path]:
     return found
 
 
-def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> dict[tuple[str, str], Path]:
+def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> Recordings:
     """Tell whether the folders are the LiDARs or the placements: the latter have numbers."""
     outer = list(inner)
     within = _ordered({_name(path) for paths in inner.values() for path in paths})
@@ -179,7 +174,7 @@ def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> dict[tuple[str
             f"{folder}: folders {_quoted(outer)} hold {_quoted(within)}, and {both} look like "
             "numbers of placements; name the placements 1, 2, …, and the LiDARs otherwise"
         )
-    found: dict[tuple[str, str], Path] = {}
+    found: Recordings = {}
     for name, paths in inner.items():
         for path in paths:
             lidar, placement = (name, _name(path)) if of_lidars else (_name(path), name)
@@ -187,7 +182,7 @@ def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> dict[tuple[str
     return found
 
 
-def _add(found: dict[tuple[str, str], Path], lidar: str, placement: str, path: Path) -> None:
+def _add(found: Recordings, lidar: str, placement: str, path: Path) -> None:
     other = found.setdefault((lidar, placement), path)
     if other != path:
         raise UsageError(
@@ -225,7 +220,7 @@ def _written(
     path: Path,
     lidars: Sequence[str],
     placements: Sequence[str],
-    recordings: Mapping[tuple[str, str], Path],
+    recordings: Recordings,
 ) -> str:
     """Write the file: what was found, and in comments what may be added."""
     name = printable(folder.resolve().name)[:60].strip() or "site"
