@@ -60,7 +60,7 @@ class Commands(SphinxDirective):
             inner = command.commands if isinstance(command, click.Group) else {}
             commands += [(name, command), *((f"{name} {sub}", inner[sub]) for sub in sorted(inner))]
         for name, command in commands:
-            context = click.Context(command, info_name=f"retropole {name}")
+            context = click.Context(command, info_name=f"retropole {name}", show_default=True)
             context.max_content_width = 92
             section = nodes.section(ids=[name.replace(" ", "-")], names=[name])
             section += nodes.title(text=name)

@@ -13,7 +13,7 @@ from retropole.base.bounded import Status
 from retropole.base.datatypes import Array
 from retropole.base.errors import ReadError, Refusal, UsageError
 from retropole.base.relative import joint_of, relative
-from retropole.result.site_decoding import decode_site
+from retropole.result.decoding import decode_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.description import Site
 from tests.api.site_files import NAMES, answer_to, recorded, write_site

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from retropole.api.inputs import Listener
 from retropole.api.site_file import decode_site_file
 from retropole.api.site_inputs import offset_of, read_site, repeated, site_of
 from retropole.base.errors import ReadError
@@ -31,7 +32,7 @@ sigma_m = 0.01
 def test_recordings_are_read_from_beside_the_file(tmp_path: Path) -> None:
     path = write_site(tmp_path)
     seen: list[str] = []
-    read = read_site(path, on_read=lambda given: seen.append(given.name))
+    read = read_site(path, Listener(on_read=lambda given: seen.append(given.name)))
     site = read.site
     assert [lidar.name for lidar in site.lidars] == list(NAMES)
     assert len(seen) == len(read.inputs) == 5
@@ -116,7 +117,7 @@ def test_a_projected_system_that_is_none_is_told_before_any_recording_is_read(
     pytest.importorskip("pyproj", reason="needs the extra world")
     read: list[str] = []
     with pytest.raises(ReadError, match=r"site\.toml: reference, epsg: EPSG:32767 is in no"):
-        read_site(path, on_read=lambda given: read.append(given.name))
+        read_site(path, Listener(on_read=lambda given: read.append(given.name)))
     assert not read
 
 
@@ -133,7 +134,7 @@ def test_a_recording_that_is_missing_is_named_before_any_is_read(tmp_path: Path)
     (tmp_path / "gate" / "1.pcd").unlink()
     read: list[str] = []
     with pytest.raises(ReadError, match=r"lidar gate, placement 1: .*1\.pcd: no such file"):
-        read_site(path, on_read=lambda given: read.append(given.name))
+        read_site(path, Listener(on_read=lambda given: read.append(given.name)))
     assert not read
 
 

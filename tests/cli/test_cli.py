@@ -85,8 +85,8 @@ def test_every_command_is_a_module_of_its_name() -> None:
     fleet = cli.commands["fleet"]
     assert isinstance(fleet, click.Group)
     inner = {f"fleet_{name}" for name in fleet.commands} & modules
-    assert len(inner) == 3
-    others = {"__init__", "cluster", "common", "errors", "older", "options"} | inner
+    assert len(inner) == 2
+    others = {"__init__", "common", "errors", "older", "options"} | inner
     assert set(COMMANDS) == modules - others == set(cli.commands)
     for name, command in cli.commands.items():
         assert isinstance(command, click.Command)

@@ -8,7 +8,7 @@ import pytest
 from retropole.api import site as api_site
 from retropole.base.bounded import Status
 from retropole.cli import run
-from retropole.result.site_decoding import decode_site
+from retropole.result.decoding import decode_site
 from retropole.site.answer import SiteCalibration
 from retropole.site.description import Site
 from tests.api.site_files import answer_to, write_recordings, write_site

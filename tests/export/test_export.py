@@ -20,8 +20,13 @@ from retropole.base.datatypes import Array
 from retropole.base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, UsageError
 from retropole.export import FORMATS, Transform, export_lines, inverted, read_transform
 from retropole.export.documents import write_json
-from retropole.export.found import choose
-from retropole.export.transform import covariance_from_ros, covariance_to_ros, from_rpy, number
+from retropole.export.transform import (
+    choose,
+    covariance_from_ros,
+    covariance_to_ros,
+    from_rpy,
+    number,
+)
 from retropole.result import ReasonDoc
 from tests.results import write_result
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from retropole.result import encode
+from retropole.result.decoding import decode_site
 from retropole.result.site import joint_order
-from retropole.result.site_decoding import decode_site
 from retropole.site.answer import LoopClosure
 from tests.report.site.made_up import NAMES, document_of, made_up_site
 

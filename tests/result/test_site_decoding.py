@@ -10,7 +10,7 @@ import pytest
 
 from retropole.base.errors import ReadError
 from retropole.result import encode
-from retropole.result.site_decoding import decode_site
+from retropole.result.decoding import decode_site
 from tests.report.site.made_up import document_of, made_up_site
 
 SMALL = made_up_site("warn", lidars=3, placements=2, count=20, surveyed=True)

@@ -13,8 +13,9 @@ from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
 from ..verdict import refused
 from .inputs import (
+    SILENT,
     CloudSource,
-    Input,
+    Listener,
     input_documents,
     intensity_hint,
     read_placements,
@@ -108,7 +109,7 @@ def calibrate(
         Where a file cannot be read.
     """
     options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
-    return calibrate_with(target, source, run_config(options), progress=progress)
+    return calibrate_with(target, source, run_config(options), Listener(progress))
 
 
 NO_OPTIONS = ("target", "source", "progress")
@@ -119,9 +120,7 @@ def calibrate_with(
     target: CloudSource | Sequence[CloudSource],
     source: CloudSource | Sequence[CloudSource],
     config: RunConfig,
-    *,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> CalibrationResult:
     """Calibrate as `calibrate` does, with the options of a run as the result document holds them.
 
@@ -131,11 +130,8 @@ def calibrate_with(
         As `calibrate` takes them.
     config
         The options.
-    progress
-        Called with the name of each step as it starts; while a recording of several frames is read,
-        with which of how many.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
@@ -143,21 +139,16 @@ def calibrate_with(
         As `calibrate`.
     """
     config = checked_options(config)
-    progress("read")
+    listener.progress("read")
     start = time.perf_counter()
-    pairs = read_placements(target, source, config, progress, on_read)
+    pairs = read_placements(target, source, config, listener)
     inputs = [each for pair in pairs for each in pair]
     documents = input_documents(inputs)
     seconds_read = time.perf_counter() - start
     twice = repeated(pairs, documents)
     if twice is not None:
-        unsearched = tuple(
-            Placement(
-                Scan(pair.target.cloud, pair.target.sensor),
-                Scan(pair.source.cloud, pair.source.sensor),
-            )
-            for pair in pairs
-        )
+        scans = [[Scan(each.cloud, each.sensor) for each in pair] for pair in pairs]
+        unsearched = tuple(Placement(target, source) for target, source in scans)
         calibration = refused(twice, unsearched, (), {})
     else:
         calibration = find_pose(
@@ -170,10 +161,10 @@ def calibrate_with(
             poles=config.poles,
             scene=config.refine,
             trust_poles=config.trust_poles,
-            need=_need(config),
+            need=None if config.need_m is None else Need(config.need_m, config.at_m or DEFAULT_AT),
             by_hand=config.hypothesis,
             prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),
-            progress=progress,
+            progress=listener.progress,
         )
     reasons = tuple(
         replace(reason, message=reason.message + intensity_hint(reason.code, inputs))
@@ -186,10 +177,3 @@ def calibrate_with(
         seconds={"read": seconds_read, **calibration.seconds},
     )
     return CalibrationResult(document, calibration.placements)
-
-
-def _need(config: RunConfig) -> Need | None:
-    """Take how accurate the answer must be; None where that is not said."""
-    if config.need_m is None:
-        return None
-    return Need(config.need_m, DEFAULT_AT if config.at_m is None else config.at_m)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from ..base.datatypes import Placement, Scan
+from ..base.datatypes import Placement
 from ..base.errors import UsageError
 from ..result import RunConfig
 from ..result.certification import FieldTestDoc, field_test_document
-from ..scene.scans import find_poles
 from ..site import certification
-from .inputs import CloudSource, Input, input_documents, read_placements
+from .inputs import SILENT, CloudSource, Listener, input_documents, read_placements
 from .site_inputs import read_site
 
 
@@ -19,9 +18,7 @@ def certify(
     target: CloudSource | Sequence[CloudSource],
     source: CloudSource | Sequence[CloudSource],
     config: RunConfig,
-    *,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> FieldTestDoc:
     """Test two LiDARs by their recordings of one placement of the poles or several.
 
@@ -31,24 +28,20 @@ def certify(
         As `api.calibration.calibrate` takes them.
     config
         The options: radius, sensors, thresholds, and what is read.
-    progress
-        Called with the name of each step as it starts.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
     UsageError, ReadError, MissingExtraError
         As `api.inputs.read_placements`.
     """
-    progress("read")
-    pairs = read_placements(target, source, config, progress, on_read)
-    progress("extract")
-    found = [
-        Placement(_search(of_target, config.radius_m), _search(of_source, config.radius_m))
-        for of_target, of_source in pairs
-    ]
-    progress("certify")
+    listener.progress("read")
+    pairs = read_placements(target, source, config, listener)
+    listener.progress("extract")
+    r = config.radius_m
+    found = [Placement(pair.target.search(r), pair.source.search(r)) for pair in pairs]
+    listener.progress("certify")
     test = certification.certify(found, radius=config.radius_m, radius_sigma=config.radius_sigma_m)
     return field_test_document(
         {("target", "source"): test},
@@ -57,16 +50,7 @@ def certify(
     )
 
 
-def _search(given: Input, radius: float) -> Scan:
-    return find_poles(given.cloud, sensor=given.sensor, threshold=given.threshold, radius=radius)
-
-
-def certify_site(
-    path: Path,
-    *,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
-) -> FieldTestDoc:
+def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
     """Test every pair of LiDARs of a site file.
 
     Raises
@@ -76,11 +60,11 @@ def certify_site(
     ReadError, MissingExtraError
         As `api.site_inputs.read_site`.
     """
-    read = read_site(path, progress=progress, on_read=on_read)
+    read = read_site(path, listener)
     lidars = read.site.lidars
     tests = {
         (lidars[a].name, lidars[b].name): test
-        for (a, b), test in certification.certify_site(read.site, progress)
+        for (a, b), test in certification.certify_site(read.site, listener.progress)
     }
     if not tests:
         raise UsageError(f"{path}: no two LiDARs recorded the same placement")

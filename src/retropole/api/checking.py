@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +15,7 @@ from ..base.files import read_document
 from ..base.reasons import prefixed
 from ..base.uncertainty import Uncertainty
 from ..export import inverted, read_transform
-from ..export.documents import is_result
+from ..export.documents import result_in
 from ..io import sha256_of, topics_of
 from ..io.units import Unit
 from ..monitoring.certainty import FALSE_ALARM as FALSE_ALARM
@@ -24,11 +23,10 @@ from ..monitoring.drift import check
 from ..monitoring.movement import CheckResult as CheckResult
 from ..monitoring.movement import Movement as Movement
 from ..monitoring.swapped import swap
-from ..monitoring.tolerance import NOT_ASKED, Asked
-from ..result import DEFAULT_CONFIG, RunConfig
-from ..result.decoding import decode
+from ..monitoring.tolerance import Asked
+from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
-from .inputs import Input, read_pair
+from .inputs import SILENT, Input, Listener, read_pair
 
 
 class Stored(NamedTuple):
@@ -46,9 +44,7 @@ class Stored(NamedTuple):
 
 
 def read_stored(
-    path: Path,
-    sigma: tuple[float, float] | None = None,
-    lidars: tuple[str, str] | None = None,
+    path: Path, sigma: tuple[float, float] | None = None, lidars: tuple[str, str] | None = None
 ) -> Stored:
     """Read a stored result; of a file that is not a result document, the options are the defaults.
 
@@ -82,10 +78,9 @@ def read_stored(
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    data = read_document(result_file(path))
-    if not is_result(data):
+    document = result_in(read_document(result_file(path)))
+    if not isinstance(document, ResultDoc):
         return Stored(pose, DEFAULT_CONFIG, ())
-    document = decode(data)
     warnings = tuple(
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons
@@ -94,35 +89,6 @@ def read_stored(
     hashes = [item.sha256 for item in document.inputs]
     pairs = tuple(zip(hashes[::2], hashes[1::2], strict=False))
     return Stored(pose, document.config, warnings, parts, pairs)
-
-
-def checked(
-    stored: Stored, target: Input, source: Input, tolerance: Asked = NOT_ASKED
-) -> CheckResult:
-    """Check new recordings against a stored result, with the options of its run.
-
-    Raises
-    ------
-    Refusal
-        As `monitoring.drift.check`.
-    """
-    swapped = files_swapped(stored, target, source)
-    if swapped is not None:
-        answer = CheckResult("cannot_tell", (swapped,))
-    else:
-        config = stored.config
-        answer = check(
-            stored.pose,
-            target.cloud,
-            source.cloud,
-            uncertainty=stored.uncertainty,
-            tolerance=tolerance,
-            radius=config.radius_m,
-            radius_sigma=config.radius_sigma_m,
-            sensors=(target.sensor, source.sensor),
-            thresholds=(config.threshold_target, config.threshold_source),
-        )
-    return replace(answer, reasons=(*answer.reasons, *stored.warnings))
 
 
 def check_recordings(
@@ -136,8 +102,7 @@ def check_recordings(
     source_topic: str | None = None,
     unit: Unit | None = None,
     unit_source: Unit | None = None,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> CheckResult:
     """Read new recordings with the options of the stored run, and check them against it.
 
@@ -151,17 +116,15 @@ def check_recordings(
         Movement that matters, rad and m; None for as little as the data tell.
     target_topic, source_topic, unit, unit_source
         Of the new recordings; None takes those of the stored run. A unit is that of both.
-    progress
-        Called with the name of each step as it starts.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
     UsageError, ReadError, MissingExtraError
         Where one cannot be read.
     Refusal
-        As `checked`.
+        As `monitoring.drift.check`.
     """
     known = stored.config
     config = replace_options(
@@ -173,9 +136,24 @@ def check_recordings(
         unit=unit or known.unit,
         unit_source=unit_source or unit or known.source_unit,
     )
-    pair = read_pair(target, source, config, progress=progress, on_read=on_read)
-    progress("check")
-    return checked(stored, *pair, Asked(rotation, translation))
+    pair = read_pair(target, source, config, listener)
+    listener.progress("check")
+    swapped = files_swapped(stored, *pair)
+    if swapped is not None:
+        answer = CheckResult("cannot_tell", (swapped,))
+    else:
+        answer = check(
+            stored.pose,
+            pair.target.cloud,
+            pair.source.cloud,
+            uncertainty=stored.uncertainty,
+            tolerance=Asked(rotation, translation),
+            radius=config.radius_m,
+            radius_sigma=config.radius_sigma_m,
+            sensors=(pair.target.sensor, pair.source.sensor),
+            thresholds=(config.threshold_target, config.threshold_source),
+        )
+    return replace(answer, reasons=(*answer.reasons, *stored.warnings))
 
 
 def files_swapped(stored: Stored, target: Input, source: Input) -> Reason | None:

@@ -16,6 +16,7 @@ from ..io.coordinates import oddity_of
 from ..io.recognition import guess_sensors
 from ..io.rings import rings_fault, with_trusted_rings
 from ..io.units import Unit
+from ..result import document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
 
 INTENSITY_BINS = 16
@@ -23,11 +24,7 @@ INTENSITY_BINS = 16
 
 
 def describe(
-    path: str | Path,
-    *,
-    topic: str | None = None,
-    frames: slice | None = None,
-    unit: Unit = "m",
+    path: str | Path, *, topic: str | None = None, frames: slice | None = None, unit: Unit = "m"
 ) -> InfoDoc:
     """Describe a recording without calibrating anything.
 
@@ -66,23 +63,22 @@ def _cloud(read: ReadRecording) -> CloudDoc:
     rate = _rate(read.headers[0], read.headers[-1])
     odd = oddity_of(cloud)
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
-    return CloudDoc(
-        topic=read.recording.topic,
+    return document_of(
+        CloudDoc,
+        read.recording,
+        cloud,
         frame_id=read.headers[0].frame_id or None,
         frames=count,
         frames_read=len(read.numbers),
         step=read.numbers.step,
         rate_hz=rate,
         duration_s=None if rate is None else (count - 1) / rate,
-        fields=dict(cloud.fields),
         points=len(cloud) + cloud.thinned,
-        dropped=cloud.dropped,
-        notes=list(cloud.notes),
         rings=None if given.ring is None else len(np.unique(given.ring)),
         rings_ignored=rings_fault(given),
         beam_origin_m=cloud.origin.tolist(),
         told_by_rings=cloud is not given and cloud.ring is not None,
-        range_m=[float(value) for value in np.quantile(ranges, [0, 0.5, 1])],
+        range_m=np.quantile(ranges, [0, 0.5, 1]).tolist(),
         intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
         sensors=guess_sensors(cloud),
         odd_coordinates="" if odd is None else odd.words,
@@ -107,8 +103,8 @@ def _intensity(intensity: Array) -> IntensityDoc:
         median=float(median),
         p95=float(p95),
         max=high,
-        bin_edges=[float(edge) for edge in edges],
-        counts=[int(count) for count in counts],
+        bin_edges=edges.tolist(),
+        counts=counts.tolist(),
         threshold=threshold.value if threshold else None,
         threshold_source=threshold.found if threshold else "none: all intensities are the same",
         retro_points=int(np.count_nonzero(intensity >= threshold.value)) if threshold else 0,

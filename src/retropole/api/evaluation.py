@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,9 @@ from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..export import read_transform
 from ..extraction.extent import check_coordinates
+from ..io.failures import readable
 from ..result import RunConfig
-from .inputs import CloudSource, Input, read_pair
+from .inputs import SILENT, CloudSource, Listener, read_pair
 from .options import run_config
 from .result import CalibrationResult
 
@@ -71,7 +72,7 @@ def evaluate(
         Where a file cannot be read.
     """
     options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
-    return evaluate_with(target, source, T_target_source, run_config(options), sigma=sigma)
+    return evaluate_with(target, source, T_target_source, run_config(options), sigma)
 
 
 NO_OPTIONS = ("target", "source", "T_target_source", "sigma")
@@ -83,10 +84,8 @@ def evaluate_with(
     source: CloudSource,
     T_target_source: Array | CalibrationResult | str | Path,
     config: RunConfig,
-    *,
     sigma: float = KERNEL_WIDTH,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> Alignment:
     """Score a transform as `evaluate` does, with the options of a run.
 
@@ -96,10 +95,8 @@ def evaluate_with(
         As `evaluate` takes them.
     config
         The options: what is read, and the seed.
-    progress
-        Called with the name of each step as it starts.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
@@ -107,11 +104,11 @@ def evaluate_with(
         As `evaluate`.
     """
     T = _transform(T_target_source)
-    progress("read")
-    pair = read_pair(target, source, config, progress=progress, on_read=on_read)
+    listener.progress("read")
+    pair = read_pair(target, source, config, listener)
     for each in pair:
         check_coordinates(each.cloud)
-    progress("evaluate")
+    listener.progress("evaluate")
     rng = np.random.default_rng(config.seed)
     return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma)
 
@@ -121,10 +118,8 @@ def compare(
     source: CloudSource,
     config: RunConfig,
     methods: Sequence[str] = ALL_METHODS,
-    *,
     T_true: Array | None = None,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> list[Compared]:
     """Run our method and its rivals on the same clouds, and score their answers alike.
 
@@ -137,10 +132,8 @@ def compare(
         our own method.
     methods, T_true
         As `evaluation.comparison.compare` takes them.
-    progress
-        Called with the name of each step as it starts.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
@@ -149,8 +142,8 @@ def compare(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    progress("read")
-    pair = read_pair(target, source, config, progress=progress, on_read=on_read)
+    listener.progress("read")
+    pair = read_pair(target, source, config, listener)
     return compare_clouds(
         pair.target.cloud,
         pair.source.cloud,
@@ -160,7 +153,7 @@ def compare(
         sensors=(pair.target.sensor, pair.source.sensor),
         thresholds=(config.threshold_target, config.threshold_source),
         seed=config.seed,
-        progress=progress,
+        progress=listener.progress,
     )
 
 
@@ -168,10 +161,8 @@ def _transform(given: Array | CalibrationResult | str | Path) -> Array:
     if isinstance(given, CalibrationResult):
         return given.required_transform()
     if isinstance(given, str | Path):
-        try:
+        with readable(given):
             return read_transform(Path(given)).T_parent_child
-        except OSError as error:
-            raise ReadError(f"{given}: cannot be read ({error.strerror or error})") from None
     try:
         return rigid(given)
     except (ReadError, TypeError, ValueError) as error:

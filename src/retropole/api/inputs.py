@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.datatypes import PER_POINT, PointCloud
+from ..base.datatypes import PER_POINT, PointCloud, Scan
 from ..base.errors import ReadError, Refusal, UsageError
 from ..base.files import path_in_text
 from ..base.quantities import counted
@@ -31,12 +31,33 @@ from ..io.beam_origin import with_beam_origin
 from ..io.coordinates import Oddity, oddity_of
 from ..io.rings import with_trusted_rings
 from ..io.units import in_metres, unit_named
-from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig
+from ..pipeline import find_poles
+from ..result import DEFAULT_CONFIG, InputDoc, Reading, RunConfig, document_of
 from ..scene.copies import what_to_give
 
 CloudSource = str | Path | PointCloud | NDArray[Any]
 """What gives a cloud: a path that `io.read_cloud` reads, a cloud, or an array (N, 3) or (N, 4) of
 x, y, z and intensity."""
+
+
+class Listener(NamedTuple):
+    """Who is told how a run goes on.
+
+    Attributes
+    ----------
+    progress
+        Called with the name of each step as it starts; while a recording of several frames is read,
+        with which of how many.
+    on_read
+        Called with each cloud once it is read.
+    """
+
+    progress: Callable[[str], None] = lambda step: None
+    on_read: Callable[[Input], None] = lambda given: None
+
+
+SILENT = Listener()
+"""Nobody is told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +108,10 @@ class Input:
             return ""
         return sensor_doubt(with_beam_origin(with_trusted_rings(self.cloud)), self.sensor)
 
+    def search(self, radius: float) -> Scan:
+        """Find the poles of a radius, metres, in it; a refusal is in the scan."""
+        return find_poles(self.cloud, sensor=self.sensor, threshold=self.threshold, radius=radius)
+
 
 class InputPair(NamedTuple):
     """Target and source of one placement of the poles."""
@@ -98,10 +123,9 @@ class InputPair(NamedTuple):
 def read_input(
     given: CloudSource,
     how: Reading = DEFAULT_CONFIG.of_target,
+    listener: Listener = SILENT,
     *,
     role: str = "cloud",
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
 ) -> Input:
     """Take a cloud as the user gives it, and look up its sensor.
 
@@ -112,12 +136,10 @@ def read_input(
         dropped and counted.
     how
         Of which sensor and in which unit it is, and what is read of a recording.
+    listener
+        Told of each of several frames, and of the cloud once it is read.
     role
         What messages call it: ``target``.
-    progress
-        Called as each of several frames is about to be read, with which of how many it is.
-    on_read
-        Called with it once it is read.
 
     Raises
     ------
@@ -135,7 +157,7 @@ def read_input(
             frames=how.frames,
             max_points=how.max_points,
             unit=unit,
-            progress=progress,
+            progress=listener.progress,
         )
         cloud = read.cloud
     elif not isinstance(given, PointCloud) and not hasattr(given, "__array__"):
@@ -146,16 +168,14 @@ def read_input(
     elif how.topic is not None or how.frames is not None:
         raise UsageError(f"{role}: a topic or frames can be chosen in a file, not in an array")
     else:
-        if not isinstance(given, PointCloud):
+        if isinstance(given, PointCloud):
+            cloud = only_returns(given, role)
+        else:
             given = np.asarray(given)
-        cloud = (
-            only_returns(given, role)
-            if isinstance(given, PointCloud)
-            else cloud_from_array(given, role)
-        )
+            cloud = cloud_from_array(given, role)
         cloud = thinned(in_metres(cloud, unit), how.max_points)
     taken = Input(given, cloud, sensor, how.threshold, read)
-    on_read(taken)
+    listener.on_read(taken)
     return taken
 
 
@@ -163,10 +183,8 @@ def read_pair(
     target: CloudSource,
     source: CloudSource,
     config: RunConfig,
-    *,
+    listener: Listener = SILENT,
     which: str = "",
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
 ) -> InputPair:
     """Take a target and a source, with the options of a run; see `read_input`.
 
@@ -175,10 +193,9 @@ def read_pair(
     which
         What messages add to their names: ``of placement 2`` and a space before it.
     """
-    read = partial(read_input, progress=progress, on_read=on_read)
     return InputPair(
-        read(target, config.of_target, role=f"target{which}"),
-        read(source, config.of_source, role=f"source{which}"),
+        read_input(target, config.of_target, listener, role=f"target{which}"),
+        read_input(source, config.of_source, listener, role=f"source{which}"),
     )
 
 
@@ -186,8 +203,7 @@ def read_placements(
     target: CloudSource | Sequence[CloudSource],
     source: CloudSource | Sequence[CloudSource],
     config: RunConfig,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> tuple[InputPair, ...]:
     """Take the target and the source of every placement, with the options of a run.
 
@@ -201,18 +217,11 @@ def read_placements(
     targets, sources = _each(target), _each(source)
     if len(targets) != len(sources) or not targets:
         raise UsageError(
-            f"{counted(len(targets), 'target')} and {counted(len(sources), 'source')} are "
-            f"given, expected one of each "
-            "for every placement"
+            f"{counted(len(targets), 'target')} and {counted(len(sources), 'source')} are given, "
+            "expected one of each for every placement"
         )
     return tuple(
-        read_pair(
-            *pair,
-            config,
-            which=f" of placement {k}" if len(targets) > 1 else "",
-            progress=progress,
-            on_read=on_read,
-        )
+        read_pair(*pair, config, listener, f" of placement {k}" if len(targets) > 1 else "")
         for k, pair in enumerate(zip(targets, sources, strict=True), 1)
     )
 
@@ -227,16 +236,15 @@ def input_documents(inputs: Iterable[Input]) -> list[InputDoc]:
     """Write the entries of clouds in the result document; each file is hashed once."""
     hash_of = cache(sha256_of)
     return [
-        InputDoc(
+        document_of(
+            InputDoc,
+            each.cloud,
             path=path_in_text(each.name),
             sha256=hash_of(each.name) if each.read else _hash_of_arrays(each.given),
             points=len(each.cloud),
-            dropped=each.cloud.dropped,
-            thinned=each.cloud.thinned,
             frames_left_out=0 if each.read is None else each.read.left_out,
             sensor="auto" if each.sensor is None else each.sensor.name,
             threshold=each.threshold,
-            notes=list(each.cloud.notes),
         )
         for each in inputs
     ]
@@ -256,47 +264,59 @@ def recording_hash(path: Path) -> str:
     return sha256_of(path)
 
 
-def repeated(pairs: Sequence[InputPair], documents: Sequence[InputDoc]) -> Refusal | None:
-    """Refuse a recording that is given twice, under whatever name; None where none is.
+def first_repeated(
+    inputs: Iterable[Input], documents: Iterable[InputDoc]
+) -> tuple[int, int] | None:
+    """Find a recording that is given twice, under whatever name: the numbers of both, from 0.
 
-    One bag may be target and source, with a topic for each.
+    One bag may hold several LiDARs, a topic for each.
+
+    Parameters
+    ----------
+    inputs, documents
+        What was read, and the entries in the result document.
+    """
+    seen: dict[tuple[str, str | None], int] = {}
+    for k, (given, document) in enumerate(zip(inputs, documents, strict=True)):
+        first = seen.setdefault((document.sha256, given.topic), k)
+        if first != k:
+            return first, k
+    return None
+
+
+def repeated(pairs: Sequence[InputPair], documents: Sequence[InputDoc]) -> Refusal | None:
+    """Refuse a recording of a target or a source that is given twice; None where none is.
 
     Parameters
     ----------
     pairs, documents
         The inputs, and their entries in the result document, target and source in turn.
     """
-    seen: dict[tuple[str, str | None], tuple[int, str, str]] = {}
-    each = [
-        (k, lidar, given)
-        for k, pair in enumerate(pairs, 1)
-        for lidar, given in zip(("TARGET", "SOURCE"), pair, strict=True)
+    inputs = [given for pair in pairs for given in pair]
+    twice = first_repeated(inputs, documents)
+    if twice is None:
+        return None
+    (n, _), (k, _) = places = [divmod(number, 2) for number in twice]
+    names = [
+        ("TARGET", "SOURCE")[role] + (f" of placement {m + 1}" if len(pairs) > 1 else "")
+        for m, role in places
     ]
-    for (k, lidar, given), document in zip(each, documents, strict=True):
-        n, other, name = seen.setdefault((document.sha256, given.topic), (k, lidar, given.name))
-        if (n, other) == (k, lidar):
-            continue
-        several = len(pairs) > 1
-        names = (
-            f"{other}{f' of placement {n}' if several else ''}",
-            f"{lidar}{f' of placement {k}' if several else ''}",
+    first, second = (inputs[number] for number in twice)
+    what = f"topic {second.topic} of {second.name}" if second.topic else second.name
+    advice = what_to_give(n + 1, k + 1)
+    if second.topic is not None and n == k:
+        advice = (
+            "--target-topic and --source-topic (in Python target_topic and source_topic) tell "
+            "two LiDARs of one bag apart"
         )
-        what = f"topic {given.topic} of {given.name}" if given.topic else given.name
-        advice = what_to_give(n, k)
-        if given.topic is not None and n == k:
-            advice = (
-                "--target-topic and --source-topic (in Python target_topic and source_topic) tell "
-                "two LiDARs of one bag apart"
-            )
-        return Refusal(
-            "same_recording",
-            f"{names[0]} and {names[1]} are both {what}; {advice}"
-            if given.name == name
-            else f"{names[0]} and {names[1]}, {name} and {given.name}, are the same byte for byte: "
-            f"one is a copy of the other; {advice}",
-            {"sha256": document.sha256},
-        )
-    return None
+    return Refusal(
+        "same_recording",
+        f"{names[0]} and {names[1]} are both {what}; {advice}"
+        if first.name == second.name
+        else f"{names[0]} and {names[1]}, {first.name} and {second.name}, are the same byte for "
+        f"byte: one is a copy of the other; {advice}",
+        {"sha256": documents[twice[0]].sha256},
+    )
 
 
 def intensity_hint(code: str, inputs: Iterable[Input]) -> str:

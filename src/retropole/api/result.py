@@ -15,23 +15,18 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, Placement
 from ..base.errors import ReadError
-from ..base.files import read_document, write_together
 from ..base.quantities import error
 from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
 from ..base.uncertainty.purpose import Fitness
-from ..export.documents import is_site_document
+from ..export.documents import is_result
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
-from ..result import (
-    ErrorAtRange,
-    ReasonDoc,
-    ResultDoc,
-    encode,
-    refusal_of,
-)
+from ..result import ErrorAtRange, ResultDoc, refusal_of
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
+from ..result.site import SITE_SCHEMA
 from ..scene.consistency import contradicting_points, standing_in
+from .saved import Result, loaded
 from .stored import StoredInputs, placements_of
 
 if TYPE_CHECKING:
@@ -39,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CalibrationResult:
+class CalibrationResult(Result[ResultDoc]):
     """A calibration, or why there is none.
 
     Attributes
@@ -54,19 +49,8 @@ class CalibrationResult:
         The file that it was loaded from; None of a run.
     """
 
-    document: ResultDoc
     placements: tuple[Placement, ...] | None = None
     path: Path | None = None
-
-    @property
-    def status(self) -> str:
-        """``ok``, ``warn`` or ``refused``."""
-        return self.document.status
-
-    @property
-    def reasons(self) -> tuple[ReasonDoc, ...]:
-        """What is wrong or weak: code, message and values of each; empty when ok."""
-        return tuple(self.document.reasons)
 
     @property
     def T_target_source(self) -> Array | None:
@@ -128,15 +112,8 @@ class CalibrationResult:
             raise refusal_of(self.reasons)
         return T
 
-    def __repr__(self) -> str:
-        """Say the verdict, the pose, the error to expect and the reasons, a line each."""
-        return "\n".join(
-            [f"CalibrationResult: {self.status}"]
-            + [f"  {name:<16} {value}" for name, value in self._rows()]
-        )
-
     def _repr_html_(self) -> str:
-        """Show the same in a notebook, as a table."""
+        """Show what `repr` says in a notebook, as a table."""
         rows = "".join(
             f'<tr><th style="text-align:left">{escape(name)}</th>'
             f'<td style="text-align:left">{escape(value)}</td></tr>'
@@ -166,7 +143,7 @@ class CalibrationResult:
             ("scene", scene_words(self.document)),
         )
         rows += [(name, words) for name, words in said if words is not None]
-        return rows + [(reason.code, reason.message) for reason in self.reasons]
+        return rows + super()._rows()
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:
         """Write ``result.json`` and ``report.html`` to a folder, never of two runs.
@@ -183,11 +160,9 @@ class CalibrationResult:
         OSError
             Where the folder cannot be written to.
         """
-        result, page = Path(folder) / RESULT_FILE, Path(folder) / REPORT_FILE
         stored = self._inputs()
         html = render_report(self.document, stored.placements, notes=stored.notes)
-        write_together({result: encode(self.document), page: html.encode()})
-        return result, page
+        return self._write(Path(folder, RESULT_FILE), Path(folder, REPORT_FILE), html)
 
     def report(
         self,
@@ -301,18 +276,16 @@ def load_result(path: str | Path) -> CalibrationResult:
         Where there is no such file, or it is no result document; names the file.
     """
     file = result_file(Path(path))
+    return CalibrationResult(loaded(file, partial(_decode, file)), None, file)
+
+
+def _decode(file: Path, data: bytes) -> ResultDoc:
     try:
-        data = read_document(file)
-    except OSError as error:
-        raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
-    try:
-        document = decode(data)
-    except ReadError as error:
-        if is_site_document(data):
-            beside = file.with_name(SITE_REPORT_FILE)
-            raise ReadError(
-                f"{file}: the result of a site, not of two LiDARs; its report is {beside}, and "
-                "rp.load_site_result loads it"
-            ) from None
-        raise ReadError(f"{file}: {error}") from None
-    return CalibrationResult(document, None, file)
+        return decode(data)
+    except ReadError:
+        if not is_result(data, SITE_SCHEMA):
+            raise
+        raise ReadError(
+            f"the result of a site, not of two LiDARs; its report is "
+            f"{file.with_name(SITE_REPORT_FILE)}, and rp.load_site_result loads it"
+        ) from None

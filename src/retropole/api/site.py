@@ -5,32 +5,30 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from ..base import se3
 from ..base.datatypes import Array, Scan
-from ..base.errors import ReadError, Reason, UsageError
-from ..base.files import read_document, write_together
+from ..base.errors import Reason, UsageError
 from ..base.quantities import error as in_words
-from ..base.relative import joint_of, relative
+from ..base.relative import RelativePose, joint_of, relative
 from ..report.site import render_site
 from ..report.site_text import pose_rows
-from ..result import ReasonDoc, encode, refusal_of
+from ..result import refusal_of
+from ..result.decoding import decode_site
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
-from ..result.site_decoding import decode_site
 from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
 from ..site.description import Site
-from .inputs import Input
+from .inputs import Input, Listener
+from .saved import Result, loaded
 from .site_inputs import SiteInputs, inputs_of, read_site, repeated
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SiteResult:
+class SiteResult(Result[SiteDoc]):
     """The calibration of a site, or why there is none.
 
     Attributes
@@ -39,22 +37,9 @@ class SiteResult:
         Everything that was found, as ``site-result.json`` holds it.
     calibration
         The same as arrays, with the clouds; None of a result that was loaded.
-    status
-        ``ok``, ``warn`` or ``refused``.
     """
 
-    document: SiteDoc
     calibration: SiteCalibration | None = None
-
-    @property
-    def status(self) -> str:
-        """``ok``, ``warn`` or ``refused``."""
-        return self.document.status
-
-    @property
-    def reasons(self) -> tuple[ReasonDoc, ...]:
-        """What is wrong or weak: code, message and values of each; empty when ok."""
-        return tuple(self.document.reasons)
 
     @property
     def lidars(self) -> tuple[str, ...]:
@@ -76,7 +61,9 @@ class SiteResult:
         Refusal
             Where the calibration was refused.
         """
-        k = self._index(name)
+        if name not in self.lidars:
+            raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
+        k = self.lidars.index(name)
         pose = self.document.lidars[k].pose(k)
         if pose is None:
             raise refusal_of(self.reasons)
@@ -95,8 +82,7 @@ class SiteResult:
         UsageError, Refusal
             As `pose`.
         """
-        T_a, T_b = self.pose(a).T_site_lidar, self.pose(b).T_site_lidar
-        return np.asarray(se3.inverse(T_a) @ T_b)
+        return self._relative(a, b).T_i_j
 
     def covariance(self, a: str, b: str) -> Array:
         """Give (6, 6) of `T`, over ``[φ, δ]``, rad and m, axes of a.
@@ -113,9 +99,12 @@ class SiteResult:
         UsageError, Refusal
             As `pose`.
         """
-        poses = self.pose(a), self.pose(b)
-        joint = joint_of(self._joint, self._index(a), self._index(b))
-        return relative(poses[0].T_site_lidar, poses[1].T_site_lidar, joint).covariance
+        return self._relative(a, b).covariance
+
+    def _relative(self, a: str, b: str) -> RelativePose:
+        i, j = self.pose(a), self.pose(b)
+        joint = joint_of(np.asarray(self.document.joint_covariance), i.lidar, j.lidar)
+        return relative(i.T_site_lidar, j.T_site_lidar, joint)
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:
         """Write ``site-result.json`` and ``site-report.html`` to a folder, never of two runs.
@@ -132,36 +121,15 @@ class SiteResult:
         OSError
             Where the folder cannot be written to.
         """
-        result, page = Path(folder) / SITE_RESULT_FILE, Path(folder) / SITE_REPORT_FILE
         html = render_site(self.document, self.calibration)
-        write_together({result: encode(self.document), page: html.encode()})
-        return result, page
+        return self._write(Path(folder, SITE_RESULT_FILE), Path(folder, SITE_REPORT_FILE), html)
 
-    def __repr__(self) -> str:
-        """Say the verdict, the datum, where each LiDAR is and the reasons, a line each."""
+    def _rows(self) -> list[tuple[str, str]]:
         rows = [("datum", self.document.datum)] if self.document.datum else []
-        rows += [
-            (
-                each.name,
-                f"x {each.x}  y {each.y}  z {each.z} m"
-                + (f", ± {in_words(each.sigma)} at 30 m" if each.sigma else ""),
-            )
-            for each in pose_rows(self.document)
-        ]
-        rows += [(reason.code, reason.message) for reason in self.reasons]
-        return "\n".join(
-            [f"SiteResult: {self.status}"] + [f"  {name:<16} {value}" for name, value in rows]
-        )
-
-    @cached_property
-    def _joint(self) -> Array:
-        """(6 L, 6 L) covariance of all poses together."""
-        return np.asarray(self.document.joint_covariance)
-
-    def _index(self, name: str) -> int:
-        if name not in self.lidars:
-            raise UsageError(f"no LiDAR {name!r}; there are {', '.join(self.lidars)}")
-        return self.lidars.index(name)
+        for each in pose_rows(self.document):
+            error = f", ± {in_words(each.sigma)} at 30 m" if each.sigma else ""
+            rows.append((each.name, f"x {each.x}  y {each.y}  z {each.z} m{error}"))
+        return rows + super()._rows()
 
 
 def calibrate_site(
@@ -201,14 +169,11 @@ def calibrate_site(
         check_site(site)
         read = inputs_of(site)
     else:
-        read = read_site(Path(site), progress=progress, on_read=on_read)
+        read = read_site(Path(site), Listener(progress, on_read))
     documents = read.documents()
     seconds = {"read": time.perf_counter() - start}
     twice = repeated(read, documents)
-    if twice is None:
-        calibration = find_poses(read.site, progress=progress)
-    else:
-        calibration = _refused(read, twice)
+    calibration = _refused(read, twice) if twice else find_poses(read.site, progress=progress)
     document = site_document(
         calibration,
         inputs=documents,
@@ -234,14 +199,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     file = Path(path)
     if file.is_dir():
         file = file / SITE_RESULT_FILE
-    try:
-        data = read_document(file)
-    except OSError as error:
-        raise ReadError(f"{file}: cannot be read ({error.strerror or error})") from None
-    try:
-        return SiteResult(decode_site(data))
-    except ReadError as error:
-        raise ReadError(f"{file}: {error}") from None
+    return SiteResult(loaded(file, decode_site))
 
 
 def check_site(site: Site) -> None:
@@ -256,9 +214,8 @@ def check_site(site: Site) -> None:
     if len(names) < 2 or len(set(names)) < len(names):
         raise UsageError(f"the LiDARs are {names}, expected two or more of different names")
     for lidar in site.lidars:
-        if len(lidar.clouds) != len(site.placements) or not any(
-            cloud is not None for cloud in lidar.clouds
-        ):
+        recorded = len(lidar.clouds) - lidar.clouds.count(None)
+        if len(lidar.clouds) != len(site.placements) or not recorded:
             raise UsageError(
                 f"{lidar.name} has {len(lidar.clouds)} clouds, expected {len(site.placements)}, "
                 "one for each placement or None, and one at least"

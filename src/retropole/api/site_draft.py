@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -14,6 +13,7 @@ from ..base.errors import ReadError, UsageError, printable, shortened
 from ..base.quantities import counted
 from ..io import BAGS, PACKETS, READERS
 from ..io.bag_files import is_rosbag2
+from ..io.failures import readable
 from .site_file import decode_site_file
 
 SUFFIXES = frozenset((*READERS, *BAGS, *PACKETS)) - {".txt"}
@@ -51,12 +51,8 @@ class Draft(NamedTuple):
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """Recordings by LiDAR and placement, and the names of what is none."""
-
-    recordings: Mapping[tuple[str, str], Path]
-    left_out: tuple[str, ...] = ()
+Recordings = dict[tuple[str, str], Path]
+"""Recordings by LiDAR and placement."""
 
 
 def draft_site(folder: Path, path: Path) -> Draft:
@@ -77,15 +73,15 @@ def draft_site(folder: Path, path: Path) -> Draft:
     UsageError
         Where its names do not say which recording is whose; says what was seen.
     """
-    seen = _look_through(folder)
-    lidars = _ordered({lidar for lidar, _ in seen.recordings})
-    placements = _ordered({placement for _, placement in seen.recordings})
+    recordings, others = _look_through(folder)
+    lidars = _ordered({lidar for lidar, _ in recordings})
+    placements = _ordered({placement for _, placement in recordings})
     if len(lidars) < 2:
         raise UsageError(
             f"{folder}: recordings of one LiDAR, {lidars[0]}, in {_list(placements, 'placement')}; "
             "a site has two LiDARs at least"
         )
-    text = _written(folder, path, lidars, placements, seen.recordings)
+    text = _written(folder, path, lidars, placements, recordings)
     try:
         decode_site_file(text.encode())
     except (ReadError, UnicodeEncodeError) as error:
@@ -95,15 +91,15 @@ def draft_site(folder: Path, path: Path) -> Draft:
         f"{lidar} has no recording of placement {placement}"
         for lidar in lidars
         for placement in placements
-        if (lidar, placement) not in seen.recordings
+        if (lidar, placement) not in recordings
     ]
-    left_out = [f"{folder}: left out {_quoted(seen.left_out)}"] if seen.left_out else []
+    left_out = [f"{folder}: left out {_quoted(others)}"] if others else []
     summary = f"{_list(lidars, 'LiDAR')}; {_list(placements, 'placement')}"
     return Draft(text, summary, (*left_out, *missing))
 
 
-def _look_through(folder: Path) -> _Seen:
-    """Find recordings, and whose they are."""
+def _look_through(folder: Path) -> tuple[Recordings, tuple[str, ...]]:
+    """Find recordings, and whose they are; and the names of what is none."""
     files, folders, others = _entries(folder)
     if files and folders:
         raise UsageError(
@@ -111,7 +107,7 @@ def _look_through(folder: Path) -> _Seen:
             f"({_quoted([f.name for f in folders])}); expected one or the other"
         )
     if files:
-        return _Seen(_flat(folder, files), others)
+        return _flat(folder, files), others
     inner: dict[str, list[Path]] = {}
     for each in folders:
         here, deeper, left = _entries(each)
@@ -127,49 +123,46 @@ def _look_through(folder: Path) -> _Seen:
             f"{folder}: holds no recordings; expected LIDAR/PLACEMENT.pcd, PLACEMENT/LIDAR.pcd or "
             f"LIDAR_PLACEMENT.pcd, or another of {', '.join(sorted(SUFFIXES))}"
         )
-    return _Seen(_nested(folder, inner), others)
+    return _nested(folder, inner), others
 
 
 def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
     """List recordings, folders, and names of neither; what is hidden, and site files, are not."""
-    try:
-        with os.scandir(folder) as entries:
-            names = [entry.name for entry in islice(entries, MOST_ENTRIES + 1)]
-    except OSError as error:
-        raise ReadError(f"{folder}: cannot be read ({error.strerror or error})") from None
+    with readable(folder), os.scandir(folder) as entries:
+        names = [entry.name for entry in islice(entries, MOST_ENTRIES + 1)]
     if len(names) > MOST_ENTRIES:
         raise UsageError(f"{folder}: has more than {MOST_ENTRIES} entries, no site has so many")
-    paths = [folder / name for name in _ordered(names) if not name.startswith(".")]
-    paths = [path for path in paths if path.suffix != ".toml"]
-    folders = [path for path in paths if path.is_dir() and not is_rosbag2(path)]
-    files = [
-        path
-        for path in paths
-        if is_rosbag2(path) or (path.suffix.lower() in SUFFIXES and path.is_file())
-    ]
-    known = {*files, *folders}
-    return files, folders, tuple(path.name for path in paths if path not in known)
+    files, folders, others = list[Path](), list[Path](), list[str]()
+    for name in _ordered(names):
+        path = folder / name
+        if name.startswith(".") or path.suffix == ".toml":
+            continue
+        if is_rosbag2(path) or (path.suffix.lower() in SUFFIXES and path.is_file()):
+            files.append(path)
+        elif path.is_dir():
+            folders.append(path)
+        else:
+            others.append(name)
+    return files, folders, tuple(others)
 
 
-def _flat(folder: Path, files: Sequence[Path]) -> dict[tuple[str, str], Path]:
+def _flat(folder: Path, files: Sequence[Path]) -> Recordings:
     """Take LiDAR and placement from the name of each file."""
     both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
-    found: dict[tuple[str, str], Path] = {}
-    if not any(both.values()):
-        for path in files:
-            _add(found, _name(path), "1", path)
-        return found
+    named = [path.name for path, match in both.items() if match]
+    found: Recordings = {}
     for path, match in both.items():
-        if match is None:
+        if named and match is None:
             raise UsageError(
-                f"{folder}: {_quoted([p.name for p, m in both.items() if m])} may be LIDAR_"
-                f"PLACEMENT, {path.name} is not; name all the same way"
+                f"{folder}: {_quoted(named)} may be LIDAR_PLACEMENT, {path.name} is not; name all "
+                "the same way"
             )
-        _add(found, match[1], match[2], path)
+        lidar, placement = match.groups() if match else (_name(path), "1")
+        _add(found, lidar, placement, path)
     return found
 
 
-def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> dict[tuple[str, str], Path]:
+def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> Recordings:
     """Tell whether the folders are the LiDARs or the placements: the latter have numbers."""
     outer = list(inner)
     within = _ordered({_name(path) for paths in inner.values() for path in paths})
@@ -181,7 +174,7 @@ def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> dict[tuple[str
             f"{folder}: folders {_quoted(outer)} hold {_quoted(within)}, and {both} look like "
             "numbers of placements; name the placements 1, 2, …, and the LiDARs otherwise"
         )
-    found: dict[tuple[str, str], Path] = {}
+    found: Recordings = {}
     for name, paths in inner.items():
         for path in paths:
             lidar, placement = (name, _name(path)) if of_lidars else (_name(path), name)
@@ -189,7 +182,7 @@ def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> dict[tuple[str
     return found
 
 
-def _add(found: dict[tuple[str, str], Path], lidar: str, placement: str, path: Path) -> None:
+def _add(found: Recordings, lidar: str, placement: str, path: Path) -> None:
     other = found.setdefault((lidar, placement), path)
     if other != path:
         raise UsageError(
@@ -227,7 +220,7 @@ def _written(
     path: Path,
     lidars: Sequence[str],
     placements: Sequence[str],
-    recordings: Mapping[tuple[str, str], Path],
+    recordings: Recordings,
 ) -> str:
     """Write the file: what was found, and in comments what may be added."""
     name = printable(folder.resolve().name)[:60].strip() or "site"
@@ -239,12 +232,13 @@ def _written(
             placement=_text(placements[0]),
         )
     ]
+    # With slashes on every system.
+    there = {
+        at: PurePath(os.path.relpath(recording, path.parent)).as_posix()
+        for at, recording in recordings.items()
+    }
     for lidar in lidars:
-        lines = []
-        for placement in placements:
-            recording = recordings.get((lidar, placement))
-            there = "" if recording is None else _relative(recording, path.parent)
-            lines.append(f"  {_text(there)},  # placement {placement}\n")
+        lines = (f"  {_text(there.get((lidar, p), ''))},  # placement {p}\n" for p in placements)
         table = f'[[lidar]]\nname = {_text(lidar)}\nsensor = "auto"\n'
         parts.append(f"{table}recordings = [\n{''.join(lines)}]\n")
     return "\n".join([*parts, TAIL.format(first=_text(lidars[0]), placement=_text(placements[0]))])
@@ -307,11 +301,6 @@ TAIL = """\
 # at_m = [5.0, 0.0, 0.0]   # in the LiDAR's frame
 # sigma_m = 0.01
 """
-
-
-def _relative(recording: Path, folder: Path) -> str:
-    """Write a path from a folder, with slashes on every system."""
-    return PurePath(os.path.relpath(recording, folder)).as_posix()
 
 
 def _text(text: str) -> str:

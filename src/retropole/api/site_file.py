@@ -22,9 +22,10 @@ from ..base.se3 import FARTHEST
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
+from ..io.failures import naming
 from ..io.thinning import MAX_POINTS
 from ..io.units import Unit
-from ..result.options import Intensity, MaxPoints, Radius, RadiusSigma, frames_named
+from ..result.options import Intensity, MaxPoints, Radius, RadiusSigma, Reading, frames_named
 
 SITE_FILE = "site.toml"
 """What a site file is called in its folder."""
@@ -100,6 +101,11 @@ class LidarTable(_Table, frozen=True, kw_only=True):
     ) = None
     up_sigma_deg: Annotated[float, Meta(gt=0.0, le=90.0)] | None = None
 
+    def reading(self, max_points: int) -> Reading:
+        """How its recordings are read, with at most so many points of a cloud."""
+        frames = None if self.frames is None else frames_named(self.frames)
+        return Reading(self.sensor, self.threshold, self.topic, frames, max_points, self.unit)
+
 
 class SurveyedPoleTable(_Table, frozen=True, kw_only=True):
     """A pole of which an end on the axis was surveyed, or both."""
@@ -158,15 +164,10 @@ def read_site_file(path: Path) -> SiteFile:
     ReadError
         Where it cannot be read or is no site file; names the file, the key and what was expected.
     """
-    try:
+    with naming(path):
         with path.open("rb") as file:
             data = file.read(LARGEST_SITE_FILE + 1)
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
-    try:
         return decode_site_file(data)
-    except ReadError as error:
-        raise ReadError(f"{path}: {error}") from None
 
 
 def decode_site_file(data: bytes) -> SiteFile:

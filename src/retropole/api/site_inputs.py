@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, Reason, UsageError
+from ..base.errors import ReadError, Reason
 from ..base.files import path_in_text
 from ..base.quantities import error as length
 from ..base.quantities import step_of
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import Need
 from ..io import sha256_of
-from ..result import InputDoc, Reading
-from ..result.options import frames_named
+from ..io.failures import naming
+from ..result import InputDoc
 from ..result.site import SiteConfig
 from ..site.description import (
     ControlPoint,
@@ -32,7 +32,7 @@ from ..site.description import (
 )
 from ..site.projection import projected
 from ..site.world import in_metres
-from .inputs import Input, input_documents, read_input
+from .inputs import SILENT, Input, Listener, first_repeated, input_documents, read_input
 from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
 
 OFFSET_STEP = 100.0
@@ -67,12 +67,7 @@ class SiteInputs:
         return dict(zip(self.inputs, input_documents(self.inputs.values()), strict=True))
 
 
-def read_site(
-    path: Path,
-    *,
-    progress: Callable[[str], None] = lambda step: None,
-    on_read: Callable[[Input], None] = lambda given: None,
-) -> SiteInputs:
+def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     """Read a site file and all its recordings.
 
     Parameters
@@ -80,10 +75,8 @@ def read_site(
     path
         Of the site file, or of the folder that holds ``site.toml``; the paths in it count from its
         folder.
-    progress
-        Called with which recording of how many is read.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
@@ -103,40 +96,27 @@ def read_site(
     }
     # What can be told now is told before recordings are read: that takes long.
     if file.reference.epsg is not None:
-        try:
+        with naming(f"{path}: reference, epsg", is_said_there=True):
             projected(file.reference.epsg)
-        except UsageError as error:
-            raise ReadError(f"{path}: reference, epsg: {error}") from None
-    for (k, n), recording in wanted.items():
+    where = {
+        (k, n): f"{path}: lidar {file.lidar[k].name}, placement {file.placements[n]}"
+        for k, n in wanted
+    }
+    for at, recording in wanted.items():
         if not recording.exists():
-            raise ReadError(f"{_where(path, file, k, n)}: {recording}: no such file")
+            raise ReadError(f"{where[at]}: {recording}: no such file")
     inputs: dict[tuple[int, int], Input] = {}
-    for count, ((k, n), recording) in enumerate(wanted.items(), 1):
-        progress(step_of("read", count, len(wanted)))
-        try:
-            inputs[k, n] = read_input(recording, _reading(file, k), progress=progress)
-        except (ReadError, UsageError) as error:
-            raise ReadError(f"{_where(path, file, k, n)}: {error}") from None
-        on_read(inputs[k, n])
-    try:
+    for count, (at, recording) in enumerate(wanted.items(), 1):
+        listener.progress(step_of("read", count, len(wanted)))
+        how = file.lidar[at[0]].reading(file.max_points)
+        with naming(where[at], is_said_there=True):
+            inputs[at] = read_input(recording, how, listener)
+    with naming(path, is_said_there=True):
         site = in_metres(site_of(file, inputs))
-    except (ReadError, UsageError) as error:
-        raise ReadError(f"{path}: {error}") from None
     config = SiteConfig(
         site_file=path_in_text(path), site_sha256=sha256_of(str(path)), max_points=file.max_points
     )
     return SiteInputs(site, inputs, config)
-
-
-def _where(path: Path, file: SiteFile, k: int, n: int) -> str:
-    return f"{path}: lidar {file.lidar[k].name}, placement {file.placements[n]}"
-
-
-def _reading(file: SiteFile, k: int) -> Reading:
-    lidar = file.lidar[k]
-    frames = None if lidar.frames is None else frames_named(lidar.frames)
-    most = file.max_points
-    return Reading(lidar.sensor, lidar.threshold, lidar.topic, frames, most, lidar.unit)
 
 
 def inputs_of(site: Site) -> SiteInputs:
@@ -280,23 +260,19 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
 
 
 def repeated(read: SiteInputs, documents: Mapping[tuple[int, int], InputDoc]) -> Reason | None:
-    """Refuse a recording that stands for two, under whatever name; None where none does.
-
-    One bag may hold several LiDARs, a topic for each.
-    """
-    seen: dict[tuple[str, str | None], tuple[int, int]] = {}
-    for at, given in read.inputs.items():
-        first = seen.setdefault((documents[at].sha256, given.topic), at)
-        if first == at:
-            continue
-        names = [
-            f"{read.site.lidars[k].name} in placement {read.site.placements[n]}"
-            for k, n in (first, at)
-        ]
-        return Reason(
-            "same_recording",
-            f"{names[0]} and {names[1]}, {read.inputs[first].name} and {given.name}, are the same "
-            "byte for byte; give each LiDAR and placement a recording of its own",
-            {"sha256": documents[at].sha256},
-        )
-    return None
+    """Refuse a recording that stands for two LiDARs or placements; None where none does."""
+    places = list(read.inputs)
+    twice = first_repeated(read.inputs.values(), (documents[at] for at in places))
+    if twice is None:
+        return None
+    first, second = (places[number] for number in twice)
+    names = [
+        f"{read.site.lidars[k].name} in placement {read.site.placements[n]}"
+        for k, n in (first, second)
+    ]
+    return Reason(
+        "same_recording",
+        f"{names[0]} and {names[1]}, {read.inputs[first].name} and {read.inputs[second].name}, are "
+        "the same byte for byte; give each LiDAR and placement a recording of its own",
+        {"sha256": documents[first].sha256},
+    )

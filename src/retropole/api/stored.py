@@ -8,19 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.datatypes import Placement, PointCloud, Scan
+from ..base.datatypes import Placement, Scan
 from ..base.errors import ReadError, UsageError, printable
 from ..base.files import path_of_text, read_document
 from ..base.sensors import sensor_or_auto
 from ..export import Transform
-from ..export.documents import is_result
+from ..export.documents import result_in
 from ..export.recording import frames_of, write_mcap
 from ..io import ARRAY_SOURCE, sha256_of
-from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc, RunConfig
-from ..result.decoding import decode
+from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc
 from ..result.folder import any_result_file
-from ..scene.scans import find_poles
-from .inputs import Input, read_input
+from .inputs import SILENT, Listener, read_input
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -47,7 +45,6 @@ def placements_of(
     result: ResultDoc,
     beside: Path,
     given: Sequence[Path] = (),
-    *,
     progress: Callable[[str], None] = lambda step: None,
 ) -> StoredInputs:
     """Read the recordings that a result names, and find the poles in them again.
@@ -81,17 +78,17 @@ def placements_of(
     progress("read")
     notes = differing(result, paths)
     reads = (config.of_target, config.of_source)
-    clouds = [read_input(path, reads[k % 2]).cloud for k, path in enumerate(paths)]
+    inputs = [read_input(path, reads[k % 2]) for k, path in enumerate(paths)]
     progress("extract")
-    scans = [
-        _search(cloud, item, config) for cloud, item in zip(clouds, result.inputs, strict=True)
+    # With the sensor and the threshold that the run used.
+    used = [
+        replace(each, sensor=sensor_or_auto(item.sensor), threshold=item.threshold)
+        for each, item in zip(inputs, result.inputs, strict=True)
     ]
-    placements = [Placement(*pair) for pair in zip(scans[::2], scans[1::2], strict=True)]
-    first = Placement(
-        _agreeing(placements[0].target, result.poles.target),
-        _agreeing(placements[0].source, result.poles.source),
-    )
-    return StoredInputs((first, *placements[1:]), notes)
+    scans = [each.search(config.radius_m) for each in used]
+    scans[:2] = _agreeing(scans[0], result.poles.target), _agreeing(scans[1], result.poles.source)
+    placements = (Placement(*pair) for pair in zip(scans[::2], scans[1::2], strict=True))
+    return StoredInputs(tuple(placements), notes)
 
 
 def find_inputs(result: ResultDoc, beside: Path, given: Sequence[Path] = ()) -> list[Path]:
@@ -136,9 +133,8 @@ def recording_of(
     transform: Transform,
     result: Path,
     given: Sequence[Path] = (),
-    *,
     note: Callable[[str], None] = lambda note: None,
-    on_read: Callable[[Input], None] = lambda given: None,
+    listener: Listener = SILENT,
 ) -> bytes:
     """Read the clouds of the first placement as their run did, and write them with a transform.
 
@@ -153,8 +149,8 @@ def recording_of(
         `find_inputs` does.
     note
         Called with what is to be known of what is written.
-    on_read
-        Called with each cloud once it is read.
+    listener
+        Told of each cloud once it is read.
 
     Returns
     -------
@@ -167,10 +163,9 @@ def recording_of(
         Where a cloud is not found or cannot be read, or too few or too many are given.
     """
     file = any_result_file(result)
-    data = read_document(file)
+    document = result_in(read_document(file))
     paths, config = list(given), DEFAULT_CONFIG
-    if is_result(data):
-        document = decode(data)
+    if isinstance(document, ResultDoc):
         config, paths = document.config, find_inputs(document, file.parent, given)
         for each in differing(document, paths):
             note(each)
@@ -180,16 +175,10 @@ def recording_of(
         raise UsageError(f"{file} names no clouds; give TARGET and SOURCE")
     frames = []
     for path, how in zip(paths[:2], (config.of_target, config.of_source), strict=True):
-        read = read_input(path, how, on_read=on_read).read
+        read = read_input(path, how, listener).read
         assert read is not None
         frames.append(frames_of(read))
     return write_mcap(transform, *frames)
-
-
-def _search(cloud: PointCloud, item: InputDoc, config: RunConfig) -> Scan:
-    """Find the poles of a cloud with the sensor and the threshold that the run used."""
-    sensor = sensor_or_auto(item.sensor)
-    return find_poles(cloud, sensor=sensor, threshold=item.threshold, radius=config.radius_m)
 
 
 def _agreeing(scan: Scan, listed: Sequence[PoleDoc]) -> Scan:

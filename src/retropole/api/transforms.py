@@ -1,25 +1,11 @@
 """Transforms in the formats of other programs, for whoever converts them; no step is loaded."""
 
-from ..export import (
-    FORMATS,
-    TREE_FORMATS,
-    Transform,
-    inverted,
-    put_into_urdf,
-    read_transform,
-    read_tree,
-    read_verdict,
-)
-from ..export.recording import write_transforms
-
-__all__ = [
-    "FORMATS",
-    "TREE_FORMATS",
-    "Transform",
-    "inverted",
-    "put_into_urdf",
-    "read_transform",
-    "read_tree",
-    "read_verdict",
-    "write_transforms",
-]
+from ..export import FORMATS as FORMATS
+from ..export import TREE_FORMATS as TREE_FORMATS
+from ..export import Transform as Transform
+from ..export import inverted as inverted
+from ..export import put_into_robot as put_into_robot
+from ..export import read_transform as read_transform
+from ..export import read_tree as read_tree
+from ..export import read_verdict as read_verdict
+from ..export.recording import write_transforms as write_transforms

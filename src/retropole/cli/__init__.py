@@ -6,8 +6,10 @@ A command is a module of this folder with a function of the same name, and a lin
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, MutableMapping, Sequence
+from collections import UserDict
+from collections.abc import Sequence
 from importlib import import_module
+from typing import Any
 
 import click
 
@@ -33,45 +35,18 @@ COMMANDS = (
 """Every command, by the name of its module."""
 
 
-class LazyCommands(MutableMapping[str, click.Command]):
-    """Commands by name, each imported when it is asked for: a command pays its own imports alone.
+class LazyCommands(UserDict[str, Any]):
+    """Modules by the names of their commands, which are imported when they are asked for.
 
-    Parameters
-    ----------
-    names
-        Modules of this folder.
+    So a command pays its own imports alone.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._commands: dict[str, click.Command | None] = dict.fromkeys(names)
-
-    def __getitem__(self, name: str) -> click.Command:
+    def __getitem__(self, key: str) -> Any:
         """Import a command."""
-        command = self._commands[name]
-        if command is None:
-            found = getattr(import_module(f".{name}", __name__), name)
-            assert isinstance(found, click.Command)
-            command = self._commands[name] = found
-        return command
-
-    def __setitem__(self, name: str, command: click.Command) -> None:
-        """Add a command."""
-        self._commands[name] = command
-
-    def __delitem__(self, name: str) -> None:
-        """Take a command out."""
-        del self._commands[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """Give the names."""
-        return iter(self._commands)
-
-    def __len__(self) -> int:
-        """Count the commands."""
-        return len(self._commands)
+        return getattr(import_module(self.data[key], __name__), key)
 
 
-@click.group(context_settings=CONTEXT, commands=LazyCommands(COMMANDS))
+@click.group(context_settings=CONTEXT, commands=LazyCommands({n: f".{n}" for n in COMMANDS}))
 @click.version_option(package_name="retropole")
 def cli() -> None:
     """Calibrate LiDARs to each other with poles wrapped in retro-reflective tape.

@@ -3,40 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ..result import RunConfig
-from .common import (
-    CONTEXT,
-    command_line,
-    echo_sensor_doubt,
-    in_colour,
-    progress_on_terminal,
-    show,
-    told,
-    verdict_told,
-)
+from .common import command_line, listening, result_told
 from .older import DEFAULT_OUT, SettingAside, older_set_aside
-from .options import (
-    OUT,
-    SENSORS,
-    TOPICS,
-    placement_arguments,
-    run_options,
-)
+from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
 
 
-@click.command(cls=SettingAside, context_settings=CONTEXT)
+@click.command(cls=SettingAside)
 @placement_arguments
 @click.option(
-    "--out",
-    type=OUT,
-    default=DEFAULT_OUT,
-    show_default=True,
-    help="Folder for result.json and report.html.",
+    "--out", type=OUT, default=DEFAULT_OUT, help="Folder for result.json and report.html."
 )
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
@@ -92,39 +74,32 @@ def calibrate(
     """
     from ..api.calibration import calibrate_with
     from ..report.text import describe_result
-    from ..result import encode
 
     with older_set_aside(out):
         if options["at_m"] is not None and options["need_m"] is None:
             raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
-        pairs = placed_pairs(target, source, placements)
-    targets, sources = ([pair[lidar] for pair in pairs] for lidar in (0, 1))
+        targets, sources = placed(target, source, placements)
     config = RunConfig(**options)
-    tell = told(quiet, config.frames, echo_sensor_doubt)
-    with older_set_aside(out), progress_on_terminal(quiet) as progress:
-        result = calibrate_with(targets, sources, config, progress=progress, on_read=tell)
+    with older_set_aside(out), listening(quiet, config.frames, units=False) as listener:
+        result = calibrate_with(targets, sources, config, listener)
         written = result.save(out)
-    if as_json:
-        show(encode(result.document))
-    elif not quiet:
-        following = {
-            "next": command_line("export", out, "--to", "ros2"),
-            "later, with new recordings": command_line("check", out, targets[0], sources[0]),
-        }
-        paths = [str(path) for path in written]
-        words = describe_result(result.document, paths, following, verbose=verbose)
-        show(in_colour(words, result.status))
-    return verdict_told(result, unseen=quiet or as_json, strict=strict)
+    following = {
+        "next": command_line("export", out, "--to", "ros2"),
+        "later, with new recordings": command_line("check", out, targets[0], sources[0]),
+    }
+    paths = [str(path) for path in written]
+    describe = partial(describe_result, result.document, paths, following, verbose=verbose)
+    return result_told(result, describe, as_json=as_json, quiet=quiet, strict=strict)
 
 
-def placed_pairs(
+def placed(
     target: Path | None, source: Path | None, placements: Sequence[tuple[Path, Path]]
-) -> list[tuple[Path, Path]]:
-    """Take the two arguments, or those of each --placement; never both."""
+) -> tuple[list[Path], list[Path]]:
+    """Take the two arguments, or those of each --placement, never both: targets and sources."""
     if placements and target is not None:
         raise click.UsageError("give TARGET and SOURCE, or --placement for each, not both")
-    if placements:
-        return list(placements)
-    if target is None or source is None:
-        raise click.UsageError("TARGET and SOURCE are needed, or --placement TARGET SOURCE")
-    return [(target, source)]
+    if not placements:
+        if target is None or source is None:
+            raise click.UsageError("TARGET and SOURCE are needed, or --placement TARGET SOURCE")
+        placements = [(target, source)]
+    return [pair[0] for pair in placements], [pair[1] for pair in placements]

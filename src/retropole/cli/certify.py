@@ -9,16 +9,8 @@ import click
 from click.core import ParameterSource
 
 from ..result import RunConfig
-from .calibrate import placed_pairs
-from .common import (
-    CONTEXT,
-    EXIT_REFUSED,
-    echo_refusal,
-    in_colour,
-    progress_on_terminal,
-    show,
-    told,
-)
+from .calibrate import placed
+from .common import EXIT_REFUSED, echo_refusal, in_colour, listening, show, show_written
 from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
 
 EXIT_FAILED = 4
@@ -26,7 +18,7 @@ RESULT_FILE, PAGE_FILE = "field-test.json", "field-test.html"
 EXITS = {"pass": 0, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @placement_arguments
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source")
@@ -68,38 +60,29 @@ def certify(
       130  interrupted
     """
     from ..api import certification
-    from ..base.errors import printable
     from ..base.files import write_together
     from ..report.field_test import describe_field_test, render_field_test
     from ..result import encode
 
-    with progress_on_terminal(quiet or as_json) as progress:
+    config = RunConfig(**options)
+    with listening(quiet, config.frames, hidden=as_json) as listener:
         if target is not None and target.suffix == ".toml" and source is None and not placements:
             _refuse_options()
-            tell = told(quiet, None)
-            document = certification.certify_site(target, progress=progress, on_read=tell)
+            document = certification.certify_site(target, listener)
         else:
-            pairs, config = placed_pairs(target, source, placements), RunConfig(**options)
-            document = certification.certify(
-                [pair[0] for pair in pairs],
-                [pair[1] for pair in pairs],
-                config,
-                progress=progress,
-                on_read=told(quiet, config.frames),
-            )
-    written = {}
+            document = certification.certify(*placed(target, source, placements), config, listener)
+    files = {}
     if out is not None:
-        written = {
-            out / RESULT_FILE: encode(document),
-            out / PAGE_FILE: render_field_test(document).encode(),
-        }
-        write_together(written)
+        page = render_field_test(document).encode()
+        files = {out / RESULT_FILE: encode(document), out / PAGE_FILE: page}
+        write_together(files)
     if as_json:
         show(encode(document))
     elif not quiet:
         show(in_colour(describe_field_test(document), document.status))
-        if written:
-            show("\nwritten: " + ", ".join(printable(str(path)) for path in written))
+        if files:
+            show("")
+            show_written(*files)
     if document.status == "refused" and (as_json or quiet):
         for reason in document.pairs[0].reasons if document.pairs else ():
             echo_refusal(reason.code, reason.message)

@@ -7,40 +7,48 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from msgspec import to_builtins
 
 from ..api.choices import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 from ..result import ReasonDoc
 from ..result.options import OPTIONS
-from .common import CONTEXT, EXIT_REFUSED, in_colour, progress_on_terminal, show, told
-from .options import CLOUD, DEGREES, METRES, run_option
+from .common import EXIT_MOVED, EXIT_REFUSED, in_colour, json_text, listening, show
+from .options import CLOUD, DEGREES, METRES, Command, run_option
 
 if TYPE_CHECKING:
     from ..api.checking import CheckResult, Movement
     from ..base.datatypes import Array
 
-EXIT_MOVED = 4
 EXITS = {"same": 0, "moved": EXIT_MOVED, "cannot_tell": EXIT_REFUSED}
 
 NOISE_SIGMAS = 2.0
 """A movement of fewer σ than this has no direction worth naming."""
 
-TOLERANCE_DEG_HELP = (
-    "A rotation that must not be missed: where it could be, the answer is not 'same'.  "
-    f"[default: {math.degrees(DEFAULT_TOLERANCE.rotation):g}, or as little more as the data tell, "
-    f"up to {math.degrees(WIDEST_TOLERANCE.rotation):g}]"
-)
-TOLERANCE_M_HELP = (
-    "The same of a translation.  "
-    f"[default: {DEFAULT_TOLERANCE.translation:g}, or as little more as the data tell, up to "
-    f"{WIDEST_TOLERANCE.translation:g}]"
-)
-
 MOSTLY_ALONG = math.cos(math.radians(30.0))
 """A direction within 30° of an axis goes by its name."""
 
 
-@click.command(context_settings=CONTEXT)
+def tolerance_options(command: Command) -> Command:
+    """Give a command --tolerance-deg and --tolerance-m."""
+    default, widest = DEFAULT_TOLERANCE, WIDEST_TOLERANCE
+    more = "or as little more as the data tell, up to"
+    rotation = click.option(
+        "--tolerance-deg",
+        "rotation",
+        type=DEGREES,
+        help="A rotation that must not be missed: where it could be, the answer is not 'same'.  "
+        f"[default: {math.degrees(default.rotation):g}, {more} {math.degrees(widest.rotation):g}]",
+    )
+    translation = click.option(
+        "--tolerance-m",
+        "translation",
+        type=METRES,
+        help="The same of a translation.  "
+        f"[default: {default.translation:g}, {more} {widest.translation:g}]",
+    )
+    return rotation(translation(command))
+
+
+@click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
@@ -50,32 +58,33 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
 )
 @run_option("source_topic")
 @run_option(
-    "unit",
-    default=None,
-    help="Unit of the new recordings' coordinates.  [default: that of RESULT]",
+    "unit", default=None, help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
 )
 @run_option("unit_source", help="The same for SOURCE alone.")
-@click.option("--tolerance-deg", type=DEGREES, help=TOLERANCE_DEG_HELP)
-@click.option("--tolerance-m", type=METRES, help=TOLERANCE_M_HELP)
+@tolerance_options
 @click.option(
     "--sigma-deg",
+    "sigma_rotation",
     type=DEGREES,
     help="1 sigma of RESULT's rotation, about each axis.  [default: its covariance]",
 )
-@click.option("--sigma-m", type=METRES, help="1 sigma of RESULT's translation, along each axis.")
+@click.option(
+    "--sigma-m",
+    "sigma_translation",
+    type=METRES,
+    help="1 sigma of RESULT's translation, along each axis.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def check(
     result: Path,
     target: Path,
     source: Path,
-    tolerance_deg: float | None,
-    tolerance_m: float | None,
-    sigma_deg: float | None,
-    sigma_m: float | None,
+    sigma_rotation: float | None,
+    sigma_translation: float | None,
     as_json: bool,
     quiet: bool,
-    **reading: Any,
+    **asked: Any,
 ) -> int:
     """Tell whether the LiDARs still stand as they stood when RESULT was made.
 
@@ -103,29 +112,18 @@ def check(
     from ..base.errors import Reason, Refusal
     from ..base.reasons import prefixed
 
-    if (sigma_deg is None) != (sigma_m is None):
+    if (sigma_rotation is None) != (sigma_translation is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
-    sigma = None
-    if sigma_deg is not None and sigma_m is not None:
-        sigma = math.radians(sigma_deg), sigma_m
-    with progress_on_terminal(quiet or as_json) as progress:
-        progress("read")
+    sigma = (sigma_rotation, sigma_translation) if sigma_rotation and sigma_translation else None
+    with listening(quiet, None, hidden=as_json) as listener:
+        listener.progress("read")
         try:
             stored = read_stored(result, sigma)
         except Refusal as refusal:
             code = prefixed("stored", refusal.code)
             answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
         else:
-            answer = check_recordings(
-                stored,
-                target,
-                source,
-                rotation=None if tolerance_deg is None else math.radians(tolerance_deg),
-                translation=tolerance_m,
-                progress=progress,
-                on_read=told(quiet, None),
-                **reading,
-            )
+            answer = check_recordings(stored, target, source, listener=listener, **asked)
     if as_json:
         show(json_line(answer))
     elif not quiet:
@@ -135,20 +133,16 @@ def check(
 
 def json_line(answer: CheckResult) -> str:
     """Write the answer as one line of JSON; what is not known is null."""
-    import json
-
-    import numpy as np
-
     from ..api.checking import FALSE_ALARM
 
     rotation, translation = answer.rotation, answer.translation
     tolerance = answer.tolerance
-    return json.dumps(
+    return json_text(
         {
             "status": answer.status,
             "used": answer.used,
-            "moved_deg": rotation and float(np.degrees(rotation.length)),
-            "sigma_deg": rotation and float(np.degrees(rotation.sigma)),
+            "moved_deg": rotation and math.degrees(rotation.length),
+            "sigma_deg": rotation and math.degrees(rotation.sigma),
             "moved_m": translation and translation.length,
             "sigma_m": translation and translation.sigma,
             "chi2": answer.chi2,
@@ -157,14 +151,9 @@ def json_line(answer: CheckResult) -> str:
             "power": answer.power,
             "tolerance_deg": tolerance and math.degrees(tolerance.rotation),
             "tolerance_m": tolerance and tolerance.translation,
-            "confirmation": to_builtins(answer.confirmation),
-            "T_target_source": None
-            if answer.T_target_source is None
-            else answer.T_target_source.tolist(),
-            "reasons": [
-                {"code": r.code, "message": r.message, "values": dict(r.values)}
-                for r in answer.reasons
-            ],
+            "confirmation": answer.confirmation,
+            "T_target_source": answer.T_target_source,
+            "reasons": answer.reasons,
         }
     )
 
@@ -207,12 +196,10 @@ def _direction(
     vector: Array, movement: Movement, preposition: str, names: tuple[str, str, str]
 ) -> str:
     """Name the axis of the target that a vector mostly lies along, if it is more than its noise."""
-    import numpy as np
-
     if movement.length < NOISE_SIGMAS * movement.sigma:
         return "no more than its noise"
     unit = vector / movement.length
-    k = int(np.argmax(np.abs(unit)))
+    k = int(abs(unit).argmax())
     if abs(unit[k]) > MOSTLY_ALONG:
         sign = "+" if unit[k] > 0 else "-"
         return f"mostly {preposition} the target's {sign}{'xyz'[k]}{names[k]}"

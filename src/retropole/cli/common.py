@@ -4,34 +4,52 @@ from __future__ import annotations
 
 import codecs
 import io
+import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
+from inspect import cleandoc
 from pathlib import Path
 from subprocess import list2cmdline
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
+from msgspec import to_builtins
 
 from ..base.errors import escaped, printable
 from ..base.reasons import explain, page, plain
+from ..result import encode
+from ..result import plain as plain_value
 
 if TYPE_CHECKING:
-    from ..api.inputs import Input
+    from ..api.inputs import Input, Listener
     from ..api.result import CalibrationResult
     from ..api.site import SiteResult
 
-EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_INTERRUPTED, EXIT_PIPE = 1, 2, 3, 130, 141
-"""The first is for --strict alone; the last is 128 + SIGPIPE, as of any program whose reader is
-gone."""
+EXIT_WARNED, EXIT_USAGE, EXIT_REFUSED, EXIT_MOVED = 1, 2, 3, 4
+EXIT_INTERRUPTED, EXIT_PIPE = 130, 128 + 13
+"""The first is for --strict alone; the last is that of any program whose reader is gone."""
 
 ASCII = {"█": "#", "←": "<-", "σ": "sigma", "±": "+-", "°": " deg", "χ": "chi", "²": "^2"}
 ASCII |= {"³": "^3", "–": "-", "…": "...", "×": "x", "≥": ">=", "≤": "<=", "·": "*"}
 """What stands for our own signs where a terminal has them not."""
 
-CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
+
+
+def fill_in(command: click.Command, word: str, titles: Mapping[str, str], *, width: int) -> None:
+    """List names and titles, a line each, where the help of a command has a word."""
+    lines = (f"  {name:<{width}}  {title}" for name, title in titles.items())
+    text = cleandoc(command.help or "")
+    command.help = text.replace(f"  {word}\n", "\n".join([*lines, ""]))
+
+
+def json_text(found: Any, indent: int | None = None) -> str:
+    """Write what was found as JSON; data classes as objects, and arrays as lists."""
+    return json.dumps(found, indent=indent, default=partial(to_builtins, enc_hook=plain_value))
 
 
 def never_fail_to_encode() -> None:
@@ -86,10 +104,27 @@ def say(line: str) -> None:
         click.echo(printable(line), err=True)
 
 
-def told(
-    quiet: bool, frames: object, doubts: Callable[[Input], None] | None = None
-) -> Callable[[Input], None]:
-    """Make what says on stderr, of each cloud once it is read, what was left out and is odd.
+class Advice(NamedTuple):
+    """How a user keeps more points, names a unit, and has a recording read in it."""
+
+    to_keep: str
+    unit: str
+    to_read: str
+
+
+BY_OPTIONS = Advice("--max-points N", "--unit {}", "read them with {}")
+
+
+@contextmanager
+def listening(
+    quiet: bool,
+    frames: object,
+    advice: Advice = BY_OPTIONS,
+    *,
+    units: bool = True,
+    hidden: bool = False,
+) -> Iterator[Listener]:
+    """Say on stderr how a run goes on, and of each cloud that is read what was left out and is odd.
 
     Parameters
     ----------
@@ -97,71 +132,52 @@ def told(
         Says nothing.
     frames
         Which were asked for; None for none.
-    doubts
-        Says what is odd; without, the unit of the coordinates and the sensor are doubted.
+    advice
+        What to do about it.
+    units
+        Doubt the unit of the coordinates, beside the sensor's name.
+    hidden
+        Does not show the progress.
     """
+    from ..api.inputs import Listener
 
     def tell(given: Input) -> None:
-        if not quiet:
-            echo_left_out(given, asked=frames is not None)
-            (doubts or echo_doubts)(given)
+        if quiet:
+            return
+        for line in _left_out(given, frames is not None, advice):
+            say(f"retropole: {given.name}: {line}")
+        odd = given.oddity if units else None
+        if odd is not None:
+            named = " or ".join(advice.unit.format(unit) for unit in odd.units)
+            remedy = f"; if they are, {advice.to_read.format(named)}" if named else ""
+            say(f"retropole: {given.name}: {odd.words}{remedy}")
+        elif given.sensor_doubt:
+            say(f"retropole: {given.sensor_doubt}")
 
-    return tell
-
-
-def echo_doubts(given: Input) -> None:
-    """Say on stderr what cannot be right: the unit of the coordinates, or the sensor's name."""
-    odd = given.oddity
-    if odd is not None:
-        options = " or ".join(f"--unit {unit}" for unit in odd.units)
-        advice = f"; if they are, read them with {options}" if options else ""
-        say(f"retropole: {given.name}: {odd.words}{advice}")
-    else:
-        echo_sensor_doubt(given)
+    with progress_on_terminal(quiet or hidden) as progress:
+        yield Listener(progress, tell)
 
 
-def echo_sensor_doubt(given: Input) -> None:
-    """Say on stderr where a cloud is hardly of the sensor that was named."""
-    if given.sensor_doubt:
-        say(f"retropole: {given.sensor_doubt}")
-
-
-def echo_left_out(
-    given: Input,
-    *,
-    asked: bool,
-    to_keep: str = "--max-points N",
-    to_choose: str = "--frames A:B",
-) -> None:
-    """Say on stderr what of a recording is damaged, and what was left out unasked.
-
-    Parameters
-    ----------
-    given, asked
-        What was read, and whether its frames were asked for.
-    to_keep, to_choose
-        What a user gives to keep more points, and to read other frames.
-    """
-    read = given.read
-    lines = list(given.cloud.notes)
+def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
+    """Say what of a recording is damaged, and what was left out without being asked for."""
+    read, cloud = given.read, given.cloud
+    yield from cloud.notes
     if read is not None and read.left_out:
-        lines.append(
+        yield (
             f"read {len(read.numbers)} of {len(read.asked)} frames, one in "
             f"{read.numbers.step // read.asked.step}, since all have too many points; "
-            f"{to_keep} reads more"
+            f"{advice.to_keep} reads more"
         )
     elif read is not None and not asked and not read.is_whole:
-        lines.append(
+        yield (
             f"read {len(read.numbers)} of {read.recording.count} frames, every "
-            f"{read.numbers.step}th; {to_choose} reads others"
+            f"{read.numbers.step}th; --frames A:B reads others"
         )
-    if given.cloud.thinned:
-        lines.append(
-            f"thinned from {len(given.cloud) + given.cloud.thinned:,} points to "
-            f"{len(given.cloud):,}, the brightest kept; {to_keep} keeps more"
+    if cloud.thinned:
+        yield (
+            f"thinned from {len(cloud) + cloud.thinned:,} points to {len(cloud):,}, the brightest "
+            f"kept; {advice.to_keep} keeps more"
         )
-    for line in lines:
-        say(f"retropole: {given.name}: {line}")
 
 
 def echo_refusal(code: str, message: str, *, advise: bool = True) -> None:
@@ -181,19 +197,32 @@ def echo_warning(code: str, message: str) -> None:
     say(f"retropole: warning ({code}): {message}")
 
 
-def verdict_told(result: CalibrationResult | SiteResult, *, unseen: bool, strict: bool) -> int:
-    """Say on stderr what a verdict that is no plain ok rests on, and give the exit code.
+def result_told(
+    result: CalibrationResult | SiteResult,
+    describe: Callable[[], str],
+    *,
+    as_json: bool,
+    quiet: bool,
+    strict: bool,
+) -> int:
+    """Print a result, say on stderr what its verdict rests on, and give the exit code.
 
     Parameters
     ----------
     result
         Of two LiDARs or of a site.
-    unseen
-        Whether the result was not printed in words.
+    describe
+        Writes it in words.
+    as_json, quiet
+        Print the document instead, or nothing.
     strict
         Whether a warning is an error.
     """
-    refused = result.status == "refused"
+    if as_json:
+        show(encode(result.document))
+    elif not quiet:
+        show(in_colour(describe(), result.status))
+    refused, unseen = result.status == "refused", quiet or as_json
     for reason in result.reasons:
         if refused and (unseen or not sys.stdout.isatty()):
             # Who sees stdout has read it there.
@@ -203,6 +232,11 @@ def verdict_told(result: CalibrationResult | SiteResult, *, unseen: bool, strict
     if refused:
         return EXIT_REFUSED
     return EXIT_WARNED if strict and result.status == "warn" else 0
+
+
+def show_written(*places: str | Path) -> None:
+    """Print which files were written."""
+    show("written: " + ", ".join(printable(str(place)) for place in places))
 
 
 def command_line(*words: str | Path) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -11,11 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from msgspec import to_builtins
+import numpy as np
 
 from ..api.choices import ALL_METHODS, OURS, RIVALS
+from ..base.files import path_in_text
 from ..result import RunConfig
-from .common import CONTEXT, EXIT_REFUSED, EXIT_USAGE, progress_on_terminal, say, show, told
+from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
 from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
 
 if TYPE_CHECKING:
@@ -25,44 +25,14 @@ if TYPE_CHECKING:
 COMPARE_SCHEMA = "retropole/compare/1"
 
 
-def _list_of_methods() -> str:
-    """Every method with its title, and the extra that it needs, one per line."""
-    width = max(map(len, ALL_METHODS))
-    lines = [f"  {name:<{width}}  {title}" for name, title in OURS.items()]
-    for name, rival in RIVALS.items():
-        needs = "" if rival.extra is None else f"; needs the extra {rival.extra.name!r}"
-        lines.append(f"  {name:<{width}}  {rival.title}{needs}")
-    return "\n".join(lines)
+TITLES = OURS | {
+    name: rival.title + (f"; needs the extra {rival.extra.name!r}" if rival.extra else "")
+    for name, rival in RIVALS.items()
+}
+"""Every method, and the extra that it needs."""
 
 
-HELP = f"""Compare retropole with other methods on one pair of clouds.
-
-\b
-Methods:
-{_list_of_methods()}
-
-The others use the surroundings and no poles. Their ok is their own word: only the errors against a
-truth tell whether they are right.
-
-\b
-Examples:
-  retropole compare front.pcd rear.pcd
-  retropole simulate corridor --seed 4 --out s
-  retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
-  retropole compare front.pcd rear.pcd --methods poles+scene,kiss
-  retropole compare drive.bag drive.bag --target-topic /front --source-topic /rear
-  retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
-
-\b
-Exit code:
-  0    at least one method answered
-  2    a file or an option is wrong, or no method that was asked for is installed
-  3    all refused
-  130  interrupted
-"""
-
-
-@click.command(context_settings=CONTEXT, help=HELP)
+@click.command()
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(
@@ -88,10 +58,33 @@ def compare(
     quiet: bool,
     **options: Any,
 ) -> int:
-    """Run the methods, print a table or JSON, and tell by the exit code whether one answered."""
+    """Compare retropole with other methods on one pair of clouds.
+
+    \b
+    Methods:
+      METHODS
+
+    The others use the surroundings and no poles. Their ok is their own word: only the errors
+    against a truth tell whether they are right.
+
+    \b
+    Examples:
+      retropole compare front.pcd rear.pcd
+      retropole simulate corridor --seed 4 --out s
+      retropole compare s/lidar0.pcd s/lidar1.pcd --truth s/truth.json
+      retropole compare front.pcd rear.pcd --methods poles+scene,kiss
+      retropole compare drive.bag drive.bag --target-topic /front --source-topic /rear
+      retropole compare front.pcd rear.pcd --json | jq '.methods[].rqe_sum'
+
+    \b
+    Exit code:
+      0    at least one method answered
+      2    a file or an option is wrong, or no method that was asked for is installed
+      3    all refused
+      130  interrupted
+    """
     from ..api.evaluation import compare as run
     from ..api.transforms import read_transform
-    from ..base.files import path_in_text
 
     names = list(ALL_METHODS) if methods is None else [name.strip() for name in methods.split(",")]
     for name in names:
@@ -101,16 +94,8 @@ def compare(
             )
     config = RunConfig(**options)
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    with progress_on_terminal(quiet) as progress, _libraries_print_to_stderr():
-        found = run(
-            target,
-            source,
-            config,
-            names,
-            T_true=T_true,
-            progress=progress,
-            on_read=told(quiet, config.frames),
-        )
+    with listening(quiet, config.frames) as listener, _libraries_print_to_stderr():
+        found = run(target, source, config, names, T_true, listener)
     if as_json:
         document = {
             "schema": COMPARE_SCHEMA,
@@ -119,7 +104,7 @@ def compare(
             "seed": config.seed,
             "methods": [_document(each) for each in found],
         }
-        show(json.dumps(document, indent=1))
+        show(json_text(document, indent=1))
     else:
         show(in_words(found))
     for each in found:
@@ -131,6 +116,9 @@ def compare(
     if any(each.T_target_source is not None for each in found):
         return 0
     return EXIT_USAGE if all(each.status == "missing" for each in found) else EXIT_REFUSED
+
+
+fill_in(compare, "METHODS", TITLES, width=max(map(len, ALL_METHODS)))
 
 
 @contextmanager
@@ -148,8 +136,6 @@ def _libraries_print_to_stderr() -> Iterator[None]:
 
 def _angles_deg(T: Array) -> list[float]:
     """Roll, pitch and yaw of a pose (4, 4), degrees; see `se3.rpy_from_rotation`."""
-    import numpy as np
-
     from ..base.se3 import rpy_from_rotation
 
     return [float(angle) for angle in np.degrees(rpy_from_rotation(T[:3, :3]))]
@@ -160,15 +146,15 @@ def _document(each: Compared) -> dict[str, Any]:
     return {
         "method": each.method,
         "status": each.status,
-        "codes": list(each.codes),
+        "codes": each.codes,
         "message": each.message,
-        "T_target_source": None if T is None else T.tolist(),
+        "T_target_source": T,
         "rpy_deg": None if T is None else _angles_deg(T),
         "overlap": alignment and alignment.overlap,
         "plane_residual_m": alignment and alignment.plane_residual,
         "rqe_sum": alignment and alignment.entropy.sum,
         "rqe_log": alignment and alignment.entropy.log,
-        "confirmation": alignment and to_builtins(alignment.confirmation),
+        "confirmation": alignment and alignment.confirmation,
         "seconds": each.seconds,
         "e_rt_m": errors and errors.e_rt,
         "rotation_error_rad": errors and errors.rotation,
@@ -178,8 +164,6 @@ def _document(each: Compared) -> dict[str, Any]:
 
 def in_words(found: Sequence[Compared]) -> str:
     """Write the findings as tables no wider than a screen, and why a method does not answer."""
-    import numpy as np
-
     from ..report.layout import table, wrapped
 
     verdicts, poses, errors = [], [], []

@@ -8,19 +8,13 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, progress_on_terminal, say, show, told
+from .common import listening, say, show
 from .options import CLOUD, OUT, run_option, run_options
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("file", type=CLOUD)
-@click.option(
-    "--out",
-    type=OUT,
-    default=Path("retropole-out"),
-    show_default=True,
-    help="Folder for detect.png.",
-)
+@click.option("--out", type=OUT, default=Path("retropole-out"), help="Folder for detect.png.")
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
 @run_option(
@@ -58,14 +52,13 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
     from ..result import detection_document, encode
 
     config = RunConfig(**options)
-    with progress_on_terminal(quiet) as progress:
-        progress("read")
-        tell = told(quiet, config.frames)
-        given = read_input(file, config.of_target, progress=progress, on_read=tell)
-        progress("extract")
+    with listening(quiet, config.frames) as listener:
+        listener.progress("read")
+        given = read_input(file, config.of_target, listener)
+        listener.progress("extract")
         found = detect_in(given, config.radius_m)
         written: list[str] = []
-        progress("draw")
+        listener.progress("draw")
         try:
             draw_detection(given.cloud, found, out / "detect.png", title=printable(file.name))
             written.append(str(out / "detect.png"))

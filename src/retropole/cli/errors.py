@@ -6,7 +6,6 @@ With --json it is an object on stdout besides.
 from __future__ import annotations
 
 import errno
-import json
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
@@ -15,9 +14,30 @@ import click
 
 from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, quoting
 from ..base.reasons import explain, page, plain
-from .common import EXIT_REFUSED, EXIT_USAGE, echo_refusal, say
+from .common import EXIT_REFUSED, EXIT_USAGE, echo_refusal, json_text, say
 
 ERROR_SCHEMA = "retropole/error/1"
+
+
+TO_LOOK_AT = {
+    "retropole site calibrate": (
+        "check the site file, and the recordings that it names",
+        "site.html",
+    ),
+    "retropole fleet calibrate": (
+        "check SITES and the dataset; what is wrong with one recording is in its row",
+        "fleet.html",
+    ),
+    "retropole fleet report": (
+        "name the folder that 'retropole fleet calibrate --out' wrote to",
+        "fleet.html",
+    ),
+    "retropole": (
+        "check the path and the file; 'retropole info FILE' says what a recording holds",
+        "troubleshooting.html",
+    ),
+}
+"""By the command, and of all others, what to do where a file cannot be read, and the page."""
 
 
 class Failure(NamedTuple):
@@ -66,18 +86,9 @@ def failure_of(error: Exception, command: str) -> Failure:
         case MissingExtraError():
             install = f"pip install 'retropole[{error.extra}]'"
             return Failure("missing_extra", str(error), (install,), "install.html")
-        case ReadError() if command == "retropole site calibrate":
-            look = "check the site file, and the recordings that it names"
-            return Failure("unreadable", str(error), (look,), "site.html")
-        case ReadError() if command == "retropole fleet calibrate":
-            look = "check SITES and the dataset; what is wrong with one recording is in its row"
-            return Failure("unreadable", str(error), (look,), "fleet.html")
-        case ReadError() if command == "retropole fleet report":
-            look = "name the folder that 'retropole fleet calibrate --out' wrote to"
-            return Failure("unreadable", str(error), (look,), "fleet.html")
         case ReadError():
-            look = "check the path and the file; 'retropole info FILE' says what a recording holds"
-            return Failure("unreadable", str(error), (look,), "troubleshooting.html")
+            look, read_on = TO_LOOK_AT.get(command, TO_LOOK_AT["retropole"])
+            return Failure("unreadable", str(error), (look,), read_on)
         case RetropoleError():
             return Failure("usage", str(error), options)
         case MemoryError():
@@ -105,19 +116,10 @@ def tell(failure: Failure, *, refused: bool, as_json: bool) -> int:
     if as_json:
         # Who cannot read it gets the exit code all the same.
         with suppress(OSError):
-            click.echo(json_line(failure, refused=refused))
+            status = "refused" if refused else "error"
+            about = {"schema": ERROR_SCHEMA, "status": status, "error": failure._asdict()}
+            click.echo(json_text(about))
     return EXIT_REFUSED if refused else EXIT_USAGE
-
-
-def json_line(failure: Failure, *, refused: bool) -> str:
-    """Write a failure as one line of JSON."""
-    return json.dumps(
-        {
-            "schema": ERROR_SCHEMA,
-            "status": "refused" if refused else "error",
-            "error": failure._asdict(),
-        }
-    )
 
 
 def asks_for_json(words: Sequence[str]) -> bool:

@@ -8,13 +8,13 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, progress_on_terminal, show, told
+from .common import json_text, listening, show
 from .options import CLOUD, METRES, TOPICS, run_options
 
 TRANSFORM = click.Path(path_type=Path)
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("target", type=CLOUD)
 @click.argument("source", type=CLOUD)
 @click.option(
@@ -26,13 +26,7 @@ TRANSFORM = click.Path(path_type=Path)
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
 )
-@click.option(
-    "--sigma",
-    type=METRES,
-    default=0.05,
-    show_default=True,
-    help="Kernel width of the entropy, m.",
-)
+@click.option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options(*TOPICS, "frames", "unit", "unit_source")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
 def evaluate(
@@ -66,10 +60,7 @@ def evaluate(
       2    a file or an option is wrong
       3    a cloud is too small to score by, or the transform is a refused result
     """
-    import json
-
     import numpy as np
-    from msgspec import to_builtins
 
     from ..api.evaluation import errors_of, evaluate_with
     from ..api.transforms import read_transform
@@ -77,11 +68,8 @@ def evaluate(
     config = RunConfig(**options)
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    with progress_on_terminal(as_json) as progress:
-        tell = told(False, config.frames)
-        aligned = evaluate_with(
-            target, source, T, config, sigma=sigma, progress=progress, on_read=tell
-        )
+    with listening(False, config.frames, hidden=as_json) as listener:
+        aligned = evaluate_with(target, source, T, config, sigma, listener)
     figures: dict[str, float | None] = {
         "overlap": aligned.overlap,
         "plane_residual_m": aligned.plane_residual,
@@ -98,8 +86,7 @@ def evaluate(
         error["rotation_error_rad"] = errors.rotation
         error["translation_error_m"] = errors.translation
     if as_json:
-        scene = {"confirmation": to_builtins(aligned.confirmation)}
-        show(json.dumps(figures | scene | error))
+        show(json_text({**figures, "confirmation": aligned.confirmation, **error}))
         return 0
     residual = aligned.plane_residual
     lines = [

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..api import transforms
 from ..api.transforms import FORMATS, TREE_FORMATS
-from .common import CONTEXT, echo_warning, say, show
+from ..base.files import write_atomically
+from .common import echo_warning, fill_in, say, show
 from .options import CLOUD, FILE
 
 if TYPE_CHECKING:
     from ..api.inputs import Input
-    from ..api.transforms import Transform
 
 MCAP = "mcap"
 """The one that holds the clouds too; it is written to a file, and no transform is read from it."""
@@ -22,57 +23,9 @@ TITLES = {name: each.title for name, each in FORMATS.items()}
 TITLES[MCAP] = "ROS 2 recording for Foxglove, RViz: both clouds and /tf_static"
 TREE_TITLES = {name: each.title for name, each in TREE_FORMATS.items()}
 TREE_TITLES[MCAP] = "ROS 2 recording: /tf_static of all frames, no clouds"
-FORMAT_HELP, TREE_HELP = (
-    "\n".join(f"      {name:<14}{title}" for name, title in titles.items())
-    for titles in (TITLES, TREE_TITLES)
-)
 
 
-@click.command(
-    context_settings=CONTEXT,
-    help=f"""Write the transform of RESULT, or all of a site, in the format of another program.
-
-    RESULT is result.json, the folder that holds it, or any file that this command wrote. The
-    target is the parent frame, the source the child: the transform maps points of the child into
-    the parent, and is the pose of the child in the parent. Every output says so in words.
-
-    \b
-    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
-    lie elsewhere now, or where RESULT is no result.json.
-
-    \b
-    Formats:
-{FORMAT_HELP}
-
-    Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
-    survey has coordinates of its own) over site over every LiDAR. With --parent and --child, which
-    name two LiDARs, site or map, the transform between these is written, in any format above, with
-    the covariance of both together.
-
-    \b
-    Formats of a whole site:
-{TREE_HELP}
-
-    \b
-    Examples:
-      retropole export retropole-out --to ros2 --parent base_link --child rear_lidar
-      retropole export result.json --to json --out calibration.json
-      retropole export result.json --to matrix --invert
-      retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
-      retropole export sensors_calibration.yaml --to urdf --parent front --child rear
-      retropole export retropole-out --to mcap --out aligned.mcap
-      retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
-      retropole export site-result.json --to geojson --out lidars.geojson
-      retropole export site-result.json --to urdf --out site.urdf
-      retropole export site-result.json --to ros2 --parent mast-a --child mast-b
-
-    \b
-    Exit code:
-      0    written
-      2    a file or an option is wrong
-      3    RESULT was refused: it holds no transform
-    """,
-)
+@click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]")
 @click.option("--to", "fmt", type=click.Choice(list(TITLES | TREE_TITLES)), help="Format to write.")
@@ -81,7 +34,6 @@ FORMAT_HELP, TREE_HELP = (
     "source_format",
     type=click.Choice(["auto", *FORMATS]),
     default="auto",
-    show_default=True,
     help="Format of RESULT.",
 )
 @click.option("--out", type=FILE, help="File to write.  [default: print]")
@@ -105,9 +57,48 @@ def export(
     invert: bool,
     into: Path | None,
 ) -> int:
-    """Read the transform, invert it where asked, write it."""
-    from ..api.transforms import inverted, read_transform, read_tree, write_transforms
+    """Write the transform of RESULT, or all of a site, in the format of another program.
 
+    RESULT is result.json, the folder that holds it, or any file that this command wrote. The
+    target is the parent frame, the source the child: the transform maps points of the child into
+    the parent, and is the pose of the child in the parent. Every output says so in words.
+
+    \b
+    --to mcap writes the clouds with it, those that RESULT names; give TARGET and SOURCE where they
+    lie elsewhere now, or where RESULT is no result.json.
+
+    \b
+    Formats:
+      FORMATS
+
+    Of a site, RESULT is site-result.json. All its frames are written as one tree: map (where the
+    survey has coordinates of its own) over site over every LiDAR. With --parent and --child, which
+    name two LiDARs, site or map, the transform between these is written, in any format above, with
+    the covariance of both together.
+
+    \b
+    Formats of a whole site:
+      FORMATS_OF_A_SITE
+
+    \b
+    Examples:
+      retropole export retropole-out --to ros2 --parent base_link --child rear_lidar
+      retropole export result.json --to json --out calibration.json
+      retropole export result.json --to matrix --invert
+      retropole export result.json --into robot.urdf --parent front_lidar --child rear_lidar
+      retropole export sensors_calibration.yaml --to urdf --parent front --child rear
+      retropole export retropole-out --to mcap --out aligned.mcap
+      retropole export s/truth.json s/lidar0.pcd s/lidar1.pcd --to mcap --out truth.mcap
+      retropole export site-result.json --to geojson --out lidars.geojson
+      retropole export site-result.json --to urdf --out site.urdf
+      retropole export site-result.json --to ros2 --parent mast-a --child mast-b
+
+    \b
+    Exit code:
+      0    written
+      2    a file or an option is wrong
+      3    RESULT was refused: it holds no transform
+    """
     if fmt is None and into is None:
         raise click.UsageError(f"--to is needed: one of {', '.join(TITLES | TREE_TITLES)}")
     if into is not None and fmt not in (None, "urdf"):
@@ -117,7 +108,7 @@ def export(
     if fmt == MCAP and out is None:
         raise click.UsageError(f"--to {MCAP} needs --out: it is nothing to print")
     if parent is None or child is None:
-        tree = read_tree(result) if source_format in ("auto", "json") else None
+        tree = transforms.read_tree(result) if source_format in ("auto", "json") else None
         if tree is not None:
             if parent or child or invert or clouds or into is not None:
                 raise click.UsageError(
@@ -131,30 +122,34 @@ def export(
                     f"--to {fmt} holds one transform; name two frames of the site with --parent "
                     f"and --child, or write all of them: --to {', '.join(TREE_TITLES)}"
                 )
-            is_mcap = fmt == MCAP
-            _write(write_transforms(tree.edges) if is_mcap else TREE_FORMATS[fmt].write(tree), out)
+            whole = TREE_FORMATS.get(fmt)
+            _write(whole.write(tree) if whole else transforms.write_transforms(tree.edges), out)
             return 0
     if fmt not in (None, *TITLES):
         raise click.UsageError(f"--to {fmt} takes all of a site: site-result.json")
-    transform = read_transform(result, fmt=source_format, parent=parent, child=child)
+    transform = transforms.read_transform(result, fmt=source_format, parent=parent, child=child)
     _warn(result)
     if invert:
-        transform = inverted(transform)
+        transform = transforms.inverted(transform)
     if into is not None:
-        _put_into(into, transform, out)
+        _write(transforms.put_into_robot(into, transform), out or into)
     elif fmt == MCAP:
+        from ..api.inputs import Listener
         from ..api.stored import recording_of
 
-        _write(recording_of(transform, result, clouds, note=_note, on_read=_tell_origin), out)
+        listener = Listener(on_read=_tell_origin)
+        _write(recording_of(transform, result, clouds, _note, listener), out)
     else:
         _write(FORMATS[fmt or "urdf"].write(transform), out)
     return 0
 
 
+fill_in(export, "FORMATS_OF_A_SITE", TREE_TITLES, width=12)
+fill_in(export, "FORMATS", TITLES, width=12)
+
+
 def _write(words: str | bytes, out: Path | None) -> None:
     """Write to a file, or print."""
-    from ..base.files import write_atomically
-
     if out is None:
         show(words)
     else:
@@ -163,9 +158,7 @@ def _write(words: str | bytes, out: Path | None) -> None:
 
 def _warn(path: Path) -> None:
     """Say on stderr what a result warns of; other files hold no verdict."""
-    from ..api.transforms import read_verdict
-
-    for reason in read_verdict(path):
+    for reason in transforms.read_verdict(path):
         echo_warning(reason.code, reason.message)
 
 
@@ -180,16 +173,3 @@ def _tell_origin(given: Input) -> None:
             f"{given.name}: its beams start at {given.cloud.origin.tolist()}, which a PointCloud2 "
             "does not say: look at the copy, and calibrate from the original"
         )
-
-
-def _put_into(robot: Path, transform: Transform, out: Path | None) -> None:
-    """Edit a URDF, in place through links and with its permissions, or write it elsewhere."""
-    from ..api.transforms import put_into_urdf
-    from ..base.errors import ReadError, UsageError
-    from ..base.files import read_document
-
-    try:
-        data = put_into_urdf(read_document(robot), transform)
-    except (ReadError, UsageError) as error:
-        raise type(error)(f"{robot}: {error}") from None
-    _write(data, robot if out is None else out)

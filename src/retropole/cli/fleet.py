@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .cluster import check_cluster, cluster_options
-from .common import CONTEXT, EXIT_WARNED, progress_on_terminal, show
-from .fleet_check import fleet_check
+from .common import EXIT_WARNED, json_text, progress_on_terminal, show, show_written
+from .fleet_check import check_cluster, cluster_options, fleet_check
 from .fleet_network import fleet_network
-from .fleet_report import fleet_report
 from .options import SENSORS, run_options
 
 if TYPE_CHECKING:
@@ -20,7 +17,7 @@ if TYPE_CHECKING:
 FLEET_SCHEMA = "retropole/fleet-run/1"
 
 
-@click.group(context_settings=CONTEXT)
+@click.group()
 def fleet() -> None:
     """Calibrate thousands of sites into one dataset, and watch them over time.
 
@@ -34,12 +31,11 @@ def fleet() -> None:
     """
 
 
-fleet.add_command(fleet_report)
 fleet.add_command(fleet_check)
 fleet.add_command(fleet_network)
 
 
-@fleet.command(context_settings=CONTEXT)
+@fleet.command()
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option("--out", required=True, metavar="DATASET", help="Folder or URL of the dataset.")
 @cluster_options
@@ -118,20 +114,57 @@ def calibrate(
             progress("write the report")
             write_fleet_report(report, overview_of(out), reports)
     if as_json:
-        show(json.dumps({"schema": FLEET_SCHEMA, "out": out, **_counts(summary)}))
+        counts = {
+            "sites": summary.sites,
+            "calibrated": summary.done,
+            "others": summary.others,
+            "statuses": dict(sorted(summary.statuses.items())),
+            "codes": dict(sorted(summary.codes.items())),
+        }
+        show(json_text({"schema": FLEET_SCHEMA, "out": out, **counts}))
     elif not quiet:
         show(_in_words(summary, out, *([] if report is None else [report])))
     return EXIT_WARNED if strict and set(summary.statuses) - {"ok"} else 0
 
 
-def _counts(summary: FleetSummary) -> dict[str, object]:
-    return {
-        "sites": summary.sites,
-        "calibrated": summary.done,
-        "others": summary.others,
-        "statuses": dict(sorted(summary.statuses.items())),
-        "codes": dict(sorted(summary.codes.items())),
-    }
+@fleet.command()
+@click.argument("dataset", metavar="DATASET")
+@click.option("--out", required=True, metavar="FILE", help="File or URL to write.")
+@click.option(
+    "--reports",
+    metavar="DIR",
+    help="Folder or URL to which 'fleet calibrate --reports' wrote: the page links there.",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
+    """Show what became of a fleet as one HTML page, from the DATASET of 'fleet calibrate'.
+
+    The page has a map of all sites, how many ended how and why, how large the predicted errors
+    are, the worst twenty, and every error with its message. It works without a network.
+
+    \b
+    Examples:
+      retropole fleet report fleet --out fleet.html
+      retropole fleet report fleet --reports reports --out fleet.html
+      retropole fleet report s3://city/fleet --out fleet.html
+
+    \b
+    Exit code:
+      0    written
+      2    DATASET cannot be read, or the page not be written
+      130  interrupted
+    """
+    from ..fleet.overview import overview_of
+    from ..fleet.report import write_fleet_report
+
+    with progress_on_terminal(quiet) as progress:
+        progress("read the dataset")
+        overview = overview_of(dataset)
+        progress("write")
+        write_fleet_report(out, overview, reports)
+    if not quiet:
+        show_written(out)
+    return 0
 
 
 def _in_words(summary: FleetSummary, *written: str) -> str:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import math
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
-from .check import EXIT_MOVED, TOLERANCE_DEG_HELP, TOLERANCE_M_HELP
-from .cluster import check_cluster, cluster_options
-from .common import CONTEXT, EXIT_REFUSED, progress_on_terminal, show
-from .options import DEGREES, METRES
+from ..base.errors import printable
+from ..base.quantities import counted, value_and_error
+from ..fleet import TIME_LIMIT
+from .check import tolerance_options
+from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
+from .options import Command, Number
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event
@@ -21,7 +22,31 @@ if TYPE_CHECKING:
 SCHEMA = "retropole/fleet-check/1"
 
 
-@click.command("check", context_settings=CONTEXT)
+def cluster_options(command: Command) -> Command:
+    """Give a command --scheduler, --workers and --time-limit, for work that a Dask cluster does."""
+    scheduler = click.option(
+        "--scheduler", metavar="ADDRESS", help="Of a Dask cluster: tcp://host:8786."
+    )
+    workers = click.option(
+        "--workers",
+        type=click.IntRange(min=1, max=1024),
+        help="Number of local processes, where there is no --scheduler.  "
+        "[default: one per processor]",
+    )
+    kind = Number(min=1, max=1e6)
+    time_limit = click.option(
+        "--time-limit", type=kind, default=TIME_LIMIT, metavar="SECONDS", help="Of one site."
+    )
+    return scheduler(workers(time_limit(command)))
+
+
+def check_cluster(scheduler: str | None, workers: int | None) -> None:
+    """Refuse a number of local processes for a cluster that is elsewhere."""
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--workers is for local processes: give it or --scheduler, not both")
+
+
+@click.command("check")
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option(
     "--history",
@@ -35,8 +60,7 @@ SCHEMA = "retropole/fleet-check/1"
     help="Of 'retropole fleet calibrate': holds the stored results, by the ids of the sites.",
 )
 @cluster_options
-@click.option("--tolerance-deg", type=DEGREES, help=TOLERANCE_DEG_HELP)
-@click.option("--tolerance-m", type=METRES, help=TOLERANCE_M_HELP)
+@tolerance_options
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def fleet_check(
@@ -46,8 +70,8 @@ def fleet_check(
     scheduler: str | None,
     workers: int | None,
     time_limit: float,
-    tolerance_deg: float | None,
-    tolerance_m: float | None,
+    rotation: float | None,
+    translation: float | None,
     as_json: bool,
     quiet: bool,
 ) -> int:
@@ -88,14 +112,13 @@ def fleet_check(
         progress("find the sites")
         sites_found = find_sites(sites)
         progress("start the workers")
-        angle = None if tolerance_deg is None else math.radians(tolerance_deg)
         with connected(scheduler, workers) as client:
             found = check_fleet(
                 sites_found,
                 history,
                 lambda tasks: outcomes(client, tasks),
                 answers=answers,
-                tolerance=(angle, tolerance_m),
+                tolerance=(rotation, translation),
                 time_limit=time_limit,
                 progress=progress,
             )
@@ -110,7 +133,7 @@ def fleet_check(
 
 def json_line(found: FleetCheck) -> str:
     """Write what was found as one line of JSON; what is not known is null."""
-    return json.dumps(
+    return json_text(
         {
             "schema": SCHEMA,
             "sites": len(found.sites),
@@ -129,7 +152,7 @@ def json_line(found: FleetCheck) -> str:
                 {
                     "id": site.id,
                     "status": site.newest.status,
-                    "codes": list(site.newest.codes),
+                    "codes": site.newest.codes,
                     "message": site.newest.message,
                 }
                 for site in found.sites
@@ -140,7 +163,6 @@ def json_line(found: FleetCheck) -> str:
 
 
 def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
-    size, covariance = event.size, event.covariance
     return {
         "kind": event.kind,
         "since": site.times[event.onset].isoformat(),
@@ -148,16 +170,13 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
         "new": site.is_new(event),
         "clear": event.is_clear,
         "statistic": event.statistic,
-        "size": None if size is None else size.tolist(),
-        "covariance": None if covariance is None else covariance.tolist(),
+        "size": event.size,
+        "covariance": event.covariance,
     }
 
 
 def in_words(found: FleetCheck) -> str:
     """Write what was found as a person reads it: a line for each site that has something to say."""
-    from ..base.errors import printable
-    from ..base.quantities import counted
-
     lines = []
     for site in found.sites:
         said = [_said(site, event) for event in site.changes]
@@ -186,25 +205,20 @@ def _untold(newest: CheckRow) -> str:
 
 
 def _said(site: SiteChange, event: Event) -> str:
-    from ..base.quantities import value_and_error
-
     since = f"{site.times[event.onset]:%Y-%m-%d}"
     new = ", new" if site.is_new(event) else ""
     if event.size is None or event.covariance is None:
         return f"checks that do not agree since {since}{new}"
-    words: list[str] = []
-    words.append(value_and_error(*lengths(event, slice(0, 3)), "rad"))
-    words.append(value_and_error(*lengths(event, slice(3, 6))))
+    rotation = value_and_error(*lengths(event, slice(0, 3)), "rad")
+    translation = value_and_error(*lengths(event, slice(3, 6)))
     per = " a year" if event.kind == "trend" else ""
     unclear = "" if event.is_clear else ", or the other of step and trend"
-    size = f"rotation {words[0]}, translation {words[1]}{per}"
+    size = f"rotation {rotation}, translation {translation}{per}"
     return f"{event.kind} since {since}: {size} (1 σ{unclear}{new})"
 
 
 def lengths(event: Event, part: slice) -> tuple[float, float]:
     """Give the length of a part of a change, and 1 σ of it along its own direction."""
-    import numpy as np
-
     assert event.size is not None
     assert event.covariance is not None
     vector = event.size[part]

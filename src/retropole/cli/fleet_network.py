@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from typing import TYPE_CHECKING
 
 import click
 
-from .check import EXIT_MOVED
-from .common import CONTEXT, EXIT_REFUSED, progress_on_terminal, show
+from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
 
 if TYPE_CHECKING:
     from ..fleet.network.dataset import FleetNetwork
@@ -21,7 +19,7 @@ MOST_COMPONENTS = 10
 """The largest that are told by a line each."""
 
 
-@click.command("network", context_settings=CONTEXT)
+@click.command("network")
 @click.argument("dataset")
 @click.option(
     "--nodes",
@@ -91,7 +89,7 @@ def json_line(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
     """Write what was found as one line of JSON."""
     from ..fleet.network.answer import name_of
 
-    return json.dumps(
+    return json_text(
         {
             "schema": SCHEMA,
             "out": out if found.settled else None,

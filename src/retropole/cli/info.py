@@ -8,11 +8,11 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, progress_on_terminal, show
+from .common import progress_on_terminal, show
 from .options import CLOUD, run_option, run_options
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("file", type=CLOUD)
 @run_option("target_topic", "--topic", help="Topic of a bag.  [default: all of point clouds]")
 @run_options("frames", "unit")

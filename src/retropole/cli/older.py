@@ -28,10 +28,20 @@ def older_set_aside(folder: Path, *, site: bool = False) -> Iterator[None]:
     site
         Whether the results are those of a site.
     """
+    from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE
+
+    names = (SITE_RESULT_FILE, SITE_REPORT_FILE) if site else (RESULT_FILE, REPORT_FILE)
     try:
         yield
     except (RetropoleError, click.UsageError, OSError, MemoryError):
-        _set_aside(folder, site)
+        try:
+            moved = set_aside([folder / name for name in names])
+        except OSError as error:
+            say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
+        else:
+            now = " and ".join(printable(str(path)) for path in moved)
+            if moved:
+                say(f"retropole: no result of this run; the one before is now {now}")
         raise
 
 
@@ -41,15 +51,11 @@ class SettingAside(click.Command):
     of_site = False
 
     def make_context(
-        self,
-        info_name: str | None,
-        args: list[str],
-        parent: click.Context | None = None,
-        **extra: Any,
+        self, info_name: str | None, args: list[str], *rest: Any, **extra: Any
     ) -> click.Context:
         """Read the options, as any command."""
         with older_set_aside(_out_of(args), site=self.of_site):
-            return super().make_context(info_name, args, parent, **extra)
+            return super().make_context(info_name, args, *rest, **extra)
 
 
 class SettingSiteAside(SettingAside):
@@ -69,17 +75,3 @@ def _out_of(words: Sequence[str]) -> Path:
         elif word.startswith("--out="):
             out = Path(word.removeprefix("--out="))
     return out
-
-
-def _set_aside(folder: Path, site: bool) -> None:
-    from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, SITE_RESULT_FILE
-
-    names = (SITE_RESULT_FILE, SITE_REPORT_FILE) if site else (RESULT_FILE, REPORT_FILE)
-    try:
-        moved = set_aside([folder / name for name in names])
-    except OSError as error:
-        say(f"retropole: {printable(str(folder))} may hold an older result: {error}")
-        return
-    if moved:
-        now = " and ".join(printable(str(path)) for path in moved)
-        say(f"retropole: no result of this run; the one before is now {now}")

@@ -24,28 +24,28 @@ OUT = click.Path(path_type=Path, file_okay=False)
 
 
 class Number(click.FloatRange):
-    """A finite number within bounds: click lets nan through any, and inf where there is none."""
+    """A finite number within bounds: click lets nan through any, and inf where there is none.
+
+    It is typed in one unit and made another inside, as `into` does.
+    """
 
     name = "number"
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
+    def __init__(self, into: Callable[[float], float] = float, **bounds: Any) -> None:
+        super().__init__(**bounds)
+        self.into = into
+
+    def convert(self, value: Any, *of: Any) -> float:
         """Take a number as click does, but no nan."""
-        number = float(super().convert(value, param, ctx))
+        number = float(super().convert(value, *of))
         if not math.isfinite(number):
-            self.fail(f"{value!r} is no number.", param, ctx)
-        return number
+            self.fail(f"{value!r} is no number.", *of)
+        return self.into(number)
 
 
-class Centimetres(Number):
-    """A length that is typed in centimetres and is metres inside."""
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Take a number, and give metres."""
-        return super().convert(value, param, ctx) / 100
+def metres(centimetres: float) -> float:
+    """Give a length in metres."""
+    return centimetres / 100
 
 
 def _frames(context: click.Context, option: click.Parameter, value: str | None) -> Frames | None:
@@ -58,7 +58,9 @@ def _frames(context: click.Context, option: click.Parameter, value: str | None) 
     return frames.start, frames.stop, frames.step
 
 
-DEGREES = Number(min=0, min_open=True, max=180)
+DEGREES = Number(math.radians, min=0, min_open=True, max=180)
+"""An angle, which is radians inside."""
+
 METRES = Number(min=0, min_open=True, max=1000)
 
 METAVARS = {
@@ -106,12 +108,11 @@ def run_option(field: str, name: str | None = None, **changes: Any) -> Callable[
     kind, words = OPTIONS[field]
     name = name or NAMES.get(field, f"--{field.removesuffix('_m').replace('_', '-')}")
     default = getattr(DEFAULT_CONFIG, field)
-    settings: dict[str, Any] = {"help": words, "metavar": METAVARS.get(field)}
+    settings = {"help": words, "metavar": METAVARS.get(field), "default": default}
     if isinstance(kind, inspect.BoolType):
-        settings |= {"is_flag": True, "flag_value": not default, "default": default}
+        settings |= {"is_flag": True, "flag_value": not default, "show_default": False}
     else:
-        settings |= {"type": _type(field, kind), "default": default}
-        settings["show_default"] = default is not None
+        settings["type"] = _type(field, kind)
     if field == "frames":
         settings["callback"] = _frames
     return click.option(name, field, **settings | changes)
@@ -130,22 +131,15 @@ def run_options(*fields: str) -> Callable[[Command], Command]:
 
 def _type(field: str, kind: inspect.Type) -> Any:
     """Give the type of an option on the command line, with the bounds of its field."""
-    if field == "need_m":
-        return _number(kind, Centimetres, 100)
-    if field == "prior_rpy_deg":
-        return (_number(kind),) * 3
     match kind:
         case inspect.LiteralType():
             return click.Choice(UNITS)
         case inspect.IntType() if field != "frames":
             return click.IntRange(min=kind.ge)
         case inspect.FloatType():
-            return _number(kind)
+            into, scale = (metres, 100) if field == "need_m" else (float, 1)
+            assert kind.le is not None
+            least = kind.gt if kind.ge is None else kind.ge
+            number = Number(into, min=least, min_open=kind.ge is None, max=scale * kind.le)
+            return (number,) * 3 if field == "prior_rpy_deg" else number
     return None
-
-
-def _number(kind: inspect.Type, made: type[Number] = Number, scale: int = 1) -> Number:
-    assert isinstance(kind, inspect.FloatType)
-    assert kind.le is not None
-    open_ = kind.ge is None
-    return made(min=kind.gt if open_ else kind.ge, min_open=open_, max=scale * kind.le)

@@ -6,29 +6,25 @@ from pathlib import Path
 
 import click
 
-from .common import CONTEXT, progress_on_terminal, say, show
+from .common import progress_on_terminal, say, show_written
 from .options import CLOUD, FILE
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.argument("clouds", type=CLOUD, nargs=-1, metavar="[TARGET SOURCE]...")
-@click.option(
-    "--out",
-    type=FILE,
-    help="File to write.  [default: report.html beside RESULT]",
-)
-@click.option("--site", default="", help="Where it was calibrated, for the certificate.")
-@click.option("--serial-target", default="", help="Serial number of TARGET, for the certificate.")
-@click.option("--serial-source", default="", help="The same for SOURCE.")
+@click.option("--out", type=FILE, help="File to write.  [default: report.html beside RESULT]")
+@click.option("--site", help="Where it was calibrated, for the certificate.")
+@click.option("--serial-target", help="Serial number of TARGET, for the certificate.")
+@click.option("--serial-source", help="The same for SOURCE.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def report(
     result: Path,
     clouds: tuple[Path, ...],
     out: Path | None,
-    site: str,
-    serial_target: str,
-    serial_source: str,
+    site: str | None,
+    serial_target: str | None,
+    serial_source: str | None,
     quiet: bool,
 ) -> int:
     """Make the report of RESULT, result.json or the folder that holds it, again.
@@ -56,25 +52,24 @@ def report(
     """
     from ..api.result import load_result
     from ..api.stored import placements_of
-    from ..base.errors import printable
     from ..report import write_report
     from ..result.folder import REPORT_FILE, result_file
 
     file = result_file(result)
     document, page = load_result(file).document, out or file.with_name(REPORT_FILE)
     with progress_on_terminal(quiet) as progress:
-        stored = placements_of(document, file.parent, clouds, progress=progress)
+        stored = placements_of(document, file.parent, clouds, progress)
         progress("write")
         write_report(
             page,
             document,
             stored.placements,
             notes=stored.notes,
-            site=site,
-            serials=(serial_target, serial_source),
+            site=site or "",
+            serials=(serial_target or "", serial_source or ""),
         )
     for note in stored.notes:
         say(f"retropole: {note}")
     if not quiet:
-        show(f"written: {printable(str(page))}")
+        show_written(page)
     return 0

@@ -8,15 +8,15 @@ from typing import Any
 import click
 
 from ..base.datatypes import MAX_POLES
-from .common import CONTEXT, progress_on_terminal, show
+from .common import progress_on_terminal, show_written
 from .options import OUT, run_options
 
 
-@click.command("site", context_settings=CONTEXT)
+@click.command("site")
 @click.argument("kind", type=click.Choice(["posts", "crane", "truck", "ring"]))
-@click.option("--out", type=OUT, default=Path("retropole-site"), show_default=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--lidars", type=click.IntRange(2, 12), default=4, show_default=True)
+@click.option("--out", type=OUT, default=Path("retropole-site"))
+@click.option("--seed", type=click.IntRange(min=0), default=0)
+@click.option("--lidars", type=click.IntRange(2, 12), default=4)
 @click.option(
     "--placements", type=click.IntRange(1, 8), help="Of the poles.  [default: 2; ring: one a LiDAR]"
 )
@@ -29,7 +29,6 @@ from .options import OUT, run_options
     "--nuisances",
     type=click.Choice(["field", "typical", "none"]),
     default="typical",
-    show_default=True,
     help="Errors of the LiDARs and of the site, as for pairs.",
 )
 @click.option(
@@ -51,7 +50,6 @@ def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: A
     """
     from ..api.simulation import simulate_site as run
     from ..api.simulation import write_site
-    from ..base.errors import printable
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
@@ -59,7 +57,7 @@ def simulate_site(kind: str, out: Path, radius_m: float, quiet: bool, **scene: A
         write_site(site, out)
     if not quiet:
         files = sum(cloud is not None for own in site.clouds for cloud in own)
-        show(f"written: {printable(str(out / 'site.toml'))}, truth.json, {files} recordings")
+        show_written(out / "site.toml", "truth.json", f"{files} recordings")
     return 0
 
 
@@ -67,24 +65,16 @@ class _OrSite(click.Group):
     """The command for pairs, and ``simulate site`` behind the word that no scene has."""
 
     def make_context(
-        self,
-        info_name: str | None,
-        args: list[str],
-        parent: click.Context | None = None,
-        **extra: Any,
+        self, info_name: str | None, args: list[str], *rest: Any, **extra: Any
     ) -> click.Context:
         """Read the words of either command."""
         if args[:1] == ["site"]:
-            return simulate_site.make_context(f"{info_name} site", args[1:], parent, **extra)
-        return super().make_context(info_name, args, parent, **extra)
+            return simulate_site.make_context(f"{info_name} site", args[1:], *rest, **extra)
+        return super().make_context(info_name, args, *rest, **extra)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of a pair as a plain command does: a scene is no command."""
         return click.Command.parse_args(self, ctx, args)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command whose words were read."""
-        return click.Command.invoke(self if ctx.command is self else simulate_site, ctx)
 
 
 @click.group(
@@ -92,7 +82,7 @@ class _OrSite(click.Group):
     commands={"site": simulate_site},
     invoke_without_command=True,
     subcommand_metavar="| site KIND",
-    context_settings={**CONTEXT, "allow_extra_args": False, "allow_interspersed_args": True},
+    context_settings={"allow_extra_args": False, "allow_interspersed_args": True},
 )
 @click.argument(
     "scene",
@@ -104,13 +94,12 @@ class _OrSite(click.Group):
     "--out",
     type=OUT,
     default=Path("retropole-simulated"),
-    show_default=True,
     help="Folder for lidar0.pcd (the target), lidar1.pcd (the source) and truth.json.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0)
 @click.option("--sensor-target", help="Sensor's name.  [default: the scene's]")
 @click.option("--sensor-source", help="The same for the source.")
-@click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2, show_default=True)
+@click.option("--poles", type=click.IntRange(1, MAX_POLES), default=2)
 @run_options("radius_m")
 @click.option(
     "--nuisances",
@@ -131,13 +120,11 @@ def simulate(scene: str, out: Path, radius_m: float, quiet: bool, **drawn: Any) 
     """
     from ..api.simulation import simulate as run
     from ..api.simulation import write_pair
-    from ..base.errors import printable
 
     with progress_on_terminal(quiet) as progress:
         progress("simulate")
         pair = run(scene, radius=radius_m, **drawn)
         write_pair(pair, out)
     if not quiet:
-        names = ", ".join(str(out / name) for name in ("lidar0.pcd", "lidar1.pcd", "truth.json"))
-        show(f"written: {printable(names)}")
+        show_written(*(out / name for name in ("lidar0.pcd", "lidar1.pcd", "truth.json")))
     return 0

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from .common import (
-    CONTEXT,
-    command_line,
-    echo_left_out,
-    echo_sensor_doubt,
-    in_colour,
-    progress_on_terminal,
-    say,
-    show,
-    verdict_told,
-)
+from .common import Advice, command_line, listening, result_told, say, show, show_written
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
 from .options import CLOUD, FILE, OUT
 
-if TYPE_CHECKING:
-    from ..api.inputs import Input
+SITE_FILE = Advice("max_points = N", 'unit = "{}"', "set {} of its LiDAR in the site file")
 
 
-@click.group(context_settings=CONTEXT)
+@click.group()
 def site() -> None:
     """Calibrate many LiDARs of one site in one frame.
 
@@ -39,13 +28,9 @@ def site() -> None:
     """
 
 
-@site.command(context_settings=CONTEXT)
+@site.command()
 @click.argument("folder", type=CLOUD)
-@click.option(
-    "--out",
-    type=FILE,
-    help="The site file to write.  [default: site.toml in FOLDER]",
-)
+@click.option("--out", type=FILE, help="The site file to write.  [default: site.toml in FOLDER]")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
@@ -67,11 +52,11 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
       retropole site init recordings --out quay.toml
     """
     from ..api.site_draft import draft_site
-    from ..api.site_file import SITE_FILE
+    from ..api.site_file import SITE_FILE as NAME
     from ..base.errors import UsageError, printable
     from ..base.files import write_atomically
 
-    path = folder / SITE_FILE if out is None else out
+    path = folder / NAME if out is None else out
     if path.exists() and not force:
         raise UsageError(f"{path}: is there already; --force replaces it, --out names another")
     draft = draft_site(folder, path)
@@ -79,19 +64,16 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
     if not quiet:
         for note in draft.notes:
             say(f"retropole: {note}")
-        show(f"{draft.summary}\nwritten: {printable(str(path))}")
+        show(draft.summary)
+        show_written(path)
         show(f"next: {printable(command_line('site', 'calibrate', path))}")
     return 0
 
 
-@site.command(cls=SettingSiteAside, context_settings=CONTEXT)
+@site.command(cls=SettingSiteAside)
 @click.argument("site_file", metavar="SITE.toml", type=CLOUD)
 @click.option(
-    "--out",
-    type=OUT,
-    default=DEFAULT_OUT,
-    show_default=True,
-    help="Folder for site-result.json and site-report.html.",
+    "--out", type=OUT, default=DEFAULT_OUT, help="Folder for site-result.json and site-report.html."
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
@@ -126,35 +108,13 @@ def calibrate(
     """
     from ..api.site import calibrate_site
     from ..report.site_text import describe_site
-    from ..result import encode
 
-    def tell(given: Input) -> None:
-        if not quiet:
-            _echo_doubts(given)
-
-    with older_set_aside(out, site=True), progress_on_terminal(quiet) as progress:
-        result = calibrate_site(site_file, progress=progress, on_read=tell)
-        progress("report")
+    asked = "as the site file says"
+    with older_set_aside(out, site=True), listening(quiet, asked, SITE_FILE) as listener:
+        result = calibrate_site(site_file, **listener._asdict())
+        listener.progress("report")
         written = result.save(out)
-    if as_json:
-        show(encode(result.document))
-    elif not quiet:
-        paths = [str(path) for path in written]
-        following = {"next": command_line("export", written[0], "--to", "urdf")}
-        words = describe_site(result.document, paths, following, verbose=verbose)
-        show(in_colour(words, result.status))
-    return verdict_told(result, unseen=quiet or as_json, strict=strict)
-
-
-def _echo_doubts(given: Input) -> None:
-    """Say on stderr what was left out unasked, and what cannot be right."""
-    read = given.read
-    chosen = read is not None and len(read.asked) < read.recording.count
-    echo_left_out(given, asked=chosen, to_keep="max_points = N", to_choose='frames = "A:B"')
-    odd = given.oddity
-    if odd is None:
-        echo_sensor_doubt(given)
-        return
-    keys = " or ".join(f'unit = "{unit}"' for unit in odd.units)
-    advice = f"; if they are, set {keys} of its LiDAR in the site file" if keys else ""
-    say(f"retropole: {given.name}: {odd.words}{advice}")
+    paths = [str(path) for path in written]
+    following = {"next": command_line("export", written[0], "--to", "urdf")}
+    describe = partial(describe_site, result.document, paths, following, verbose=verbose)
+    return result_told(result, describe, as_json=as_json, quiet=quiet, strict=strict)

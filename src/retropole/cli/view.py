@@ -8,18 +8,16 @@ from typing import Any
 import click
 
 from ..result import RunConfig
-from .common import CONTEXT, progress_on_terminal, say, show, told
+from .common import listening, say, show
 from .options import CLOUD, run_option, run_options
 
 
-@click.command(context_settings=CONTEXT)
+@click.command()
 @click.argument("files", type=CLOUD, nargs=-1, required=True)
 @run_options("radius_m")
 @run_option("sensor_target", "--sensor")
 @run_option(
-    "threshold_target",
-    "--threshold",
-    help="Where the sliders start.  [default: as in detect]",
+    "threshold_target", "--threshold", help="Where the sliders start.  [default: as in detect]"
 )
 @run_option("target_topic", "--topic")
 @run_options("frames", "unit")
@@ -27,7 +25,6 @@ from .options import CLOUD, run_option, run_options
     "--port",
     type=click.IntRange(1, 65535),
     default=8080,
-    show_default=True,
     help="Port on this machine; the next free one where it is in use.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but the address and errors.")
@@ -57,11 +54,10 @@ def view(files: tuple[Path, ...], port: int, quiet: bool, **options: Any) -> int
     from ..report.viewer import Shown, serve
 
     config = RunConfig(**options)
-    with progress_on_terminal(quiet) as progress:
-        progress("read")
-        tell = told(quiet, config.frames)
-        inputs = [read_input(file, config.of_target, on_read=tell) for file in files]
-        progress("extract")
+    with listening(quiet, config.frames) as listener:
+        listener.progress("read")
+        inputs = [read_input(file, config.of_target, listener) for file in files]
+        listener.progress("extract")
         shown = [
             Shown(str(file), given.cloud, finder(given, config.radius_m), given.threshold)
             for file, given in zip(files, inputs, strict=True)

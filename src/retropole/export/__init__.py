@@ -17,11 +17,11 @@ from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
 from ..base.files import read_document
 from ..base.se3 import rigid
+from ..io.failures import naming
 from ..result import ReasonDoc
-from ..result.decoding import decode
 from ..result.folder import any_result_file
-from .documents import is_result, read_json, read_yaml, site_result, write_json, write_yaml
-from .found import Found, choose
+from ..result.site import SiteDoc
+from .documents import read_json, read_yaml, result_in, write_json, write_yaml
 from .ros import read_launch, read_ros1, read_ros2, write_launch, write_ros1, write_ros2
 from .text import (
     read_matrix,
@@ -31,24 +31,13 @@ from .text import (
     write_quaternion,
     write_rpy,
 )
-from .transform import Transform, inverted
+from .transform import Found, choose
+from .transform import Transform as Transform
+from .transform import inverted as inverted
 from .tree import Tree, tree_of
-from .tree_formats import TREE_FORMATS
-from .urdf import put_into_urdf, read_urdf, write_urdf
-
-__all__ = [
-    "FORMATS",
-    "TREE_FORMATS",
-    "Format",
-    "Transform",
-    "Tree",
-    "export_lines",
-    "inverted",
-    "put_into_urdf",
-    "read_transform",
-    "read_tree",
-    "read_verdict",
-]
+from .tree_formats import TREE_FORMATS as TREE_FORMATS
+from .urdf import put_into_urdf as put_into_urdf
+from .urdf import read_urdf, write_urdf
 
 
 class Format(NamedTuple):
@@ -136,24 +125,20 @@ def read_transform(
     path = Path(path)
     file = any_result_file(path)
     data = read_document(file).removeprefix(codecs.BOM_UTF8)
-    try:
-        name = fmt if fmt not in (None, "auto") else detect_format(file, data)
-        if name not in FORMATS:
-            raise UsageError(f"there is no format {name!r}; there are: {', '.join(FORMATS)}")
-        return choose(FORMATS[name].read(data), parent, child)
-    except (ReadError, UsageError) as error:
-        raise type(error)(f"{file}: {error}") from None
-    except UnicodeDecodeError as error:
-        raise ReadError(f"{file}: no text: {error}") from None
+    with naming(file):
+        try:
+            name = fmt if fmt not in (None, "auto") else detect_format(file, data)
+            if name not in FORMATS:
+                raise UsageError(f"there is no format {name!r}; there are: {', '.join(FORMATS)}")
+            return choose(FORMATS[name].read(data), parent, child)
+        except UnicodeDecodeError as error:
+            raise ReadError(f"no text: {error}") from None
 
 
 def read_verdict(path: Path) -> list[ReasonDoc]:
     """Read what a result document warns of: empty for one that is ok, and for any other file."""
-    data = read_document(any_result_file(Path(path)))
-    if is_result(data):
-        return decode(data).reasons
-    site = site_result(data)
-    return [] if site is None else site.reasons
+    document = result_in(read_document(any_result_file(Path(path))))
+    return [] if document is None else document.reasons
 
 
 def read_tree(path: Path) -> Tree | None:
@@ -175,11 +160,24 @@ def read_tree(path: Path) -> Tree | None:
     """
     file = any_result_file(Path(path))
     data = read_document(file).removeprefix(codecs.BOM_UTF8)
-    try:
-        document = site_result(data)
-        return None if document is None else tree_of(document)
-    except (ReadError, UsageError) as error:
-        raise type(error)(f"{file}: {error}") from None
+    with naming(file):
+        document = result_in(data)
+        return tree_of(document) if isinstance(document, SiteDoc) else None
+
+
+def put_into_robot(file: Path, transform: Transform) -> bytes:
+    """Put a transform into the URDF of a file, as `put_into_urdf` does.
+
+    Raises
+    ------
+    ReadError, UsageError
+        As `put_into_urdf`; the message names the file.
+    OSError
+        Where it cannot be read.
+    """
+    data = read_document(file)
+    with naming(file):
+        return put_into_urdf(data, transform)
 
 
 def detect_format(path: Path, data: bytes) -> str:

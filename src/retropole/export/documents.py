@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -19,21 +19,20 @@ from ..base.bounded import LARGEST
 from ..base.datatypes import Array
 from ..base.errors import MissingExtraError, ReadError
 from ..base.se3 import rigid
-from ..result import COVARIANCE_ORDER, ResultDoc, refusal_of
-from ..result.decoding import check_covariance, decode
-from ..result.site import SiteDoc
-from ..result.site_decoding import decode_site
-from .found import Found
+from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of
+from ..result.decoding import check_covariance, decode, decode_site
+from ..result.site import SITE_SCHEMA, SiteDoc
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,
+    Found,
     Transform,
     covariance_from_ros,
     covariance_to_ros,
     from_quaternion,
     to_quaternion,
 )
-from .tree import found_in_site, is_site_result
+from .tree import found_in_site
 
 TRANSFORM_SCHEMA, TREE_SCHEMA = "retropole/transform/1", "retropole/tree/1"
 
@@ -91,10 +90,11 @@ def read_json(data: bytes) -> list[Found]:
         raise ReadError(f"no JSON: {error}") from None
     if not isinstance(document, dict):
         raise ReadError("the JSON is no object with a key T_target_source")
-    if _names_result(document):
-        return [_of_result(decode(data))]
-    if is_site_result(document):
-        return found_in_site(decode_site(data))
+    result = result_in(data)
+    if isinstance(result, SiteDoc):
+        return found_in_site(result)
+    if result is not None:
+        return [_of_result(result)]
     if document.get("schema") == TREE_SCHEMA:
         entries = document.get("transforms")
         if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
@@ -113,31 +113,30 @@ def _found(document: dict[str, Any]) -> Found:
     return Found(parent, child, lambda: _pose(document, keys[0]), covariance, _KEYS[keys[0]])
 
 
-def is_result(data: bytes) -> bool:
-    """Tell a result document by its schema; whether it is sound, `decode` says."""
-    return _names_result(_parsed(data))
+class _Named(msgspec.Struct):
+    schema: str = ""
 
 
-def is_site_document(data: bytes) -> bool:
-    """Tell the result document of a site by its schema."""
-    return is_site_result(_parsed(data))
-
-
-def site_result(data: bytes) -> SiteDoc | None:
-    """Read the result document of a site; None where the schema is another."""
-    return decode_site(data) if is_site_document(data) else None
-
-
-def _parsed(data: bytes) -> Any:
+def is_result(data: bytes, schema: str = RESULT_SCHEMA) -> bool:
+    """Tell a result document of any version by its schema; whether it is sound, `decode` says."""
     try:
-        return msgspec.json.decode(data)
+        named = msgspec.json.decode(data, type=_Named)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return None
+        return False
+    return named.schema.startswith(schema.removesuffix("1"))
 
 
-def _names_result(document: Any) -> bool:
-    schema = document.get("schema") if isinstance(document, dict) else None
-    return isinstance(schema, str) and schema.startswith("retropole/result/")
+def result_in(data: bytes) -> ResultDoc | SiteDoc | None:
+    """Read the result document of two LiDARs or of a site; None where the schema is another.
+
+    Raises
+    ------
+    ReadError
+        Where it is not sound.
+    """
+    if is_result(data):
+        return decode(data)
+    return decode_site(data) if is_result(data, SITE_SCHEMA) else None
 
 
 def _of_result(result: ResultDoc) -> Found:
@@ -145,8 +144,7 @@ def _of_result(result: ResultDoc) -> Found:
     if T is None:
         words = "the calibration was refused, there is no transform: "
         raise refusal_of(result.reasons, words)
-    covariance = None if result.covariance is None else _square(result.covariance)
-    return Found(None, None, lambda: np.array(T), covariance)
+    return Found(None, None, lambda: T, result.covariance)
 
 
 def _name(document: dict[str, Any], role: str) -> str | None:
@@ -175,15 +173,13 @@ def _covariance(document: dict[str, Any]) -> Array | None:
     """Read the covariance in the order that it names."""
     if document.get("covariance") is None:
         return None
-    orders: dict[tuple[str, ...], Callable[[Array], Array]] = {
-        ROS_COVARIANCE_ORDER: covariance_from_ros,
-        COVARIANCE_ORDER: lambda C: C,
-    }
     given = document.get("covariance_order")
     order = tuple(map(str, given)) if isinstance(given, list) else ()
-    if order not in orders:
-        raise ReadError(f"covariance_order {given} is neither {' nor '.join(map(str, orders))}")
-    return orders[order](_square(document["covariance"]))
+    if order not in (ROS_COVARIANCE_ORDER, COVARIANCE_ORDER):
+        known = f"{ROS_COVARIANCE_ORDER} nor {COVARIANCE_ORDER}"
+        raise ReadError(f"covariance_order {given} is neither {known}")
+    C = _square(document["covariance"])
+    return covariance_from_ros(C) if order == ROS_COVARIANCE_ORDER else C
 
 
 def _square(values: Any) -> Array:
@@ -244,11 +240,11 @@ def read_yaml(data: bytes) -> list[Found]:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except (yaml.YAMLError, RecursionError) as error:
         raise ReadError(f"no YAML: {error}") from None
-    found = []
-    for parent, children in _mapping(root).items():
-        for child, pose in _mapping(children).items():
-            found.append(Found(parent, child, lambda pose=pose: pose_of(_scalars(pose))))  # type: ignore[misc]
-    return found
+    return [
+        Found(parent, child, lambda pose=pose: pose_of(_scalars(pose)))  # type: ignore[misc]
+        for parent, children in _mapping(root).items()
+        for child, pose in _mapping(children).items()
+    ]
 
 
 def _mapping(node: Any) -> dict[str, Any]:

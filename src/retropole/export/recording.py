@@ -167,23 +167,18 @@ def _header(frame: str, when: int, store: Any) -> Any:
 
 
 def _transform_message(transforms: Sequence[Transform], when: int, store: Any) -> Any:
-    types = store.types
-    stamped = []
+    vector, quaternion, pose, stamped = (
+        store.types[f"geometry_msgs/msg/{name}"]
+        for name in ("Vector3", "Quaternion", "Transform", "TransformStamped")
+    )
+    messages = []
     for each in transforms:
         T = each.T_parent_child
-        translation = dict(zip("xyz", map(float, T[:3, 3]), strict=True))
-        rotation = dict(zip("xyzw", map(float, to_quaternion(T)), strict=True))
-        stamped.append(
-            types["geometry_msgs/msg/TransformStamped"](
-                header=_header(each.parent, when, store),
-                child_frame_id=each.child,
-                transform=types["geometry_msgs/msg/Transform"](
-                    translation=types["geometry_msgs/msg/Vector3"](**translation),
-                    rotation=types["geometry_msgs/msg/Quaternion"](**rotation),
-                ),
-            )
-        )
-    return types[TRANSFORMS](transforms=stamped)
+        translation = vector(*T[:3, 3].tolist())
+        rotation = quaternion(*to_quaternion(T).tolist())
+        header = _header(each.parent, when, store)
+        messages.append(stamped(header, each.child, pose(translation, rotation)))
+    return store.types[TRANSFORMS](messages)
 
 
 def _cloud_message(cloud: PointCloud, frame: str, when: int, store: Any) -> Any:

@@ -14,9 +14,8 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
-from .found import Found
 from .text import QUATERNION, RPY, TRANSLATION_KEYS, pose_of, pose_values, to_float
-from .transform import Transform, from_quaternion, from_rpy
+from .transform import Found, Transform, from_quaternion, from_rpy
 
 PROGRAM = "static_transform_publisher"
 

@@ -9,8 +9,15 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import ReadError
-from .found import Found
-from .transform import Transform, from_quaternion, from_rpy, names_in_words, number, to_quaternion
+from .transform import (
+    Found,
+    Transform,
+    from_quaternion,
+    from_rpy,
+    names_in_words,
+    number,
+    to_quaternion,
+)
 
 TRANSLATION_KEYS = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")

@@ -7,9 +7,7 @@ large ones, or those of a projected system. Then the large numbers stand in one 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,13 +16,11 @@ from ..base.datatypes import Array
 from ..base.errors import UsageError, printable
 from ..base.relative import joint_of, relative
 from ..result import refusal_of
-from ..result.site import SITE_SCHEMA, SiteDoc
-from ..result.site_parts import LidarDoc
+from ..result.site import LidarDoc, SiteDoc
 from ..site.description import Frame
 from ..site.projection import Grid, grid_at
 from ..site.world import geodetic, site_in_frame, to_frame
-from .found import Found
-from .transform import Transform
+from .transform import Found, Transform
 
 MAP, SITE = "map", "site"
 
@@ -64,11 +60,15 @@ class Tree:
         """Whether the user's frame is another than that of the site's coordinates."""
         return self.edges[0].parent == MAP
 
+    @property
+    def lidar_edges(self) -> tuple[Transform, ...]:
+        """The transforms of the LiDARs, in their order."""
+        return self.edges[self.has_map :]
 
-def is_site_result(document: Any) -> bool:
-    """Tell the result document of a site by its schema."""
-    schema = document.get("schema") if isinstance(document, dict) else None
-    return isinstance(schema, str) and schema.startswith(SITE_SCHEMA.rpartition("/")[0])
+    @property
+    def places(self) -> Array:
+        """(L, 3) where the LiDARs are, in the frame of the site."""
+        return np.array([edge.T_parent_child[:3, 3] for edge in self.lidar_edges])
 
 
 def tree_of(document: SiteDoc) -> Tree:
@@ -83,7 +83,8 @@ def tree_of(document: SiteDoc) -> Tree:
     MissingExtraError
         Where its frame is projected and pyproj is not installed.
     """
-    poses = _poses(document)
+    if document.status == "refused":
+        raise refusal_of(document.reasons, "the site was refused, there are no poses: ")
     frame = document.frame
     names = [lidar.name for lidar in document.lidars]
     for name in (MAP, SITE):
@@ -91,18 +92,12 @@ def tree_of(document: SiteDoc) -> Tree:
             raise UsageError(f"a LiDAR is named {name!r}, which is the name of a frame of the site")
     joint = np.array(document.joint_covariance, dtype=float)
     edges = [
-        Transform(pose, SITE, name, _own(joint, k))
-        for k, (name, pose) in enumerate(zip(names, poses, strict=True))
+        Transform(np.array(lidar.T_site_lidar, dtype=float), SITE, lidar.name, _own(joint, k))
+        for k, lidar in enumerate(document.lidars)
     ]
     if np.any(frame.offset) or (frame.epsg is not None and frame.geodetic is not None):
         edges.insert(0, Transform(site_in_frame(frame), MAP, SITE))
     return Tree(document.name, document.datum, frame, tuple(document.lidars), joint, tuple(edges))
-
-
-def _poses(document: SiteDoc) -> list[Array]:
-    if document.status == "refused":
-        raise refusal_of(document.reasons, "the site was refused, there are no poses: ")
-    return [se3.rigid(np.array(lidar.T_site_lidar, dtype=float)) for lidar in document.lidars]
 
 
 def _own(joint: Array, k: int) -> Array | None:
@@ -122,9 +117,8 @@ def found_in_site(document: SiteDoc) -> list[Found]:
         As `tree_of`.
     """
     tree = tree_of(document)
-    to_site = {edge.child: edge.T_parent_child for edge in tree.edges if edge.parent == SITE}
     lidars = {lidar.name: k for k, lidar in enumerate(tree.lidars)}
-    frames = {SITE: np.eye(4), **to_site}
+    frames = {SITE: np.eye(4), **{edge.child: edge.T_parent_child for edge in tree.lidar_edges}}
     if tree.has_map:
         frames[MAP] = se3.inverse(tree.edges[0].T_parent_child)
     size = len(tree.joint)
@@ -147,13 +141,8 @@ def grid_of(tree: Tree) -> Grid | None:
     """What the projected system of a site does to lengths in the middle of it; None without one."""
     if tree.frame.epsg is None:
         return None
-    places = np.array([edge.T_parent_child[:3, 3] for edge in _lidar_edges(tree)])
-    (at,) = geodetic(tree.frame, places.mean(axis=0, keepdims=True))
+    (at,) = geodetic(tree.frame, tree.places.mean(axis=0, keepdims=True))
     return grid_at(tree.frame.epsg, at)
-
-
-def _lidar_edges(tree: Tree) -> Sequence[Transform]:
-    return [edge for edge in tree.edges if edge.parent == SITE]
 
 
 def notes_of(tree: Tree) -> list[str]:
@@ -179,20 +168,18 @@ def notes_of(tree: Tree) -> list[str]:
     if grid is None:
         return [printable(note) for note in notes]
     notes += [grid.words, "heights are as surveyed, taken for heights above the ellipsoid"]
-    edges = _lidar_edges(tree)
-    places = np.array([edge.T_parent_child[:3, 3] for edge in edges])
-    exact = to_frame(frame, places)
     if frame.geodetic is None:
         notes.append(
             f"{SITE}: coordinates of the grid less an offset: their lengths are not those on the "
             "ground"
         )
     elif tree.has_map:
-        off = np.linalg.norm(se3.apply(tree.edges[0].T_parent_child, places) - exact, axis=1)
+        by_tree = se3.apply(tree.edges[0].T_parent_child, tree.places)
+        off = np.linalg.norm(by_tree - to_frame(frame, tree.places), axis=1)
         worst = int(off.argmax())
         if off[worst] >= WORTH_SAYING:
             notes.append(
-                f"the tree keeps lengths on the ground, so by it {edges[worst].child} is "
+                f"the tree keeps lengths on the ground, so by it {tree.lidars[worst].name} is "
                 f"{1000 * off[worst]:.1f} mm from its coordinates in the grid; json and geojson "
                 "hold those exactly"
             )

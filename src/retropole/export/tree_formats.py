@@ -6,19 +6,24 @@ import json
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from msgspec import structs, to_builtins
 
 from ..base.errors import printable
 from ..result import plain
-from ..result.site_parts import LidarDoc
-from ..site.description import Geodetic
-from ..site.world import heading, on_wgs84, pose_in_frame
+from ..result.site import LidarDoc
+from ..site.description import Frame, Geodetic
+from ..site.world import OnWgs84, heading, on_wgs84, pose_in_frame
 from .documents import TREE_SCHEMA, transform_fields, yaml_of
-from .geojson import write_geojson
 from .ros import launch_of
-from .transform import Transform
+from .transform import ROS_COVARIANCE_ORDER, Transform, covariance_to_ros
 from .tree import Tree, grid_of, notes_of
 from .urdf import robot_of
+
+DEGREE_DIGITS, METRE_DIGITS = 10, 5
+"""Of a coordinate: 0.01 mm."""
+
+COVARIANCE_FRAME = "axes east, north, up of the site: t_true = t + [x y z], R_true = Exp([rot]) R"
 
 
 class TreeFormat(NamedTuple):
@@ -55,35 +60,97 @@ def _json(tree: Tree) -> str:
             "height_factor": grid.height_factor,
             "convergence_rad": grid.convergence,
         }
-    document = {
-        "schema": TREE_SCHEMA,
-        "name": tree.name,
-        "datum": tree.datum,
-        "notes": notes_of(tree),
-        "frame": about,
-        "lidars": [_lidar(tree, lidar) for lidar in tree.lidars],
-        "transforms": [transform_fields(edge, "T_parent_child") for edge in tree.edges],
-    }
+    lidars = []
+    for lidar, edge in zip(tree.lidars, tree.lidar_edges, strict=True):
+        T = edge.T_parent_child
+        placed = {**_named(lidar), "T_frame_lidar": pose_in_frame(frame, T).tolist()}
+        if frame.epsg is not None or frame.geodetic is not None:
+            found = on_wgs84(frame, T[None, :3, 3])
+            placed["wgs84"] = structs.asdict(Geodetic(*found.geodetic[0].tolist()))
+            placed |= {"heading_rad": heading(frame, T), **_datum(found)}
+        lidars.append(placed)
+    return _text(
+        {
+            "schema": TREE_SCHEMA,
+            "name": tree.name,
+            "datum": tree.datum,
+            "notes": notes_of(tree),
+            "frame": about,
+            "lidars": lidars,
+            "transforms": [transform_fields(edge, "T_parent_child") for edge in tree.edges],
+        }
+    )
+
+
+def write_geojson(tree: Tree) -> str:
+    """Write a FeatureCollection (RFC 7946) with a point for each LiDAR, on WGS 84.
+
+    Raises
+    ------
+    UsageError
+        Where nothing ties the frame of the site to the earth.
+    MissingExtraError
+        Where its frame is projected and pyproj is not installed.
+    """
+    found = on_wgs84(tree.frame, tree.places)
+    features = []
+    for lidar, edge, at in zip(tree.lidars, tree.lidar_edges, found.geodetic, strict=True):
+        longitude, latitude = np.degrees([at[1], at[0]]).round(DEGREE_DIGITS).tolist()
+        place = [longitude, latitude, round(float(at[2]), METRE_DIGITS)]
+        features.append(
+            {
+                "type": "Feature",
+                "id": lidar.name,
+                "geometry": {"type": "Point", "coordinates": place},
+                "properties": {**_named(lidar), **_on_map(tree.frame, edge), **_datum(found)},
+            }
+        )
+    return _text(
+        {
+            "type": "FeatureCollection",
+            "name": tree.name,
+            "description": "; ".join(notes_of(tree)),
+            "features": features,
+        }
+    )
+
+
+def _text(document: dict[str, Any]) -> str:
     return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _lidar(tree: Tree, lidar: LidarDoc) -> dict[str, Any]:
-    """Where a LiDAR is: exactly in the frame's own coordinates, and on the earth where known."""
-    frame, T = tree.frame, _edge(tree, lidar.name).T_parent_child
-    about: dict[str, Any] = {"name": lidar.name, "serial": lidar.serial, "sensor": lidar.sensor}
-    about["T_frame_lidar"] = pose_in_frame(frame, T).tolist()
-    if frame.epsg is None and frame.geodetic is None:
+def _named(lidar: LidarDoc) -> dict[str, Any]:
+    return {"name": lidar.name, "serial": lidar.serial, "sensor": lidar.sensor}
+
+
+def _datum(found: OnWgs84) -> dict[str, Any]:
+    """How another datum was brought to WGS 84."""
+    if not found.datum:
+        return {}
+    return {"datum_operation": found.datum, "datum_accuracy_m": found.accuracy}
+
+
+def _on_map(frame: Frame, edge: Transform) -> dict[str, Any]:
+    """What a map shows of a LiDAR beside its place; headings in degrees, as maps have them."""
+    T, covariance = edge.T_parent_child, edge.covariance
+    about: dict[str, Any] = {"heading_deg": _degrees(heading(frame, T))}
+    if frame.epsg is not None:
+        east, north, height = pose_in_frame(frame, T)[:3, 3].tolist()
+        about |= {"epsg": frame.epsg, "east_m": east, "north_m": north, "height_m": height}
+        about["heading_grid_deg"] = _degrees(heading(frame, T, of_grid=True))
+    if covariance is None:
         return about
-    found = on_wgs84(frame, T[None, :3, 3])
-    about["wgs84"] = structs.asdict(Geodetic(*found.geodetic[0].tolist()))
-    about["heading_rad"] = heading(frame, T)
-    if found.datum:
-        about["datum_operation"], about["datum_accuracy_m"] = found.datum, found.accuracy
+    level = np.linalg.eigvalsh(covariance[3:5, 3:5])
+    about["sigma_horizontal_m"] = float(np.sqrt(max(level[-1], 0.0)))
+    about["sigma_vertical_m"] = float(np.sqrt(covariance[5, 5]))
+    about["covariance"] = covariance_to_ros(covariance).tolist()
+    about["covariance_order"] = ROS_COVARIANCE_ORDER
+    about["covariance_frame"] = COVARIANCE_FRAME
     return about
 
 
-def _edge(tree: Tree, child: str) -> Transform:
-    return next(edge for edge in tree.edges if edge.child == child)
+def _degrees(angle: float | None) -> float | None:
+    return None if angle is None else round(float(np.degrees(angle)), 6)
 
 
 TREE_FORMATS = {

@@ -13,9 +13,8 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
-from .found import Found
 from .text import RPY, TRANSLATION_KEYS, pose_values, to_float
-from .transform import Transform, from_rpy
+from .transform import Found, Transform, from_rpy
 from .xml_scan import Element, Scan, scan_xml, with_attributes
 
 

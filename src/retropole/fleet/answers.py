@@ -10,10 +10,8 @@ import msgspec
 
 from ..api import Array
 from ..result import ResultDoc, encode
-from ..result.decoding import decode
-from ..result.site import SiteDoc
-from ..result.site_decoding import decode_site
-from ..result.site_parts import LidarDoc
+from ..result.decoding import decode, decode_site
+from ..result.site import LidarDoc, SiteDoc
 from .dataset import AT_RANGE, InputEntry, LidarEntry
 from .sites import FleetSite, Kind
 

@@ -6,48 +6,36 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError, UsageError
-from .arrays import ARRAY_SOURCE, cloud_from_array, read_npy, read_npz, read_text
-from .bag_files import BAGS, is_rosbag2
+from .arrays import ARRAY_SOURCE as ARRAY_SOURCE
+from .arrays import cloud_from_array as cloud_from_array
+from .arrays import read_npy, read_npz, read_text
+from .bag_files import BAGS as BAGS
+from .bag_files import is_rosbag2
 from .binary_records import read_bin
-from .fields import only_returns
+from .failures import readable
+from .fields import only_returns as only_returns
 from .las import read_las
-from .packets import PACKETS, open_packets
-from .pcd import read_pcd, write_pcd
+from .packets import PACKETS as PACKETS
+from .packets import open_packets
+from .pcd import read_pcd
+from .pcd import write_pcd as write_pcd
 from .ply import read_ply
-from .recordings import Frame, FrameHeader, ReadRecording, Recording, Topic, chosen_frames, joined
+from .recordings import Frame as Frame
+from .recordings import FrameHeader as FrameHeader
+from .recordings import ReadRecording as ReadRecording
+from .recordings import Recording as Recording
+from .recordings import Topic as Topic
+from .recordings import chosen_frames as chosen_frames
+from .recordings import joined as joined
 from .ros import bag_topics, open_bag
-from .thinning import MAX_POINTS, read_within, thinned
+from .thinning import MAX_POINTS as MAX_POINTS
+from .thinning import read_within
+from .thinning import thinned as thinned
 from .units import Unit, in_metres, unit_named
-
-__all__ = [
-    "ARRAY_SOURCE",
-    "BAGS",
-    "MAX_POINTS",
-    "PACKETS",
-    "READERS",
-    "Frame",
-    "FrameHeader",
-    "ReadRecording",
-    "Recording",
-    "Topic",
-    "chosen_frames",
-    "cloud_from_array",
-    "joined",
-    "only_returns",
-    "open_recording",
-    "read_cloud",
-    "read_frames",
-    "read_recording",
-    "sha256_of",
-    "thinned",
-    "topics_of",
-    "write_pcd",
-]
 
 READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".pcd": read_pcd,
@@ -62,15 +50,6 @@ READERS: dict[str, Callable[[Path], PointCloud]] = {
     ".txt": read_text,
 }
 """From the suffix of a file of one frame, in lower case, to its reader."""
-
-
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Turn what the system has against a file or folder into a `ReadError` that names it."""
-    try:
-        yield
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
 def open_recording(path: str | Path, *, topic: str | None = None) -> Recording:
@@ -225,7 +204,7 @@ def read_recording(
 
 def _files(path: Path) -> list[Path]:
     """List the file itself, the frames of a folder, or the files of a ROS 2 bag."""
-    with _readable(path):
+    with readable(path):
         if not path.exists():
             raise ReadError(f"{path}: there is no such file or folder")
         if is_rosbag2(path):
@@ -238,7 +217,7 @@ def _read(path: Path) -> PointCloud:
     if reader is None:
         known = ", ".join([*READERS, *BAGS, *PACKETS])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
-    with _readable(path):
+    with readable(path):
         return reader(path)
 
 
@@ -284,7 +263,7 @@ def sha256_of(path: str | Path) -> str:
     """
     digest = hashlib.sha256()
     for file in _files(Path(path)):
-        with _readable(file), file.open("rb") as opened:
+        with readable(file), file.open("rb") as opened:
             # It goes on with the hash that it is given.
             hashlib.file_digest(opened, lambda: digest)
     return digest.hexdigest()

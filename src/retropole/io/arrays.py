@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError, UsageError
+from .failures import reported
 from .fields import PLAIN_COLUMNS, REAL_KINDS, cloud_from_columns, has_meaning, read_whole
-from .recordings import reported
 from .table import is_number, read_table
 from .unpacking import Spend, allowance
 
@@ -44,11 +44,15 @@ NUMBER = 8
 """Bytes of a number in a point cloud."""
 
 
+def _is_table(array: NDArray[Any]) -> bool:
+    return array.ndim == 2 and array.shape[1] in (3, 4)
+
+
 def _from_table(path: Path | str, table: NDArray[Any]) -> PointCloud:
     if table.dtype.names is not None:
         table = table.reshape(-1)
         return cloud_from_columns(path, {name: table[name] for name in table.dtype.names or ()})
-    if table.ndim != 2 or table.shape[1] not in (3, 4):
+    if not _is_table(table):
         raise ReadError(
             f"{path}: a table of shape {table.shape} without names of columns, expected (N, 3) "
             f"or (N, 4): {' '.join(PLAIN_COLUMNS)}"
@@ -73,13 +77,8 @@ def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointClou
     UsageError
         Where it has another shape or no numbers, and where no point in it is a return.
     """
-    plain = array.dtype.names is None
-    if plain and (
-        array.ndim != 2
-        or array.shape[1] not in (3, 4)
-        or array.dtype.kind not in REAL_KINDS
-        or len(array) == 0
-    ):
+    are_numbers = array.dtype.kind in REAL_KINDS and array.size > 0
+    if array.dtype.names is None and not (_is_table(array) and are_numbers):
         raise UsageError(
             f"{name}: an array of {array.dtype} of shape {array.shape}, expected numbers of shape "
             "(N, 3): x, y, z in metres, or (N, 4): x, y, z, intensity"
@@ -96,13 +95,11 @@ def _load(path: Path, file: IO[bytes], left: int, spend: Spend = lambda _: None)
 
     Its numbers are counted by `spend` before they are read.
     """
-    version = np.lib.format.read_magic(file)
-    reader = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }.get(version)
-    if reader is None:
+    npy = np.lib.format
+    version = npy.read_magic(file)
+    if version not in ((1, 0), (2, 0)):
         raise ReadError(f"{path}: NPY version {version}, expected 1.0 or 2.0")
+    reader = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, fortran, dtype = reader(file)
     if dtype.hasobject:
         raise ReadError(f"{path}: holds Python objects, expected numbers")
@@ -155,7 +152,7 @@ def read_npz(path: Path) -> PointCloud:
         raise ReadError(f"{path}: holds {' and '.join(tables)}, expected one table of points")
     for name in tables:
         table = arrays.pop(name)
-        if table.ndim != 2 or table.shape[1] not in (3, 4):
+        if not _is_table(table):
             raise ReadError(f"{path}: {name} has shape {table.shape}, expected (N, 3) or (N, 4)")
         # An array of intensities takes precedence over a fourth column.
         arrays = dict(zip(PLAIN_COLUMNS, table.T, strict=False)) | arrays

@@ -10,10 +10,10 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from ..base.errors import MissingExtraError, ReadError
-from .bag import MAX_MESSAGES, Bag, counted
 from .bag_mcap import open_mcap
 from .bag_sqlite import open_sqlite
-from .recordings import reported
+from .failures import reported
+from .recordings import MAX_MESSAGES, Bag, counted_topics
 from .unpacking import allowance, unpack_file, unpacked
 
 REPAIR = (
@@ -97,7 +97,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
                 yield stamp, data, "ros1"
 
         parts = ((own.topic, own.msgtype, own.msgcount) for own in reader.connections)
-        yield Bag(counted(parts), messages)
+        yield Bag(counted_topics(parts), messages)
 
 
 OPENERS = {".bag": _ros1, ".db3": open_sqlite, ".mcap": open_mcap}
@@ -137,7 +137,7 @@ def _folder(path: Path) -> Iterator[Bag]:
                     yield stamp, unpacked(path, packing, data, spend), encoding
 
         topics = [(own.name, own.kind, own.count) for bag in bags for own in bag.topics]
-        yield Bag(counted(topics), messages)
+        yield Bag(counted_topics(topics), messages)
 
 
 def _metadata(path: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..base.errors import ReadError
-from .bag import Bag, counted
+from .recordings import Bag, counted_topics
 from .unpacking import Spend, allowance, unpacked
 
 if TYPE_CHECKING:
@@ -54,12 +54,12 @@ def open_mcap(path: Path) -> Iterator[Bag]:
 
         if index.statistics:
             own = index.statistics.channel_message_counts
-            topics = counted(
+            topics = counted_topics(
                 (channel.topic, _kind_of(index, channel), own.get(number, 0))
                 for number, channel in index.channels.items()
             )
         else:
-            topics = counted((topic, kind, 1) for topic, kind, *_ in entries(None))
+            topics = counted_topics((topic, kind, 1) for topic, kind, *_ in entries(None))
 
         def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
             for topic, own, message, encoding in entries(name):

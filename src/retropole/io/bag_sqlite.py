@@ -14,7 +14,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from ..base.errors import ReadError
-from .bag import MAX_MESSAGES, Bag, counted
+from .recordings import MAX_MESSAGES, Bag, counted_topics
 from .unpacking import allowance
 
 TABLES = ("topics", "messages")
@@ -80,7 +80,9 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
                     yield stamp, data, "cdr"
 
             yield Bag(
-                counted((name, kind, counts.get(number, 0)) for number, name, kind in topics),
+                counted_topics(
+                    (name, kind, counts.get(number, 0)) for number, name, kind in topics
+                ),
                 messages,
             )
 

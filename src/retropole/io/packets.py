@@ -20,8 +20,9 @@ import numpy as np
 from ..base.datatypes import Array
 from ..base.errors import MissingExtraError, ReadError
 from .captures import mended, packets, sizes_in_words, walk
+from .failures import reported
 from .fields import Columns, frame_from_columns
-from .recordings import Frame, Recording, reported
+from .recordings import Frame, Recording
 
 PACKETS = (".pcap",)
 """Suffixes of packet captures."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import ReadError, UsageError
 from ..base.files import write_atomically
+from .failures import naming
 from .fields import LARGEST, MAX_PROMISED, Columns, cloud_from_columns, left_out, read_whole
 from .table import read_table
 
@@ -281,10 +282,8 @@ def _decompress(path: Path, data: bytes, start: int, sizes: list[int]) -> bytes:
 
 def write_pcd(path: str | Path, cloud: PointCloud) -> None:
     """Write a cloud as binary PCD, whole or not at all; arguments and errors of `pcd_of`."""
-    try:
+    with naming(path):
         data = pcd_of(cloud)
-    except UsageError as error:
-        raise UsageError(f"{path}: {error}") from None
     write_atomically(Path(path), data)
 
 

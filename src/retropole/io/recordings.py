@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
-from ..base.errors import MissingExtraError, ReadError, UsageError
+from ..base.errors import ReadError, UsageError
 
 MAX_RECORDING_POINTS = 1_000_000
 """By default, frames are left out evenly so that about this many points are read: 10 sweeps of a
@@ -25,24 +24,6 @@ that start with the recording, stay below it."""
 
 SIZED_FRAMES = 3
 """Number of first frames that show how large a frame is: of packets, the very first is short."""
-
-
-@contextmanager
-def reported(path: Path, what: str, remedy: str = "") -> Iterator[None]:
-    """Turn any failure of a library into a `ReadError` with the file and what to do.
-
-    For damaged files the libraries raise a dozen unrelated types. An OSError with a number comes
-    from the system, one without from decompressing.
-    """
-    try:
-        yield
-    except (ReadError, MissingExtraError):
-        raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno:
-            raise ReadError(f"{path}: cannot be read ({error.strerror})") from None
-        words = str(error) or type(error).__name__
-        raise ReadError(f"{path}: is not a readable {what} ({words}){remedy}") from None
 
 
 CLOUDS = "sensor_msgs/msg/PointCloud2"
@@ -102,6 +83,36 @@ class Topic:
     def of_clouds(self) -> bool:
         """Whether its messages are point clouds."""
         return self.kind == CLOUDS
+
+
+MAX_MESSAGES = 2**22
+"""More are not read: those of 200 topics at 10 Hz for half an hour, and the index of all of them
+is to fit into memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bag:
+    """An open bag.
+
+    Attributes
+    ----------
+    topics
+        By name.
+    messages
+        From the name and the type of a topic to time (ns), bytes and encoding of its messages. The
+        encoding is ``ros1`` or ``cdr``.
+    """
+
+    topics: tuple[Topic, ...]
+    messages: Callable[[str, str], Iterator[tuple[int, bytes, str]]]
+
+
+def counted_topics(parts: Iterable[tuple[str, str, int]]) -> tuple[Topic, ...]:
+    """Make topics of names, types and numbers of messages; equal ones are added up."""
+    counts: dict[tuple[str, str], int] = {}
+    for name, kind, count in parts:
+        counts[name, kind] = counts.get((name, kind), 0) + count
+    return tuple(Topic(*key, count) for key, count in sorted(counts.items()))
 
 
 @dataclass(frozen=True, eq=False)

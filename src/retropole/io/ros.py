@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..base.errors import ReadError
 from ..base.quantities import counted
 from .bag_files import opened
+from .failures import naming, reported
 from .fields import Columns, frame_from_columns
 from .recordings import CLOUDS, Frame, Recording, Topic
 
@@ -57,30 +58,24 @@ def open_bag(path: Path, topic: str | None = None) -> Recording:
 
 def _choose(path: Path, topics: tuple[Topic, ...], name: str | None) -> Topic:
     clouds = [topic for topic in topics if topic.of_clouds]
-    if not clouds:
-        raise ReadError(
-            f"{path}: has no topic of {CLOUDS}; its topics are: {_listed(topics, kinds=True)}"
-        )
-    if name is not None:
-        found = [topic for topic in topics if topic.name == name]
-        if not found:
-            raise ReadError(f"{path}: has no topic {name}; those of clouds are: {_listed(clouds)}")
-        if not found[0].of_clouds:
-            raise ReadError(
-                f"{path}: topic {name} is of {found[0].kind}, expected {CLOUDS}; topics of that "
-                f"are: {_listed(clouds)}"
-            )
-        if not found[0].count:
-            raise ReadError(f"{path}: topic {name} has no messages")
-        return found[0]
     filled = [topic for topic in clouds if topic.count]
-    if not filled:
-        raise ReadError(f"{path}: its topics of point clouds have no messages: {_listed(clouds)}")
-    if len(filled) > 1:
-        raise ReadError(
-            f"{path}: has {len(filled)} topics of point clouds, name one of them: {_listed(filled)}"
-        )
-    return filled[0]
+    named = next((topic for topic in topics if topic.name == name), None)
+    if not clouds:
+        fault = f"has no topic of {CLOUDS}; its topics are: {_listed(topics, kinds=True)}"
+    elif name is not None and named is None:
+        fault = f"has no topic {name}; those of clouds are: {_listed(clouds)}"
+    elif named is not None and not named.of_clouds:
+        fault = f"topic {name} is of {named.kind}, expected {CLOUDS}; topics of that are: "
+        fault += _listed(clouds)
+    elif named is not None and not named.count:
+        fault = f"topic {name} has no messages"
+    elif not filled:
+        fault = f"its topics of point clouds have no messages: {_listed(clouds)}"
+    elif named is None and len(filled) > 1:
+        fault = f"has {len(filled)} topics of point clouds, name one of them: {_listed(filled)}"
+    else:
+        return named or filled[0]
+    raise ReadError(f"{path}: {fault}")
 
 
 def _listed(topics: Sequence[Topic], *, kinds: bool = False) -> str:
@@ -109,14 +104,10 @@ def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
 
 def _frame(path: Path, topic: Topic, number: int, stamp: int, data: bytes, encoding: str) -> Frame:
     where = f"{path}: message {number} of {topic.name}"
-    try:
+    # The decoders let pass whatever is raised when bytes do not fit.
+    with reported(where, CLOUDS), naming(where):
         message = _decoder(encoding)(data)
         columns = columns_of(message)
-    except ReadError as error:
-        raise ReadError(f"{where}: {error}") from None
-    except Exception as error:
-        # The decoders let pass whatever is raised when bytes do not fit.
-        raise ReadError(f"{where}: is not a readable {CLOUDS} ({error})") from None
     cloud = frame_from_columns(where, columns)
     return Frame(number, cloud, stamp / NANOSECONDS, message.header.frame_id)
 
@@ -126,10 +117,8 @@ def _decoder(encoding: str) -> Callable[[bytes], Any]:
     from rosbags.typesys import Stores, get_typestore
 
     if encoding == "ros1":
-        store = get_typestore(Stores.ROS1_NOETIC)
-        return lambda data: store.deserialize_ros1(data, CLOUDS)
-    store = get_typestore(Stores.LATEST)
-    return lambda data: store.deserialize_cdr(data, CLOUDS)
+        return partial(get_typestore(Stores.ROS1_NOETIC).deserialize_ros1, typename=CLOUDS)
+    return partial(get_typestore(Stores.LATEST).deserialize_cdr, typename=CLOUDS)
 
 
 def columns_of(message: Any) -> Columns:

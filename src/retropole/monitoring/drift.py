@@ -91,11 +91,7 @@ def check(
         raise UsageError("the stored pose has no covariance: nothing tells how certain it is")
     question = _Question(stored, uncertainty, tolerance, sensors)
     calibrate_again = partial(
-        calibrate,
-        radius=radius,
-        radius_sigma=radius_sigma,
-        sensors=sensors,
-        thresholds=thresholds,
+        calibrate, radius=radius, radius_sigma=radius_sigma, sensors=sensors, thresholds=thresholds
     )
     # Surfaces about the stored pose tell more than doubtful poles, in a thirtieth of the time.
     by_sure_poles = partial(calibrate_again, doubtful=False)
@@ -114,24 +110,23 @@ def _answered(
 ) -> CheckResult:
     """Hold a calibration of the new recordings against the stored pose."""
     sensors, T_stored = question.sensors, question.stored.T_target_source
+    recorded = again.placements[0]
     for reason in again.reasons:
-        swapped = (
-            swapped_sensors(again.placements[0], sensors) if reason.code == "wrong_sensor" else None
-        )
+        swapped = swapped_sensors(recorded, sensors) if reason.code == "wrong_sensor" else None
         if swapped is not None:
             return CheckResult("cannot_tell", (swapped,))
         if reason.code in NO_RECORDINGS:
             raise Refusal(reason.code, reason.message, reason.values)
-    clouds = Clouds(again.placements[0].target.cloud, again.placements[0].source.cloud)
+    clouds = Clouds(recorded.target.cloud, recorded.source.cloud)
     new = by_poles(question.stored, clouds, again, calibrate_again)
     answer = _tested(question, clouds, new)
     scenes = scenes_of(again.placements, np.random.default_rng(0))
     found = count(scenes, T_stored)
     T_poles = answer.T_target_source if answer.used == "poles" else None
-    told = (T_stored, T_poles, scenes, found)
-    swapped = None if answer.status == "same" else swapped_clouds(*told)
-    if swapped is not None:
-        return CheckResult("cannot_tell", (swapped,), confirmation=found)
+    if answer.status != "same":
+        swapped = swapped_clouds(T_stored, T_poles, scenes, found)
+        if swapped is not None:
+            return CheckResult("cannot_tell", (swapped,), confirmation=found)
     return _held_against_scene(replace(answer, confirmation=found), found)
 
 
@@ -150,8 +145,7 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
     """Test the pose that the poles give, or else the scene, against the stored one."""
     stored, sensors = question.stored, question.sensors
     model = ErrorModel((sizes_of(sensors[0]), sizes_of(sensors[1])))
-    reasons = new.reasons
-    found: NewPose | None = None
+    reasons, found = new.reasons, None
     if new.pose is not None:
         answer = _compared(question, new, "poles", reasons)
         doubt = _doubt(stored, clouds, answer)
@@ -161,8 +155,7 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
         if not (doubt.seen or _is_denied_by(found, new.pose)):
             return answer
         reasons = (Reason("poles_not_trusted", doubt.reason.message, doubt.reason.values),)
-    if found is None:
-        found = by_scene(stored, clouds, model)
+    found = found or by_scene(stored, clouds, model)
     reasons += found.reasons
     if found.pose is None:
         return CheckResult("cannot_tell", reasons)
@@ -217,9 +210,8 @@ def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt 
         return None
     T = answer.T_target_source
     beyond = se3.retract(T, answer.step)
-    by_new, by_beyond = preferences(
-        clouds.target, clouds.source, T, (stored.T_target_source, beyond)
-    )
+    others = (stored.T_target_source, beyond)
+    by_new, by_beyond = preferences(clouds.target, clouds.source, T, others)
     if by_new >= PREFERRED:
         return None
     reason = Reason(

@@ -27,13 +27,14 @@ from .certainty import (
     MIN_POWER,
     ROTATION,
     TRANSLATION,
+    Weakness,
     detection_power,
+    directions_in_words,
     least_certain,
     upper_limit,
 )
 from .repeated import in_parts, step_covariance
 from .tolerance import NOT_ASKED, WIDEST_TOLERANCE, Asked, Tolerance
-from .weakness import directions_in_words, too_weak, wider_tolerance
 
 BOUND_SIGMAS = 3.0
 """A movement that was found is certainly below the tolerance where so many σ more would be."""
@@ -156,35 +157,25 @@ def compare_poses(
     least, widest = asked.least, asked.widest
     if used == "scene":
         # Beyond, the search about the stored pose would confirm itself.
-        least, widest = least.or_narrower(WIDEST_TOLERANCE), widest.or_narrower(WIDEST_TOLERANCE)
+        least, widest = (each.or_narrower(WIDEST_TOLERANCE) for each in (least, widest))
     limit = upper_limit(step, covariance)
     if status == "same":
         told = asked.least.or_wider(limit)
         if not limit.is_within(widest):
             status = "cannot_tell"
-            said.append(too_weak(*parts, limit, asked.least, widest))
+            said.append(Weakness(*parts, limit, asked.least).too_weak(widest))
         elif told != asked.least:
-            said.append(wider_tolerance(*parts, told, asked.least))
+            said.append(Weakness(*parts, told, asked.least).wider_tolerance())
     elif upper_limit(step, covariance, BOUND_SIGMAS).is_within(least):
         # Real LiDARs drift by more than their noise: an alarm each night would be switched off.
         status, told = "same", asked.least
         message = "it moved, but certainly by less than the tolerance"
         said.append(Reason("within_tolerance", message, {}))
     elif power < MIN_POWER:
-        message = "that it moved is certain, but not by how much: " + directions_in_words(
-            covariance
-        )
+        words = directions_in_words(covariance)
+        message = f"that it moved is certain, but not by how much: {words}"
         said.append(Reason("size_unsure", message, {}))
+    T, random = new.T_target_source, parts[1].random
     return CheckResult(
-        status,
-        tuple(said),
-        used,
-        new.T_target_source,
-        step,
-        covariance,
-        parts[1].random,
-        chi2,
-        p_value,
-        power,
-        told,
+        status, tuple(said), used, T, step, covariance, random, chi2, p_value, power, told
     )

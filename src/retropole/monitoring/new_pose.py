@@ -85,16 +85,16 @@ def by_poles(
         answer = calibrate_again(clouds.target, clouds.source, prior=near)
     pose = answer.refined or answer.poles
     if pose is None or pose.covariance is None or answer.T_target_source is None:
-        reasons = (Reason(prefixed("poles", r.code), r.message, r.values) for r in answer.reasons)
-        return NewPose(None, reasons=tuple(reasons))
+        said = [Reason(prefixed("poles", r.code), r.message, r.values) for r in answer.reasons]
+        return NewPose(None, reasons=tuple(said))
     misfit = _misfit(clouds, pose.T_target_source)
     wrong = [misfit] if misfit is not None else []
     wrong += [r for r in answer.reasons if r.code in NOT_TRUSTED]
     if wrong:
-        reasons = (Reason("poles_not_trusted", r.message, r.values) for r in wrong)
-        return NewPose(None, reasons=tuple(reasons))
-    said = tuple(r for r in answer.reasons if r.code == "not_converged")
-    return NewPose(pose, answer.uncertainty, said)
+        said = [Reason("poles_not_trusted", r.message, r.values) for r in wrong]
+        return NewPose(None, reasons=tuple(said))
+    said = [r for r in answer.reasons if r.code == "not_converged"]
+    return NewPose(pose, answer.uncertainty, tuple(said))
 
 
 def is_ambiguous(answer: Calibration) -> bool:
@@ -121,12 +121,9 @@ def by_scene(stored: PoseEstimate, clouds: Clouds, model: ErrorModel) -> NewPose
         return NewPose(None, reasons=(misfit,))
     reasons: list[Reason] = []
     if not refined.converged:
+        words = f"the registration of the scene still moved after {refined.iterations} iterations"
         reasons.append(
-            Reason(
-                "not_converged",
-                f"the registration of the scene still moved after {refined.iterations} iterations",
-                {"stage": "scene", "iterations": refined.iterations},
-            )
+            Reason("not_converged", words, {"stage": "scene", "iterations": refined.iterations})
         )
     if refined.other_minima:
         furthest = max(refined.other_minima, key=lambda one: float(np.linalg.norm(one[3:])))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from math import radians
 
 from ..base.quantities import at_most
@@ -17,15 +17,11 @@ class Tolerance:
 
     def or_wider(self, other: Tolerance) -> Tolerance:
         """Take the wider of both in each part."""
-        return Tolerance(
-            max(self.rotation, other.rotation), max(self.translation, other.translation)
-        )
+        return Tolerance(*map(max, astuple(self), astuple(other)))
 
     def or_narrower(self, other: Tolerance) -> Tolerance:
         """Take the narrower of both in each part."""
-        return Tolerance(
-            min(self.rotation, other.rotation), min(self.translation, other.translation)
-        )
+        return Tolerance(*map(min, astuple(self), astuple(other)))
 
     def is_within(self, other: Tolerance) -> bool:
         """Whether it is no wider than another in either part."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast
 
 import msgspec
 from msgspec import Meta, structs
@@ -30,59 +30,23 @@ from ..base.bounded import (
 from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal
 from ..base.reasons import Code
-from ..base.uncertainty import (
-    BudgetEntry,
-    Confirmation,
-    ErrorAtRange,
-    RadiusEstimate,
-    Uncertainty,
-    WeakDirection,
-)
+from ..base.uncertainty import BudgetEntry as BudgetEntry
+from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
+from ..base.uncertainty import ErrorAtRange as ErrorAtRange
 from ..base.uncertainty.purpose import Fitness
 from ..base.version import __version__
-from .detected import (
-    DetectionDoc,
-    InputDoc,
-    PoleDoc,
-    PolesDoc,
-    RejectedDoc,
-    detection_document,
-    pole_documents,
-)
-from .options import DEFAULT_CONFIG, Reading, RunConfig
-
-__all__ = [
-    "COVARIANCE_FRAME",
-    "COVARIANCE_ORDER",
-    "DEFAULT_CONFIG",
-    "RESULT_SCHEMA",
-    "BudgetEntry",
-    "DetectionDoc",
-    "Document",
-    "ErrorAtRange",
-    "HypothesisDoc",
-    "InputDoc",
-    "PlacementDoc",
-    "PoleDoc",
-    "PolesDoc",
-    "Reading",
-    "ReasonDoc",
-    "RejectedDoc",
-    "ResultDoc",
-    "RunConfig",
-    "StagesDoc",
-    "detection_document",
-    "encode",
-    "finite",
-    "plain",
-    "pole_documents",
-    "reason_document",
-    "refusal_of",
-    "result_document",
-    "with_threshold",
-]
+from .detected import DetectionDoc as DetectionDoc
+from .detected import InputDoc as InputDoc
+from .detected import PoleDoc as PoleDoc
+from .detected import PolesDoc as PolesDoc
+from .detected import detection_document as detection_document
+from .detected import pole_documents as pole_documents
+from .options import DEFAULT_CONFIG as DEFAULT_CONFIG
+from .options import Reading as Reading
+from .options import RunConfig as RunConfig
 
 Input = TypeVar("Input", bound=InputDoc)
+Made = TypeVar("Made", bound=msgspec.Struct)
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
 COVARIANCE_ORDER = ("phi_x", "phi_y", "phi_z", "delta_x", "delta_y", "delta_z")
@@ -185,18 +149,14 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
 
 
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
-    return HypothesisDoc(
-        pairs=list(hypothesis.match.pairs),
-        T_target_source=hypothesis.match.T_target_source,
+    return document_of(
+        HypothesisDoc,
+        hypothesis.match,
+        hypothesis,
         pole_rms_m=hypothesis.match.pole_rms,
-        exact=hypothesis.match.exact,
         icp_rotation_rad=hypothesis.icp_rotation,
         icp_translation_m=hypothesis.icp_translation,
-        overlap=hypothesis.overlap,
-        free_space_violation=hypothesis.free_space_violation,
-        score=hypothesis.score,
         chosen=chosen,
-        stands=hypothesis.stands,
     )
 
 
@@ -238,34 +198,70 @@ def result_document(
     answered = calibration.status != "refused"
     first, uncertainty = calibration.placements[0], calibration.uncertainty
     scans = [scan for each in calibration.placements for scan in (each.target, each.source)]
-    return ResultDoc(
-        status=calibration.status,
-        reasons=[reason_document(reason) for reason in calibration.reasons],
-        T_target_source=calibration.T_target_source,
-        covariance=calibration.covariance,
+    return document_of(
+        ResultDoc,
+        calibration,
+        made_now(),
         # The budget stands beside it.
         uncertainty=uncertainty and structs.replace(uncertainty, budget=()),
         budget=None if uncertainty is None else list(uncertainty.budget),
         predicted_error=list(calibration.predicted_error) or None,
-        weakest=calibration.weakest,
-        radius=calibration.radius,
-        confirmation=calibration.confirmation,
-        fitness=calibration.fitness,
         stages=StagesDoc(calibration.poles, calibration.refined),
         hypotheses=[
             _hypothesis(h, answered and k == calibration.chosen)
             for k, h in enumerate(calibration.hypotheses)
         ],
-        margin=calibration.margin,
-        vertical=calibration.vertical,
         poles=PolesDoc(pole_documents(first.target.poles), pole_documents(first.source.poles)),
         placements=_placements(calibration.placements),
         inputs=[with_threshold(*each) for each in zip(inputs, scans, strict=True)],
         config=config,
-        version=__version__,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
         seconds={name: round(value, 4) for name, value in seconds.items()},
     )
+
+
+def document_of(kind: type[Made], *found: object, **other: Any) -> Made:
+    """Make a document of what has attributes with the names of its fields.
+
+    Parameters
+    ----------
+    kind
+        Of the document.
+    found
+        The first that has an attribute gives it. A number that is not finite becomes None, a tuple
+        of anything but indices a list, and a reason its document.
+    other
+        Fields that are given as they are.
+    """
+    for name in kind.__struct_fields__:
+        owner = next((each for each in found if hasattr(each, name)), None)
+        if name not in other and owner is not None:
+            other[name] = _written(getattr(owner, name))
+    return kind(**other)
+
+
+def _written(value: Any) -> Any:
+    match value:
+        case Reason() | Refusal():
+            return reason_document(value)
+        case float():
+            return finite(value)
+        case (int(), *_):
+            return value
+        case tuple():
+            return [_written(each) for each in value]
+    return value
+
+
+class Provenance(NamedTuple):
+    """What wrote a document, and when."""
+
+    version: str
+    created: str
+
+
+def made_now() -> Provenance:
+    """Say that a document is made now, by this version."""
+    return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"))
 
 
 def finite(value: float | None) -> float | None:

@@ -6,16 +6,14 @@ Schema ``retropole/field-test/1``: metres, and numbers of placements and poles f
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Literal
 
 import msgspec
 
 from ..base.bounded import Share, Size, Text
-from ..base.version import __version__
 from ..site.certification import DistanceTest, FieldTest, PolesSeen, Verdict
 from ..site.repetition import SpreadTest
-from . import ReasonDoc, reason_document
+from . import ReasonDoc, document_of, made_now
 from .detected import InputDoc
 
 FIELD_TEST_SCHEMA: Literal["retropole/field-test/1"] = "retropole/field-test/1"
@@ -63,24 +61,15 @@ def field_test_document(
     """
     verdicts = {test.status for test in tests.values()}
     status: Verdict = "fail" if "fail" in verdicts else "pass" if "pass" in verdicts else "refused"
-    return FieldTestDoc(
+    return document_of(
+        FieldTestDoc,
+        made_now(),
         status=status,
         alpha=next(iter(tests.values())).alpha,
         radius_m=radius,
         pairs=[
-            PairTestDoc(
-                target=target,
-                source=source,
-                status=test.status,
-                reasons=[reason_document(reason) for reason in test.reasons],
-                poles=list(test.poles),
-                distances=list(test.distances),
-                z=test.z,
-                variances=test.spread,
-            )
+            document_of(PairTestDoc, test, target=target, source=source, variances=test.spread)
             for (target, source), test in tests.items()
         ],
         inputs=list(inputs),
-        version=__version__,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
     )

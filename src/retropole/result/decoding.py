@@ -1,11 +1,12 @@
-"""Reading a result document that may have been edited by hand, cut short or made elsewhere.
+"""Reading result documents that may have been edited by hand, cut short or made elsewhere.
 
 Whoever holds one that was decoded relies on it: every number is finite, rotations rotate,
-covariances are covariances, and what refers to a pole finds one.
+covariances are covariances that agree with each other, and every index finds what it points to.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
@@ -19,9 +20,21 @@ from ..base.datatypes import Array
 from ..base.errors import ReadError
 from ..base.uncertainty import covariance_fault
 from . import COVARIANCE_ORDER, ResultDoc
+from .site import SITE_COVARIANCE_FRAME, SiteDoc, joint_order
 
 UNIT = 1e-6
 """A direction is as long as 1 but for this."""
+
+BLOCKS_AGREE = 1e-6
+"""A LiDAR's covariance is its block of the joint one, but for this part of the largest number."""
+
+INDEX_OF = {
+    **dict.fromkeys(("reference", "groups", "lidar", "lidars", "seen_by"), "lidars"),
+    "placement": "placements",
+    "pole": "poles",
+    "surveyed": "surveyed_poles",
+}
+"""Fields that hold indices, wherever they stand, and the list that each points into."""
 
 Document = TypeVar("Document")
 
@@ -52,6 +65,98 @@ def decode(data: bytes) -> ResultDoc:
                     f"target and {len(of_source)} of the source"
                 )
     return document
+
+
+def decode_site(data: bytes) -> SiteDoc:
+    """Read the result document of a site.
+
+    Raises
+    ------
+    ReadError
+        Where it is not one; names the field, and says what is wrong with it.
+    """
+    document = parsed(data, SiteDoc, "result document of a site")
+    _check_verdict(document)
+    _check_indices(document)
+    _check_joint(document)
+    return document
+
+
+def _check_verdict(document: SiteDoc) -> None:
+    """Hold the status, the names and what must be there against each other."""
+    names = [lidar.name for lidar in document.lidars]
+    if len(set(names)) < len(names):
+        raise ReadError("lidars: two have the same name")
+    if document.covariance_order != COVARIANCE_ORDER:
+        raise ReadError(f"covariance_order: expected {' '.join(COVARIANCE_ORDER)}")
+    if document.covariance_frame != SITE_COVARIANCE_FRAME:
+        raise ReadError(f"covariance_frame: expected {SITE_COVARIANCE_FRAME}")
+    if document.joint_order != joint_order(names):
+        raise ReadError("joint_order: expected six rows for each LiDAR, in their order")
+    answered = document.status != "refused"
+    for k, lidar in enumerate(document.lidars):
+        for name in ("T_site_lidar", "covariance"):
+            if answered != (getattr(lidar, name) is not None):
+                raise ReadError(f"lidars[{k}].{name}: {_there(answered, document.status)}")
+    if answered != (document.joint_covariance is not None):
+        raise ReadError(f"joint_covariance: {_there(answered, document.status)}")
+
+
+def _there(answered: bool, status: str) -> str:
+    return f"{'none' if answered else 'there is one'}, and the status is {status}"
+
+
+def _check_indices(document: SiteDoc) -> None:
+    """Let every index find a LiDAR, a placement or a pole."""
+    for name, of, index in _indices(document):
+        count = len(getattr(document, of))
+        if index >= count:
+            raise ReadError(f"{name}: {index}, there are {count}")
+    for k, pair in enumerate(document.pairs):
+        if pair.lidars[0] >= pair.lidars[1]:
+            raise ReadError(f"pairs[{k}].lidars: expected two, the lower first")
+    grouped = [index for group in document.groups for index in group]
+    if grouped and sorted(grouped) != list(range(len(document.lidars))):
+        raise ReadError("groups: every LiDAR is in one group")
+    rows = {"found": (len(document.found), len(document.lidars))} if document.found else {}
+    rows |= {
+        f"found[{k}]": (len(row), len(document.placements)) for k, row in enumerate(document.found)
+    }
+    for name, (count, expected) in rows.items():
+        if count != expected:
+            raise ReadError(f"{name}: {count} entries, expected {expected}")
+    recorded = {(each.lidar, each.placement) for each in document.inputs}
+    if len(recorded) < len(document.inputs):
+        raise ReadError("inputs: two of the same LiDAR and placement")
+
+
+def _indices(value: Any, name: str = "", of: str = "") -> Iterator[tuple[str, str, int]]:
+    """Every index: the name of its field, the list that it points into, and the index."""
+    if isinstance(value, msgspec.Struct):
+        for field in value.__struct_fields__:
+            place = f"{name}.{field}" if name else field
+            yield from _indices(getattr(value, field), place, INDEX_OF.get(field, ""))
+    elif isinstance(value, list | tuple):
+        for k, each in enumerate(value):
+            yield from _indices(each, f"{name}[{k}]", of)
+    elif of and type(value) is int:
+        yield name, of, value
+
+
+def _check_joint(document: SiteDoc) -> None:
+    """Check the joint covariance, and that it holds those of the LiDARs."""
+    joint = document.joint_covariance
+    if joint is None:
+        return
+    size = 6 * len(document.lidars)
+    if joint.shape != (size, size):
+        raise ReadError(f"joint_covariance: expected {size} rows of {size} numbers")
+    check_covariance("joint_covariance", joint, is_part=True)
+    for k, lidar in enumerate(document.lidars):
+        block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        assert lidar.covariance is not None
+        if np.abs(lidar.covariance - block).max() > BLOCKS_AGREE * np.abs(block).max():
+            raise ReadError(f"lidars[{k}].covariance: not its block of joint_covariance")
 
 
 def parsed(data: bytes, kind: type[Document], what: str) -> Document:

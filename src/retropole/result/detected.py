@@ -64,14 +64,7 @@ class DetectionDoc(msgspec.Struct, frozen=True, eq=False):
 def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
     """Write poles as the result document holds them."""
     return [
-        PoleDoc(
-            pole.point,
-            pole.direction,
-            pole.length,
-            len(pole.xyz),
-            pole.rings,
-            pole.rms,
-        )
+        PoleDoc(pole.point, pole.direction, pole.length, len(pole.xyz), pole.rings, pole.rms)
         for pole in poles
     ]
 

@@ -8,42 +8,150 @@ every pose where the run was refused.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..base.bounded import LONGEST_LIST, Count, Size, Status, Text
-from ..base.datatypes import Array
-from ..base.uncertainty.purpose import Need
-from ..base.version import __version__
-from ..site.answer import MOST_LIDARS, Indices, SiteCalibration, SitePole, WithoutPlacement
-from ..site.description import ControlPoint, Frame, SurveyedPole
-from . import COVARIANCE_ORDER, Document, ReasonDoc, reason_document
-from .detected import InputDoc
-from .site_checks import LoopDoc, PairDoc, TestDoc, check_document
-from .site_parts import (
-    FoundDoc,
-    LidarDoc,
-    RecordingDoc,
-    SiteConfig,
-    found_document,
-    lidar_document,
-    recording_document,
+from ..base.bounded import (
+    LONGEST_LIST,
+    Count,
+    Number,
+    PartCovariance,
+    Pose,
+    Share,
+    Size,
+    Status,
+    Text,
 )
-
-__all__ = [
-    "SITE_COVARIANCE_FRAME",
-    "SITE_SCHEMA",
-    "SiteConfig",
-    "SiteDoc",
-    "joint_order",
-    "site_document",
-]
+from ..base.datatypes import Array, Scan
+from ..base.uncertainty import BudgetEntry, ErrorAtRange
+from ..base.uncertainty.purpose import Fitness, Need
+from ..io.thinning import MAX_POINTS
+from ..io.units import Unit
+from ..site.answer import (
+    MOST_LIDARS,
+    Indices,
+    LidarPose,
+    SiteCalibration,
+    SitePole,
+    WithoutPlacement,
+)
+from ..site.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
+from . import (
+    COVARIANCE_ORDER,
+    Document,
+    ReasonDoc,
+    document_of,
+    finite,
+    made_now,
+    reason_document,
+    with_threshold,
+)
+from .detected import InputDoc, PoleDoc, RejectedDoc, pole_documents, rejected_documents
+from .options import Frames, MaxPoints
 
 SITE_SCHEMA: Literal["retropole/site-result/1"] = "retropole/site-result/1"
 SITE_COVARIANCE_FRAME = "site axes: R_true = Exp(phi) R, t_true = t + delta; rad and m"
+
+
+class SiteConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """How a site was read: the site file, and the options of the run.
+
+    None stands for frames evenly spread; frames are start, stop and step.
+    """
+
+    site_file: Text = ""
+    site_sha256: Text = ""
+    frames: Frames | None = None
+    max_points: MaxPoints = MAX_POINTS
+    unit: Unit = "m"
+
+
+class LidarDoc(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """One LiDAR and its pose in the frame of the site; the pose is null where refused.
+
+    `covariance` is over the document's `covariance_order`, in its `covariance_frame`; it is zero
+    for the LiDAR whose frame is the site's.
+    """
+
+    name: Text
+    sensor: Text
+    serial: Text
+    up: Up | None
+    T_site_lidar: Pose | None = None
+    covariance: PartCovariance | None = None
+    budget: list[BudgetEntry] | None = None
+    predicted_error: list[ErrorAtRange] | None = None
+    fitness: Fitness | None = None
+
+    def pose(self, lidar: int) -> LidarPose | None:
+        """Its pose, where it is the LiDAR of this index; None where it has none."""
+        if self.T_site_lidar is None or self.covariance is None:
+            return None
+        stated = tuple(self.budget or ()), tuple(self.predicted_error or ())
+        return LidarPose(lidar, self.T_site_lidar, self.covariance, *stated, self.fitness)
+
+
+class FoundDoc(msgspec.Struct, frozen=True, eq=False):
+    """What was found in one recording, in its LiDAR's frame; `refusal` where it has no poles."""
+
+    threshold: Number | None
+    poles: list[PoleDoc]
+    rejected: list[RejectedDoc]
+    refusal: ReasonDoc | None
+
+
+class RecordingDoc(InputDoc, frozen=True, kw_only=True):
+    """What was read of one LiDAR and placement."""
+
+    lidar: Count
+    placement: Count
+
+
+class PairDoc(msgspec.Struct, frozen=True):
+    """Two LiDARs, and how well they agree; `site.answer.PairCheck`."""
+
+    lidars: tuple[Count, Count]
+    shared_poles: Count
+    standing: Count
+    patches: Count
+    w: Number | None
+    refusal: ReasonDoc | None
+
+
+class LoopDoc(
+    msgspec.Struct, frozen=True, rename={"rotation": "rotation_rad", "translation": "translation_m"}
+):
+    """What the pairwise poses around a loop fail to close by; `site.answer.LoopClosure`."""
+
+    lidars: Indices
+    rotation: Size | None
+    translation: Size | None
+    chi2: Size | None
+    freedom: Count
+    probability: Share | None
+
+
+class TestDoc(
+    msgspec.Struct,
+    frozen=True,
+    rename={"minimal_detectable": "minimal_detectable_m", "external": "external_at_30m_m"},
+):
+    """One observation, or what several share, tested against all others; `site.answer.Test`."""
+
+    kind: Literal["pole", "placement", "lidar", "survey", "control point", "up"]
+    name: Text
+    lidar: Count | None
+    placement: Count | None
+    pole: Count | None
+    chi2: Number | None
+    freedom: Count
+    w: Number | None
+    redundancy: Share | None
+    minimal_detectable: Size | None
+    external: Size | None
 
 
 class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
@@ -123,26 +231,19 @@ def site_document(
     if joint is not None and not np.isfinite(joint).all():
         raise ValueError("joint covariance: a number of the answer is not finite")
     scans = calibration.scans
-    return SiteDoc(
-        name=site.name,
-        status=calibration.status,
-        reasons=[reason_document(reason) for reason in calibration.reasons],
-        datum=calibration.datum,
-        frame=site.frame,
-        reference=site.reference,
-        placements=list(site.placements),
+    return document_of(
+        SiteDoc,
+        calibration,
+        site,
+        made_now(),
         radius_m=site.radius,
         radius_sigma_m=site.radius_sigma,
-        need=site.need,
         lidars=[lidar_document(*each) for each in zip(site.lidars, poses, strict=True)],
         joint_order=joint_order(names),
         joint_covariance=joint,
-        groups=list(calibration.groups),
-        poles=list(calibration.poles),
-        pairs=[check_document(PairDoc, pair) for pair in calibration.pairs],
-        loops=[check_document(LoopDoc, loop) for loop in calibration.loops],
-        tests=[check_document(TestDoc, test) for test in calibration.tests],
-        without=list(calibration.without),
+        pairs=[document_of(PairDoc, pair) for pair in calibration.pairs],
+        loops=[document_of(LoopDoc, loop) for loop in calibration.loops],
+        tests=[document_of(TestDoc, test) for test in calibration.tests],
         found=[[found_document(scan) for scan in of_lidar] for of_lidar in scans],
         surveyed_poles=list(site.poles),
         control_points=list(site.points),
@@ -151,7 +252,43 @@ def site_document(
             for (lidar, placement), source in sorted(inputs.items())
         ],
         config=config,
-        version=__version__,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
         seconds={name: round(value, 4) for name, value in seconds.items()},
     )
+
+
+def lidar_document(lidar: SiteLidar, pose: LidarPose | None) -> LidarDoc:
+    """Write a LiDAR and its pose; None where it has none.
+
+    Raises
+    ------
+    ValueError
+        Where the pose is not finite: that is no answer.
+    """
+    if pose and not (np.isfinite(pose.T_site_lidar).all() and np.isfinite(pose.covariance).all()):
+        raise ValueError(f"{lidar.name}: a number of the answer is not finite")
+    sensor = "auto" if lidar.sensor is None else lidar.sensor.name
+    return document_of(LidarDoc, lidar, pose, sensor=sensor)
+
+
+def found_document(scan: Scan | None) -> FoundDoc | None:
+    """Write what was found in a recording; None where there is none."""
+    if scan is None:
+        return None
+    refusal = None if scan.refusal is None else reason_document(scan.refusal)
+    if scan.detection is None:
+        return FoundDoc(None, [], [], refusal)
+    return FoundDoc(
+        finite(scan.detection.threshold),
+        pole_documents(scan.detection.poles),
+        rejected_documents(scan.detection.rejected),
+        refusal,
+    )
+
+
+def recording_document(
+    source: InputDoc, lidar: int, placement: int, scans: Sequence[Sequence[Scan | None]]
+) -> RecordingDoc:
+    """Write what was read of a LiDAR and placement, with the threshold that was used."""
+    recording = RecordingDoc(**msgspec.structs.asdict(source), lidar=lidar, placement=placement)
+    # A run that was refused early has looked at no scan.
+    return with_threshold(recording, scans[lidar][placement] if scans else None)

@@ -11,9 +11,9 @@ from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_sit
 from ...base.errors import ReadError, RetropoleError, quoting
 from ...base.files import LARGEST_DOCUMENT
 from ...result import RunConfig
+from ...result.decoding import decode_site
 from ...result.folder import SITE_RESULT_FILE
 from ...result.site import SiteDoc
-from ...result.site_decoding import decode_site
 from ..dataset import partition_of, read_rows
 from ..sites import FleetSite
 from ..storage import below, folder_of, is_folder, read_bytes

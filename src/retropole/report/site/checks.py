@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...base.quantities import counted, error
-from ...result.site import SiteDoc
-from ...result.site_checks import TestDoc
+from ...result.site import SiteDoc, TestDoc
 from ..markup import MISSING, number, table
 from .names import placement_name
 from .pairs import LIMIT_W

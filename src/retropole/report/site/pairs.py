@@ -7,8 +7,7 @@ from html import escape
 import numpy as np
 
 from ...base.quantities import counted
-from ...result.site import SiteDoc
-from ...result.site_checks import PairDoc
+from ...result.site import PairDoc, SiteDoc
 from ..markup import MISSING, number, table
 from .svg import FONT, Labels, colour_class, short
 

@@ -10,8 +10,7 @@ from ...base import se3
 from ...base.errors import RetropoleError
 from ...base.quantities import error
 from ...export import export_lines
-from ...result.site import SiteDoc
-from ...result.site_parts import LidarDoc
+from ...result.site import LidarDoc, SiteDoc
 from ..markup import MISSING, number, table
 from ..sections import pose_parts, to_copy, transform_matrix
 from ..uncertainty import BUDGET_NOTE, budget_table

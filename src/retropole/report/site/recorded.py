@@ -8,8 +8,7 @@ from html import escape
 import msgspec
 
 from ...base.quantities import counted
-from ...result.site import SiteDoc
-from ...result.site_parts import FoundDoc
+from ...result.site import FoundDoc, SiteDoc
 from ..markup import MISSING, number, table
 from ..text import left_out_words
 from .names import placement_name

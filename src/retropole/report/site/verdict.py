@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from ...base.quantities import counted, percent
-from ...result.site import SiteDoc
-from ...result.site_parts import LidarDoc
+from ...result.site import LidarDoc, SiteDoc
 from ..certainty import BUDGET_RANGE
 from ..markup import MISSING, inline, number, plus_minus
 from ..sections import SYMBOLS, reason_item
