@@ -62,9 +62,6 @@ RADIUS_ROUNDS, MAX_RADIUS_CHANGE = 6, 0.5
 """So often a radius is put in the place of the one given, until the returns agree with it, and by
 no larger a part of the one before: far off, the returns overshoot."""
 
-SCALE_ROUNDS = 3
-"""So often the sizes of the errors are estimated; they settle in two."""
-
 
 @dataclass(frozen=True, eq=False)
 class BeamAlignment:
@@ -283,12 +280,11 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     factor = factor_of(found.network)
     unknowns, groups = factor.unknowns, factor.unknowns.groups()
     known = model.sigmas(groups)
-    sigma = known
-    for _ in range(SCALE_ROUNDS):
-        precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=True))
-        estimate = solve_factor(factor, precision)
-        variance = np.diag(estimate.inverse)[unknowns.poses :]
-        sigma = group_scales(groups, known, precision, estimate.errors, variance)
+    precision = prior_precision(groups, working_sigma(groups, known, poles_alone=True))
+    estimate = solve_factor(factor, precision)
+    variance = np.diag(estimate.inverse)[unknowns.poses :]
+    # Poles alone tell the size of hardly any error: asked once more, they say the same.
+    sigma = group_scales(groups, known, precision, estimate.errors, variance)
     uncertainty = uncertainty_of_pair(
         [
             *parts_of_errors(groups, sigma, precision, estimate.inverse, estimate.errors),

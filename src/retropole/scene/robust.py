@@ -6,9 +6,8 @@ import numpy as np
 
 from ..base.datatypes import Array
 
-GEMAN_HALF, SCALE_TOLERANCE = 0.6120, 1e-13
-"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and how exactly the
-logarithm of a scale is found."""
+GEMAN_HALF = 0.6120
+"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half."""
 
 LEAST_COMMON = 1e-6
 """Least that values are found to have in common, as a part of their mean predicted variance."""
@@ -33,7 +32,7 @@ def robust_scale(values: Array, weights: Array) -> float:
     if excess(low) <= 0:
         # Half of the values or more are zero.
         return float(np.exp(0.5 * low)) / GEMAN_HALF
-    found = brentq(excess, low, high + 1e-9, xtol=SCALE_TOLERANCE)
+    found = brentq(excess, low, high + 1e-9)
     return float(np.exp(0.5 * found)) / GEMAN_HALF
 
 
@@ -61,4 +60,4 @@ def common_scatter(values: Array, variance: Array, weights: Array) -> float:
         return 0.0
     if difference(high) >= 0.0:
         return float(np.exp(high))
-    return float(np.exp(brentq(difference, low, high, xtol=SCALE_TOLERANCE)))
+    return float(np.exp(brentq(difference, low, high)))

@@ -15,7 +15,8 @@ from .registration import prepare, register
 from .visibility import Cells, cells_of, nearest_around, range_margin
 
 MIN_FRAMES = 3
-"""With fewer frames nothing tells what moved: a majority needs three."""
+"""With fewer frames nothing tells what moved: a majority needs three. Whether a LiDAR turned, the
+first and the last third of the frames tell."""
 
 MIN_RETURNS_PER_RUN = 5
 """Returns on a pole that a run of frames needs to tell where the pole is."""
@@ -32,9 +33,9 @@ MAX_TURN = np.radians(0.3)
 that stood came to 0.11° at most, those of 24 that were bumped by 0.5 to 6° to 0.45° and more
 (benchmarks/deception.py, "LiDAR bumped while recording", seeds 100 to 123)."""
 
-TURN_VOXEL, TURN_DISTANCE, TURN_PART = 0.3, 1.0, 3
-"""Clouds are downsampled to this to see whether a LiDAR turned, points correspond within this,
-metres, and one part of so many of the frames is taken from the start, one from the end."""
+TURN_VOXEL, TURN_DISTANCE = 0.3, 1.0
+"""Clouds are downsampled to this to see whether a LiDAR turned, and points correspond within this,
+metres."""
 
 MEDIAN_VARIANCE = np.pi / 2
 """Variance of the median of many normal values, as a multiple of that of their mean."""
@@ -98,7 +99,7 @@ def turned_by(cloud: PointCloud) -> float:
     if cloud.frame is None:
         return 0.0
     frames = np.unique(cloud.frame)
-    part = max(len(frames) // TURN_PART, 1)
+    part = max(len(frames) // MIN_FRAMES, 1)
     if len(frames) < 2:
         return 0.0
     ends = (
