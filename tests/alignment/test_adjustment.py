@@ -215,7 +215,8 @@ def test_an_alignment_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) 
     pair = paper(8)
     whole = align(pair)
     assert whole.converged
-    monkeypatch.setitem(levenberg_marquardt.__kwdefaults__, "max_iterations", 1)
+    defaults = dict(levenberg_marquardt.__kwdefaults__ or {}, max_iterations=1)
+    monkeypatch.setattr(levenberg_marquardt, "__kwdefaults__", defaults)
     assert not align(pair).converged
 
 

@@ -7,7 +7,6 @@ from retropole.alignment.certainty import (
     MAX_SCALE,
     MIN_MEMBERS,
     WORKING_SHARE,
-    chi2_limit,
     few_freedom,
     floors,
     group_scales,
@@ -28,6 +27,7 @@ from retropole.base.uncertainty import (
     Uncertainty,
     predicted_error,
 )
+from tests.numeric import CHI2_6_95
 
 UNKNOWNS = Unknowns((np.arange(6), np.arange(5)), 0, 0)
 GROUPS = UNKNOWNS.groups()
@@ -92,7 +92,7 @@ def test_the_stated_covariance_is_that_of_the_errors(share: float) -> None:
     # These errors have no part that no model names.
     covariance = stated_of(A, y[0], SIGMA, precision).covariance - FLOOR
     squares = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(covariance), errors)
-    assert 0.945 < np.mean(squares < chi2_limit(POSE)) < 0.955
+    assert 0.945 < np.mean(squares < CHI2_6_95) < 0.955
     whitened = np.linalg.cholesky(np.linalg.inv(covariance))
     np.testing.assert_allclose(np.cov((errors @ whitened).T), np.eye(POSE), atol=0.05)
 
@@ -160,7 +160,7 @@ def test_few_degrees_of_freedom_keep_what_is_stated() -> None:
     for freedom in (3, 5, 20):
         x = np.sum(rng.normal(size=(100_000, POSE)) ** 2, axis=1)
         scale = rng.chisquare(freedom, 100_000) / freedom
-        inside = np.mean(x < chi2_limit(POSE) * scale * few_freedom(freedom))
+        inside = np.mean(x < CHI2_6_95 * scale * few_freedom(freedom))
         assert 0.945 < inside < 0.955
     widths = [few_freedom(freedom) for freedom in (3.0, 4.0, 8.0, 30.0, 1e3, 1e7)]
     assert np.all(np.diff(widths) < 0)

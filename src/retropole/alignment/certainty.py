@@ -65,13 +65,13 @@ BUDGET_RANGE = 30.0
 SIDES: tuple[Literal["target"], Literal["source"]] = ("target", "source")
 """What the LiDARs of a pair are called."""
 
-CONFIDENCE = 0.95
-"""Share of the errors that stated regions hold, and of chance that tests of significance leave."""
+CONFIDENCE, SIGNIFICANT = 0.95, 0.99
+"""Share of the errors that stated regions hold; share of chance up to which it may be chance."""
 
 
-def chi2_limit(freedom: float) -> float:
-    """χ² with some degrees of freedom that chance exceeds as seldom as `CONFIDENCE` says."""
-    return float(chdtri(freedom, 1.0 - CONFIDENCE))
+def chi2_limit(freedom: float, share: float = SIGNIFICANT) -> float:
+    """χ² with some degrees of freedom that a share of chance is below."""
+    return float(chdtri(freedom, 1.0 - share))
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +323,7 @@ def few_freedom(freedom: float) -> float:
     """
     if np.isinf(freedom):
         return 1.0
-    return float(POSE * fdtri(POSE, max(freedom, 3.0), CONFIDENCE) / chi2_limit(POSE))
+    return float(POSE * fdtri(POSE, max(freedom, 3.0), CONFIDENCE) / chi2_limit(POSE, CONFIDENCE))
 
 
 def _at(root: Array) -> float:

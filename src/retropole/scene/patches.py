@@ -9,6 +9,7 @@ import small_gicp
 from scipy.spatial import cKDTree
 
 from ..alignment.certainty import chi2_limit
+from ..alignment.solver import ROUNDING
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.sampling import every_nth
 from ..base.se3 import lengths
@@ -149,7 +150,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / count
     values, vectors = np.linalg.eigh(spread)
-    values = np.maximum(values, MIN_THICKNESS**2)
+    values = np.maximum(values, ROUNDING * values[:, 2:])
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < MAX_FLATNESS * values[:, 1]
     # The plane of one ring and a point beside it goes through that point, whatever its error.
@@ -183,7 +184,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int
         normals,
         rays,
         tilt,
-        variance,
+        np.maximum(variance, MIN_THICKNESS**2 / count),
         # A uniform strip is as wide to either side.
         np.sqrt(3.0 * values[flat, 1]),
         lean,

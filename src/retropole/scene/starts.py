@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from ..alignment.certainty import chi2_limit
 from ..alignment.factor import poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
@@ -20,9 +21,8 @@ WIDE, START_SIGMAS = 0.1, 2.0
 """From which 1 σ of the poles at the middle of the cloud, metres, the search is also started from
 so many σ to either side."""
 
-SEVERAL = 16.8
-"""Squared Mahalanobis distance from which two ends are two minima: χ² with 6 degrees of freedom
-exceeds it once in a hundred times."""
+SEVERAL = chi2_limit(POSE)
+"""Squared Mahalanobis distance from which two ends are two minima."""
 
 
 def distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
