@@ -46,13 +46,11 @@ tell the width from it: estimated, it came out at 0.2 to 0.7 of what was simulat
 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to
 70 in place of 2."""
 
-SCALE_WEIGHT = 4.0
-"""So many errors of the size that is known beforehand count beside those that the data show."""
-
 MIN_MEMBERS = 5
-"""Errors that a size is estimated from: those of a whole LiDAR, one to four of a kind, do not tell
-their own size, and given the freedom it grows with the pose that they pull along. With that of bent
-scan lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
+"""Errors that a size is estimated from, and as many of the size that is known beforehand count
+beside those that the data show. Those of a whole LiDAR, one to four of a kind, do not tell their
+own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
+lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
 were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
 missed so."""
 
@@ -168,7 +166,7 @@ def group_scales(
     count = len(known)
     square = np.bincount(groups.label, estimated**2, count)
     gamma = np.bincount(groups.label, determined, count)
-    new = np.sqrt((SCALE_WEIGHT * known**2 + square) / (SCALE_WEIGHT + gamma))
+    new = np.sqrt((MIN_MEMBERS * known**2 + square) / (MIN_MEMBERS + gamma))
     many = np.bincount(groups.label, minlength=count) >= MIN_MEMBERS
     return np.asarray(np.where(many, np.clip(new, known, MAX_SCALE * known), known))
 

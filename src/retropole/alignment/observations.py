@@ -11,14 +11,14 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
-from .likelihood import closest_approach
+from .likelihood import OUTLIER_RADIUS, closest_approach
 
 DIVERGENCE = 0.003
 """Full angle of the beams of a sensor that is not known, rad: manufacturers state 1.5 to 8 mrad."""
 
-PASSING, PASSED_BEHIND = 0.015, 0.3
-"""A beam passes beside a pole within the first distance of its surface, and returns from so far
-behind it, metres."""
+PASSING = 0.015
+"""A beam passes beside a pole within this distance of its surface, and returns from farther behind
+it than outliers lie, metres."""
 
 BESIDE = 0.2
 """Beams so much further aside, along such a stretch of the pole, tell whether those beside it are
@@ -182,7 +182,7 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: 
     directions = ray[nearby] / ranges[nearby, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
     along = (cloud.origin + by.ranges[:, None] * directions - pole.point) @ pole.direction
-    behind = ranges[nearby] > by.ranges + PASSED_BEHIND
+    behind = ranges[nearby] > by.ranges + OUTLIER_RADIUS
     within = (along > own.min()) & (along < own.max())
     passed = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
     stretches = max(int(np.ptp(own) / BESIDE), 1)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.datatypes import Array, IntArray
-from .likelihood import arc_likelihood, passed_beam_likelihood
+from .likelihood import FEW_NODES, arc_likelihood, passed_beam_likelihood
 from .observations import Beams
 from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lift_of, own_geometry
 from .solver import MAX_ITERATIONS
@@ -35,9 +35,6 @@ MAX_LATERAL_NOISE = 2.0
 """Most noise sideways, as a multiple of that in depth: returns sharp in depth and blurred sideways
 would fall between the nodes of the integral."""
 
-NODES = 5
-"""Of the average over the lateral offset (Gauss and Hermite)."""
-
 WIDEST = 1.0
 """Most that anything is left open by, 1 σ, rad or metres: so wide that it says nothing where beams
 say anything at all, and matrices have inverses where they do not."""
@@ -47,7 +44,7 @@ BLEND, SETTLED = 0.5, 0.1
 information, at which the distribution is its own average. Stated σ are then within 3 % of those of
 the limit in all but one of 24 simulated pairs, with a quarter of the rounds."""
 
-_AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(NODES)
+_AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(FEW_NODES)
 _WEIGHT = _WEIGHT / _WEIGHT.sum()
 
 
@@ -121,11 +118,11 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     arc = arc_likelihood(
         (seen.depth + moved[:, 0] + _AT[:, None] * depthways).reshape(-1),
         (seen.lateral_offset + moved[:, 1] + _AT[:, None] * sideways).reshape(-1),
-        np.tile(sigma, NODES),
-        np.full(NODES * len(sigma), view.noise[1]),
+        np.tile(sigma, FEW_NODES),
+        np.full(FEW_NODES * len(sigma), view.noise[1]),
         radius,
-        np.tile(beams.half_width, NODES),
-        np.tile(beams.beside, NODES),
+        np.tile(beams.half_width, FEW_NODES),
+        np.tile(beams.beside, FEW_NODES),
     )
     information, inlier = _averaged(arc.information, _WEIGHT), _averaged(arc.inlier, _WEIGHT)
     noise = _averaged(arc.inlier[:, None] * arc.noise, _WEIGHT)
@@ -143,9 +140,9 @@ def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) 
     sideways = np.sqrt(np.einsum("ni,nij,nj->n", J, view.covariance[own], J))
     free = passed_beam_likelihood(
         (seen.lateral_offset + moved + _AT[:, None] * sideways).reshape(-1),
-        np.full(NODES * count, view.noise[1]),
+        np.full(FEW_NODES * count, view.noise[1]),
         radius,
-        np.tile(beams.passed_half_width, NODES),
+        np.tile(beams.passed_half_width, FEW_NODES),
     )
     information = _averaged(free.information, _WEIGHT)
     score = _averaged(free.score, _WEIGHT) + information[:, :, 0] * moved[:, None]

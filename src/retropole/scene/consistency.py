@@ -44,12 +44,9 @@ CLEARANCE = 0.3
 """What lies so near the ground, metres, belongs to it, and `RELATIVE_TOLERANCE` of its range more:
 it is cambered. What lies so near a pole is left out: poles agree with any pose that they give."""
 
-GROUND_TRIALS = 300
+GROUND_TRIALS, GROUND_ROUNDS = 300, 3
 """Planes through three points that are tried for the ground, of one for each of the points that
-vote."""
-
-GROUND_ROUNDS = 3
-"""So often the plane is fitted to the points near it."""
+vote, and how often the best is fitted to the points near it."""
 
 MAX_TILT, LEVEL_VOTES = np.radians(45.0), 0.25
 """LiDARs are tilted by less, as a rule, rad; of a steeper plane every vote counts this much."""
@@ -148,7 +145,9 @@ def _ground(
     is_level = np.abs(normals @ axis) > np.cos(MAX_TILT)
     tried = np.argsort(~(is_level & (area > MIN_AREA)), kind="stable")[:GROUND_TRIALS]
     a, normals, area, is_level = (each[tried] for each in (a, normals, area, is_level))
-    height = sample @ normals.T - np.einsum("ij,ij->i", a, normals)
+    # In single precision, which is exact to a hundredth of a millimetre, in half the time.
+    level, across = sample.astype(np.float32), normals.astype(np.float32)
+    height = level @ across.T - np.einsum("ij,ij->i", a, normals).astype(np.float32)
     votes = np.count_nonzero(np.abs(height) < DEPTH_TOLERANCE, axis=0)
     votes = np.where(area > MIN_AREA, votes, -1)
     best = int(np.argmax(np.where(is_level, votes, LEVEL_VOTES * votes)))

@@ -16,8 +16,9 @@ from scipy.ndimage import maximum_filter
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
+from .disambiguation import SCORING_VOXEL
 
-CELL, LAYER = 0.25, 0.75
+CELL, LAYER = SCORING_VOXEL, 0.75
 """Side and height of a cell, metres; where heights are compared, the height and the side."""
 
 REACH = 6.0
