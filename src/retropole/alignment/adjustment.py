@@ -234,9 +234,11 @@ def align_all(
     assumed = found.point.state.radius
     found, network = climbed(found.point.state, found.point.log_noise, radius)
     by_returns = radius_of_returns(network, model, assumed)
-    start = replace(found.point.state, radius=by_returns.value)
+    # Poles that say nothing of it may want less than none.
+    own = max(by_returns.value, 0.0)
+    start = replace(found.point.state, radius=own)
     found, network = climbed(start, found.point.log_noise, by_returns.sigma)
-    estimate = RadiusEstimate(radius, given_sigma, by_returns.value, by_returns.sigma)
+    estimate = RadiusEstimate(radius, given_sigma, own, by_returns.sigma)
     return Aligned(found, network, estimate, denied, by_returns.sigma)
 
 

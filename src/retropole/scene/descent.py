@@ -40,7 +40,7 @@ MAX_STRIDE = 4.0
 """Most, and the inverse of the least, of a step that is gone: steps three times too long walk to
 and fro, each −2 times the one before, and a third of one is right."""
 
-FEW_STEP = 1e-3
+FEW_STEP = 3e-4
 """The approach takes a part of the patches, until a step is below this, rad and m."""
 
 NARROWING, INFORMATION_SHARE = 0.06, 4.0
