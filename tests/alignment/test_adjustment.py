@@ -8,6 +8,7 @@ import pytest
 from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment, align_beams
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import SHARED, State, beam_geometry
+from retropole.alignment.solver import levenberg_marquardt
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
@@ -214,7 +215,8 @@ def test_an_alignment_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) 
     pair = paper(8)
     whole = align(pair)
     assert whole.converged
-    monkeypatch.setattr("retropole.alignment.climb.MAX_POLE_ITERATIONS", 1)
+    defaults = dict(levenberg_marquardt.__kwdefaults__ or {}, max_iterations=1)
+    monkeypatch.setattr(levenberg_marquardt, "__kwdefaults__", defaults)
     assert not align(pair).converged
 
 

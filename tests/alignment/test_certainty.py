@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from retropole.alignment.certainty import (
-    CHI2_95,
     MAX_SCALE,
     MIN_MEMBERS,
     WORKING_SHARE,
@@ -18,7 +17,7 @@ from retropole.alignment.certainty import (
     uncertainty_of_pair,
     working_sigma,
 )
-from retropole.alignment.factor import MANY, OF_SOURCE, PoleFactor, poses_of_pair
+from retropole.alignment.factor import OF_SOURCE, PoleFactor, poses_of_pair
 from retropole.alignment.unknowns import POSE, Unknowns
 from retropole.base.datatypes import Array
 from retropole.base.systematic import ErrorModel, Groups
@@ -28,6 +27,7 @@ from retropole.base.uncertainty import (
     Uncertainty,
     predicted_error,
 )
+from tests.numeric import CHI2_6_95
 
 UNKNOWNS = Unknowns((np.arange(6), np.arange(5)), 0, 0)
 GROUPS = UNKNOWNS.groups()
@@ -52,7 +52,7 @@ def factor_of(A: Array, y: Array) -> PoleFactor:
     J = np.hstack([np.zeros((len(A), POSE)), A])
     weighted = J.T / NOISE**2
     T = poses_of_pair(np.eye(4))
-    return PoleFactor(T, UNKNOWNS, OF_SOURCE, weighted @ J, weighted @ y, MANY)
+    return PoleFactor(T, UNKNOWNS, OF_SOURCE, weighted @ J, weighted @ y, np.inf)
 
 
 def stated_of(A: Array, y: Array, sigma: Array, precision: Array) -> Uncertainty:
@@ -92,7 +92,7 @@ def test_the_stated_covariance_is_that_of_the_errors(share: float) -> None:
     # These errors have no part that no model names.
     covariance = stated_of(A, y[0], SIGMA, precision).covariance - FLOOR
     squares = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(covariance), errors)
-    assert 0.945 < np.mean(squares < CHI2_95) < 0.955
+    assert 0.945 < np.mean(squares < CHI2_6_95) < 0.955
     whitened = np.linalg.cholesky(np.linalg.inv(covariance))
     np.testing.assert_allclose(np.cov((errors @ whitened).T), np.eye(POSE), atol=0.05)
 
@@ -160,7 +160,7 @@ def test_few_degrees_of_freedom_keep_what_is_stated() -> None:
     for freedom in (3, 5, 20):
         x = np.sum(rng.normal(size=(100_000, POSE)) ** 2, axis=1)
         scale = rng.chisquare(freedom, 100_000) / freedom
-        inside = np.mean(x < CHI2_95 * scale * few_freedom(freedom))
+        inside = np.mean(x < CHI2_6_95 * scale * few_freedom(freedom))
         assert 0.945 < inside < 0.955
     widths = [few_freedom(freedom) for freedom in (3.0, 4.0, 8.0, 30.0, 1e3, 1e7)]
     assert np.all(np.diff(widths) < 0)

@@ -44,8 +44,6 @@ def solve(scale: Array, max_iterations: int = 100) -> Solution[Point]:
         lambda now, step, damping: rosenbrock(now.x + step, scale),
         small,
         tolerance=1e-9,
-        damping=1e-3,
-        min_damping=1e-12,
         max_iterations=max_iterations,
     )
 
@@ -79,8 +77,6 @@ def test_a_start_at_the_minimum_stays() -> None:
         lambda now, step, damping: rosenbrock(now.x + step, np.ones(2)),
         small,
         tolerance=1e-9,
-        damping=1e-3,
-        min_damping=1e-12,
         max_iterations=5,
     )
     assert found.converged
@@ -96,8 +92,6 @@ def test_a_derivative_that_leads_uphill_is_no_convergence() -> None:
         lambda now, step, damping: wrong(now.x + step),
         small,
         tolerance=1e-9,
-        damping=1e-3,
-        min_damping=1e-12,
         max_iterations=50,
     )
     assert not found.converged
@@ -117,16 +111,16 @@ def test_many_problems_at_once_end_where_each_ends_alone(max_iterations: int) ->
             np.array([p.curvature for p in points]),
         )
 
-    settings = {"tolerance": 1e-9, "damping": 1e-3, "min_damping": 1e-12}
+    tolerance = 1e-9
     found = levenberg_marquardt_each(
-        starts, models, np.add, **settings, max_iterations=max_iterations
+        starts, models, np.add, tolerance=tolerance, max_iterations=max_iterations
     )
     for k, start in enumerate(starts):
         alone = levenberg_marquardt(
             rosenbrock(start, one),
             lambda now, step, damping: rosenbrock(now.x + step, one),
-            lambda step: float(np.linalg.norm(step.step)) < settings["tolerance"],
-            **settings,
+            lambda step: float(np.linalg.norm(step.step)) < tolerance,
+            tolerance=tolerance,
             max_iterations=max_iterations,
         )
         assert alone.converged == found.came_to_rest[k]

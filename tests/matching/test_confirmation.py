@@ -93,7 +93,7 @@ def test_every_witness_is_needed(confirmed: Confirmed) -> None:
     assert is_confirmed(paired, answer.hypotheses, 0.02)
     rival = replace(others[0], score=best.score - 0.99 * scene_support.MIN_CONFIRMED_LEAD)
     assert not is_confirmed(paired, (best, rival), 0.02)
-    least, of_all = scene_support.MIN_CONFIRMED_COVISIBLE, scene_support.LEAST_CONFIRMED_OVERLAP
+    least, of_all = scene_support.MIN_CONFIRMED_COVISIBLE, scene_support.LEAST_OVERLAP
     small = replace(best, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
     assert is_confirmed(paired, (small, *others), 0.02)
     for worse in (
@@ -198,7 +198,9 @@ def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
         )
         moved = replace(seen, icp_translation=2 * scene_support.MAX_ICP_TRANSLATION)
         assert is_confirmed(paired, (moved, *others), 0.02) is is_certain
-        rival = replace(others[0], score=behind, free_space_violation=1.01 * contradicted)
+        rival = replace(
+            others[0], score=behind, overlap=0.5, free_space_violation=1.01 * contradicted
+        )
         assert is_confirmed(paired, (seen, rival), 0.02) is is_certain
         rival = replace(rival, free_space_violation=0.99 * contradicted)
         assert not is_confirmed(paired, (seen, rival), 0.02)
@@ -219,7 +221,7 @@ def test_a_settled_hypothesis_that_nothing_denies_needs_what_sure_poles_need(
     first = settled(first) if is_settled else first
     most, least = scene_support.MIN_OVERLAP, scene_support.MIN_COVISIBLE
     of_all = scene_support.LEAST_OVERLAP
-    clear = replace(first, free_space_violation=0.99 * scene_support.MAX_SETTLED_VIOLATION)
+    clear = replace(first, free_space_violation=0.99 * scene_support.MAX_CERTAIN_VIOLATION)
     by_all = replace(clear, overlap=1.01 * most, covisible_overlap=0.99 * least)
     by_covisible = replace(clear, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
     for enough in (by_all, by_covisible):
@@ -228,7 +230,7 @@ def test_a_settled_hypothesis_that_nothing_denies_needs_what_sure_poles_need(
         replace(by_all, overlap=0.99 * most),
         replace(by_covisible, overlap=0.99 * of_all),
         replace(by_covisible, covisible_overlap=0.99 * least),
-        replace(by_all, free_space_violation=1.01 * scene_support.MAX_SETTLED_VIOLATION),
+        replace(by_all, free_space_violation=1.01 * scene_support.MAX_CERTAIN_VIOLATION),
     ):
         assert not is_confirmed(paired, (less, *others), 0.02)
 
@@ -240,7 +242,7 @@ def test_a_denied_rival_counts_less_where_nothing_denies_a_settled_hypothesis(
     answer, paired = confirmed
     first, *others = answer.hypotheses
     first = settled(first) if is_settled else first
-    clear = replace(first, free_space_violation=0.99 * scene_support.MAX_SETTLED_VIOLATION)
+    clear = replace(first, free_space_violation=0.99 * scene_support.MAX_CERTAIN_VIOLATION)
     clear = replace(clear, covisible_overlap=0.99 * scene_support.MIN_CERTAIN_COVISIBLE)
     rival = replace(
         others[0],

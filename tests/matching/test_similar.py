@@ -6,10 +6,9 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array, PointCloud, Pole
 from retropole.base.errors import Refusal
-from retropole.matching.correspondence import match_poles
+from retropole.matching.correspondence import DISTANCE_TOLERANCE, match_poles
 from retropole.matching.similar import (
     MAX_FACTOR,
-    MIN_DISTANCE,
     Change,
     changed_cloud,
     changed_pole,
@@ -49,7 +48,7 @@ def test_no_factor_beyond_the_limit_and_none_of_lines_that_nearly_meet(
     p, n = AXES[0]
     across = np.cross(n, AXES[1][1])
     across /= np.linalg.norm(across)
-    for gap, told in ((0.5 * MIN_DISTANCE, 0), (2 * MIN_DISTANCE, 1)):
+    for gap, told in ((0.5 * DISTANCE_TOLERANCE, 0), (2 * DISTANCE_TOLERANCE, 1)):
         near = [make_pole(p, n), make_pole(p + gap * across, AXES[1][1])]
         assert len(factors_of(near, near, 3)) == told
 

@@ -268,7 +268,7 @@ def test_a_refinement_that_still_moves_says_so(monkeypatch: pytest.MonkeyPatch) 
     pair = simulate_pair("street", np.random.default_rng(21))
     start = off_pose(pair.T_target_source)
     whole = refine(pair.target, pair.source, start)
-    monkeypatch.setattr("retropole.scene.descent.MAX_REFINEMENT_ITERATIONS", 2)
+    monkeypatch.setattr("retropole.scene.descent.MAX_ITERATIONS", 2)
     short = refine(pair.target, pair.source, start)
     assert whole is not None
     assert short is not None

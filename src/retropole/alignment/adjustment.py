@@ -58,13 +58,6 @@ MIN_RETURNS_PER_POLE = 3
 RADIUS_DENIED = 3.0
 """So many σ between the given radius and the returns, and it is the returns that are believed."""
 
-RADIUS_ROUNDS, MAX_RADIUS_CHANGE = 6, 0.5
-"""So often a radius is put in the place of the one given, until the returns agree with it, and by
-no larger a part of the one before: far off, the returns overshoot."""
-
-SCALE_ROUNDS = 3
-"""So often the sizes of the errors are estimated; they settle in two."""
-
 
 @dataclass(frozen=True, eq=False)
 class BeamAlignment:
@@ -236,18 +229,17 @@ def align_all(
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
         return Aligned(found, network, estimate, denied, given_sigma)
-    # What was given has no say any more; the returns' own radius takes its place.
-    assumed, sigma = radius, given_sigma
-    for _ in range(RADIUS_ROUNDS):
-        change = np.clip(by_returns.value / assumed - 1.0, -MAX_RADIUS_CHANGE, MAX_RADIUS_CHANGE)
-        assumed, sigma = float(assumed * (1.0 + change)), by_returns.sigma
-        start = replace(found.point.state, radius=assumed)
-        found, network = climbed(start, found.point.log_noise, sigma)
-        by_returns = radius_of_returns(network, replace(model, radius_sigma=sigma), assumed)
-        if abs(by_returns.value - assumed) < by_returns.sigma:
-            break
-    estimate = RadiusEstimate(radius, given_sigma, assumed, sigma)
-    return Aligned(found, network, estimate, denied, sigma)
+    # What was given has no say any more: the climb finds the radius anew, as good as free, and that
+    # takes its place.
+    assumed = found.point.state.radius
+    found, network = climbed(found.point.state, found.point.log_noise, radius)
+    by_returns = radius_of_returns(network, model, assumed)
+    # Poles that say nothing of it may want less than none.
+    own = max(by_returns.value, 0.0)
+    start = replace(found.point.state, radius=own)
+    found, network = climbed(start, found.point.log_noise, by_returns.sigma)
+    estimate = RadiusEstimate(radius, given_sigma, own, by_returns.sigma)
+    return Aligned(found, network, estimate, denied, by_returns.sigma)
 
 
 def _check_counts(target: Beams, source: Beams) -> None:
@@ -283,12 +275,11 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     factor = factor_of(found.network)
     unknowns, groups = factor.unknowns, factor.unknowns.groups()
     known = model.sigmas(groups)
-    sigma = known
-    for _ in range(SCALE_ROUNDS):
-        precision = prior_precision(groups, working_sigma(groups, sigma, poles_alone=True))
-        estimate = solve_factor(factor, precision)
-        variance = np.diag(estimate.inverse)[unknowns.poses :]
-        sigma = group_scales(groups, known, precision, estimate.errors, variance)
+    precision = prior_precision(groups, working_sigma(groups, known, poles_alone=True))
+    estimate = solve_factor(factor, precision)
+    variance = np.diag(estimate.inverse)[unknowns.poses :]
+    # Poles alone tell the size of hardly any error: asked once more, they say the same.
+    sigma = group_scales(groups, known, precision, estimate.errors, variance)
     uncertainty = uncertainty_of_pair(
         [
             *parts_of_errors(groups, sigma, precision, estimate.inverse, estimate.errors),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import fdtri
+from scipy.special import chdtri, fdtri
 
 from ..base import se3
 from ..base.datatypes import Array, BoolArray
@@ -27,14 +27,18 @@ FLOOR = "what no model names"
 POLES = "scatter of the poles' returns"
 """What it calls that."""
 
-WORKING_SHARE, POLES_ONLY = 0.25, ("tape", "radius")
+POLES_ONLY = "tape", "radius"
+"""Errors that only poles show."""
+
+WORKING_SHARE = 0.25
 """The estimate is drawn to the prior of errors that only poles show as if they had this part of
 their 1 σ; what is stated counts them whole. A few poles cannot tell an offset from a translation:
 given all the freedom that the instrument has, the estimate takes noise for offsets. Of 100 set-ups
 of the paper the median e_rt is 0.081 m with 0.25, 0.087 with 0.5 and 0.125 with 1; with offsets of
 7 mm on tape and 4 mm on rings 0.125, 0.129 and 0.152 (seeds 0 to 99)."""
 
-CONSIDERED, CONSIDERED_SHARE = "width", 0.01
+CONSIDERED = "width"
+CONSIDERED_SHARE = 0.01
 """The error that is considered and not estimated (Schmidt 1966), and the part of its 1 σ that it is
 held within. The estimate takes beams to be as wide as they are known to be, and what is stated
 counts that they may not be. Which touch of a pole's edge still returns is not known well enough to
@@ -42,13 +46,11 @@ tell the width from it: estimated, it came out at 0.2 to 0.7 of what was simulat
 4 streets of 8 sweeps (seeds 501 to 504, sensors known) fitted each other worse, with a χ² of up to
 70 in place of 2."""
 
-SCALE_WEIGHT = 4.0
-"""So many errors of the size that is known beforehand count beside those that the data show."""
-
 MIN_MEMBERS = 5
-"""Errors that a size is estimated from: those of a whole LiDAR, one to four of a kind, do not tell
-their own size, and given the freedom it grows with the pose that they pull along. With that of bent
-scan lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
+"""Errors that a size is estimated from, and as many of the size that is known beforehand count
+beside those that the data show. Those of a whole LiDAR, one to four of a kind, do not tell their
+own size, and given the freedom it grows with the pose that they pull along. With that of bent scan
+lines estimated, of 36 recordings of a standing vehicle that were turned by 0.3° two to five
 were not found to have moved (benchmarks/check.py, PandaSet, seeds 1000 and 1001); of 36 none is
 missed so."""
 
@@ -61,8 +63,13 @@ BUDGET_RANGE = 30.0
 SIDES: tuple[Literal["target"], Literal["source"]] = ("target", "source")
 """What the LiDARs of a pair are called."""
 
-CHI2_95 = 12.591587243743977
-"""95 % quantile of χ² with 6 degrees of freedom."""
+CONFIDENCE, SIGNIFICANT = 0.95, 0.99
+"""Share of the errors that stated regions hold; share of chance up to which it may be chance."""
+
+
+def chi2_limit(freedom: float, share: float = SIGNIFICANT) -> float:
+    """χ² with some degrees of freedom that a share of chance is below."""
+    return float(chdtri(freedom, 1.0 - share))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +166,7 @@ def group_scales(
     count = len(known)
     square = np.bincount(groups.label, estimated**2, count)
     gamma = np.bincount(groups.label, determined, count)
-    new = np.sqrt((SCALE_WEIGHT * known**2 + square) / (SCALE_WEIGHT + gamma))
+    new = np.sqrt((MIN_MEMBERS * known**2 + square) / (MIN_MEMBERS + gamma))
     many = np.bincount(groups.label, minlength=count) >= MIN_MEMBERS
     return np.asarray(np.where(many, np.clip(new, known, MAX_SCALE * known), known))
 
@@ -308,8 +315,13 @@ def excess(covariance: Array, other: Array) -> Array:
 
 
 def few_freedom(freedom: float) -> float:
-    """Factor by which few degrees of freedom widen a covariance: ``6 F(6, ν) / χ²(6)`` at 95 %."""
-    return float(POSE * fdtri(POSE, max(freedom, 3.0), 0.95) / CHI2_95)
+    """Factor by which few degrees of freedom widen a covariance: ``6 F(6, ν) / χ²(6)`` at 95 %.
+
+    It is 1 where they are infinite: of a covariance that is given, not estimated.
+    """
+    if np.isinf(freedom):
+        return 1.0
+    return float(POSE * fdtri(POSE, max(freedom, 3.0), CONFIDENCE) / chi2_limit(POSE, CONFIDENCE))
 
 
 def _at(root: Array) -> float:

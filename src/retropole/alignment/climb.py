@@ -11,11 +11,8 @@ from ..base.datatypes import Array
 from ..base.errors import Refusal
 from .observations import Beams
 from .posterior import Posterior, S, State, beam_geometry
-from .solver import Solution, levenberg_marquardt
+from .solver import DAMPING, MAX_ITERATIONS, ROUNDING, Solution, levenberg_marquardt
 from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE
-
-START_NOISE = (0.005, 0.5)
-"""Bounds of the noise that the search starts from, metres."""
 
 MAX_NOISE = 0.05
 """Most noise of a return that still says anything of a pole, metres: more than its thickness."""
@@ -23,27 +20,15 @@ MAX_NOISE = 0.05
 MIN_INLIER_SHARE = 0.5
 """Share of the returns that must lie on the common poles."""
 
-MAX_POLE_ITERATIONS = 60
-POLE_STEP, POLE_GAIN = 0.02, 0.01
-"""Gain of the logarithm of the posterior below which the noise is kept and the geometry alone goes
-on, and the step, in units of each parameter's own 1 σ, that says the same where none gains."""
+POLE_STEP = POLE_GAIN = 0.01
+"""Step, in units of each parameter's own 1 σ, at which the geometry has converged; and gain of the
+logarithm of the posterior below which the noise is kept, and the geometry alone goes on."""
 
-POLISHED_STEP = 1e-3
-"""Step, in the same units, at which the geometry has converged."""
-
-NOISE_DAMPING = 1e-3
+NOISE_DAMPING = DAMPING
 """Least damping with the noise: at the bounds of the noise its own steps make the cost rise, and
 from less it takes many to damp them."""
 
-POLE_DAMPING, MIN_POLE_DAMPING = 1e-4, 1e-9
-"""Damping of the geometry alone, at the start and at least."""
-
-LEAST_CURVATURE = 1e-8
-"""Least eigenvalue of the true curvature, over the diagonal of the lifted one, to step with it: it
-takes 3 to 9 steps then, where the lifted one took up to 53."""
-
-POLE_SLACK = 1e-9
-"""The cost may rise by this part of itself: it is a sum over hundreds of returns."""
+POLE_SLACK, MAX_POLE_ITERATIONS = ROUNDING, MAX_ITERATIONS
 
 
 def maximise(
@@ -83,20 +68,13 @@ def maximise(
         with_noise,
         lambda step: step.gain < POLE_GAIN,
         tolerance=POLE_STEP,
-        damping=NOISE_DAMPING,
         min_damping=NOISE_DAMPING,
-        slack=POLE_SLACK,
-        max_iterations=MAX_POLE_ITERATIONS,
     )
     polished = levenberg_marquardt(
         _with_true_curvature(found.point),
         geometry_alone,
-        lambda step: bool(np.abs(step.scaled).max() < POLISHED_STEP),
-        tolerance=POLISHED_STEP,
-        damping=POLE_DAMPING,
-        min_damping=MIN_POLE_DAMPING,
-        slack=POLE_SLACK,
-        max_iterations=MAX_POLE_ITERATIONS,
+        lambda step: bool(np.abs(step.scaled).max() < POLE_STEP),
+        tolerance=POLE_STEP,
     )
     return Solution(
         polished.point,
@@ -107,10 +85,13 @@ def maximise(
 
 
 def _with_true_curvature(now: Posterior[S]) -> Posterior[S]:
-    """Give the posterior its second derivative as curvature, where that is positive definite."""
+    """Give the posterior its second derivative as curvature, where that is positive definite.
+
+    It takes 3 to 9 steps then, where the lifted one took up to 53.
+    """
     scale = np.sqrt(np.maximum(np.diag(now.curvature), 1e-300))
     lowest = np.linalg.eigvalsh(now.information / np.outer(scale, scale))[0]
-    return replace(now, curvature=now.information) if lowest > LEAST_CURVATURE else now
+    return replace(now, curvature=now.information) if lowest > ROUNDING else now
 
 
 def check_fit(end: Posterior[S], total: int, returns: str) -> None:
@@ -166,4 +147,4 @@ def start_noise(state: State, lidar: int, beams: Beams) -> float:
     """Give the logarithm of how far the returns lie from the poles of a start."""
     seen = beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole)
     spread = np.sqrt(np.mean((seen.depth - state.radius) ** 2 + seen.lateral_offset**2))
-    return float(np.log(np.clip(spread, *START_NOISE)))
+    return float(np.log(np.clip(spread, MIN_NOISE, MAX_NOISE)))

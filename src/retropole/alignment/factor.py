@@ -21,10 +21,6 @@ from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PoseEstimate
 from .unknowns import POSE, Unknowns
 
-MANY = 1e3
-"""Degrees of freedom of a covariance that is given, not estimated."""
-
-
 OF_SOURCE = np.repeat([False, True], POSE)
 """(12,) which parameters of both poses of a pair are estimated."""
 
@@ -44,7 +40,8 @@ class PoleFactor:
     information, vector
         (K, K) Λ and (K,) η.
     redundancy
-        Returns more than parameters: the degrees of freedom of their noise.
+        Returns more than parameters: the degrees of freedom of their noise; infinite where a
+        covariance is given.
     """
 
     T: Array
@@ -109,4 +106,4 @@ def gaussian_factor(pose: PoseEstimate) -> PoleFactor:
     own = unknowns.pose(1)
     information[np.ix_(own, own)] = np.linalg.inv(pose.covariance)
     T = poses_of_pair(pose.T_target_source)
-    return PoleFactor(T, unknowns, OF_SOURCE, information, np.zeros(unknowns.kept), MANY)
+    return PoleFactor(T, unknowns, OF_SOURCE, information, np.zeros(unknowns.kept), np.inf)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
+from ..base.systematic import MIN_ERROR_SIGMA
 from .climb import check_fit, maximise, start_noise
 from .observations import Beams
 from .posterior import NOISE_STEP, SHARED, Posterior, evaluate_lidar
@@ -20,18 +21,12 @@ from .solver import Solution
 from .state import JointState
 from .survey import Surveyed, survey_terms
 from .unknowns import POSE
-
-START_ROTATION, START_TRANSLATION = 0.3, 1.0
-"""1 σ about the poses that the search starts from, rad and m: wide enough to say nothing where the
-poles do, and the climb has a way where the poles of a LiDAR leave it free."""
-
-MIN_PRIOR_SIGMA = 1e-9
-"""A parameter with less prior 1 σ than this, metres, is known: its prior has this width."""
+from .views import WIDEST
 
 
 @dataclass(frozen=True, eq=False)
 class JointPriors:
-    """What is known before: the start with its width, 1 σ of offsets (L,), the radius, the datum.
+    """What is known before: the start within `WIDEST`, 1 σ of offsets (L,), the radius, the datum.
 
     `free` (6 L,) tells which parameters of the poses are estimated; the others are the datum.
     """
@@ -64,15 +59,14 @@ def evaluate_joint(
     x, prior = np.zeros(size), np.zeros(size)
     steps = [se3.local(start, T) for start, T in zip(priors.start, state.T, strict=True)]
     x[: POSE * count] = np.concatenate(steps)
-    prior[: POSE * count] = np.tile(
-        np.repeat([START_ROTATION**-2.0, START_TRANSLATION**-2.0], 3), count
-    )
+    # About the poses that the search starts from: it has a way where a LiDAR's poles leave it free.
+    prior[: POSE * count] = WIDEST**-2.0
     offsets = slice(POSE * count, (POSE + 1) * count)
     x[offsets] = state.offsets
-    prior[offsets] = np.maximum(priors.offsets, MIN_PRIOR_SIGMA) ** -2.0
+    prior[offsets] = np.maximum(priors.offsets, MIN_ERROR_SIGMA) ** -2.0
     radius = state.first_axis - 1
     x[radius] = state.radius - priors.radius
-    prior[radius] = max(priors.radius_sigma, MIN_PRIOR_SIGMA) ** -2.0
+    prior[radius] = max(priors.radius_sigma, MIN_ERROR_SIGMA) ** -2.0
     log, score = -0.5 * float(prior @ x**2), -prior * x
     information, lifted = np.diag(prior), np.diag(prior)
     noise_step, inliers = np.zeros((count, 2)), 0.0

@@ -30,27 +30,25 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from ..base.datatypes import Array
+from ..base.datatypes import DEFAULT_RADIUS, Array
 
 OUTLIERS, OUTLIER_RADIUS = 0.02, 0.3
-"""Share of returns that may be no part of a pole, and how far from it they may lie, metres."""
-
-USUAL_RADIUS = 0.02
-"""Of the pole whose beams are outliers by that share where the beams beside it are recorded,
-metres: that of the tubes which poles are made of."""
+"""Share of returns that may be no part of a pole, and how far from it they may lie, metres: what is
+farther behind it is something else."""
 
 LOST = 0.05
 """Share of the beams towards a pole that may return from behind it all the same."""
 
-NODES, EDGE_NODES = 20, 6
-"""Of the integral over the arc, and over each edge beside it."""
+NODES, FEW_NODES = 20, 6
+"""Of the integral over the arc; over each edge beside it, and over what is left open of an axis.
+With 16 the derivatives of the arc no longer agree with its differences."""
 
 MAX_SIDEWAYS_SIGMAS = 6.0
 """The integral leaves out what is further than so many σ_m away sideways: 2e-9 of a normal
 distribution."""
 
 _GAUSS, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(NODES)
-_EDGE, _EDGE_WEIGHT = np.polynomial.legendre.leggauss(EDGE_NODES)
+_EDGE, _EDGE_WEIGHT = np.polynomial.legendre.leggauss(FEW_NODES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +201,9 @@ def arc_likelihood(
     # A node's place is (r c, r s + offset): on the edges beside the arc c = 0, s = ±1. Weights
     # depend on r too: the gradient and the curvature of their logarithm are kept beside them.
     offset = np.zeros_like(theta)
-    # Half of what the beams are shared out over, to the power of those beside which none are known.
-    room = USUAL_RADIUS + w
+    # Half of what the beams are shared out over, to the power of those beside which none are known:
+    # of a usual pole, so that as large a share of its beams are outliers.
+    room = DEFAULT_RADIUS + w
     room = room * ((safe + w) / room) ** alone
     weight = weight * (radius / (2 * room))[:, None]
     whole = 1.0 / (safe + w)[:, None]

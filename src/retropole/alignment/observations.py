@@ -11,24 +11,18 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, IntArray, PointCloud, Pole
 from ..base.sensors import Sensor
-from .likelihood import closest_approach
+from .likelihood import OUTLIER_RADIUS, closest_approach
 
 DIVERGENCE = 0.003
 """Full angle of the beams of a sensor that is not known, rad: manufacturers state 1.5 to 8 mrad."""
 
-PASSING, PASSED_BEHIND = 0.015, 0.3
-"""A beam passes beside a pole within the first distance of its surface, and returns from so far
-behind it, metres."""
+PASSING = 0.015
+"""A beam passes beside a pole within this distance of its surface, and returns from farther behind
+it than outliers lie, metres."""
 
-SEARCH_MARGIN = 0.5
-"""Passing beams are looked for so far beyond half the length of a pole, metres."""
-
-BESIDE, STRETCH = 0.1, 0.2
+BESIDE = 0.2
 """Beams so much further aside, along such a stretch of the pole, tell whether those beside it are
 recorded, metres: beams of the coarsest sensor of the table are 0.08 m apart at 8 m."""
-
-NEAREST_PASSED = 0.7
-"""Returns nearer than this part of the pole's range are not looked at: they hide the pole."""
 
 MOST_RETURNS = 1000
 """Of one pole, no more are worked on: their noise then leaves 1 mm of its axis open, less than the
@@ -178,28 +172,28 @@ def _near(pole: Pole, cloud: PointCloud, divergence: float, ray: Array, ranges: 
     The cloud's rays (P, 3) and ranges (P,) are given, metres.
     """
     away = float(np.linalg.norm(pole.point - cloud.origin))
-    sine = np.sin(np.arctan2(0.5 * pole.length + SEARCH_MARGIN, away))
+    own = (pole.xyz - pole.point) @ pole.direction
+    room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
+    # What is farther from the middle of the pole across the ray, or nearer along it, plays no part.
+    reach = np.abs(own).max() + room + 2 * BESIDE
     toward = ray @ ((pole.point - cloud.origin) / away)
-    nearby = np.flatnonzero(
-        (ranges > NEAREST_PASSED * away) & (toward > np.sqrt(1 - sine**2) * ranges)
-    )
+    cosine = np.sqrt(max(1.0 - (reach / away) ** 2, 0.0))
+    nearby = np.flatnonzero((ranges > away - reach) & (toward > cosine * ranges))
     directions = ray[nearby] / ranges[nearby, None]
     by = closest_approach(cloud.origin, directions, pole.point, pole.direction)
     along = (cloud.origin + by.ranges[:, None] * directions - pole.point) @ pole.direction
-    own = (pole.xyz - pole.point) @ pole.direction
-    room = RMS_MARGIN * pole.rms + PASSING + 0.5 * divergence * away
-    behind = ranges[nearby] > by.ranges + PASSED_BEHIND
+    behind = ranges[nearby] > by.ranges + OUTLIER_RADIUS
     within = (along > own.min()) & (along < own.max())
     passed = np.flatnonzero(behind & within & (np.abs(by.lateral_offset) < room))
-    stretches = max(int(np.ptp(own) / STRETCH), 1)
-    length = max(float(np.ptp(own)) / stretches, STRETCH)
+    stretches = max(int(np.ptp(own) / BESIDE), 1)
+    length = max(float(np.ptp(own)) / stretches, BESIDE)
 
     def stretch(along: Array) -> IntArray:
         place = np.clip((along - own.min()) / length, 0, stretches - 1)
         return np.asarray(place, dtype=np.int64)
 
     near = behind & (np.abs(by.lateral_offset) < room + BESIDE)
-    near &= (along > own.min() - STRETCH) & (along < own.max() + STRETCH)
+    near &= (along > own.min() - BESIDE) & (along < own.max() + BESIDE)
     beside = np.zeros(len(own))
     for side in (near & (by.lateral_offset < 0), near & (by.lateral_offset > 0)):
         seen = np.bincount(stretch(along[side]), minlength=stretches) > 0

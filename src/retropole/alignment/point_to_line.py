@@ -18,20 +18,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, IntArray
 from ..base.errors import Refusal
-from .solver import Quadratics, levenberg_marquardt_each
-
-MAX_LINE_ITERATIONS = 60
-"""Most starts need 5 to 15."""
-
-LINE_STEP_TOLERANCE = 1e-9
-"""Stop where the step, rad and m together, is below this: far below any noise."""
-
-LINE_DAMPING, MIN_LINE_DAMPING = 1e-6, 1e-15
-"""At the start, and at least: the closed-form starts are near their optimum."""
-
-MIN_EIGENVALUE_RATIO = 1e-9
-"""Least ratio of the scaled information's eigenvalues: below it a direction of the pose is free to
-rounding."""
+from .solver import ROUNDING, Quadratics, levenberg_marquardt_each
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,15 +131,8 @@ def align_each(lines: Lines, starts: Array) -> list[LineAlignment]:
         transposed = np.swapaxes(J, 1, 2)
         return Quadratics(np.sum(r**2, axis=(1, 2)), (transposed @ r)[:, :, 0], transposed @ J)
 
-    found = levenberg_marquardt_each(
-        starts,
-        squared_distances,
-        se3.retract,
-        tolerance=LINE_STEP_TOLERANCE,
-        damping=LINE_DAMPING,
-        min_damping=MIN_LINE_DAMPING,
-        max_iterations=MAX_LINE_ITERATIONS,
-    )
+    # A step of rounding, rad and m together, is far below any noise.
+    found = levenberg_marquardt_each(starts, squared_distances, se3.retract, tolerance=ROUNDING)
     _check_rank(found.models.curvatures)
     rms = np.sqrt(found.models.costs / lines.counts.sum(axis=1))
     each = zip(found.ends, rms, found.came_to_rest, found.models.curvatures, strict=True)
@@ -164,7 +144,7 @@ def _check_rank(H: Array) -> None:
     scale = np.sqrt(np.einsum("bii->bi", H) + 1e-300)
     eigenvalues = np.linalg.eigvalsh(H / (scale[:, :, None] * scale[:, None, :]))
     ratio = float(np.min(eigenvalues[:, 0] / eigenvalues[:, -1], initial=1.0))
-    if not np.isfinite(ratio) or ratio < MIN_EIGENVALUE_RATIO:
+    if not np.isfinite(ratio) or ratio < ROUNDING:
         raise Refusal(
             "degenerate_poles",
             f"the poles leave one direction of the pose free (eigenvalue ratio {ratio:.1e}); "

@@ -24,10 +24,8 @@ SHARED = 9
 RETURN_CURVATURE = 0.02
 """Least curvature of a return's own cost that a step is taken with, in units of its information
 ``1/σ²``: beyond the inflection of the likelihood the true one is negative. It steers the steps
-only, the covariance takes the true curvature."""
-
-NOISE_CURVATURE = 0.05
-"""The same for the logarithm of the noise, per return that lies on a pole."""
+only, the covariance takes the true curvature. The same for the logarithm of the noise, per return
+that lies on a pole."""
 
 NOISE_STEP = (-1.0, 0.5)
 """Bounds of a step of the logarithm of the noise: at most e times less, 1.6 times more."""
@@ -248,7 +246,7 @@ def _on_poles(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> O
     gradient = arc.inlier @ (arc.noise - 1.0)
     curvature = arc.inlier @ (2.0 * arc.noise - arc.noise_variance)
     inliers = max(float(arc.inlier.sum()), 1e-300)
-    return OnPoles(terms, gradient / np.maximum(curvature, NOISE_CURVATURE * inliers), inliers)
+    return OnPoles(terms, gradient / np.maximum(curvature, RETURN_CURVATURE * inliers), inliers)
 
 
 def _passed(state: State, seen: BeamGeometry, beams: Beams, noise: Array) -> Terms:

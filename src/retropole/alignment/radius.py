@@ -17,9 +17,6 @@ range and incidence (seeds 0 to 99 of that family in benchmarks/coverage.py) the
 18.4 mm of 20 mm in the middle and 8.9 mm at the least, 3.0 σ with 0.12 and 3.6 σ with 0.06; with
 0.12 all of 24 diameters that were given for the radius are denied."""
 
-MIN_RADIUS_PRECISION = 1e-2
-"""Of a prior of the radius that says nothing, 1/m²."""
-
 
 @dataclass(frozen=True)
 class ReturnsRadius:
@@ -53,7 +50,7 @@ def radius_of_returns(network: Network, model: ErrorModel, radius: float) -> Ret
     poses = factor.unknowns.poses
     known = model.sigmas(groups)
     precision = prior_precision(groups, known)
-    precision[own - poses] = MIN_RADIUS_PRECISION
+    precision[own - poses] = 0.0
     estimate = solve_factor(factor, precision)
     row = estimate.inverse[own]
     passed = row[poses:] * precision * considered(groups, known)

@@ -17,12 +17,16 @@ import numpy as np
 
 from ..base.datatypes import Array, BoolArray, IntArray
 
-MAX_DAMPING = 1e8
-"""Damping beyond which no step of any use is left."""
+MAX_ITERATIONS = 60
+"""Steps at most. From lines on lines most starts need 5 to 15, the beam model 5 to 30; what has not
+come to rest by then walks to and fro."""
 
-STALLED = 1e-3
-"""Where even a step of this part of the tolerance does not lower the cost, rounding is all that is
-left of it: the minimum is reached."""
+DAMPING = 1e-3
+"""Damping at the start, as a part of each parameter's own curvature: starts are near a minimum."""
+
+ROUNDING = 1e-9
+"""Part of a sum over hundreds of returns that is rounding: a cost may rise by it, less damping is
+none, damped by its inverse a step is none, and eigenvalues so small beside the largest are zero."""
 
 
 class Model(Protocol):
@@ -98,10 +102,10 @@ def levenberg_marquardt(
     small: Callable[[Step], bool],
     *,
     tolerance: float,
-    damping: float,
-    min_damping: float,
-    slack: float = 0.0,
-    max_iterations: int,
+    damping: float = DAMPING,
+    min_damping: float = ROUNDING,
+    slack: float = ROUNDING,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> Solution[Q]:
     """Minimise a cost by damped Newton steps (Marquardt 1963).
 
@@ -117,8 +121,8 @@ def levenberg_marquardt(
     small
         Whether a step that was taken is small enough to stop.
     tolerance
-        Largest entry of a scaled step that counts as small: only used to tell a minimum to rounding
-        from a failure where no step lowers the cost.
+        Largest entry of a scaled step that counts as small where no step lowers the cost: the
+        minimum is reached.
     damping, min_damping
         At the start, and at least.
     slack
@@ -137,11 +141,11 @@ def levenberg_marquardt(
             now, damping = new, max(damping / 10.0, min_damping)
             if small(Step(np.asarray(scaled / scale), np.asarray(scaled), gain)):
                 return Solution(now, True, iteration, damping)
-        elif np.abs(scaled).max() < STALLED * tolerance:
+        elif np.abs(scaled).max() < tolerance:
             return Solution(now, True, iteration, damping)
         else:
             damping *= 10.0
-            if damping > MAX_DAMPING:
+            if damping > 1.0 / ROUNDING:
                 return Solution(now, False, iteration, damping)
     return Solution(now, False, max_iterations, damping)
 
@@ -168,9 +172,7 @@ def levenberg_marquardt_each(
     move: Callable[[Array, Array], Array],
     *,
     tolerance: float,
-    damping: float,
-    min_damping: float,
-    max_iterations: int,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> Solutions:
     """Minimise the costs of many small problems, each as `levenberg_marquardt` does it alone.
 
@@ -184,15 +186,13 @@ def levenberg_marquardt_each(
         From points (M, …) and steps (M, P) to the next points.
     tolerance
         A problem ends where its step, in the units of the parameters, is shorter.
-    damping, min_damping
-        At the start, and at least.
     max_iterations
         Steps at most, for each.
     """
     points, left = starts.copy(), np.arange(len(starts))
     models = Quadratics(*(each.copy() for each in model_at(points, left)))
     converged = np.zeros(len(starts), dtype=bool)
-    dampings = np.full(len(starts), damping)
+    dampings = np.full(len(starts), DAMPING)
     for _ in range(max_iterations):
         if len(left) == 0:
             break
@@ -203,17 +203,17 @@ def levenberg_marquardt_each(
         scaled = -np.linalg.solve(damped, (now.gradients / scale)[:, :, None])[:, :, 0]
         moved = move(points[left], scaled / scale)
         new = model_at(moved, left)
-        better = now.costs - new.costs >= 0
+        better = now.costs - new.costs >= -ROUNDING * now.costs
         taken = left[better]
         points[taken] = moved[better]
         for kept, found in zip(models, new, strict=True):
             kept[taken] = found[better]
-        dampings[taken] = np.maximum(dampings[taken] / 10.0, min_damping)
+        dampings[taken] = np.maximum(dampings[taken] / 10.0, ROUNDING)
         rests = np.linalg.norm(scaled / scale, axis=1) < tolerance
-        rests = np.where(better, rests, np.abs(scaled).max(axis=1) < STALLED * tolerance)
+        rests = np.where(better, rests, np.abs(scaled).max(axis=1) < tolerance)
         converged[left[rests]] = True
         dampings[left[~better & ~rests]] *= 10.0
-        left = left[~rests & (dampings[left] <= MAX_DAMPING)]
+        left = left[~rests & (dampings[left] <= 1.0 / ROUNDING)]
     return Solutions(points, models, converged)
 
 

@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.datatypes import Array, IntArray
-from .likelihood import arc_likelihood, passed_beam_likelihood
+from .likelihood import FEW_NODES, arc_likelihood, passed_beam_likelihood
 from .observations import Beams
 from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lift_of, own_geometry
+from .solver import MAX_ITERATIONS
 
 MIN_NOISE = 2e-5
 """Least noise of a return, metres."""
@@ -34,22 +35,16 @@ MAX_LATERAL_NOISE = 2.0
 """Most noise sideways, as a multiple of that in depth: returns sharp in depth and blurred sideways
 would fall between the nodes of the integral."""
 
-NODES = 5
-"""Of the average over the lateral offset (Gauss and Hermite)."""
+WIDEST = 1.0
+"""Most that anything is left open by, 1 σ, rad or metres: so wide that it says nothing where beams
+say anything at all, and matrices have inverses where they do not."""
 
-WIDEST = 0.1
-"""Most that an axis is left open by, 1 σ: metres, and of its lean, rad."""
-
-FARTHEST = 2.0
-"""Most that a view lies away from the state, in units of its own 1 σ: that of eight returns may
-else lose some of them as outliers, and wander off."""
-
-BLEND, MAX_ROUNDS, SETTLED = 0.5, 30, 0.1
-"""Part of the way that each round goes, rounds at most, and the change, in units of 1 σ and of the
+BLEND, SETTLED = 0.5, 0.1
+"""Part of the way that each round goes, and the change, in units of 1 σ and of the
 information, at which the distribution is its own average. Stated σ are then within 3 % of those of
 the limit in all but one of 24 simulated pairs, with a quarter of the rounds."""
 
-_AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(NODES)
+_AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(FEW_NODES)
 _WEIGHT = _WEIGHT / _WEIGHT.sum()
 
 
@@ -123,11 +118,11 @@ def average_returns(seen: BeamGeometry, beams: Beams, radius: float, view: View)
     arc = arc_likelihood(
         (seen.depth + moved[:, 0] + _AT[:, None] * depthways).reshape(-1),
         (seen.lateral_offset + moved[:, 1] + _AT[:, None] * sideways).reshape(-1),
-        np.tile(sigma, NODES),
-        np.full(NODES * len(sigma), view.noise[1]),
+        np.tile(sigma, FEW_NODES),
+        np.full(FEW_NODES * len(sigma), view.noise[1]),
         radius,
-        np.tile(beams.half_width, NODES),
-        np.tile(beams.beside, NODES),
+        np.tile(beams.half_width, FEW_NODES),
+        np.tile(beams.beside, FEW_NODES),
     )
     information, inlier = _averaged(arc.information, _WEIGHT), _averaged(arc.inlier, _WEIGHT)
     noise = _averaged(arc.inlier[:, None] * arc.noise, _WEIGHT)
@@ -145,9 +140,9 @@ def average_passed(seen: BeamGeometry, beams: Beams, radius: float, view: View) 
     sideways = np.sqrt(np.einsum("ni,nij,nj->n", J, view.covariance[own], J))
     free = passed_beam_likelihood(
         (seen.lateral_offset + moved + _AT[:, None] * sideways).reshape(-1),
-        np.full(NODES * count, view.noise[1]),
+        np.full(FEW_NODES * count, view.noise[1]),
         radius,
-        np.tile(beams.passed_half_width, NODES),
+        np.tile(beams.passed_half_width, FEW_NODES),
     )
     information = _averaged(free.information, _WEIGHT)
     score = _averaged(free.score, _WEIGHT) + information[:, :, 0] * moved[:, None]
@@ -181,7 +176,7 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
     J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
     view = exact_view(poles, np.asarray(noise, dtype=np.float64))
     precision: Array | None = None
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         on = average_returns(seen, beams, state.radius, view)
         passed = average_passed(beside, beams, state.radius, view)
         bent = on.information[:, :2, :2]
@@ -208,10 +203,7 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
         grown = np.einsum("kij,kji->k", covariance, now) / 4 - 1
         wrong = np.sqrt(np.einsum("ki,kij,kj->k", step, blended, step)).max()
         settled = precision is not None and max(wrong, np.abs(grown).max()) < SETTLED
-        shift = view.shift + step
-        far = np.sqrt(np.einsum("ki,kij,kj->k", shift, blended, shift))
-        shift = shift * np.minimum(1.0, FARTHEST / np.maximum(far, FARTHEST))[:, None]
-        view = View(shift, covariance, _noise(view.noise, on))
+        view = View(view.shift + step, covariance, _noise(view.noise, on))
         precision = blended
         if settled:
             break

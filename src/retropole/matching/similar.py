@@ -12,10 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base.datatypes import Array, PointCloud, Pole
-from .correspondence import ANGLE_TOLERANCE, all_pairs
-
-MIN_DISTANCE = 0.15
-"""Lines nearer to each other tell no scale, metres: each LiDAR sees them up to 16 mm off."""
+from .correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE, all_pairs
 
 MAX_FACTOR = 5.0
 """Largest ratio of distances that is tried; pairs that are no pair have any."""
@@ -66,8 +63,8 @@ def factors_of(target: Sequence[Pole], source: Sequence[Pole], most: int) -> lis
     pairs, others = all_pairs(target), all_pairs(source)
     sigma = np.hypot(pairs.sigma[:, None], others.sigma[None])
     alike = np.abs(pairs.angle[:, None] - others.angle[None]) <= ANGLE_TOLERANCE + 3 * sigma
-    # Of a cloud that is scaled down the error is scaled, too.
-    alike &= np.maximum(pairs.distance[:, None], others.distance[None]) > MIN_DISTANCE
+    # Lines that are nearer tell no scale. Of a cloud that is scaled down the error is scaled, too.
+    alike &= np.maximum(pairs.distance[:, None], others.distance[None]) > DISTANCE_TOLERANCE
     alike &= np.minimum(pairs.distance[:, None], others.distance[None]) > 0
     rows, columns = np.nonzero(alike)
     ratios = np.log(pairs.distance[rows] / others.distance[columns])

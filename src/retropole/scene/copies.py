@@ -13,10 +13,9 @@ import numpy as np
 
 from ..base.datatypes import Array, Placement, PointCloud
 from ..base.errors import Refusal
+from ..base.sampling import every_nth
 from .ordering import order_of
-
-SAMPLE = 5_000
-"""Points of a cloud, taken without order, that are looked for in another."""
+from .registration import SAMPLE
 
 MIX = np.uint64(0x9E3779B97F4A7C15)
 """Multiplier of the hash: 2⁶⁴ over the golden ratio, odd (Knuth 1998, TAOCP 3, 6.4)."""
@@ -93,7 +92,7 @@ def what_to_give(first: int, second: int) -> str:
 def _shared(part: Keys, whole: Keys) -> float:
     """Share of a sample of the first keys that are among the second, both sorted."""
     # In order of the hash, which is none of the points.
-    sample = part[:: 1 + (len(part) - 1) // SAMPLE]
+    sample = every_nth(part, SAMPLE)
     place = np.minimum(np.searchsorted(whole, sample), len(whole) - 1)
     return float(np.mean(whole[place] == sample))
 

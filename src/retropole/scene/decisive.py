@@ -21,9 +21,6 @@ from .places import Places, places_of_poses
 MAX_SHARE = 0.3
 """Most of the information along any direction that one place may hold without a word."""
 
-MOST_LEFT_OUT = 3
-"""So many places can hold so much of one direction."""
-
 
 @dataclass(frozen=True, eq=False)
 class Decisive:
@@ -76,7 +73,7 @@ def without_decisive(
     (term,), (scene,) = end.scene, problem.scenes
     pairs = term.pairs
     shares = leverage(places_of_poses(end))
-    for c in np.argsort(-shares)[:MOST_LEFT_OUT]:
+    for c in np.argsort(-shares):
         if shares[c] <= MAX_SHARE:
             return
         kept = scene.sets.clusters != pairs.places[c]

@@ -23,24 +23,22 @@ from scipy.linalg import lapack
 
 from ..alignment.certainty import group_scales, prior_precision, working_sigma
 from ..alignment.factor import PoleFactor
+from ..alignment.solver import MAX_ITERATIONS
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.systematic import Groups
-from .patch_pairs import (
-    PatchSets,
-)
+from .patch_pairs import PatchSets
 from .terms import ScenePair, SceneTerm, scene_term
 
-MAX_REFINEMENT_ITERATIONS = 60
 STEP = 5e-8
 """Stop where a step is below this, rad and m. Forces of poles, survey and scenes that balance each
 other turn with a step, to first order by half of it; steps of 2e-7 left 1.3e-6 of 1 σ at one of a
 hundred sites (tests/site/test_independent.py, seed 69)."""
 
-MIN_RATIO, MAX_RATIO = -4.0, 0.75
-"""Least and most that a step may be of the one before it, to be taken for part of a geometric
-series: steps three times too long walk to and fro with −2."""
+MAX_STRIDE = 4.0
+"""Most, and the inverse of the least, of a step that is gone: steps three times too long walk to
+and fro, each −2 times the one before, and a third of one is right."""
 
 FEW_STEP = 3e-4
 """The approach takes a part of the patches, until a step is below this, rad and m."""
@@ -176,7 +174,7 @@ def _descend(
     T, search, sigma, begun = begin.T, begin.search, begin.sigma, begin.iterations
     before: Array | None = None
     unknowns = problem.factor.unknowns
-    for iteration in range(begun + 1, begun + MAX_REFINEMENT_ITERATIONS + 1):
+    for iteration in range(begun + 1, begun + MAX_ITERATIONS + 1):
         found = (
             scene_term(each.lidars, sets, T, search, unknowns, problem.origins_known)
             for each, sets in zip(problem.scenes, scenes, strict=True)
@@ -214,7 +212,7 @@ def _stride_of(step: Array, variance: Array, before: Array | None) -> tuple[floa
     if before is None:
         return 1.0, scaled
     ratio = float(scaled @ before / max(float(before @ before), 1e-300))
-    return 1.0 / (1.0 - min(max(ratio, MIN_RATIO), MAX_RATIO)), None
+    return 1.0 / min(max(1.0 - ratio, 1.0 / MAX_STRIDE), MAX_STRIDE), None
 
 
 def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], sigma: Array) -> End:

@@ -21,7 +21,7 @@ from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, PointCloud
 from ..base.errors import Refusal
 from ..base.quantities import counted
-from .registration import MIN_CLOUD_POINTS, Surface, as_surface, register
+from .registration import MIN_CLOUD_POINTS, SAMPLE, Surface, as_surface, register
 from .visibility import OVERLAP_DISTANCE, compare_views, view_of
 
 SCORING_VOXEL = 0.25
@@ -30,13 +30,8 @@ SCORING_VOXEL = 0.25
 ICP_CORRESPONDENCE_DISTANCE = 1.0
 """Largest distance of corresponding points in the paper's ICP, metres. The paper names none."""
 
-ICP_POINTS = 2500
-"""ICP takes every n-th downsampled point so that about so many are left: it is reported, not relied
-on, and it is run for every hypothesis."""
-
-SCORING_SAMPLE = 6000
-"""Overlap and free space take every n-th downsampled point so that about so many are left: a share
-of them has a standard error of less than 0.7 %."""
+SCORING_SAMPLE = SAMPLE
+"""Overlap and free space take every n-th downsampled point so that no more are left."""
 
 
 def score_hypotheses(
@@ -123,7 +118,6 @@ def icp_motion(target: Surface, points: Array, T: Array) -> tuple[float | None, 
         None where so few points lie near that ICP has nothing to work with: that it then stays
         where it is says nothing for the hypothesis.
     """
-    points = points[:: 1 + len(points) // ICP_POINTS]
     if len(points) < MIN_CLOUD_POINTS:
         return None, None
     moved_by = register(

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..base.datatypes import IntArray
 
-DIGIT = 16
+DIGIT = np.iinfo(np.uint16).bits
 """Bits by which numbers are sorted at once: NumPy sorts so short ones in linear time."""
 
 

@@ -8,10 +8,13 @@ import numpy as np
 import small_gicp
 from scipy.spatial import cKDTree
 
+from ..alignment.certainty import chi2_limit
+from ..alignment.solver import ROUNDING
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
+from ..base.sampling import every_nth
 from ..base.se3 import lengths
 from ..base.systematic import DEVICE, RING, band_of, by_error
-from .registration import voxel_downsample
+from .registration import SAMPLE, voxel_downsample
 
 PATCH_VOXELS = (0.15, 0.3, 0.6)
 """Patches are fitted to clouds downsampled to one point per cube of these sides, metres: small ones
@@ -35,17 +38,12 @@ MAX_LEVERAGE = 0.35
 """Share of a patch's lesser extent that a single point may account for."""
 
 MAX_FLATNESS = 0.1
-"""Most variance across a patch, as a part of that along its lesser extent."""
+"""Most variance across a patch, as a part of that along its lesser extent. Without it, one of 120
+pairs (benchmarks/same_answers.py) moves by half a σ, and in one no place is told that decides."""
 
 MIN_THICKNESS = 0.001
-"""Least RMS thickness of a patch, metres: no surface is flatter, nor any LiDAR finer."""
-
-NO_THICKNESS = 1e-6
-"""RMS thickness of a plane without noise, metres: rounding leaves less, or less than nothing."""
-
-UNUSUAL = 2.0
-"""A patch that is thicker than so many times the median, as variances, has a shape: noise makes one
-in a hundred as thick (χ² with 13 degrees of freedom)."""
+"""Least RMS thickness of a patch, metres: no surface is flatter, nor any LiDAR finer. Patches whose
+middles are nearer are one."""
 
 MIN_SPREAD = 0.15
 """Least ratio of a patch's two extents: below it the points are one ring, whose plane is free."""
@@ -53,12 +51,6 @@ MIN_SPREAD = 0.15
 POINTING_NOISE = float(np.radians(0.02))
 """1 σ of the direction of single beams, rad, where nothing is known of it: LiDARs' manuals name
 0.01 to 0.1° as angular accuracy."""
-
-SAME = 1e-4
-"""Patches whose centres are so near each other have the same points, metres."""
-
-MAX_PATCHES = 4000
-"""Patches of each size and cloud: every n-th is taken so that about so many are left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +105,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
         for voxel in PATCH_VOXELS:
             # From fine to coarse, each starts from the one before: there are fewer points then.
             points = voxel_downsample(points, voxel)
-            at = points[:: 1 + len(points) // MAX_PATCHES]
+            at = every_nth(points, SAMPLE)
             finer = [part.centres for part in parts if len(part.centres)]
             if finer:
                 tree = cKDTree(np.concatenate(finer))
@@ -126,7 +118,7 @@ def surface_patches(cloud: PointCloud) -> Patches:
         )
     )
     # Where points are few, coarse neighbourhoods are those of finer ones again.
-    first = np.unique(np.round(every.centres / SAME), axis=0, return_index=True)[1]
+    first = np.unique(np.round(every.centres / MIN_THICKNESS), axis=0, return_index=True)[1]
     return selected(every, np.sort(first))
 
 
@@ -159,7 +151,7 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int
     centred = neighbours - centres[:, None]
     spread = np.matmul(centred.transpose(0, 2, 1), centred) / count
     values, vectors = np.linalg.eigh(spread)
-    values = np.maximum(values, NO_THICKNESS**2)
+    values = np.maximum(values, ROUNDING * values[:, 2:])
     flat = (values[:, 0] < MAX_THICKNESS**2) & (values[:, 1] > MIN_SPREAD**2 * values[:, 2])
     flat &= values[:, 0] < MAX_FLATNESS * values[:, 1]
     # The plane of one ring and a point beside it goes through that point, whatever its error.
@@ -174,8 +166,10 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int
     # not taken for thinner than most are.
     usual = np.median(values[flat, 0]) if flat.any() else 0.0
     thickness = np.maximum(values[flat, 0], usual)
-    # Noise averages out over the points; the shape of what is not flat does not.
-    variance = thickness / count + np.maximum(thickness - UNUSUAL * usual, 0.0)
+    # Noise averages out over the points; the shape of what is not flat does not. Three of them
+    # make the plane.
+    unusual = chi2_limit(count - 3) / (count - 3) * usual
+    variance = thickness / count + np.maximum(thickness - unusual, 0.0)
     tilt = variance / values[flat, 1]
     normals = np.where((cosine > 0)[:, None], -normals, normals)
     tangent = np.sqrt(1.0 - np.minimum(cosine**2, 1.0)) / np.maximum(np.abs(cosine), 1e-3)

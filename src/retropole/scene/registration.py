@@ -29,6 +29,10 @@ MIN_CLOUD_POINTS = 50
 NORMAL_NEIGHBOURS = 10
 """Points that a surface normal is estimated from (small_gicp's default when it prepares clouds)."""
 
+SAMPLE = 4000
+"""Where some of a cloud will do, no more points of it, or patches of one size, are asked: a share
+of them has a standard error of less than 1.2 %."""
+
 MAX_CELLS = 2**20 - 1
 """Cubes that small_gicp numbers on each side of the origin: 100 km of 0.1 m. What is beyond, it
 leaves out too, and prints a line for each point."""

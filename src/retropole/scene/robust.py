@@ -6,12 +6,12 @@ import numpy as np
 
 from ..base.datatypes import Array
 
-GEMAN_HALF, SCALE_TOLERANCE = 0.6120, 1e-13
-"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half, and how exactly the
-logarithm of a scale is found."""
+GEMAN_HALF = 0.6120
+"""The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half."""
 
-LEAST_COMMON = 1e-6
-"""Least that values are found to have in common, as a part of their mean predicted variance."""
+LEAST_SCATTER = 1e-6
+"""Least that values are found to scatter by, and their variance in common, as a part of what is
+predicted: less is rounding."""
 
 
 def robust_scale(values: Array, weights: Array) -> float:
@@ -33,7 +33,7 @@ def robust_scale(values: Array, weights: Array) -> float:
     if excess(low) <= 0:
         # Half of the values or more are zero.
         return float(np.exp(0.5 * low)) / GEMAN_HALF
-    found = brentq(excess, low, high + 1e-9, xtol=SCALE_TOLERANCE)
+    found = brentq(excess, low, high + 1e-9)
     return float(np.exp(0.5 * found)) / GEMAN_HALF
 
 
@@ -48,17 +48,18 @@ def common_scatter(values: Array, variance: Array, weights: Array) -> float:
     from scipy.optimize import brentq
 
     middle = np.exp(np.average(np.log(variance), weights=weights))
-    sharp = middle / (middle + variance)
-    parts = weights * sharp, weights * (1.0 - sharp)
+    sharp = weights * middle / (middle + variance)
 
     def difference(log_common: float) -> float:
-        scaled = values / np.sqrt(variance + np.exp(log_common))
-        one, other = (robust_scale(scaled, each) for each in parts)
-        return float(np.log(one / other))
+        square = values**2 / (variance + np.exp(log_common))
+        # By the scale of all, half of the small ones lie outside where it is their own: and so do
+        # half of the large ones.
+        outside = square / (square + (GEMAN_HALF * robust_scale(np.sqrt(square), weights)) ** 2)
+        return float(sharp @ outside) - 0.5 * float(sharp.sum())
 
-    low, high = np.log(LEAST_COMMON * middle), np.log(float(np.max(values**2)) + middle)
+    low, high = np.log(LEAST_SCATTER * middle), np.log(float(np.max(values**2)) + middle)
     if difference(low) <= 0.0:
         return 0.0
     if difference(high) >= 0.0:
         return float(np.exp(high))
-    return float(np.exp(brentq(difference, low, high, xtol=SCALE_TOLERANCE)))
+    return float(np.exp(brentq(difference, low, high)))

@@ -16,12 +16,10 @@ from scipy.ndimage import maximum_filter
 
 from ..base import se3
 from ..base.datatypes import Array, IntArray
+from .disambiguation import SCORING_VOXEL
 
-CELL, LAYER = 0.25, 0.75
-"""Side and height of a cell, metres."""
-
-BROAD = 0.5
-"""Side of a cell where heights are compared, metres."""
+CELL, LAYER = SCORING_VOXEL, 0.75
+"""Side and height of a cell, metres; where heights are compared, the height and the side."""
 
 REACH = 6.0
 """Shifts that are tried, metres."""
@@ -96,7 +94,7 @@ def best_lifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]
     """
     if not len(target) or not len(source):
         return []
-    axes, (a, b), shape = _cells(target, source, up, T, np.array([BROAD, BROAD, CELL]))
+    axes, (a, b), shape = _cells(target, source, up, T, np.array([LAYER, LAYER, CELL]))
     reach = int(REACH / CELL)
     # Room above and below for what is lifted.
     occupied = np.zeros((*shape[:2], shape[2] + 2 * reach), dtype=bool)

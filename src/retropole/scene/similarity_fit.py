@@ -12,6 +12,7 @@ import numpy as np
 import small_gicp
 from scipy.spatial import cKDTree
 
+from ..alignment.solver import ROUNDING
 from ..base import se3
 from ..base.datatypes import Array
 from .registration import MIN_CLOUD_POINTS, NORMAL_NEIGHBOURS, as_surface
@@ -19,17 +20,14 @@ from .registration import MIN_CLOUD_POINTS, NORMAL_NEIGHBOURS, as_surface
 DISTANCES = 1.5, 1.0, 0.6, 0.35, 0.35, 0.25, 0.25, 0.15, 0.15, 0.15
 """Largest distance of corresponding points, step by step, metres."""
 
-WIDTH, LEAST_WIDTH = 0.2, 0.01
-"""Residuals of this part of that distance, and this beside it, metres, have a quarter weight."""
+WIDTH = 0.25
+"""Residuals of this part of that distance have a quarter weight."""
 
 MAX_CHANGE = 0.15
 """The factor changes by no larger part in one fit: where less and less corresponds, clouds would
 shrink to a point."""
 
-DAMPING = 1e-6
-"""Part of the mean information that is added where surfaces leave a direction free."""
-
-SUPPORT_WIDTH = 0.05
+ON_SURFACE = 0.05
 """Distance from the surface that halves the support of a point, metres."""
 
 
@@ -85,9 +83,10 @@ def fit_similarity(
         arms = points - middle
         J = np.column_stack([np.cross(arms, normals), normals, np.sum(arms * normals, axis=1)])
         J = J if free_factor else J[:, :6]
-        weights = 1.0 / (1.0 + (residuals / (WIDTH * limit + LEAST_WIDTH)) ** 2) ** 2
+        weights = 1.0 / (1.0 + (residuals / (WIDTH * limit)) ** 2) ** 2
         information = (J * weights[:, None]).T @ J
-        information += DAMPING * np.trace(information) / len(information) * np.eye(J.shape[1])
+        # A little, where surfaces leave a direction free.
+        information += ROUNDING * np.trace(information) / len(information) * np.eye(J.shape[1])
         step = -np.linalg.solve(information, J.T @ (weights * residuals))
         by = 1.0 + float(step[6]) if free_factor else 1.0
         turn = by * se3.exp_so3(step[:3])
@@ -106,4 +105,4 @@ def support(target: Planes, moved: Array) -> float:
     near = np.isfinite(distance)
     apart = moved[near] - target.points[index[near]]
     off = np.einsum("ij,ij->i", target.normals[index[near]], apart)
-    return float(np.sum(1.0 / (1.0 + (off / SUPPORT_WIDTH) ** 2)))
+    return float(np.sum(1.0 / (1.0 + (off / ON_SURFACE) ** 2)))

@@ -8,21 +8,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from ..alignment.certainty import chi2_limit
 from ..alignment.factor import poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PoseEstimate
 from .descent import End, RefinementProblem, approach
-from .patch_pairs import thinned
+from .patch_pairs import MIN_CORRESPONDENCE_DISTANCE, POSE_SIGMAS, thinned
 from .terms import FEW
 
-WIDE, START_SIGMAS = 0.1, 2.0
-"""From which 1 σ of the poles at the middle of the cloud, metres, the search is also started from
-so many σ to either side."""
-
-SEVERAL = 16.8
-"""Squared Mahalanobis distance from which two ends are two minima: χ² with 6 degrees of freedom
-exceeds it once in a hundred times."""
+SEVERAL = chi2_limit(POSE)
+"""Squared Mahalanobis distance from which two ends are two minima."""
 
 
 def distance_sq(covariance: Array, T: Array, T_other: Array) -> float:
@@ -36,16 +32,16 @@ def approaches_from_afar(
 ) -> list[End]:
     """Approach from the ends of the poles' uncertainty, and keep what comes out elsewhere.
 
-    Under a wide uncertainty patches correspond over decimetres, and what the search ends at may
-    depend on where it started.
+    Under an uncertainty that is wider than surfaces lie apart that correspond, what the search ends
+    at may depend on where it started. The ends are `POSE_SIGMAS` to either side.
     """
     assert poles.covariance is not None
     scale = np.r_[np.full(3, 1.0 / max(lever, 1.0)), np.ones(3)]
     values, vectors = np.linalg.eigh(poles.covariance / np.outer(scale, scale))
     widest = float(np.sqrt(max(values[-1], 0.0)))
-    if widest < WIDE:
+    if widest < MIN_CORRESPONDENCE_DISTANCE:
         return []
-    step = START_SIGMAS * widest * vectors[:, -1] * scale
+    step = POSE_SIGMAS * widest * vectors[:, -1] * scale
     found = [
         approach(
             problem,

@@ -8,14 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import Array, IntArray, Placement, PointCloud, Pole
+from ..base.datatypes import DEFAULT_RADIUS, Array, IntArray, Placement, PointCloud, Pole
 from ..base.errors import Refusal
 from .copies import check_recordings
+from .disambiguation import ICP_CORRESPONDENCE_DISTANCE, SCORING_VOXEL
 from .registration import prepare, register
 from .visibility import Cells, cells_of, nearest_around, range_margin
 
 MIN_FRAMES = 3
-"""With fewer frames nothing tells what moved: a majority needs three."""
+"""With fewer frames nothing tells what moved: a majority needs three. Whether a LiDAR turned, the
+first and the last third of the frames tell."""
 
 MIN_RETURNS_PER_RUN = 5
 """Returns on a pole that a run of frames needs to tell where the pole is."""
@@ -23,18 +25,13 @@ MIN_RETURNS_PER_RUN = 5
 RUNS = 6
 """Runs of frames that a recording is cut into to see whether a pole moved."""
 
-MAX_DRIFT, DRIFT_SIGMAS = 0.02, 5.0
-"""A pole moved if it strays by the first, metres, the radius of a pole, and by so many times the
-noise."""
+DRIFT_SIGMAS = 5.0
+"""A pole moved if it strays by the usual radius of a pole, and by so many times the noise."""
 
 MAX_TURN = np.radians(0.3)
 """A LiDAR moved if it turned by more while it recorded. The first and the last frames of 72 LiDARs
 that stood came to 0.11° at most, those of 24 that were bumped by 0.5 to 6° to 0.45° and more
 (benchmarks/deception.py, "LiDAR bumped while recording", seeds 100 to 123)."""
-
-TURN_VOXEL, TURN_DISTANCE, TURN_PART = 0.3, 1.0, 3
-"""Clouds are downsampled to this to see whether a LiDAR turned, points correspond within this,
-metres, and one part of so many of the frames is taken from the start, one from the end."""
 
 MEDIAN_VARIANCE = np.pi / 2
 """Variance of the median of many normal values, as a multiple of that of their mean."""
@@ -98,7 +95,7 @@ def turned_by(cloud: PointCloud) -> float:
     if cloud.frame is None:
         return 0.0
     frames = np.unique(cloud.frame)
-    part = max(len(frames) // TURN_PART, 1)
+    part = max(len(frames) // MIN_FRAMES, 1)
     if len(frames) < 2:
         return 0.0
     ends = (
@@ -106,9 +103,13 @@ def turned_by(cloud: PointCloud) -> float:
         cloud.xyz[cloud.frame >= frames[-part]],
     )
     try:
-        first, last = (prepare(xyz, TURN_VOXEL) for xyz in ends)
+        first, last = (prepare(xyz, SCORING_VOXEL) for xyz in ends)
         moved = register(
-            first, last, np.eye(4), method="GICP", max_correspondence_distance=TURN_DISTANCE
+            first,
+            last,
+            np.eye(4),
+            method="GICP",
+            max_correspondence_distance=ICP_CORRESPONDENCE_DISTANCE,
         )
     except Refusal:
         return 0.0
@@ -185,7 +186,7 @@ def check_static(name: str, cloud: PointCloud, poles: Sequence[Pole]) -> None:
         return
     for k, pole in enumerate(poles):
         distance, sigma = pole_drift(pole, cloud.frame[pole.index])
-        if distance > MAX_DRIFT and distance > DRIFT_SIGMAS * sigma:
+        if distance > DEFAULT_RADIUS and distance > DRIFT_SIGMAS * sigma:
             raise Refusal(
                 "moving_pole",
                 f"pole {name[0].upper()}{k} of the {name} strays by {100 * distance:.1f} cm "

@@ -17,25 +17,26 @@ from scipy.spatial import cKDTree
 
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, PointCloud
+from ..base.sampling import every_nth
 from .registration import CORES, voxel_downsample
 
 RANGE_CELL = np.radians(1.0)
 """Side of a cell of the range image, rad: about the spacing of 32 rings. Between sparser rings
 cells stay empty, and say nothing."""
 
-RANGE_MARGIN, RELATIVE_RANGE_MARGIN = 0.5, 0.1
-"""A point must be this far, metres, and this part of its range in front of what the other LiDAR
-saw in its direction to violate free space: poles leave up to a degree of error in the pose."""
+OVERLAP_DISTANCE = 0.5
+"""A point with a neighbour of the other cloud within this distance overlaps it, metres: the poles'
+pose may be off by as much at the far end of a scan."""
+
+RELATIVE_MARGIN = 0.1
+"""A point must be that far, and this part of its range, in front of what the other LiDAR saw in its
+direction to violate free space: poles leave up to a degree of error in the pose."""
 
 OWN_VEHICLE = 1.5
 """Returns nearer than this to where the beams start are on what carries the LiDAR, metres."""
 
 REACH_QUANTILE = 0.99
 """A LiDAR reaches as far as this quantile of its ranges: single returns come from farther."""
-
-OVERLAP_DISTANCE = 0.5
-"""A point with a neighbour of the other cloud within this distance overlaps it, metres: the poles'
-pose may be off by as much at the far end of a scan."""
 
 
 class Cells(NamedTuple):
@@ -90,7 +91,7 @@ def nearest_around(cells: Cells, ranges: Array) -> Nearest:
 
 def range_margin(ranges: Array) -> Array:
     """How far behind a point (N,) the other LiDAR must have seen to contradict it, metres."""
-    return np.maximum(RANGE_MARGIN, RELATIVE_RANGE_MARGIN * ranges)
+    return np.maximum(OVERLAP_DISTANCE, RELATIVE_MARGIN * ranges)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,14 +200,14 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
         It is downsampled to one point per cube of this side, metres, so that the dense ground near
         the LiDAR does not outvote the rest.
     sample
-        Every n-th point is compared, so that about so many are; None compares all.
+        Every n-th point is compared, so that no more are; None compares all.
     """
     points = voxel_downsample(cloud.xyz, voxel)
-    step = 1 if sample is None else 1 + len(points) // sample
+    some = points if sample is None else every_nth(points, sample)
     image = range_image(cloud)
     ranges = se3.lengths(points - image.origin)
     reach = float(np.quantile(ranges, REACH_QUANTILE)) if len(points) else 0.0
-    return View(points[::step], tree_of(points), image, reach)
+    return View(some, tree_of(points), image, reach)
 
 
 @dataclass(frozen=True, eq=False)

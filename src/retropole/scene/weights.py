@@ -9,10 +9,7 @@ from scipy.linalg import cholesky, qr, solve_triangular, svd
 
 from ..base.datatypes import Array
 from .patch_pairs import PatchPairs
-from .robust import common_scatter, robust_scale
-
-MIN_SIGMA = 1e-4
-"""Least scale of the residuals, in units of their own predicted standard deviation."""
+from .robust import LEAST_SCATTER, common_scatter, robust_scale
 
 ROBUST_WIDTH = 2.0
 """Residuals of so many σ have a quarter of the weight (Geman and McClure 1987)."""
@@ -55,7 +52,7 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     """
     r = pairs.residuals
     spread = np.sqrt(pairs.variance + common_scatter(r, pairs.variance, pairs.agreement))
-    spread = spread * max(robust_scale(r / spread, pairs.agreement), MIN_SIGMA)
+    spread = spread * max(robust_scale(r / spread, pairs.agreement), LEAST_SCATTER)
     still_off = np.sum(pairs.jacobian * (pairs.jacobian @ covariance), axis=1)
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
