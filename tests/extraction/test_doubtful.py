@@ -9,8 +9,8 @@ import pytest
 
 from retropole.base.datatypes import IntArray, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
-from retropole.extraction.doubtful import MAX_DOUBTFUL, with_doubtful
-from retropole.extraction.poles import extract_poles
+from retropole.extraction.doubtful import with_doubtful
+from retropole.extraction.poles import MAX_POLES, extract_poles
 from retropole.simulation import Rectangle, Surface
 from tests.extraction.scenes import (
     NO_POLES,
@@ -115,7 +115,7 @@ def test_sure_poles_stay_and_doubtful_ones_are_not_among_them() -> None:
     after = with_doubtful(cloud, before, 0.02)
     assert after.poles is before.poles
     assert labels_of(after, labels) == [2]
-    assert len(after.doubtful) <= MAX_DOUBTFUL
+    assert len(after.doubtful) <= MAX_POLES
     index = np.concatenate([p.index for p in (*after.poles, *after.doubtful)])
     assert len(np.unique(index)) == len(index)
 

@@ -8,6 +8,7 @@ import pytest
 from retropole.base.datatypes import Array
 from retropole.extraction import surroundings as shared
 from retropole.extraction.acceptance_shape import FEW_POLE_POINTS, THICK_RMS
+from retropole.extraction.lines import HALF
 from retropole.extraction.surroundings import Surroundings, crowded_share, surroundings_of
 from tests.extraction.synthetic import (
     BRIGHT,
@@ -55,9 +56,8 @@ def test_few_is_fewer_than_the_limit(rings: int, few: bool) -> None:
 @pytest.mark.parametrize(
     ("step", "limit"),
     [
-        (0.5 * shared.MAX_BESIDE / shared.BESIDE_STEPS, shared.MAX_BESIDE),
-        (0.4, shared.BESIDE_STEPS * 0.4),
-        (2.0 * shared.MAX_FAR_BESIDE / shared.BESIDE_STEPS, shared.MAX_FAR_BESIDE),
+        (0.5 * shared.MAX_BESIDE, shared.MAX_BESIDE),
+        (1.2 * shared.MAX_BESIDE, 1.2 * shared.MAX_BESIDE),
     ],
 )
 def test_beside_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> None:
@@ -80,7 +80,7 @@ def test_untaped_is_dimmer_than_part_of_the_dimmest_of_the_line(
     factor: float, is_untaped: bool
 ) -> None:
     place = around(1, 0.0, 0.005)
-    seen = about(on_pole(), (place, factor * shared.UNTAPED_INTENSITY * BRIGHT))
+    seen = about(on_pole(), (place, factor * HALF * BRIGHT))
     assert seen.on_line[-1]
     assert bool(seen.untaped[-1]) is is_untaped
 
