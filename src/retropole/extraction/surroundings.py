@@ -6,6 +6,7 @@ What *Sensitivity* means beside a constant: docs/detection.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,8 +53,6 @@ class Surroundings:
         (M,) which are too dim for tape.
     beside
         (M,) which lie beside the line, outside its tube and between its ends.
-    retro_beside
-        (M,) the retro-reflective ones of these, without those on a pole that crosses.
     is_thick, is_short, has_few_points
         What makes a line suspect: a post may be thick, a sign's edge short, a far sign few returns.
     """
@@ -68,7 +67,6 @@ class Surroundings:
     on_line: BoolArray
     untaped: BoolArray
     beside: BoolArray
-    retro_beside: BoolArray
     is_thick: bool
     is_short: bool
     has_few_points: bool
@@ -77,6 +75,19 @@ class Surroundings:
     def is_suspect(self) -> bool:
         """Whether the line must pass the strict limits."""
         return self.is_thick or self.is_short or self.has_few_points
+
+    @cached_property
+    def retro_beside(self) -> BoolArray:
+        """The retro-reflective ones of those beside (M,), without a pole that crosses: one other
+        line, where that leaves next to nothing beside this one.
+        """
+        found = self.beside & self.is_retro
+        if self.is_suspect or crowded_share(self.line, self.along[found], LITTLE) <= HALF:
+            return found
+        rest = found.copy()
+        rest[found] = ~on_crossing_line(self.cloud.xyz[self.near[found]], self.line)
+        is_pole = crowded_share(self.line, self.along[rest], LITTLE) < LITTLE
+        return rest if is_pole else found
 
 
 def surroundings_of(
@@ -91,13 +102,6 @@ def surroundings_of(
     beside &= (along >= line.low) & (along <= line.high)
     retro = is_retro[near]
     dimmest = cloud.intensity[line.index].min()
-    is_thick = line.rms > line.with_beams(THICK_RMS)
-    # Rings half a step beyond either end may just have missed it.
-    is_short = line.length + line.step < SHORT_LENGTH
-    has_few_points = len(line.index) < FEW_POLE_POINTS
-    retro_beside = beside & retro
-    if not (is_thick or is_short or has_few_points):
-        retro_beside = _without_crossing_pole(cloud, near, line, along, retro_beside)
     return Surroundings(
         cloud=cloud,
         line=line,
@@ -109,10 +113,10 @@ def surroundings_of(
         on_line=distance <= line.width / 2 + FIT_ROOM,
         untaped=~retro & (cloud.intensity[near] < HALF * dimmest),
         beside=beside,
-        retro_beside=retro_beside,
-        is_thick=is_thick,
-        is_short=is_short,
-        has_few_points=has_few_points,
+        is_thick=line.rms > line.with_beams(THICK_RMS),
+        # Rings half a step beyond either end may just have missed it.
+        is_short=line.length + line.step < SHORT_LENGTH,
+        has_few_points=len(line.index) < FEW_POLE_POINTS,
     )
 
 
@@ -134,18 +138,6 @@ def stands_behind(around: Surroundings, close: BoolArray) -> BoolArray:
     if np.count_nonzero(in_front) > LITTLE * np.count_nonzero(behind):
         return np.zeros_like(close)
     return behind
-
-
-def _without_crossing_pole(
-    cloud: PointCloud, near: IntArray, line: Line, along: Array, retro_beside: BoolArray
-) -> BoolArray:
-    """Leave out the points of one other line, where that leaves next to nothing beside this one."""
-    if crowded_share(line, along[retro_beside], LITTLE) <= HALF:
-        return retro_beside
-    rest = retro_beside.copy()
-    rest[retro_beside] = ~on_crossing_line(cloud.xyz[near[retro_beside]], line)
-    is_pole = crowded_share(line, along[rest], LITTLE) < LITTLE
-    return rest if is_pole else retro_beside
 
 
 def crowded_share(line: Line, places: Array, crowd: float) -> float:
