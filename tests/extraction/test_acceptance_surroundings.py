@@ -70,7 +70,7 @@ def test_a_pole_by_itself_stands_free() -> None:
         (shared.PIECES, int(np.ceil(LITTLE * EACH)), "part_of_a_surface"),
     ],
 )
-def test_retro_reflective_returns_crowd_no_more_than_half(
+def test_retro_reflective_clutter_is_beside_no_more_than_half(
     pieces: int, each: int, code: str
 ) -> None:
     found, reason = failed(pole_among((in_pieces(pieces, each, 0.2), BRIGHT)))
@@ -94,7 +94,7 @@ def test_the_share_of_few_points_is_of_all_of_them(others: int, code: str) -> No
     cloud, line = scene(pole, (around(others, 0.0, 0.2), BRIGHT))
     is_retro = np.ones(len(cloud), dtype=bool)
     seen = shared.surroundings_of(cloud, np.arange(len(cloud)), is_retro, line)
-    assert code_of(rules.crowded_by_retro(seen)) == code
+    assert code_of(rules.retro_clutter(seen)) == code
 
 
 @pytest.mark.parametrize(("angle", "code"), [(0.3, ""), (0.0, "part_of_a_surface")])
@@ -141,7 +141,7 @@ def test_tape_seen_badly_may_lie_between() -> None:
         (shared.PIECES, int(np.ceil(MOST * EACH)), "part_of_a_surface"),
     ],
 )
-def test_other_returns_crowd_no_more_than_half(pieces: int, each: int, code: str) -> None:
+def test_other_clutter_is_beside_no_more_than_half(pieces: int, each: int, code: str) -> None:
     found, reason = failed(pole_among((in_pieces(pieces, each, 0.2), DIM)))
     assert found == code
     assert not code or "along" in reason
@@ -154,7 +154,7 @@ def test_other_returns_crowd_no_more_than_half(pieces: int, each: int, code: str
         (int(LITTLE * 7) + 1, "part_of_a_surface"),
     ],
 )
-def test_a_suspect_line_may_be_crowded_along_a_quarter(pieces: int, code: str) -> None:
+def test_a_suspect_line_may_have_clutter_beside_a_quarter(pieces: int, code: str) -> None:
     """Of the eight pieces, one has no point of the seven."""
     heights = np.linspace(-LENGTH / 2, LENGTH / 2, 7)[:pieces]
     others = np.concatenate([around(4, height, 0.2) for height in heights])
@@ -176,8 +176,8 @@ def test_no_wall_excuses_a_short_line() -> None:
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.99, "part_of_a_surface"), (1.01, "")])
-def test_no_wall_excuses_what_hugs_the_line(factor: float, code: str) -> None:
-    near = in_pieces(shared.PIECES, 8, factor * rules.MAX_HUGGING)
+def test_no_wall_excuses_what_is_close_beside_the_line(factor: float, code: str) -> None:
+    near = in_pieces(shared.PIECES, 8, factor * rules.MAX_CLOSE)
     assert failed(pole_among((wall(0.2), DIM), (near, DIM)))[0] == code
 
 

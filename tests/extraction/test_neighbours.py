@@ -115,7 +115,7 @@ def test_rings_as_close_as_their_returns_tell_nothing() -> None:
 
 
 def test_few_returns_tell_nothing() -> None:
-    least = neighbours.SWEEP_NEIGHBOURS + 1
+    least = neighbours.SWEEP_NEIGHBOURS**2
     column = offset(0.0, 0.2, np.linspace(0, 0.02 * (least - 1), least))
     xyz = np.concatenate([on_pole(0.6, 10, 1), column])
     assert runs_along_sweep(xyz, np.arange(len(xyz)), line_with(10))

@@ -1,4 +1,4 @@
-"""Does a line have the shape of a pole? One function for each rule, in the order of asking.
+"""Does a line have the shape of a pole? The rules stand in the order of asking.
 
 A pole is thin, straight, and long for its width, and runs across the rings.
 
@@ -96,73 +96,32 @@ def shape_failure(
     shortest
         Extent along it that it needs, metres.
     """
-    return (
-        _too_few_points(line, fewest)
-        or _too_short(line, shortest)
-        or _too_long(line)
-        or _too_few_rings(line)
-        or _too_wide_for_its_length(line)
-        or _too_thick(line)
-        or _too_thick_for_few_points(line)
-        or _along_one_sweep(cloud, line)
-    )
-
-
-def _too_few_points(line: Line, fewest: int) -> Failure | None:
     count = len(line.index)
-    if count >= fewest:
-        return None
-    return Failure("too_few_points", f"{counted(count, 'point')} in line, a pole needs {fewest}")
-
-
-def _too_short(line: Line, shortest: float) -> Failure | None:
-    if line.length >= shortest:
-        return None
-    return Failure("too_short", f"{line.length:.2f} m long, a pole needs {shortest:g} m")
-
-
-def _too_long(line: Line) -> Failure | None:
-    if line.length <= MAX_LENGTH:
-        return None
-    return Failure("too_long", f"{line.length:.2f} m long, a pole has {MAX_LENGTH:g} m at most")
-
-
-def _too_few_rings(line: Line) -> Failure | None:
-    if line.rings >= MIN_POLE_RINGS:
-        return None
-    return Failure(
-        "too_few_rows", f"hit by {line.rings} of the rings, a pole needs {MIN_POLE_RINGS}"
-    )
-
-
-def _too_wide_for_its_length(line: Line) -> Failure | None:
-    if line.length >= MIN_SLENDERNESS * line.width:
-        return None
-    reason = f"{_size(line)}, a pole is {MIN_SLENDERNESS:g} times longer than wide"
-    return Failure("too_wide", reason)
-
-
-def _too_thick(line: Line) -> Failure | None:
+    size = f"{line.length:.2f} m long and {line.width:.2f} m wide"
     is_long_and_thick = line.rms > line.with_beams(THICK_RMS) and line.length > MAX_THICK_LENGTH
-    if line.rms <= MAX_RMS and not is_long_and_thick:
-        return None
-    return Failure("too_wide", f"{_size(line)}, more than any post")
-
-
-def _too_thick_for_few_points(line: Line) -> Failure | None:
-    count = len(line.index)
-    if line.rms <= line.with_beams(MAX_FEW_RMS) or count >= FEW_POLE_POINTS:
-        return None
-    reason = f"{_size(line)} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
-    return Failure("too_wide", reason)
-
-
-def _along_one_sweep(cloud: PointCloud, line: Line) -> Failure | None:
+    if count < fewest:
+        reason = f"{counted(count, 'point')} in line, a pole needs {fewest}"
+        return Failure("too_few_points", reason)
+    if line.length < shortest:
+        return Failure("too_short", f"{line.length:.2f} m long, a pole needs {shortest:g} m")
+    if line.length > MAX_LENGTH:
+        return Failure("too_long", f"{line.length:.2f} m long, a pole has {MAX_LENGTH:g} m at most")
+    if line.rings < MIN_POLE_RINGS:
+        reason = f"hit by {line.rings} of the rings, a pole needs {MIN_POLE_RINGS}"
+        return Failure("too_few_rows", reason)
+    if line.length < MIN_SLENDERNESS * line.width:
+        reason = f"{size}, a pole is {MIN_SLENDERNESS:g} times longer than wide"
+        return Failure("too_wide", reason)
+    if line.rms > MAX_RMS or is_long_and_thick:
+        return Failure("too_wide", f"{size}, more than any post")
+    if line.rms > line.with_beams(MAX_FEW_RMS) and count < FEW_POLE_POINTS:
+        reason = f"{size} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
+        return Failure("too_wide", reason)
     along_sweep = _on_one_elevation if cloud.ring is None else _runs_along_rings
-    if not along_sweep(cloud, line):
-        return None
-    reason = f"{len(line.index)} points that follow each other in a beam's sweep"
-    return Failure("along_a_beam", reason)
+    if along_sweep(cloud, line):
+        reason = f"{count} points that follow each other in a beam's sweep"
+        return Failure("along_a_beam", reason)
+    return None
 
 
 def _runs_along_rings(cloud: PointCloud, line: Line) -> bool:
@@ -179,7 +138,3 @@ def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
     rays = cloud.xyz[line.index] - cloud.origin
     in_sight = line.length > ONE_BEAM_ELEVATION * np.linalg.norm(rays[0])
     return bool(in_sight and np.ptp(elevations(rays, cloud.axis)) < ONE_BEAM_ELEVATION)
-
-
-def _size(line: Line) -> str:
-    return f"{line.length:.2f} m long and {line.width:.2f} m wide"

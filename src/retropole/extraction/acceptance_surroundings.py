@@ -19,7 +19,7 @@ from .surroundings import (
     PIECES,
     SHORT_LENGTH,
     Surroundings,
-    crowded_share,
+    cluttered_share,
     surroundings_of,
 )
 
@@ -28,8 +28,8 @@ EDGE_QUANTILE = 0.9
 bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
 post without tape one in ten does by chance."""
 
-MAX_HUGGING = 0.09
-"""What crowds a line nearer than this, metres, is not a wall behind it. Sensitivity at 0.063: no
+MAX_CLOSE = 0.09
+"""Clutter nearer to a line than this, metres, is not a wall behind it. Sensitivity at 0.063: no
 effect; at 0.126: 2 fewer false."""
 
 SEVERAL_ON_A_RING = 2.0
@@ -59,19 +59,19 @@ def surroundings_failure(
     """
     around = surroundings_of(cloud, near, is_retro, line)
     return (
-        crowded_by_retro(around)
+        retro_clutter(around)
         or untaped_between(around)
-        or _crowded_by_any(around)
+        or _clutter_of_any_kind(around)
         or along_the_sweeps(around)
         or in_single_file(around)
         or _goes_on_without_tape(around)
     )
 
 
-def crowded_by_retro(around: Surroundings) -> Failure | None:
-    """A pole is not crowded by retro-reflective returns, except by those of a pole that crosses."""
+def retro_clutter(around: Surroundings) -> Failure | None:
+    """A pole has no retro-reflective returns all along it, except those of a pole that crosses."""
     line, beside = around.line, around.retro_beside
-    share = crowded_share(line, around.along[beside], LITTLE)
+    share = cluttered_share(line, around.along[beside], LITTLE)
     if around.has_few_points:
         share = max(share, min(1.0, np.count_nonzero(beside) / len(line.index)))
     if share <= (LITTLE if around.is_suspect else HALF):
@@ -121,21 +121,21 @@ def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
     return np.asarray(np.abs(dim_places - middle) > reach)
 
 
-def hugging(around: Surroundings) -> BoolArray:
+def close_beside(around: Surroundings) -> BoolArray:
     """Which returns (M,) lie close beside the line, too near for a wall behind it."""
-    return ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
+    return ~around.is_retro & ~around.on_line & (around.distance < MAX_CLOSE)
 
 
-def _crowded_by_any(around: Surroundings) -> Failure | None:
-    """A pole is not crowded by returns of any kind, except by those of a wall behind it."""
+def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
+    """A pole has no returns of any kind all along it, except those of a wall behind it."""
     line, xyz = around.line, around.cloud.xyz
     beside = around.beside & (~around.is_retro | around.retro_beside)
-    share = crowded_share(line, around.along[beside], MOST)
+    share = cluttered_share(line, around.along[beside], MOST)
     is_strict = around.is_suspect and not around.is_thick
     if share <= (LITTLE if is_strict else HALF):
         return None
-    is_hugged = crowded_share(line, around.along[hugging(around)], MOST) > HALF
-    if not (around.is_short or is_hugged) and is_wall_behind(
+    is_close = cluttered_share(line, around.along[close_beside(around)], MOST) > HALF
+    if not (around.is_short or is_close) and is_wall_behind(
         xyz[around.near[beside]], xyz[line.index]
     ):
         return None

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base.datatypes import BoolArray, PointCloud
 from ..base.quantities import counted
+from ..base.se3 import lengths
 from .acceptance_shape import Failure
 from .lines import LITTLE, MIN_LINE_POINTS, MOST, Line, distance_and_place, to_nearest
 
@@ -36,11 +37,7 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     low, high = line.low, line.high
     beyond = max(BEYOND, line.step)
     half = max(high, -low) + 2 * beyond + line.step
-    # Axis by axis: the first leaves few for the others.
-    near = np.arange(len(cloud))
-    for axis in range(3):
-        away = np.abs(cloud.xyz[near, axis] - line.point[axis])
-        near = near[away < np.hypot(half, AIR)]
+    near = lengths(cloud.xyz - line.point) < np.hypot(half, AIR)
     distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
     body = (distance > line.tube) & (distance <= REACH)
     around = (distance > REACH) & (distance <= AIR)

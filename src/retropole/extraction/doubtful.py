@@ -25,7 +25,7 @@ from .acceptance_shape import (
 )
 from .acceptance_surroundings import (
     along_the_sweeps,
-    hugging,
+    close_beside,
     in_single_file,
     untaped_between,
 )
@@ -45,7 +45,7 @@ from .lines import (
     propose_lines,
 )
 from .poles import MAX_POLES, near_box, off_surfaces, pole_on
-from .surroundings import Surroundings, crowded_share, stands_behind, surroundings_of
+from .surroundings import Surroundings, cluttered_share, stands_behind, surroundings_of
 
 MIN_DOUBTFUL_LENGTH = 0.16
 """Smallest extent of a doubtful pole along its line, metres: three rings of a 16-beam sensor, 2°
@@ -55,7 +55,7 @@ what the longer ones leave."""
 CLINGING = 0.06
 """Bright returns from the edge of the tube to so far outside it cling to a line, metres: a plate
 has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
-itself is nearer than `MAX_HUGGING`."""
+itself is nearer than `MAX_CLOSE`."""
 
 MOST_PROPOSALS = 30
 """Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""
@@ -241,7 +241,7 @@ def _may_be_pole(around: Surroundings, clinging: BoolArray, radius: float) -> bo
     is_few = len(line.index) < MIN_POLE_POINTS
     if is_few and _skips_rings(around):
         return False
-    if _is_crowded(around, clinging, LITTLE) or _is_hugged(around):
+    if _has_clutter(around, clinging, LITTLE) or _has_close_clutter(around):
         return False
     if is_few and np.count_nonzero(clinging) > LITTLE * len(line.index):
         return False
@@ -263,20 +263,20 @@ def _skips_rings(around: Surroundings) -> bool:
     return bool(np.ptp(rings) > len(hit))
 
 
-def _is_hugged(around: Surroundings) -> bool:
+def _has_close_clutter(around: Surroundings) -> bool:
     """Whether other returns lie close beside most of the line, and not only behind it."""
-    close = hugging(around)
-    if not _is_crowded(around, close, MOST):
+    close = close_beside(around)
+    if not _has_clutter(around, close, MOST):
         return False
     if ring_spread(around.cloud) > MAX_RING_SPREAD:
         return True  # where the sensor stood is not known, nor what is behind
-    return _is_crowded(around, close & ~stands_behind(around, close), MOST)
+    return _has_clutter(around, close & ~stands_behind(around, close), MOST)
 
 
-def _is_crowded(around: Surroundings, close: BoolArray, crowd: float) -> bool:
+def _has_clutter(around: Surroundings, close: BoolArray, density: float) -> bool:
     """Whether close returns lie beside most of the line.
 
-    ``crowd`` is how many for each of the line's own make a piece of it crowded.
+    ``density`` is how many for each of the line's own make clutter of them in a piece of it.
     """
     places: Array = around.along[close]
-    return crowded_share(around.line, places, crowd) > HALF
+    return cluttered_share(around.line, places, density) > HALF

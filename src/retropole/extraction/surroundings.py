@@ -82,11 +82,11 @@ class Surroundings:
         line, where that leaves next to nothing beside this one.
         """
         found = self.beside & self.is_retro
-        if self.is_suspect or crowded_share(self.line, self.along[found], LITTLE) <= HALF:
+        if self.is_suspect or cluttered_share(self.line, self.along[found], LITTLE) <= HALF:
             return found
         rest = found.copy()
         rest[found] = ~on_crossing_line(self.cloud.xyz[self.near[found]], self.line)
-        is_pole = crowded_share(self.line, self.along[rest], LITTLE) < LITTLE
+        is_pole = cluttered_share(self.line, self.along[rest], LITTLE) < LITTLE
         return rest if is_pole else found
 
 
@@ -140,12 +140,12 @@ def stands_behind(around: Surroundings, close: BoolArray) -> BoolArray:
     return behind
 
 
-def crowded_share(line: Line, places: Array, crowd: float) -> float:
-    """Share of the line's pieces with ``crowd`` or more neighbours for each point of its own.
+def cluttered_share(line: Line, places: Array, density: float) -> float:
+    """Share of the line's pieces with ``density`` or more neighbours for each point of its own.
 
     Pieces without points of the line do not count; ``places`` (K,) are the neighbours' along it.
     """
     edges = np.linspace(line.low, line.high, PIECES + 1)
     own = np.histogram(line.along, edges)[0]
     neighbours = np.histogram(places, edges)[0]
-    return float(np.mean(neighbours[own > 0] >= crowd * own[own > 0]))
+    return float(np.mean(neighbours[own > 0] >= density * own[own > 0]))
