@@ -258,7 +258,10 @@ def _best_line(
         line = fit_line(cloud, left, point, direction, radius, beams)
         failure = shape_failure(cloud, line)
         if failure is None:
-            line = _whole_line(cloud, near[free[near]], line, radius, beams)
+            # All that lies on it: a pole that something hides in part is two clusters.
+            whole = fit_line(cloud, near[free[near]], line.point, line.direction, radius, beams)
+            if len(whole.index) > len(line.index) and shape_failure(cloud, whole) is None:
+                line = whole
             failure = surroundings_failure(cloud, near, free, line)
         if failure is None and is_saturated:
             failure = _doubtful_in_brightness(line)
@@ -284,15 +287,6 @@ def _of_the_cluster(cloud: PointCloud, left: IntArray, line: Line, failure: Fail
     extent = np.ptp((cloud.xyz[left] - centre) @ axes, axis=0)
     size = f"{len(left)} points, {extent[2]:.2f} × {extent[1]:.2f} m"
     return Failure(failure.code, f"{size}; of {len(line.index)} of them in line: {failure.reason}")
-
-
-def _whole_line(
-    cloud: PointCloud, free_near: IntArray, line: Line, radius: float, beams: Beams
-) -> Line:
-    """Take all that lies on the line: a pole that something hides in part is two clusters."""
-    whole = fit_line(cloud, free_near, line.point, line.direction, radius, beams)
-    is_better = len(whole.index) > len(line.index) and shape_failure(cloud, whole) is None
-    return whole if is_better else line
 
 
 def _doubtful_in_brightness(line: Line) -> Failure | None:
