@@ -19,8 +19,8 @@ from .clustering import LINK, MANY
 
 LITTLE, HALF, MOST = 0.25, 0.5, 0.7
 """Shares that the rules speak of: next to nothing, half, and most of something. Limits of the rules
-had values of their own within 0.1 of these: with these instead, the same poles are found in 1,300
-clouds, but for a few of the doubtful ones (docs/detection.md, Sensitivity)."""
+had values of their own within 0.1 of these: with these instead, the same poles are found in 3,000
+clouds, but for a few (docs/detection.md, Sensitivity)."""
 
 MAX_PROPOSING_PAIRS = 2000
 """Pairs of points, at most, that propose a line: with `MANY` it bounds a search to 800,000
