@@ -64,10 +64,10 @@ MODULES = (
 LOW, HIGH = 0.7, 1.4
 """Times its value, a constant of ``--sensitivity``; a whole number changes by one at least."""
 
-BOUNDED = {"SWEEP_COSINE", "MAX_SWEEP_SHARE", "WALL_GAP_QUANTILE", "ENOUGH_SHARE"}
+BOUNDED = {"SWEEP_COSINE", "MAX_SWEEP_SHARE", "EDGE_QUANTILE", "ENOUGH_SHARE"}
 """Shares so near to 1 that what is left to 1 changes by these factors instead."""
 
-NOT_VARIED = {"NEGLIGIBLE", "MAD_TO_SIGMA", "CELL_INDEX_BITS", "DEFAULT_RADIUS"}
+NOT_VARIED = {"MAD_TO_SIGMA", "DEFAULT_RADIUS"}
 """Properties of numbers, not of poles; and what the caller gives."""
 
 

@@ -11,7 +11,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
 from retropole.extraction.clustering import (
     LINK,
-    MAX_SINGLE_POINTS,
+    MANY,
     PATCH_POINTS,
     PATCH_RADIUS,
     clusters,
@@ -23,7 +23,7 @@ def sizes(groups: list[IntArray]) -> list[int]:
     return [len(group) for group in groups]
 
 
-@pytest.mark.parametrize("count", [200, 5 * MAX_SINGLE_POINTS])
+@pytest.mark.parametrize("count", [200, 5 * MANY])
 def test_clusters_are_what_short_steps_connect(count: int) -> None:
     rng = np.random.default_rng(1)
     place = rng.integers(0, 3, count)

@@ -9,8 +9,8 @@ import pytest
 
 from retropole.base.datatypes import IntArray, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
-from retropole.extraction.doubtful import MAX_DOUBTFUL, with_doubtful
-from retropole.extraction.poles import extract_poles
+from retropole.extraction.doubtful import with_doubtful
+from retropole.extraction.poles import MAX_POLES, extract_poles
 from retropole.simulation import Rectangle, Surface
 from tests.extraction.scenes import (
     NO_POLES,
@@ -115,14 +115,14 @@ def test_sure_poles_stay_and_doubtful_ones_are_not_among_them() -> None:
     after = with_doubtful(cloud, before, 0.02)
     assert after.poles is before.poles
     assert labels_of(after, labels) == [2]
-    assert len(after.doubtful) <= MAX_DOUBTFUL
+    assert len(after.doubtful) <= MAX_POLES
     index = np.concatenate([p.index for p in (*after.poles, *after.doubtful)])
     assert len(np.unique(index)) == len(index)
 
 
 @pytest.mark.parametrize("sensor", ["XT32", "Pandar64"])
 @pytest.mark.parametrize(("gap", "turn"), [(0.06, 0.0), (0.07, 0.5)])
-def test_a_wall_close_behind_a_pole_does_not_hug_it(gap: float, turn: float, sensor: str) -> None:
+def test_a_wall_close_behind_a_pole_is_not_beside_it(gap: float, turn: float, sensor: str) -> None:
     wall = Rectangle(np.array([4 + gap, 0, 0]), across(np.pi / 2 - turn), Z, (3, 2), PAINT)
     cloud, labels = seen([pole((4, 0)), wall], sensor)
     assert looked_at(cloud, labels, find_sensor(sensor)) == ([], [0])
@@ -132,7 +132,7 @@ def test_a_wall_close_behind_a_pole_does_not_hug_it(gap: float, turn: float, sen
 
 @pytest.mark.parametrize("sensor", ["XT32", "Pandar64"])
 @pytest.mark.parametrize("turn", [0.0, 0.5, 0.8, 1.0, 1.2])
-def test_the_wall_of_a_stripe_hugs_it_however_it_is_turned(turn: float, sensor: str) -> None:
+def test_the_wall_of_a_stripe_is_beside_it_however_it_is_turned(turn: float, sensor: str) -> None:
     along, toward = across(np.pi / 2 - turn), across(-turn)
     wall = Rectangle(np.array([4.0, 0, 0]), along, Z, (3, 2), PAINT)
     stripe = Rectangle(wall.centre - 0.01 * toward, along, Z, (0.025, 0.9), TAPE)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray, PointCloud
+from retropole.extraction.clustering import LINK
 from retropole.extraction.lines import (
-    MAX_GAP,
     RING_GAP,
     TUBE,
     distance_and_place,
@@ -145,7 +145,7 @@ def test_fit_leaves_out_what_lies_beside() -> None:
     assert fitted(np.concatenate([on_pole(), beside]))[0] == 32
 
 
-@pytest.mark.parametrize(("gap", "count"), [(0.99 * MAX_GAP, 35), (1.01 * MAX_GAP, 32)])
+@pytest.mark.parametrize(("gap", "count"), [(0.99 * LINK, 35), (1.01 * LINK, 32)])
 def test_a_gap_just_longer_than_the_limit_parts(gap: float, count: int) -> None:
     beyond = upright_places(0.8 + gap + np.array([0.0, 0.01, 0.02]))
     assert fitted(np.concatenate([on_pole(), beyond]))[0] == count
@@ -161,9 +161,9 @@ def test_rings_are_counted_by_number_where_there_are_any() -> None:
     assert fitted(on_pole(), ring // 4)[2] == 4
 
 
-@pytest.mark.parametrize(("spacing", "rings"), [(1.05 * RING_GAP, 21), (0.95 * RING_GAP, 9)])
+@pytest.mark.parametrize(("spacing", "rings"), [(1.05 * RING_GAP, 21), (0.95 * RING_GAP, 19)])
 def test_without_numbers_rings_are_gaps_along_the_line(spacing: float, rings: int) -> None:
-    """Rings nearer than the gap fill a length; it counts as one ring for each two gaps."""
+    """Rings nearer than the gap fill a length; it counts as one ring for each gap."""
     assert fitted(on_pole(length=20 * spacing, rings=21))[2] == rings
 
 

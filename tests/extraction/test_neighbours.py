@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from retropole.base import se3
-from retropole.base.datatypes import Array
+from retropole.base.datatypes import DEFAULT_RADIUS, Array
 from retropole.extraction import neighbours
+from retropole.extraction.lines import MOST, SEARCH_ROOM
 from retropole.extraction.neighbours import is_wall_behind, on_crossing_line, runs_along_sweep
 from tests.extraction.synthetic import FOOT, UP, line_with, offset, on_pole
+
+CROSSING_TUBE = DEFAULT_RADIUS + SEARCH_ROOM
 
 
 def crossing(angle: float, count: int = 30) -> Array:
@@ -30,7 +33,7 @@ def test_another_line_is_one_at_an_angle(factor: float, is_crossing: bool) -> No
 
 def test_what_lies_off_the_other_line_is_not_on_it() -> None:
     other = crossing(0.5)
-    off = other[::5] + np.array([0, 2 * neighbours.CROSSING_TUBE / np.cos(0.5), 0])
+    off = other[::5] + np.array([0, 2 * CROSSING_TUBE / np.cos(0.5), 0])
     on_it = on_crossing_line(np.concatenate([other, off]), line_with())
     assert on_it[: len(other)].all()
     assert not on_it[len(other) :].any()
@@ -39,7 +42,7 @@ def test_what_lies_off_the_other_line_is_not_on_it() -> None:
 def test_the_other_line_is_fitted_to_all_its_points() -> None:
     """Through the two points that propose it, some of the others would be missed."""
     for seed in range(10):
-        noise = np.random.default_rng(seed).normal(0, neighbours.CROSSING_TUBE / 4, (60, 3))
+        noise = np.random.default_rng(seed).normal(0, CROSSING_TUBE / 4, (60, 3))
         assert on_crossing_line(crossing(0.5, 60) + noise, line_with()).all()
 
 
@@ -62,7 +65,7 @@ def test_a_wall_is_behind_from_some_distance(factor: float, is_behind: bool) -> 
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_a_pole_that_leans_on_a_wall_leaves_it_in_part(share: float) -> None:
     """The wall is behind as far as the quantile of its distances says."""
-    far = int(share * (1 - neighbours.WALL_GAP_QUANTILE) * 100)
+    far = int(share * (1 - MOST) * 100)
     away = np.repeat([-1.1 * neighbours.MIN_WALL_GAP, 0.0], [far, 100 - far])
     assert is_wall_behind(wall(0.0), offset(away, 0.0, 0.0)) is (share > 1)
 
@@ -70,7 +73,7 @@ def test_a_pole_that_leans_on_a_wall_leaves_it_in_part(share: float) -> None:
 @pytest.mark.parametrize(("extra", "is_wall"), [(0.95, True), (1.05, False)])
 def test_a_wall_is_most_of_what_lies_beside(extra: float, is_wall: bool) -> None:
     plane = wall(0.2)
-    count = int(extra / 2 * len(plane) * (1 / neighbours.MIN_PLANE_SHARE - 1))
+    count = int(extra / 2 * len(plane) * (1 / MOST - 1))
     # In pairs, as far before the plane as behind it, so that they do not draw it away.
     off = np.array([1.5 * neighbours.PLANE_DISTANCE, 0, 0])
     pairs = [plane[:count] + off, plane[:count] - off]
@@ -87,11 +90,6 @@ def test_a_quarter_of_clutter_before_a_wall_does_not_hide_it(before: float) -> N
 def test_a_corner_is_no_wall() -> None:
     _, aside, up = (wall(0.0) - FOOT).T
     assert not is_wall_behind(offset(0.1 + 2 * np.abs(aside), aside, up), on_pole(width=0))
-
-
-def test_fewer_points_than_a_plane_needs_are_no_wall() -> None:
-    beside = wall(0.2)[: neighbours.MIN_PLANE_POINTS - 1]
-    assert not is_wall_behind(beside, on_pole(width=0))
 
 
 def scan_rows(ring_step: float, point_step: float = 0.01) -> Array:
@@ -117,7 +115,7 @@ def test_rings_as_close_as_their_returns_tell_nothing() -> None:
 
 
 def test_few_returns_tell_nothing() -> None:
-    least = neighbours.MIN_SWEEP_GROUPS * neighbours.SWEEP_NEIGHBOURS
+    least = neighbours.SWEEP_NEIGHBOURS**2
     column = offset(0.0, 0.2, np.linspace(0, 0.02 * (least - 1), least))
     xyz = np.concatenate([on_pole(0.6, 10, 1), column])
     assert runs_along_sweep(xyz, np.arange(len(xyz)), line_with(10))

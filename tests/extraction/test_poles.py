@@ -239,16 +239,15 @@ def test_more_rounds_of_fitting_give_the_same_poles(
 ) -> None:
     clouds = [simulate_pair(scene, np.random.default_rng(seed)).target for seed in range(3)]
     before = [extract_poles(cloud) for cloud in clouds]
-    monkeypatch.setattr(lines, "FIT_ROUNDS", 5 * lines.FIT_ROUNDS)
-    monkeypatch.setattr(neighbours, "PLANE_ROUNDS", 5 * neighbours.PLANE_ROUNDS)
-    monkeypatch.setattr(neighbours, "CROSSING_FITS", 5 * neighbours.CROSSING_FITS)
+    for module in (lines, neighbours):
+        monkeypatch.setattr(module, "FIT_ROUNDS", 5 * lines.FIT_ROUNDS)
     for cloud, found in zip(clouds, before, strict=True):
         same_poles(extract_poles(cloud), found, np.eye(4))
 
 
 def test_poles_beyond_the_most_of_one_group_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud, _ = seen([pole((4, 0)), pole((4, 0.5), 0.35 * Y)])
-    monkeypatch.setattr(poles, "MAX_POLES_PER_PART", 1)
+    monkeypatch.setattr(poles, "MAX_POLES", 1)
     found = extract_poles(cloud)
     (rest,) = found.rejected
     assert len(found.poles) == 1

@@ -1,4 +1,4 @@
-"""What the rules share: what is beside a line, on it, without tape, and crowded."""
+"""What the rules share: what is beside a line, on it, without tape, and how much clutter."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import pytest
 from retropole.base.datatypes import Array
 from retropole.extraction import surroundings as shared
 from retropole.extraction.acceptance_shape import FEW_POLE_POINTS, THICK_RMS
-from retropole.extraction.surroundings import Surroundings, crowded_share, surroundings_of
+from retropole.extraction.lines import HALF
+from retropole.extraction.surroundings import Surroundings, cluttered_share, surroundings_of
 from tests.extraction.synthetic import (
     BRIGHT,
     DIM,
@@ -55,9 +56,8 @@ def test_few_is_fewer_than_the_limit(rings: int, few: bool) -> None:
 @pytest.mark.parametrize(
     ("step", "limit"),
     [
-        (0.5 * shared.MAX_BESIDE / shared.BESIDE_STEPS, shared.MAX_BESIDE),
-        (0.4, shared.BESIDE_STEPS * 0.4),
-        (2.0 * shared.MAX_FAR_BESIDE / shared.BESIDE_STEPS, shared.MAX_FAR_BESIDE),
+        (0.5 * shared.MAX_BESIDE, shared.MAX_BESIDE),
+        (1.2 * shared.MAX_BESIDE, 1.2 * shared.MAX_BESIDE),
     ],
 )
 def test_beside_is_as_far_as_the_rings_are_apart(step: float, limit: float) -> None:
@@ -80,7 +80,7 @@ def test_untaped_is_dimmer_than_part_of_the_dimmest_of_the_line(
     factor: float, is_untaped: bool
 ) -> None:
     place = around(1, 0.0, 0.005)
-    seen = about(on_pole(), (place, factor * shared.UNTAPED_INTENSITY * BRIGHT))
+    seen = about(on_pole(), (place, factor * HALF * BRIGHT))
     assert seen.on_line[-1]
     assert bool(seen.untaped[-1]) is is_untaped
 
@@ -114,17 +114,17 @@ def test_a_pole_that_crosses_a_suspect_line_is_beside() -> None:
     assert seen.retro_beside.any()
 
 
-def test_crowded_share_counts_pieces_by_what_lies_on_the_line() -> None:
+def test_cluttered_share_counts_pieces_by_what_lies_on_the_line() -> None:
     line = line_with(80, along=np.linspace(-0.6, 0.6, 80))
     middles = (np.arange(shared.PIECES) + 0.5) / shared.PIECES * 1.2 - 0.6
-    for crowded in range(shared.PIECES + 1):
-        places = np.repeat(middles[:crowded], 5)
-        assert crowded_share(line, places, 0.5) == crowded / shared.PIECES
-        assert crowded_share(line, places, 0.51) == 0.0
+    for count in range(shared.PIECES + 1):
+        places = np.repeat(middles[:count], 5)
+        assert cluttered_share(line, places, 0.5) == count / shared.PIECES
+        assert cluttered_share(line, places, 0.51) == 0.0
 
 
 def test_pieces_without_points_of_the_line_do_not_count() -> None:
     along = np.concatenate([np.linspace(-0.6, -0.4, 10), np.linspace(0.4, 0.6, 10)])
     line = line_with(20, along=along)
-    assert crowded_share(line, np.zeros(50), 0.3) == 0.0
-    assert crowded_share(line, along, 1.0) == 1.0
+    assert cluttered_share(line, np.zeros(50), 0.3) == 0.0
+    assert cluttered_share(line, along, 1.0) == 1.0

@@ -1,7 +1,6 @@
-"""Does a line have the shape of a pole? One function for each rule, in the order of asking.
+"""Does a line have the shape of a pole? The rules stand in the order of asking.
 
-A pole is thin, straight, and long for its width. The sensor's place is asked only to find a line
-along one beam's sweep: clouds that another program has transformed have lost it.
+A pole is thin, straight, and long for its width, and runs across the rings.
 
 What *Sensitivity* means beside a constant: docs/detection.md.
 """
@@ -16,15 +15,14 @@ from ..base.datatypes import PointCloud
 from ..base.quantities import counted
 from ..base.reasons import Code
 from ..io.rings import elevations
-from .lines import Line
+from .lines import MIN_LINE_POINTS, Line
 
 MIN_POLE_POINTS = 6
 """Fewest returns on a pole: two on each of three rings. At 5 m a pole 4 cm thick spans 0.46°, two
 steps of 0.2°. Sensitivity at 4: 1 more false; at 8: 2 poles lost."""
 
-MIN_POLE_RINGS = 3
-"""Fewest rings that hit a pole: any two points lie in line, the third tests the line. Sensitivity
-at 2: no effect; at 4: 1 pole lost."""
+MIN_POLE_RINGS = MIN_LINE_POINTS
+"""Fewest rings that hit a pole: one for each point that a line needs."""
 
 MIN_LENGTH = 0.25
 """Smallest extent along the line, metres: three rings of a 16-beam sensor, 2° apart, at 3.6 m (2 ·
@@ -34,10 +32,6 @@ MIN_LENGTH = 0.25
 MAX_LENGTH = 4.0
 """Largest extent along the line, metres: twice a pole of 2 m. What is longer is a fence or a kerb.
 Sensitivity at 2.8: 7 fewer false; at 5.6: no effect."""
-
-WIDTH_IN_RMS = 4.0
-"""Width of a line over its scatter: ±2 standard deviations. Sensitivity at 2.8: 1 more found, 8
-more false; at 5.6: 10 recorded posts lost, 2 fewer false."""
 
 MIN_SLENDERNESS = 1.5
 """Smallest ratio of the extent along the line to that across it. Sensitivity at 1.05: 1 more found,
@@ -74,33 +68,8 @@ from 0.105 to 0.21: no effect."""
 
 ONE_BEAM_ELEVATION = float(np.radians(0.1))
 """Returns whose elevations span less than this, rad, come from one beam: less than the finest ring
-spacing of the table of sensors, Pandar64 with 1/6°, while a pole has three rings. Sensitivity from
-0.07° to 0.14°: no effect."""
-
-MAX_SIGHT_DISTANCE = 200.0
-"""Farther than this, metres, the origin is not where a pole was seen from, and elevations say
-nothing: the range of a Pandar64. Sensitivity from 140 to 280: no effect."""
-
-SWEEP_STEP = 0.2
-"""Single points at least so far apart, metres, and evenly, are returns of one beam far away: 0.2°
-are 0.2 m at 57 m. Where rings of a pole are so far apart, they have two points or more, or there
-are gaps. Sensitivity from 0.14 to 0.28: no effect."""
-
-SWEEP_STEPS = 2.0
-"""Points that the sensor sees this many steps of its sweep apart, or more, are not returns of one
-beam that follow each other: they are rings, which a PandarQT has 2.7 steps apart."""
-
-SWEEP_EVENNESS = 1.3
-"""Largest ratio of two gaps, the quantiles below, that is even. Sensitivity from 0.91 to 1.82: no
-effect."""
-
-SWEEP_LOW_QUANTILE = 0.1
-"""Quantile of the gaps that stands for the smallest: one in ten may be a double return. Sensitivity
-from 0.07 to 0.14: no effect."""
-
-SWEEP_HIGH_QUANTILE = 0.6
-"""Quantile of the gaps that stands for the largest: two in five may be lost returns. Sensitivity
-from 0.42 to 0.84: no effect."""
+spacing of the table of sensors, Pandar64 with 1/6°, while a pole has three rings. Where all of a
+line would be seen within it, elevations say nothing. Sensitivity from 0.07° to 0.14°: no effect."""
 
 
 @dataclass(frozen=True)
@@ -127,83 +96,39 @@ def shape_failure(
     shortest
         Extent along it that it needs, metres.
     """
-    return (
-        _too_few_points(line, fewest)
-        or _too_short(line, shortest)
-        or _too_long(line)
-        or _too_few_rings(line)
-        or _too_wide_for_its_length(line)
-        or _too_thick(line)
-        or _too_thick_for_few_points(line)
-        or _along_one_sweep(cloud, line)
-    )
-
-
-def _too_few_points(line: Line, fewest: int) -> Failure | None:
     count = len(line.index)
-    if count >= fewest:
-        return None
-    return Failure("too_few_points", f"{counted(count, 'point')} in line, a pole needs {fewest}")
-
-
-def _too_short(line: Line, shortest: float) -> Failure | None:
-    if line.length >= shortest:
-        return None
-    return Failure("too_short", f"{line.length:.2f} m long, a pole needs {shortest:g} m")
-
-
-def _too_long(line: Line) -> Failure | None:
-    if line.length <= MAX_LENGTH:
-        return None
-    return Failure("too_long", f"{line.length:.2f} m long, a pole has {MAX_LENGTH:g} m at most")
-
-
-def _too_few_rings(line: Line) -> Failure | None:
-    if line.rings >= MIN_POLE_RINGS:
-        return None
-    return Failure(
-        "too_few_rows", f"hit by {line.rings} of the rings, a pole needs {MIN_POLE_RINGS}"
-    )
-
-
-def _too_wide_for_its_length(line: Line) -> Failure | None:
-    if line.length >= MIN_SLENDERNESS * _width(line):
-        return None
-    reason = f"{_size(line)}, a pole is {MIN_SLENDERNESS:g} times longer than wide"
-    return Failure("too_wide", reason)
-
-
-def _too_thick(line: Line) -> Failure | None:
+    size = f"{line.length:.2f} m long and {line.width:.2f} m wide"
     is_long_and_thick = line.rms > line.with_beams(THICK_RMS) and line.length > MAX_THICK_LENGTH
-    if line.rms <= MAX_RMS and not is_long_and_thick:
-        return None
-    return Failure("too_wide", f"{_size(line)}, more than any post")
+    if count < fewest:
+        reason = f"{counted(count, 'point')} in line, a pole needs {fewest}"
+        return Failure("too_few_points", reason)
+    if line.length < shortest:
+        return Failure("too_short", f"{line.length:.2f} m long, a pole needs {shortest:g} m")
+    if line.length > MAX_LENGTH:
+        return Failure("too_long", f"{line.length:.2f} m long, a pole has {MAX_LENGTH:g} m at most")
+    if line.rings < MIN_POLE_RINGS:
+        reason = f"hit by {line.rings} of the rings, a pole needs {MIN_POLE_RINGS}"
+        return Failure("too_few_rows", reason)
+    if line.length < MIN_SLENDERNESS * line.width:
+        reason = f"{size}, a pole is {MIN_SLENDERNESS:g} times longer than wide"
+        return Failure("too_wide", reason)
+    if line.rms > MAX_RMS or is_long_and_thick:
+        return Failure("too_wide", f"{size}, more than any post")
+    if line.rms > line.with_beams(MAX_FEW_RMS) and count < FEW_POLE_POINTS:
+        reason = f"{size} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
+        return Failure("too_wide", reason)
+    along_sweep = _on_one_elevation if cloud.ring is None else _runs_along_rings
+    if along_sweep(cloud, line):
+        reason = f"{count} points that follow each other in a beam's sweep"
+        return Failure("along_a_beam", reason)
+    return None
 
 
-def _too_thick_for_few_points(line: Line) -> Failure | None:
-    count = len(line.index)
-    if line.rms <= line.with_beams(MAX_FEW_RMS) or count >= FEW_POLE_POINTS:
-        return None
-    reason = f"{_size(line)} with {count} points, a post as thick as that needs {FEW_POLE_POINTS}"
-    return Failure("too_wide", reason)
-
-
-def _along_one_sweep(cloud: PointCloud, line: Line) -> Failure | None:
-    if cloud.ring is not None:
-        along_sweep = _rings_run_along(cloud, line)
-    else:
-        along_sweep = _on_one_elevation(cloud, line) or _evenly_spaced(cloud, line)
-    if not along_sweep:
-        return None
-    reason = f"{len(line.index)} points that follow each other in a beam's sweep"
-    return Failure("along_a_beam", reason)
-
-
-def _rings_run_along(cloud: PointCloud, line: Line) -> bool:
+def _runs_along_rings(cloud: PointCloud, line: Line) -> bool:
     """Whether each ring leaves its points along the line rather than across it."""
     assert cloud.ring is not None
     _, member, counts = np.unique(cloud.ring[line.index], return_inverse=True, return_counts=True)
-    along = line.along[np.lexsort((line.along, member.reshape(-1)))]
+    along = line.along[np.lexsort((line.along, member))]
     last = np.cumsum(counts) - 1
     return float(np.median(along[last] - along[last + 1 - counts])) > MAX_RING_EXTENT
 
@@ -211,28 +136,5 @@ def _rings_run_along(cloud: PointCloud, line: Line) -> bool:
 def _on_one_elevation(cloud: PointCloud, line: Line) -> bool:
     """Whether one beam, seen from the cloud's origin, met all points of the line."""
     rays = cloud.xyz[line.index] - cloud.origin
-    in_sight = np.linalg.norm(rays[0]) < MAX_SIGHT_DISTANCE
+    in_sight = line.length > ONE_BEAM_ELEVATION * np.linalg.norm(rays[0])
     return bool(in_sight and np.ptp(elevations(rays, cloud.axis)) < ONE_BEAM_ELEVATION)
-
-
-def _evenly_spaced(cloud: PointCloud, line: Line) -> bool:
-    """Whether the points are single ones, far and evenly apart."""
-    order = np.argsort(line.along, kind="stable")
-    gaps = np.diff(line.along[order])
-    low, high = np.quantile(gaps, [SWEEP_LOW_QUANTILE, SWEEP_HIGH_QUANTILE])
-    if low <= SWEEP_STEP or high >= SWEEP_EVENNESS * low:
-        return False
-    if line.sweep_step == 0:
-        return True
-    rays = cloud.xyz[line.index[order]] - cloud.origin
-    rays /= np.linalg.norm(rays, axis=1)[:, None]
-    turn = np.arccos(np.clip(np.einsum("ni,ni->n", rays[1:], rays[:-1]), -1.0, 1.0))
-    return bool(np.quantile(turn, SWEEP_LOW_QUANTILE) < SWEEP_STEPS * line.sweep_step)
-
-
-def _width(line: Line) -> float:
-    return WIDTH_IN_RMS * line.rms
-
-
-def _size(line: Line) -> str:
-    return f"{line.length:.2f} m long and {_width(line):.2f} m wide"

@@ -12,74 +12,29 @@ import numpy as np
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.quantities import counted
-from .acceptance_shape import Failure
-from .lines import Line, to_nearest
+from .acceptance_shape import MAX_RING_EXTENT, Failure
+from .lines import FIT_ROOM, HALF, LITTLE, MOST, Line, to_nearest
 from .neighbours import is_wall_behind, runs_along_sweep
 from .surroundings import (
-    MAX_RETRO_CROWDED,
     PIECES,
-    RETRO_CROWD,
     SHORT_LENGTH,
     Surroundings,
-    crowded_share,
+    cluttered_share,
     surroundings_of,
 )
-
-AROUND_ENDS = 0.4
-"""About a suspect line, up to so far beyond its ends, metres, little else shines. Kerbs, tussocks
-and stones on bright ground have plenty about them. Sensitivity at 0.28: no effect; at 0.56: 2 more
-found, 1 fewer false."""
-
-MAX_AROUND_SHARE = 0.2
-"""Largest number of retro-reflective returns about a suspect line, for each of its own. Sensitivity
-from 0.14 to 0.28: no effect."""
-
-CROWD = 0.7
-"""A piece is crowded by returns of any kind with so many beside it for each of its own. Sensitivity
-at 0.49: 9 recorded posts lost; at 0.98: no effect."""
-
-MAX_CROWDED = 0.5
-"""Largest share of a line's pieces that returns of any kind crowd, except those of a wall behind
-it. Sensitivity at 0.35: 9 poles lost, 3 of them recorded posts, 2 fewer false; at 0.7: no
-effect."""
-
-MAX_CROWDED_STRICT = 0.25
-"""The limit of both shares for a suspect line. Sensitivity at 0.175: 1 fewer false; at 0.35: no
-effect."""
-
-MAX_UNTAPED = 0.5
-"""Largest number of returns without tape between the points of a line, for each of its own.
-Sensitivity at 0.35: 2 recorded posts lost; at 0.7: 1 more false."""
-
-SAME_HEIGHT, MIN_SAME_HEIGHT = 0.25, 0.02
-"""Returns within this part of the step from ring to ring, and within this, metres, lie at one
-height: on one ring. Where intensity falls with incidence, a third to a half of a pole's returns,
-those from its edges, are dim."""
 
 EDGE_QUANTILE = 0.9
 """A dim return is from the edge of a pole where it lies farther to the side than so many of the
 bright ones, sorted by that: tape that is dim by its angle begins where the bright one ends. On a
 post without tape one in ten does by chance."""
 
-MAX_HUGGING = 0.09
-"""What crowds a line nearer than this, metres, is not a wall behind it. Sensitivity at 0.063: no
+MAX_CLOSE = 0.09
+"""Clutter nearer to a line than this, metres, is not a wall behind it. Sensitivity at 0.063: no
 effect; at 0.126: 2 fewer false."""
-
-SINGLE_FILE_STEP = 0.15
-"""Rings of a short line that are nearer than this, metres, have several points each on a pole: 2°
-at 4.3 m, where a pole 4 cm thick spans 0.5°. Sensitivity from 0.105 to 0.21: no effect."""
 
 SEVERAL_ON_A_RING = 2.0
 """Where the step and the width of the beams are known, and a ring can leave fewer returns than this
 on a pole, single file says nothing: a PandarQT does from 3 m on."""
-
-SINGLE_FILE_SHARE = 0.7
-"""Rings for each point above which a line is in single file, as one beam leaves it on a plate.
-Sensitivity at 0.49: 7 poles lost, 6 of them recorded posts, 1 fewer false; at 0.98: no effect."""
-
-CONTINUED_SHARE = 0.6
-"""A line goes on beyond its end where so much of what fits there is there, in pieces or in rings.
-Sensitivity at 0.42: 1 pole lost; at 0.84: 1 more found."""
 
 
 def surroundings_failure(
@@ -104,40 +59,22 @@ def surroundings_failure(
     """
     around = surroundings_of(cloud, near, is_retro, line)
     return (
-        _surrounded_by_retro(around)
-        or crowded_by_retro(around)
+        retro_clutter(around)
         or untaped_between(around)
-        or _crowded_by_any(around)
+        or _clutter_of_any_kind(around)
         or along_the_sweeps(around)
         or in_single_file(around)
         or _goes_on_without_tape(around)
     )
 
 
-def _surrounded_by_retro(around: Surroundings) -> Failure | None:
-    """A suspect line has next to nothing retro-reflective about it, its ends included."""
-    if not around.is_suspect:
-        return None
-    line = around.line
-    away = np.linalg.norm(around.cloud.xyz[around.near] - line.point, axis=1)
-    about = (around.distance > line.tube) & (away < line.length / 2 + AROUND_ENDS)
-    others = int(np.count_nonzero(around.is_retro & about))
-    if others <= MAX_AROUND_SHARE * len(line.index):
-        return None
-    return Failure(
-        "part_of_a_surface",
-        f"{others} other retro-reflective returns lie about its {len(line.index)}: a patch "
-        "of something bright, not a free-standing pole",
-    )
-
-
-def crowded_by_retro(around: Surroundings) -> Failure | None:
-    """A pole is not crowded by retro-reflective returns, except by those of a pole that crosses."""
+def retro_clutter(around: Surroundings) -> Failure | None:
+    """A pole has no retro-reflective returns all along it, except those of a pole that crosses."""
     line, beside = around.line, around.retro_beside
-    share = crowded_share(line, around.along[beside], RETRO_CROWD)
+    share = cluttered_share(line, around.along[beside], LITTLE)
     if around.has_few_points:
         share = max(share, min(1.0, np.count_nonzero(beside) / len(line.index)))
-    if share <= (MAX_CROWDED_STRICT if around.is_suspect else MAX_RETRO_CROWDED):
+    if share <= (LITTLE if around.is_suspect else HALF):
         return None
     return Failure(
         "part_of_a_surface",
@@ -152,15 +89,15 @@ def untaped_between(around: Surroundings) -> Failure | None:
     A dim one at the height of a bright one, or farther to the side, is from the edge of the pole,
     where tape is met at a grazing angle.
     """
-    between = (around.along > around.low) & (around.along < around.high)
+    between = (around.along > around.line.low) & (around.along < around.line.high)
     dim = around.untaped & around.on_line & between
     apart = to_nearest(around.line.along, around.along[dim])
-    alone = apart > max(SAME_HEIGHT * around.line.step, MIN_SAME_HEIGHT)
+    alone = apart > max(LITTLE * around.line.step, FIT_ROOM)
     own = len(around.line.index)
-    if np.count_nonzero(alone) <= MAX_UNTAPED * own:
+    if np.count_nonzero(alone) <= HALF * own:
         return None
     count = int(np.count_nonzero(alone & ~_at_the_edges(around, dim)))
-    if count <= MAX_UNTAPED * own:
+    if count <= HALF * own:
         return None
     lie = counted(count, "return without tape lies", "returns without tape lie")
     reason = f"{lie} between its {counted(own, 'point')}"
@@ -184,21 +121,21 @@ def _at_the_edges(around: Surroundings, dim: BoolArray) -> BoolArray:
     return np.asarray(np.abs(dim_places - middle) > reach)
 
 
-def hugging(around: Surroundings) -> BoolArray:
+def close_beside(around: Surroundings) -> BoolArray:
     """Which returns (M,) lie close beside the line, too near for a wall behind it."""
-    return ~around.is_retro & ~around.on_line & (around.distance < MAX_HUGGING)
+    return ~around.is_retro & ~around.on_line & (around.distance < MAX_CLOSE)
 
 
-def _crowded_by_any(around: Surroundings) -> Failure | None:
-    """A pole is not crowded by returns of any kind, except by those of a wall behind it."""
+def _clutter_of_any_kind(around: Surroundings) -> Failure | None:
+    """A pole has no returns of any kind all along it, except those of a wall behind it."""
     line, xyz = around.line, around.cloud.xyz
     beside = around.beside & (~around.is_retro | around.retro_beside)
-    share = crowded_share(line, around.along[beside], CROWD)
+    share = cluttered_share(line, around.along[beside], MOST)
     is_strict = around.is_suspect and not around.is_thick
-    if share <= (MAX_CROWDED_STRICT if is_strict else MAX_CROWDED):
+    if share <= (LITTLE if is_strict else HALF):
         return None
-    is_hugged = crowded_share(line, around.along[hugging(around)], CROWD) > MAX_CROWDED
-    if not (around.is_short or is_hugged) and is_wall_behind(
+    is_close = cluttered_share(line, around.along[close_beside(around)], MOST) > HALF
+    if not (around.is_short or is_close) and is_wall_behind(
         xyz[around.near[beside]], xyz[line.index]
     ):
         return None
@@ -225,7 +162,7 @@ def in_single_file(around: Surroundings) -> Failure | None:
         return None
     if line.returns_per_ring < SEVERAL_ON_A_RING:
         return None
-    if line.step >= SINGLE_FILE_STEP or line.rings <= SINGLE_FILE_SHARE * count:
+    if line.step >= MAX_RING_EXTENT or line.rings <= MOST * count:
         return None
     return Failure(
         "along_a_beam",
@@ -240,8 +177,8 @@ def _goes_on_without_tape(around: Surroundings) -> Failure | None:
         return None
     line = around.line
     untaped = around.untaped & (around.distance < around.beside_limit)
-    above, below = around.along - around.high, around.low - around.along
-    needed = CONTINUED_SHARE * min(PIECES, SHORT_LENGTH / line.step)
+    above, below = around.along - line.high, line.low - around.along
+    needed = MOST * min(PIECES, SHORT_LENGTH / line.step)
     if max(_pieces_hit(beyond[untaped & (beyond > 0)]) for beyond in (above, below)) < needed:
         return None
     reason = f"{line.length:.2f} m long, and goes on without tape: a sign on its post"

@@ -11,8 +11,9 @@ import numpy as np
 
 from ..base.datatypes import BoolArray, PointCloud
 from ..base.quantities import counted
+from ..base.se3 import lengths
 from .acceptance_shape import Failure
-from .lines import Line, distance_and_place, to_nearest
+from .lines import LITTLE, MIN_LINE_POINTS, MOST, Line, distance_and_place, to_nearest
 
 REACH = 0.65
 """A body lies no farther from its band, metres: held off by an arm's length of half a metre, and
@@ -21,17 +22,8 @@ REACH = 0.65
 AIR = 1.1
 """Up to this distance from the band, metres, there is air about a body."""
 
-MAX_AROUND = 0.3
-"""Returns in the air about a body, for each of its own, at most."""
-
-MIN_ALONG = 0.75
-"""Least share of the band's returns that have one of the body beside them."""
-
 BEYOND = 0.15
 """A body goes on beyond both ends by this and by a step from ring to ring, metres."""
-
-MIN_BEYOND = 3
-"""Returns of the body beyond each end, at least."""
 
 
 def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
@@ -42,14 +34,10 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     cloud, line
         The cloud, and the line found in it.
     """
-    low, high = float(line.along.min()), float(line.along.max())
+    low, high = line.low, line.high
     beyond = max(BEYOND, line.step)
     half = max(high, -low) + 2 * beyond + line.step
-    # Axis by axis: the first leaves few for the others.
-    near = np.arange(len(cloud))
-    for axis in range(3):
-        away = np.abs(cloud.xyz[near, axis] - line.point[axis])
-        near = near[away < np.hypot(half, AIR)]
+    near = lengths(cloud.xyz - line.point) < np.hypot(half, AIR)
     distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
     body = (distance > line.tube) & (distance <= REACH)
     around = (distance > REACH) & (distance <= AIR)
@@ -57,11 +45,11 @@ def worn_by_a_body(cloud: PointCloud, line: Line) -> Failure | None:
     def is_free(part: BoolArray) -> bool:
         """Whether there is something of a body in a part (M,), and air about it."""
         own = np.count_nonzero(body & part)
-        return bool(own >= MIN_BEYOND and np.count_nonzero(around & part) <= MAX_AROUND * own)
+        return bool(own >= MIN_LINE_POINTS and np.count_nonzero(around & part) <= LITTLE * own)
 
     if not is_free((along >= low) & (along <= high)):
         return None
-    if np.mean(to_nearest(along[body], line.along) < line.step) < MIN_ALONG:
+    if np.mean(to_nearest(along[body], line.along) < line.step) < MOST:
         return None
     above = (along > high) & (along < high + beyond + line.step)
     below = (along < low) & (along > low - beyond - line.step)

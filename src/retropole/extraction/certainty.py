@@ -12,23 +12,16 @@ from ..base.datatypes import DEFAULT_RADIUS, PointCloud
 from .acceptance_shape import Failure
 from .beams import RMS_PER_RADIUS
 from .bodies import worn_by_a_body
-from .lines import RING_GAP, Line, distance_and_place
-from .neighbours import NEGLIGIBLE
+from .lines import HALF, RING_GAP, Line, distance_and_place
 from .surroundings import PIECES
 
 MAX_SURE_RMS = 0.03
 """Largest scatter of the returns of a sure pole about their line, metres: 12 mm of a cylinder of 2
 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
 
-MAX_GAP_SHARE = 0.5
-"""A gap as long as so much of a line makes two things of it, unless its rings explain the gap."""
-
-MAX_RINGS_MISSED = 2
-"""Rings in a row without a return that are no gap: a return may be lost in each."""
-
 MAX_GAP_STEPS = 3.5
-"""The same where the cloud has no rings, in steps from ring to ring: two rings missed, and half a
-step of unevenness."""
+"""A gap no longer than so many steps from ring to ring is none: two rings missed, since a return
+may be lost in each, and half a step of unevenness where the cloud has no rings."""
 
 MIN_SIGHT_ANGLE = float(np.radians(15.0))
 """A line that the sensor sees at a smaller angle, rad, lies on the ground or is the edge of
@@ -76,7 +69,7 @@ def _typical_scatter(cloud: PointCloud, line: Line) -> float:
     or a pole that crosses widens a few pieces only.
     """
     distance, along = distance_and_place(cloud.xyz[line.index], line.point, line.direction)
-    edges = np.linspace(along.min(), along.max() + NEGLIGIBLE, PIECES + 1)
+    edges = np.linspace(along.min(), along.max(), PIECES + 1)
     count = np.histogram(along, edges)[0]
     square = np.histogram(along, edges, weights=distance**2)[0]
     middle = float(np.median(square[count > 0] / count[count > 0]))
@@ -89,11 +82,11 @@ def _interrupted(cloud: PointCloud, line: Line) -> Failure | None:
     gaps = np.diff(line.along[order])
     widest = int(np.argmax(gaps))
     gap = float(gaps[widest])
-    if gap < MAX_GAP_SHARE * line.length:
+    if gap < HALF * line.length:
         return None
     if cloud.ring is not None:
         before, after = cloud.ring[line.index[order[[widest, widest + 1]]]]
-        is_explained = abs(int(after) - int(before)) <= MAX_RINGS_MISSED + 1
+        is_explained = abs(int(after) - int(before)) <= MAX_GAP_STEPS
     else:
         others = np.delete(gaps, widest)
         steps = others[others > RING_GAP]

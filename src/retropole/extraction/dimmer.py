@@ -13,8 +13,8 @@ import numpy as np
 
 from ..base.datatypes import Detection, PointCloud, Pole
 from ..base.sensors import Sensor, Threshold, lower_thresholds
-from .doubtful import MAX_DOUBTFUL, with_doubtful, without_repeats
-from .poles import extract_poles, is_too_low
+from .doubtful import with_doubtful, without_repeats
+from .poles import MAX_POLES, extract_poles, is_too_low
 
 
 def with_dimmer(
@@ -38,7 +38,7 @@ def with_dimmer(
     Returns
     -------
     Detection
-        The same, with more `doubtful` ones, those it has first; at most `MAX_DOUBTFUL`. Itself
+        The same, with more `doubtful` ones, those it has first; at most `MAX_POLES`. Itself
         where its threshold was given.
     """
     assert cloud.intensity is not None
@@ -57,7 +57,7 @@ def with_dimmer(
     # Much is bright by a low threshold: of what is doubtful there, only what shares nothing.
     for pole in without_repeats(less, len(cloud)):
         doubtful += _apart_from((*detection.poles, *doubtful), (pole,), len(cloud))
-    return replace(detection, doubtful=tuple(doubtful[:MAX_DOUBTFUL]))
+    return replace(detection, doubtful=tuple(doubtful[:MAX_POLES]))
 
 
 def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> list[Pole]:

@@ -24,21 +24,28 @@ from .acceptance_shape import (
     shape_failure,
 )
 from .acceptance_surroundings import (
-    CROWD,
     along_the_sweeps,
-    hugging,
+    close_beside,
     in_single_file,
     untaped_between,
 )
 from .beams import Beams, beams_by
 from .certainty import MAX_SURE_RMS, too_thick_for_radius
-from .clustering import LINK, clusters
-from .lines import MAX_PROPOSING_POINTS, TUBE, Line, fit_line, in_canonical_order, propose_lines
-from .poles import SEARCH_ROOM, near_box, off_surfaces, pole_on
-from .surroundings import RETRO_CROWD, Surroundings, crowded_share, stands_behind, surroundings_of
-
-MIN_DOUBTFUL_POINTS = 3
-"""Fewest returns on a doubtful pole, one on each of three rings: two points are always in line."""
+from .clustering import LINK, MANY, clusters
+from .lines import (
+    HALF,
+    LITTLE,
+    MIN_LINE_POINTS,
+    MOST,
+    SEARCH_ROOM,
+    TUBE,
+    Line,
+    fit_line,
+    in_canonical_order,
+    propose_lines,
+)
+from .poles import MAX_POLES, near_box, off_surfaces, pole_on
+from .surroundings import Surroundings, cluttered_share, stands_behind, surroundings_of
 
 MIN_DOUBTFUL_LENGTH = 0.16
 """Smallest extent of a doubtful pole along its line, metres: three rings of a 16-beam sensor, 2°
@@ -48,23 +55,13 @@ what the longer ones leave."""
 CLINGING = 0.06
 """Bright returns from the edge of the tube to so far outside it cling to a line, metres: a plate
 has the rest of itself there, and a pole has air. Two steps of 0.2° at 8 m. Of a stripe, the wall
-itself is nearer than `MAX_HUGGING`."""
-
-MAX_FEW_CLINGING = 0.25
-"""So many bright returns cling to a line with few returns at most, for each of its own. What is
-farther off, a vest for one, says nothing of it."""
-
-MAX_CLINGING_SHARE = 0.5
-"""Largest share of the line's pieces to which something clings. Two bands of a vest cover less."""
+itself is nearer than `MAX_CLOSE`."""
 
 MOST_PROPOSALS = 30
 """Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""
 
 MAX_DOUBTFUL_PER_PART = 4
 """Doubtful poles taken out of one group at most."""
-
-MAX_DOUBTFUL = 8
-"""Doubtful poles of a cloud that are kept, those with the most returns."""
 
 
 class Sought(NamedTuple):
@@ -111,7 +108,7 @@ def with_doubtful(
     Returns
     -------
     Detection
-        The same, with `doubtful` filled: those it has and those found now, at most `MAX_DOUBTFUL`.
+        The same, with `doubtful` filled: those it has and those found now, at most `MAX_POLES`.
     """
     cloud = with_trusted_rings(cloud)
     assert cloud.intensity is not None
@@ -123,7 +120,7 @@ def with_doubtful(
     found: list[Pole] = []
     for group in clusters(cloud.xyz[retro], LINK):
         cluster = retro[group]
-        if len(cluster) < MIN_DOUBTFUL_POINTS:
+        if len(cluster) < MIN_LINE_POINTS:
             continue
         near = near_box(columns, cluster)
         for part, sought in _searches(cloud, cluster, radius, beams_by(sensor)):
@@ -138,7 +135,7 @@ def with_doubtful(
                 free[best.index] = False
                 found.append(pole_on(cloud, best))
     found = without_repeats([*found, *detection.doubtful], len(cloud))
-    return replace(detection, doubtful=tuple(found[:MAX_DOUBTFUL]))
+    return replace(detection, doubtful=tuple(found[:MAX_POLES]))
 
 
 def _searches(
@@ -147,12 +144,12 @@ def _searches(
     """In which points of a group to look for what, one search after the other."""
     shell = radius + SEARCH_ROOM, _reach(radius)
     gap = radius + SEARCH_ROOM, radius + TUBE
-    is_large = len(cluster) > MAX_PROPOSING_POINTS
-    parts, fewest = [cluster], MIN_DOUBTFUL_POINTS
+    is_large = len(cluster) > MANY
+    parts, fewest = [cluster], MIN_LINE_POINTS
     if is_large:
         parts, failure = off_surfaces(cloud, cluster)
         # Where most is bright, a line of few bright returns says nothing.
-        fewest = MIN_DOUBTFUL_POINTS if failure is None else FEW_POLE_POINTS
+        fewest = MIN_LINE_POINTS if failure is None else FEW_POLE_POINTS
     for part in parts:
         yield part, Sought(radius, beams, MIN_LENGTH, fewest, shell)
     if is_large:
@@ -191,7 +188,7 @@ def _lines_in(
     found: list[Line] = []
     for _ in range(MAX_DOUBTFUL_PER_PART):
         left = part[free[part]]
-        if len(left) < MIN_DOUBTFUL_POINTS:
+        if len(left) < MIN_LINE_POINTS:
             break
         left = in_canonical_order(cloud.xyz, left)
         tube = sought.radius + SEARCH_ROOM
@@ -244,9 +241,9 @@ def _may_be_pole(around: Surroundings, clinging: BoolArray, radius: float) -> bo
     is_few = len(line.index) < MIN_POLE_POINTS
     if is_few and _skips_rings(around):
         return False
-    if _is_crowded(around, clinging, RETRO_CROWD) or _is_hugged(around):
+    if _has_clutter(around, clinging, LITTLE) or _has_close_clutter(around):
         return False
-    if is_few and np.count_nonzero(clinging) > MAX_FEW_CLINGING * len(line.index):
+    if is_few and np.count_nonzero(clinging) > LITTLE * len(line.index):
         return False
     return not (untaped_between(around) or along_the_sweeps(around) or in_single_file(around))
 
@@ -266,20 +263,20 @@ def _skips_rings(around: Surroundings) -> bool:
     return bool(np.ptp(rings) > len(hit))
 
 
-def _is_hugged(around: Surroundings) -> bool:
+def _has_close_clutter(around: Surroundings) -> bool:
     """Whether other returns lie close beside most of the line, and not only behind it."""
-    close = hugging(around)
-    if not _is_crowded(around, close, CROWD):
+    close = close_beside(around)
+    if not _has_clutter(around, close, MOST):
         return False
     if ring_spread(around.cloud) > MAX_RING_SPREAD:
         return True  # where the sensor stood is not known, nor what is behind
-    return _is_crowded(around, close & ~stands_behind(around, close), CROWD)
+    return _has_clutter(around, close & ~stands_behind(around, close), MOST)
 
 
-def _is_crowded(around: Surroundings, close: BoolArray, crowd: float) -> bool:
+def _has_clutter(around: Surroundings, close: BoolArray, density: float) -> bool:
     """Whether close returns lie beside most of the line.
 
-    ``crowd`` is how many for each of the line's own make a piece of it crowded.
+    ``density`` is how many for each of the line's own make clutter of them in a piece of it.
     """
     places: Array = around.along[close]
-    return crowded_share(around.line, places, crowd) > MAX_CLINGING_SHARE
+    return cluttered_share(around.line, places, density) > HALF

@@ -15,28 +15,27 @@ from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.se3 import lengths, principal_axes
 from ..base.uncertainty import MAD_TO_SIGMA
 from .beams import UNKNOWN, Beams, beam_scatter, returns_per_ring
+from .clustering import LINK, MANY
 
-MAX_PROPOSING_POINTS = 400
-"""Largest number of points that a line is tried on: of more, every second, third … stands for all.
-With `MAX_PROPOSING_PAIRS` it bounds a search to 800,000 distances, about 4 ms. Sensitivity at 280:
-1 more found, 2 fewer false; at 560: 3 poles lost, 5 fewer false."""
+LITTLE, HALF, MOST = 0.25, 0.5, 0.7
+"""Shares that the rules speak of: next to nothing, half, and most of something. Limits of the rules
+had values of their own within 0.1 of these: with these instead, the same poles are found in 3,000
+clouds, but for a few (docs/detection.md, Sensitivity)."""
 
 MAX_PROPOSING_PAIRS = 2000
-"""Pairs of points, at most, that propose a line. Sensitivity at 1400: 2 poles lost, 9 fewer false;
-at 2800: 1 pole lost, 6 fewer false."""
+"""Pairs of points, at most, that propose a line: with `MANY` it bounds a search to 800,000
+distances, about 4 ms. Sensitivity at 1400: 2 poles lost, 9 fewer false; at 2800: 1 pole lost, 6
+fewer false."""
 
 PROPOSALS = 6
 """Distinct lines that one search proposes. Where none of them is a pole, the search of that group
 ends, and the group has the failure of the first. Sensitivity at 4: 4 poles lost, 8 fewer false; at
 8: 6 more false."""
 
-SAME_LINE_SHARE = 0.7
-"""A line that shares so much of its points with a better one is that line again. Sensitivity at
-0.49: 3 more found, 1 more false; at 0.98: 10 poles lost, 2 more found, 23 fewer false."""
-
 MIN_LINE_POINTS = 3
-"""Two points always lie in line; the third is the first that supports it. Sensitivity from 2 to 4:
-no effect."""
+"""Two points always lie in line; the third is the first that supports it. So many rings hit a pole,
+and so many returns has a doubtful one. Sensitivity of the rings at 2: no effect; at 4: 1 pole
+lost."""
 
 TUBE = 0.10
 """Room about the pole's radius in which its returns lie, metres. With a radius of 2 cm the tube has
@@ -44,6 +43,11 @@ TUBE = 0.10
 and of a pole seen with the ±3 cm that the manuals of VLP-16 and C16 state. Sensitivity at 0.07: 10
 recorded posts lost, 4 more found, 25 more false; at 0.14: 15 poles lost, 1 of them a recorded post,
 2 more found, 14 fewer false."""
+
+SEARCH_ROOM = 0.04
+"""The same in which a proposed line has its points, metres: 4 σ of 10 mm, the range noise of most
+sensors of the table. What lies so far from something is apart from it. Sensitivity at 0.028: 6
+poles lost, 13 fewer false; at 0.056: 3 more found, 6 more false."""
 
 FIT_ROUNDS = 4
 """Rounds of a fit at most; it ends before where a round keeps the points of the one before. A fit
@@ -59,18 +63,14 @@ FIT_ROOM = 0.02
 sensors' range noise, 10 mm for most of the table of sensors. Sensitivity at 0.014: no effect; at
 0.028: 5 fewer false."""
 
-MAX_GAP = 1.2
-"""Points beyond such a gap along a line belong to something else, metres: as `LINK`, so that what
-one step connects is not divided again. Sensitivity at 0.84: 7 poles lost; at 1.68: 2 more false."""
+WIDTH_IN_RMS = 4.0
+"""Width of a line over its scatter: ±2 standard deviations. Sensitivity at 2.8: 1 more found, 8
+more false; at 5.6: 10 recorded posts lost, 2 fewer false."""
 
 RING_GAP = 0.015
 """Returns whose places along a line differ by less come from one ring, metres: the finest ring
 spacing of the table of sensors, Pandar64 with 1/6°, is 0.0145 m at 5 m. Sensitivity at 0.0105: 3
 poles lost, 2 of them recorded posts; at 0.021: 1 more found, 1 fewer false."""
-
-RING_GAPS_PER_RING = 2
-"""Rings that leave no gaps are counted by the length they fill: one ring for each so many gaps.
-Sensitivity from 1 to 3: no effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +95,6 @@ class Line:
         What beams wider than ordinary ones add to the scatter of the returns, metres.
     returns_per_ring
         How many returns each ring can leave on a pole there; infinite where it is not known.
-    sweep_step
-        Between two returns of one ring, as the sensor sees them, rad; zero where not known.
     """
 
     index: IntArray
@@ -109,7 +107,6 @@ class Line:
     tube: float
     beam_scatter: float = 0.0
     returns_per_ring: float = np.inf
-    sweep_step: float = 0.0
 
     def with_beams(self, limit: float) -> float:
         """Give the largest scatter, metres, that a line of so much has by beams of this width."""
@@ -119,6 +116,21 @@ class Line:
     def step(self) -> float:
         """Mean distance of neighbouring rings along the line, metres."""
         return self.length / max(self.rings - 1, 1)
+
+    @property
+    def low(self) -> float:
+        """Where its points begin along it, metres."""
+        return float(self.along.min())
+
+    @property
+    def high(self) -> float:
+        """Where its points end along it, metres."""
+        return float(self.along.max())
+
+    @property
+    def width(self) -> float:
+        """How far its points spread across it, metres."""
+        return WIDTH_IN_RMS * self.rms
 
 
 def in_canonical_order(xyz: Array, index: IntArray) -> IntArray:
@@ -162,7 +174,7 @@ def propose_lines(
     # About their centroid: squares of map coordinates, millions of metres, would lose the
     # centimetres.
     centroid = xyz.mean(axis=0)
-    points = xyz[:: 1 + (len(xyz) - 1) // MAX_PROPOSING_POINTS] - centroid
+    points = xyz[:: 1 + (len(xyz) - 1) // MANY] - centroid
     i, j = np.triu_indices(len(points), 1)
     apart = lengths(points[i] - points[j])
     usable = np.flatnonzero((apart >= shortest) & (apart <= longest))
@@ -191,7 +203,7 @@ def propose_lines(
         if score[best] == -np.inf or size[best] < MIN_LINE_POINTS:
             break
         lines.append((start[best] + centroid, direction[best]))
-        score[inside @ inside[best] >= SAME_LINE_SHARE * size] = -np.inf
+        score[inside @ inside[best] >= MOST * size] = -np.inf
     return lines
 
 
@@ -241,8 +253,8 @@ def fit_line(
 ) -> Line:
     """Fit a line to those of some candidate points that are about a first guess.
 
-    Points farther off than the others scatter are left out, and so is what a `MAX_GAP` separates
-    from most of them.
+    Points farther off than the others scatter are left out, and so is what a gap longer than `LINK`
+    separates from most of them.
 
     Parameters
     ----------
@@ -295,17 +307,16 @@ def fit_line(
         tube,
         beam_scatter=beam_scatter(away, radius, beams),
         returns_per_ring=returns_per_ring(away, radius, beams),
-        sweep_step=beams.step,
     )
 
 
 def _in_one_piece(inside: BoolArray, along: Array) -> BoolArray:
-    """Keep the piece with the most of the points inside, where a `MAX_GAP` separates them."""
+    """Keep the piece with the most of the points inside, where gaps longer than `LINK` part it."""
     index = np.flatnonzero(inside)
-    if len(index) < 2 or np.ptp(along[index]) <= MAX_GAP:
+    if len(index) < 2 or np.ptp(along[index]) <= LINK:
         return inside
     order = index[np.argsort(along[index], kind="stable")]
-    cuts = np.flatnonzero(np.diff(along[order]) > MAX_GAP) + 1
+    cuts = np.flatnonzero(np.diff(along[order]) > LINK) + 1
     kept = np.zeros_like(inside)
     kept[max(np.split(order, cuts), key=len)] = True
     return kept
@@ -318,4 +329,4 @@ def _rings_hit(cloud: PointCloud, index: IntArray, along: Array) -> int:
     places = np.sort(along)
     pieces = np.split(places, np.flatnonzero(np.diff(places) > RING_GAP) + 1)
     # Rings nearer than that leave no gaps, but fill a length that no single ring has.
-    return sum(max(1, int(np.ptp(piece) / (RING_GAPS_PER_RING * RING_GAP))) for piece in pieces)
+    return sum(max(1, int(np.ptp(piece) / RING_GAP)) for piece in pieces)

@@ -44,11 +44,12 @@ from .acceptance_shape import (
 from .acceptance_surroundings import surroundings_failure
 from .beams import Beams, beams_by
 from .certainty import doubt_of
-from .clustering import LINK, clusters, on_surface
+from .clustering import LINK, MANY, clusters, on_surface
 from .extent import check_coordinates
 from .lines import (
-    MAX_PROPOSING_POINTS,
+    HALF,
     MIN_LINE_POINTS,
+    SEARCH_ROOM,
     TUBE,
     Line,
     fit_line,
@@ -56,42 +57,25 @@ from .lines import (
     propose_lines,
 )
 from .sensor_pattern import check_sensor
-from .surroundings import MAX_BESIDE
-
-SEARCH_ROOM = 0.04
-"""Room about the pole's radius in which a proposed line has its points, metres: 4 σ of 10 mm, the
-range noise of most sensors of the table. Sensitivity at 0.028: 6 poles lost, 13 fewer false; at
-0.056: 3 more found, 6 more false."""
-
-NEAR_MARGIN = 0.8
-"""How far about a cluster its surroundings reach, metres: as `SHORT_LENGTH`, the length in which an
-untaped end is looked for, and more than `MAX_FAR_BESIDE`. Sensitivity at 0.56: no effect; at 1.12:
-1 more false."""
+from .surroundings import MAX_BESIDE, SHORT_LENGTH
 
 SURFACE_LINK = 0.4
 """Points of a large cluster that are on no surface are grouped again with this step, metres: a
 third of `LINK`, so that stray points on bright ground do not connect. Sensitivity at 0.28: 7 fewer
 false; at 0.56: 3 fewer false."""
 
-SATURATED_SHARE = 0.5
-"""Where more of a large cluster is inside a bright surface, its brightness says nothing, and only a
-slim line of many points is a pole. Sensitivity from 0.35 to 0.7: no effect."""
+MAX_BRIGHT = 20_000
+"""More points than this, and more than half of the cloud, are not tape; time and memory grow faster
+than their number. A cloud cropped to its poles has fewer points."""
 
-MAX_BRIGHT, MAX_BRIGHT_SHARE = 20_000, 0.5
-"""More points than this, and more of the cloud, are not tape; time and memory grow faster than
-their number. A cloud cropped to its poles has fewer points."""
-
-MAX_POLES_PER_PART = 12
-"""Poles taken out of one group at most; what is left then is rejected with a reason that says so.
-Sensitivity from 8 to 17: no effect."""
+MAX_POLES = 8
+"""Poles taken out of one group at most, and doubtful ones that are kept of a cloud, those with the
+most returns; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
+effect."""
 
 ENOUGH_SHARE = 0.9
 """A pole with so much of a group's points is taken without trying the other proposals. Sensitivity
 from 0.86 to 0.93: no effect."""
-
-WHOLE_SHARE = 0.8
-"""A line with so much of a group's points is the group; of a smaller one, words say what the group
-is. Words only: no effect on what is found."""
 
 
 def extract_poles(
@@ -182,7 +166,7 @@ def extract_poles(
 def is_too_low(intensity: Array, threshold: float) -> bool:
     """Whether most of a large cloud passes a threshold: all of it would be one cluster."""
     bright = int(np.count_nonzero(intensity >= threshold))
-    return bright > max(MAX_BRIGHT, MAX_BRIGHT_SHARE * len(intensity))
+    return bright > max(MAX_BRIGHT, HALF * len(intensity))
 
 
 def _search(
@@ -203,13 +187,13 @@ def _search(
     near = near_box(columns, cluster)
     parts: list[IntArray] = [cluster]
     failure: Failure | None = None
-    if len(cluster) > MAX_PROPOSING_POINTS:
+    if len(cluster) > MANY:
         parts, failure = off_surfaces(cloud, cluster)
     is_saturated = failure is not None
     free = free.copy()
     found: list[Line] = []
     for part in parts:
-        for _ in range(MAX_POLES_PER_PART):
+        for _ in range(MAX_POLES):
             left = part[free[part]]
             if len(left) < MIN_POLE_POINTS:
                 break
@@ -229,7 +213,7 @@ def off_surfaces(cloud: PointCloud, cluster: IntArray) -> tuple[list[IntArray], 
     rest = cluster[~flat]
     parts = [rest[group] for group in clusters(cloud.xyz[rest], SURFACE_LINK)]
     share = np.count_nonzero(flat) / len(cluster)
-    if share <= SATURATED_SHARE:
+    if share <= HALF:
         return parts, None
     reason = f"{share:.0%} of {len(cluster)} points are inside a bright surface"
     return parts, Failure("part_of_a_surface", reason)
@@ -239,17 +223,17 @@ def _left_over(free: BoolArray, parts: list[IntArray]) -> Failure:
     """Say why points are left where no line was tried and found wanting."""
     most = max((int(np.count_nonzero(free[part])) for part in parts), default=0)
     if most >= MIN_POLE_POINTS:
-        reason = f"{most} points left after {MAX_POLES_PER_PART} poles, more are not looked for"
+        reason = f"{most} points left after {MAX_POLES} poles, more are not looked for"
     else:
         reason = f"no {MIN_POLE_POINTS} points together off poles and surfaces, as a pole needs"
     return Failure("too_few_points", reason)
 
 
 def near_box(columns: Array, cluster: IntArray) -> IntArray:
-    """Index of all points in the box about a cluster and `NEAR_MARGIN` more; columns is (3, N)."""
+    """Index of all points in the box about a cluster and `SHORT_LENGTH` more; columns is (3, N)."""
     index: IntArray | None = None
     for column in columns:
-        low, high = column[cluster].min() - NEAR_MARGIN, column[cluster].max() + NEAR_MARGIN
+        low, high = column[cluster].min() - SHORT_LENGTH, column[cluster].max() + SHORT_LENGTH
         values = column if index is None else column[index]
         inside = np.flatnonzero((values >= low) & (values <= high))
         index = inside if index is None else index[inside]
@@ -274,7 +258,10 @@ def _best_line(
         line = fit_line(cloud, left, point, direction, radius, beams)
         failure = shape_failure(cloud, line)
         if failure is None:
-            line = _whole_line(cloud, near[free[near]], line, radius, beams)
+            # All that lies on it: a pole that something hides in part is two clusters.
+            whole = fit_line(cloud, near[free[near]], line.point, line.direction, radius, beams)
+            if len(whole.index) > len(line.index) and shape_failure(cloud, whole) is None:
+                line = whole
             failure = surroundings_failure(cloud, near, free, line)
         if failure is None and is_saturated:
             failure = _doubtful_in_brightness(line)
@@ -294,21 +281,12 @@ def _best_line(
 
 def _of_the_cluster(cloud: PointCloud, left: IntArray, line: Line, failure: Failure) -> Failure:
     """Say first what the points are of which only a part was tested as a line."""
-    if len(line.index) >= WHOLE_SHARE * len(left):
+    if len(line.index) >= ENOUGH_SHARE * len(left):
         return failure
     centre, axes = principal_axes(cloud.xyz[left])
     extent = np.ptp((cloud.xyz[left] - centre) @ axes, axis=0)
     size = f"{len(left)} points, {extent[2]:.2f} × {extent[1]:.2f} m"
     return Failure(failure.code, f"{size}; of {len(line.index)} of them in line: {failure.reason}")
-
-
-def _whole_line(
-    cloud: PointCloud, free_near: IntArray, line: Line, radius: float, beams: Beams
-) -> Line:
-    """Take all that lies on the line: a pole that something hides in part is two clusters."""
-    whole = fit_line(cloud, free_near, line.point, line.direction, radius, beams)
-    is_better = len(whole.index) > len(line.index) and shape_failure(cloud, whole) is None
-    return whole if is_better else line
 
 
 def _doubtful_in_brightness(line: Line) -> Failure | None:

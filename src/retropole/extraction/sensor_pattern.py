@@ -16,7 +16,7 @@ from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.sensors import Sensor
 from ..io.recognition import MIN_RING_POINTS, guess_sensors
-from ..io.rings import MAX_RING_SPREAD, elevations, ring_spread
+from ..io.rings import MAX_RING_SPREAD, RING_SAMPLE, elevations, ring_spread
 
 BEYOND = float(np.radians(2.0))
 """So far beyond the field of view of the table a ring's elevation is none of the sensor, rad. Units
@@ -33,9 +33,6 @@ MOST_LINES = 8
 FEWEST_POINTS = 1000
 """Of fewer points without rings none are doubted: a cloud cropped to its poles shows no field of
 view."""
-
-SAMPLE = 20_000
-"""Points, evenly taken, whose elevations are looked at."""
 
 
 def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
@@ -68,7 +65,7 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
         rings_in_words = f"{counted(len(rings), 'ring')}, each of one elevation"
         raise _refusal(cloud, f"{rings_in_words}, the {sensor.name} has none", too_many)
     part = np.flatnonzero(np.isin(cloud.ring, rings))
-    part = part[:: 1 + (len(part) - 1) // SAMPLE]
+    part = part[:: 1 + (len(part) - 1) // RING_SAMPLE]
     ring, elevation = cloud.ring[part], elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
     medians = np.array([np.median(elevation[ring == one]) for one in np.unique(ring)])
     if np.any(_beyond(medians, sensor)):
@@ -109,7 +106,7 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
         )
     if len(cloud) < FEWEST_POINTS:
         return ""
-    part = slice(None, None, 1 + (len(cloud) - 1) // SAMPLE)
+    part = slice(None, None, 1 + (len(cloud) - 1) // RING_SAMPLE)
     elevation = elevations(cloud.xyz[part] - cloud.origin, cloud.axis)
     share = float(np.mean(_beyond(elevation, sensor)))
     if share <= MANY_BEYOND:

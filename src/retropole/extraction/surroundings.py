@@ -6,13 +6,14 @@ What *Sensitivity* means beside a constant: docs/detection.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from .acceptance_shape import FEW_POLE_POINTS, THICK_RMS
-from .lines import Line, distance_and_place
-from .neighbours import NEGLIGIBLE, on_crossing_line
+from .lines import FIT_ROOM, HALF, LITTLE, SEARCH_ROOM, Line, distance_and_place
+from .neighbours import on_crossing_line
 
 SHORT_LENGTH = 0.8
 """A line that may be shorter than this, metres, is short and has strict limits: edges of signs and
@@ -24,53 +25,10 @@ MAX_BESIDE = 0.35
 of rings 2° apart at 10 m. Sensitivity at 0.245: 4 more found, 7 more false; at 0.49: 17 poles lost,
 5 of them recorded posts, 16 fewer false."""
 
-MAX_FAR_BESIDE = 0.6
-"""The same where rings are farther apart, metres: the spacing of rings 2° apart at 17 m.
-Sensitivity from 0.42 to 0.84: no effect."""
-
-BESIDE_STEPS = 1.2
-"""Where rings are farther apart than `MAX_BESIDE`, so may be the columns of a sign: beside is as
-far as so many steps from ring to ring. Sensitivity from 0.84 to 1.68: no effect."""
-
-ON_LINE_RMS = 2.0
-"""What lies within so many times the scatter of the line's points, and `ON_LINE_ROOM`, is on the
-line. Sensitivity at 1.4: 1 more false; at 2.8: 8 recorded posts lost."""
-
-ON_LINE_ROOM = 0.02
-"""Room beyond the scatter, metres: as `FIT_ROOM`. Sensitivity from 0.014 to 0.028: no effect."""
-
-UNTAPED_INTENSITY = 0.5
-"""A return below this part of the line's dimmest has no tape; one between may be tape seen badly.
-Sensitivity from 0.35 to 0.7: no effect."""
-
 PIECES = 8
 """Pieces that a line is cut into, to see along how much of it other returns are beside it.
 Sensitivity at 6: 3 recorded posts lost, 1 more found, 3 fewer false; at 11: 1 pole lost, 4 fewer
 false."""
-
-RETRO_CROWD = 0.3
-"""A piece is crowded by retro-reflective returns with so many beside it for each of its own: the
-rest of a sign, or bright ground. Sensitivity from 0.21 to 0.42: no effect."""
-
-MAX_RETRO_CROWDED = 0.5
-"""Largest share of a line's pieces that retro-reflective returns crowd. A vest at the pole covers
-less of it. Sensitivity from 0.35 to 0.7: no effect."""
-
-CROSSING_LENGTH = 0.9
-"""Smallest length of a line beside which a second pole may cross, metres. Sensitivity from 0.63 to
-1.26: no effect."""
-
-MAX_CROSSING_REST = 0.15
-"""Largest share of the pieces that is crowded without the pole that crosses. Of a sign, more is
-left. Sensitivity at 0.105: 2 fewer false; at 0.21: no effect."""
-
-
-MIN_BEHIND = 0.04
-"""What stands behind a line, or in front, is so far from it or more, metres: 4 σ of 10 mm, the
-range noise of most sensors of the table."""
-
-MAX_IN_FRONT = 0.2
-"""With more in front, for each behind, a line lies on a surface that is seen obliquely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +43,6 @@ class Surroundings:
         (M,) index of the points about the line.
     distance, along
         (M,) their distances from the line, and their places along it, metres.
-    low, high
-        Where the line's own points begin and end along it, metres.
     beside_limit
         Up to which distance from the line points are beside it, metres.
     is_retro
@@ -97,8 +53,6 @@ class Surroundings:
         (M,) which are too dim for tape.
     beside
         (M,) which lie beside the line, outside its tube and between its ends.
-    retro_beside
-        (M,) the retro-reflective ones of these, without those on a pole that crosses.
     is_thick, is_short, has_few_points
         What makes a line suspect: a post may be thick, a sign's edge short, a far sign few returns.
     """
@@ -108,14 +62,11 @@ class Surroundings:
     near: IntArray
     distance: Array
     along: Array
-    low: float
-    high: float
     beside_limit: float
     is_retro: BoolArray
     on_line: BoolArray
     untaped: BoolArray
     beside: BoolArray
-    retro_beside: BoolArray
     is_thick: bool
     is_short: bool
     has_few_points: bool
@@ -125,6 +76,19 @@ class Surroundings:
         """Whether the line must pass the strict limits."""
         return self.is_thick or self.is_short or self.has_few_points
 
+    @cached_property
+    def retro_beside(self) -> BoolArray:
+        """The retro-reflective ones of those beside (M,), without a pole that crosses: one other
+        line, where that leaves next to nothing beside this one.
+        """
+        found = self.beside & self.is_retro
+        if self.is_suspect or cluttered_share(self.line, self.along[found], LITTLE) <= HALF:
+            return found
+        rest = found.copy()
+        rest[found] = ~on_crossing_line(self.cloud.xyz[self.near[found]], self.line)
+        is_pole = cluttered_share(self.line, self.along[rest], LITTLE) < LITTLE
+        return rest if is_pole else found
+
 
 def surroundings_of(
     cloud: PointCloud, near: IntArray, is_retro: BoolArray, line: Line
@@ -132,35 +96,27 @@ def surroundings_of(
     """Compute what the rules share; parameters as for `surroundings_failure`."""
     assert cloud.intensity is not None
     distance, along = distance_and_place(cloud.xyz[near], line.point, line.direction)
-    low, high = float(line.along.min()), float(line.along.max())
-    limit = float(np.clip(BESIDE_STEPS * line.step, MAX_BESIDE, MAX_FAR_BESIDE))
-    beside = (distance > line.tube) & (distance < limit) & (along >= low) & (along <= high)
+    # Where rings are farther apart, so may be the columns of a sign.
+    limit = max(MAX_BESIDE, line.step)
+    beside = (distance > line.tube) & (distance < limit)
+    beside &= (along >= line.low) & (along <= line.high)
     retro = is_retro[near]
     dimmest = cloud.intensity[line.index].min()
-    is_thick = line.rms > line.with_beams(THICK_RMS)
-    # Rings half a step beyond either end may just have missed it.
-    is_short = line.length + line.step < SHORT_LENGTH
-    has_few_points = len(line.index) < FEW_POLE_POINTS
-    retro_beside = beside & retro
-    if line.length >= CROSSING_LENGTH and not (is_thick or is_short or has_few_points):
-        retro_beside = _without_crossing_pole(cloud, near, line, along, retro_beside)
     return Surroundings(
         cloud=cloud,
         line=line,
         near=near,
         distance=distance,
         along=along,
-        low=low,
-        high=high,
         beside_limit=limit,
         is_retro=retro,
-        on_line=distance <= ON_LINE_RMS * line.rms + ON_LINE_ROOM,
-        untaped=~retro & (cloud.intensity[near] < UNTAPED_INTENSITY * dimmest),
+        on_line=distance <= line.width / 2 + FIT_ROOM,
+        untaped=~retro & (cloud.intensity[near] < HALF * dimmest),
         beside=beside,
-        retro_beside=retro_beside,
-        is_thick=is_thick,
-        is_short=is_short,
-        has_few_points=has_few_points,
+        is_thick=line.rms > line.with_beams(THICK_RMS),
+        # Rings half a step beyond either end may just have missed it.
+        is_short=line.length + line.step < SHORT_LENGTH,
+        has_few_points=len(line.index) < FEW_POLE_POINTS,
     )
 
 
@@ -174,34 +130,22 @@ def stands_behind(around: Surroundings, close: BoolArray) -> BoolArray:
     line, cloud = around.line, around.cloud
     sight = line.point - cloud.origin
     sight = sight - (sight @ line.direction) * line.direction
-    sight /= max(float(np.linalg.norm(sight)), NEGLIGIBLE)
+    sight /= np.linalg.norm(sight) or 1.0
     depth = (cloud.xyz[around.near] - line.point) @ sight
     aside = np.sqrt(np.maximum(around.distance**2 - depth**2, 0.0))
-    behind = close & (depth > np.maximum(aside, MIN_BEHIND))
-    in_front = close & (-depth > MIN_BEHIND)
-    if np.count_nonzero(in_front) > MAX_IN_FRONT * np.count_nonzero(behind):
+    behind = close & (depth > np.maximum(aside, SEARCH_ROOM))
+    in_front = close & (-depth > SEARCH_ROOM)
+    if np.count_nonzero(in_front) > LITTLE * np.count_nonzero(behind):
         return np.zeros_like(close)
     return behind
 
 
-def _without_crossing_pole(
-    cloud: PointCloud, near: IntArray, line: Line, along: Array, retro_beside: BoolArray
-) -> BoolArray:
-    """Leave out the points of one other line, where that leaves next to nothing beside this one."""
-    if crowded_share(line, along[retro_beside], RETRO_CROWD) <= MAX_RETRO_CROWDED:
-        return retro_beside
-    rest = retro_beside.copy()
-    rest[retro_beside] = ~on_crossing_line(cloud.xyz[near[retro_beside]], line)
-    is_pole = crowded_share(line, along[rest], RETRO_CROWD) <= MAX_CROSSING_REST
-    return rest if is_pole else retro_beside
-
-
-def crowded_share(line: Line, places: Array, crowd: float) -> float:
-    """Share of the line's pieces with ``crowd`` or more neighbours for each point of its own.
+def cluttered_share(line: Line, places: Array, density: float) -> float:
+    """Share of the line's pieces with ``density`` or more neighbours for each point of its own.
 
     Pieces without points of the line do not count; ``places`` (K,) are the neighbours' along it.
     """
-    edges = np.linspace(line.along.min(), line.along.max() + NEGLIGIBLE, PIECES + 1)
+    edges = np.linspace(line.low, line.high, PIECES + 1)
     own = np.histogram(line.along, edges)[0]
     neighbours = np.histogram(places, edges)[0]
-    return float(np.mean(neighbours[own > 0] >= crowd * own[own > 0]))
+    return float(np.mean(neighbours[own > 0] >= density * own[own > 0]))
