@@ -7,7 +7,7 @@ import pytest
 from pyarrow import parquet as pq
 
 from retropole.base.errors import ReadError
-from retropole.fleet.lists import lines_of
+from retropole.fleet.tables import lines_of
 
 
 def test_empty_cells_are_not_there(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ from msgspec import Meta
 
 from ..base.errors import ReadError, UsageError, quoting
 from ..result import DEFAULT_CONFIG, RunConfig
-from .lists import LISTS, lines_of
 from .storage import absolute, below, exists, folder_of, found_below, is_folder, matching
+from .tables import LISTS, lines_of
 
 Kind = Literal["pair", "site"]
 

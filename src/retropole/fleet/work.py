@@ -20,12 +20,35 @@ from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError,
 from ..base.files import LARGEST_DOCUMENT
 from ..base.version import __version__
 from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
-from .answers import answered, document_of
-from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
-from .history.task import Check
+from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered, document_of
 from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
 from .storage import below, is_url, read_bytes, write_bytes
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """What a site is held against.
+
+    Attributes
+    ----------
+    tolerance
+        Movement that matters, rad and m; None for as little as the data tell.
+    tried
+        When the run began: the time of a site whose recordings tell none.
+    document
+        The stored result itself; None where it is at the place that the site names.
+    lidars
+        Target and source by their names, of the stored result of a site; None of a pair.
+    known
+        Keys of the checks that the history has: these are not done again.
+    """
+
+    tolerance: tuple[float | None, float | None]
+    tried: datetime
+    document: str | None = None
+    lidars: tuple[str, str] | None = None
+    known: list[str] = []
+
 
 if TYPE_CHECKING:
     from ..api.result import CalibrationResult
@@ -74,6 +97,11 @@ class Outcome(msgspec.Struct, frozen=True, tag=True):
     row: Row | None = None
     run: Run | None = None
     check: dict[str, Any] | None = None
+
+
+def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
+    """Make the task of a site, to be done by a worker that computes as whoever asks does."""
+    return Task(site=site, time_limit=time_limit, environment=environment(), **given)
 
 
 @cache

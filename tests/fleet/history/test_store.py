@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import ReadError
-from retropole.fleet.history.rows import CheckRow
-from retropole.fleet.history.store import append, keys, schema
+from retropole.fleet.history.store import CheckRow, append, keys, schema
 from retropole.fleet.history.store import read as read_sites
 from tests.fleet.history.checks import row
 
