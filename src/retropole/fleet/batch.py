@@ -91,34 +91,27 @@ def calibrate_fleet(
     for site in sorted(sites, key=lambda site: site.id):
         parts.setdefault(partition_of(site.id), []).append(site)
 
-    def tasks() -> Iterator[Task]:
-        for part in sorted(parts):
-            for site in parts[part]:
-                row = known.get(site.id)
-                # One that is to be tried again has no row that holds.
-                holds = row is not None and not (retry and row.status == "error")
-                if not site.fault:
-                    key = row.key if row is not None and holds else None
-                    yield task_of(site, time_limit, known=key, reports=reports)
-
-    fresh: list[str] = []
-
-    def done() -> Iterator[Outcome]:
-        for outcome in doing(tasks()):
-            if outcome.row is not None:
-                fresh.append(outcome.id)
-            yield outcome
-
+    # One that is to be tried again has no row that holds.
+    holds = {each: row.key for each, row in known.items() if not retry or row.status != "error"}
+    tasks = (
+        task_of(site, time_limit, known=holds.get(site.id), reports=reports)
+        for part in sorted(parts)
+        for site in parts[part]
+        if not site.fault
+    )
+    done = 0
     statuses: Counter[str] = Counter()
     codes: Counter[str] = Counter()
     empty = {part: dict[str, Outcome]() for part, of_part in parts.items() if not of_part}
     part_of = {site.id: part for part, of_part in parts.items() for site in of_part}
-    found = outcomes_of("calibrate", sites, done(), progress)
+    found = outcomes_of("calibrate", sites, doing(tasks), progress)
     for part, outcomes in chain(empty.items(), whole_groups(found, part_of, {})):
         rows = _write(out, part, outcomes, drop_others)
         statuses.update(rows[site.id].status for site in parts[part])
         codes.update(code for site in parts[part] for code in rows[site.id].codes)
-    return FleetSummary(len(sites), len(fresh), len(others), dict(statuses), dict(codes))
+        done += sum(each.row is not None for each in outcomes.values())
+    done -= sum(bool(site.fault) for site in sites)
+    return FleetSummary(len(sites), done, len(others), dict(statuses), dict(codes))
 
 
 def outcomes_of(

@@ -117,20 +117,17 @@ class Reader:
         RetropoleError
             Where no such process can be started.
         """
-        started = time.monotonic()
-        for attempt in range(1, ATTEMPTS + 1):
+        started, attempts = time.monotonic(), 0
+        outcome, why = None, list[tuple[str, str]]()
+        while outcome is None and not why and attempts < ATTEMPTS:
             hashed, outcome, why = self._try(task)
-            if outcome is not None and outcome.run is not None:
-                run = msgspec.structs.replace(outcome.run, attempts=attempt)
-                return msgspec.structs.replace(outcome, run=run)
-            if outcome is not None:
-                return outcome
-            if why:
-                break
-        killed = "killed", f"its process was ended by the system or crashed, {ATTEMPTS} times"
-        code, words = next(iter(why), killed)
-        seconds = time.monotonic() - started
-        return lost(task.site, code, words, hashed, seconds=seconds, attempts=attempt)
+            attempts += 1
+        if outcome is None:
+            killed = "killed", f"its process was ended by the system or crashed, {ATTEMPTS} times"
+            code, words = next(iter(why), killed)
+            outcome = lost(task.site, code, words, hashed, time.monotonic() - started)
+        run = outcome.run and msgspec.structs.replace(outcome.run, attempts=attempts)
+        return msgspec.structs.replace(outcome, run=run)
 
     def _try(self, task: Task) -> tuple[Hashed | None, Outcome | None, list[tuple[str, str]]]:
         """Have the process calibrate it: the outcome, or why it was ended, or neither."""

@@ -6,7 +6,7 @@ import hashlib
 import platform
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
@@ -19,7 +19,9 @@ import msgspec
 from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
 from ..base.files import LARGEST_DOCUMENT
 from ..base.version import __version__
+from ..result import ResultDoc
 from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
+from ..result.site import SiteDoc
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered, document_of
 from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
@@ -131,26 +133,24 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
     Outcome
         With a row, whatever happens.
     """
+    import psutil
+
     start = time.perf_counter()
-    hashed: list[Hashed] = []
-
-    def note(found: Hashed) -> None:
-        hashed.append(found)
-        tell(found)
-
-    seconds: Mapping[str, float] = {}
+    hashed: Hashed | None = None
+    steps: Mapping[str, float] = {}
     try:
         with local_files(task.site) as local:
-            done = _calibrated(task, local, note)
-        if done is None:
-            return Outcome(task.site.id)
-        row, seconds = done
+            hashed = _hashed(task.site, local)
+            tell(hashed)
+            if hashed.key == task.known and _is_reported(task, hashed):
+                return Outcome(task.site.id)
+            row, steps = _calibrated(task, local, hashed)
     except Refusal as error:
-        row = failed(task.site, "refused", error.code, error.message, *hashed)
+        row = failed(task.site, "refused", error.code, error.message, hashed)
     except Exception as error:
-        row = failed(task.site, "error", *code_of(error), *hashed)
-    steps = [Step(name, value) for name, value in seconds.items()]
-    return Outcome(task.site.id, row, _run(row, time.perf_counter() - start, steps, _memory()))
+        row = failed(task.site, "error", *code_of(error), hashed)
+    memory = int(psutil.Process().memory_info().rss)
+    return Outcome(task.site.id, row, _run(row, time.perf_counter() - start, steps, memory))
 
 
 def code_of(error: Exception) -> tuple[str, str]:
@@ -193,22 +193,14 @@ def _row(site: FleetSite, hashed: Hashed | None, **columns: Any) -> Row:
 
 
 def lost(
-    site: FleetSite,
-    code: str,
-    message: str,
-    hashed: Hashed | None = None,
-    *,
-    seconds: float = 0.0,
-    attempts: int = 1,
+    site: FleetSite, code: str, message: str, hashed: Hashed | None = None, seconds: float = 0.0
 ) -> Outcome:
     """Make the outcome of a site whose process or worker never answered."""
     row = failed(site, "error", code, message, hashed)
-    return Outcome(site.id, row, _run(row, seconds, attempts=attempts))
+    return Outcome(site.id, row, _run(row, seconds, {}, 0))
 
 
-def _run(
-    row: Row, seconds: float, steps: Sequence[Step] = (), memory: int = 0, attempts: int = 1
-) -> Run:
+def _run(row: Row, seconds: float, steps: Mapping[str, float], memory: int) -> Run:
     """Say how a row came about that is done now."""
     started = datetime.now(UTC) - timedelta(seconds=seconds)
     return Run(
@@ -216,41 +208,36 @@ def _run(
         key=row.key,
         started=started.isoformat(timespec="milliseconds"),
         seconds=seconds,
-        steps=list(steps),
+        steps=[Step(name, value) for name, value in steps.items()],
         host=socket.gethostname(),
         memory_bytes=memory,
-        attempts=attempts,
     )
 
 
-def _calibrated(
-    task: Task, local: LocalFiles, tell: Callable[[Hashed], None]
-) -> tuple[Row, Mapping[str, float]] | None:
-    """Hash the inputs and, where the row is of others, calibrate them."""
-    site = task.site
+def _hashed(site: FleetSite, local: LocalFiles) -> Hashed:
+    """Hash the inputs, and with them all that a row follows from: files, settings, version."""
     site_sha256 = None if local.site is None else hash_of(local.site)
     inputs = local.inputs()
-    hashed = Hashed(_key(site, site_sha256, inputs, local.metadata()), inputs, site_sha256)
-    tell(hashed)
-    if hashed.key == task.known and (
-        task.reports is None or _is_reported(below(task.reports, site.id), site, inputs)
-    ):
-        return None
-    result = _result(site, local)
-    if [each.sha256 for each in result.document.inputs] != [each.sha256 for each in inputs]:
+    site = msgspec.structs.replace(site, result="", time="")
+    parts = [FLEET_SCHEMA, __version__, site, site_sha256, inputs, local.metadata()]
+    key = hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+    return Hashed(key, inputs, site_sha256)
+
+
+def _calibrated(task: Task, local: LocalFiles, hashed: Hashed) -> tuple[Row, Mapping[str, float]]:
+    """Calibrate, and report where that is asked for; gives the time of each step too."""
+    site, result = task.site, _result(task.site, local)
+    if not _is_of(result.document, hashed):
         raise ReadError(f"{site.id}: a recording changed while it was read")
     if task.reports is not None:
         _report(result, below(task.reports, site.id), local.folder / "report")
-    return _row(site, hashed, **answered(site, result.document, inputs)), result.document.seconds
+    columns = answered(site, result.document, hashed.inputs)
+    return _row(site, hashed, **columns), result.document.seconds
 
 
-def _key(
-    site: FleetSite, site_sha256: str | None, inputs: Sequence[InputEntry], metadata: Sequence[str]
-) -> str:
-    """Hash all that a row follows from: files, settings, version."""
-    site = msgspec.structs.replace(site, result="", time="")
-    parts = [FLEET_SCHEMA, __version__, site, site_sha256, inputs, metadata]
-    return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+def _is_of(document: ResultDoc | SiteDoc, hashed: Hashed) -> bool:
+    """Whether a result is of these inputs."""
+    return [each.sha256 for each in document.inputs] == [each.sha256 for each in hashed.inputs]
 
 
 def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResult:
@@ -259,10 +246,10 @@ def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResul
         from ..api.site import calibrate_site
 
         of_site = calibrate_site(local.site)
-        config = of_site.document.config
+        document, config = of_site.document, of_site.document.config
         config = msgspec.structs.replace(config, site_file=local.renamed(config.site_file))
-        recordings = local.named(of_site.document.inputs)
-        document = msgspec.structs.replace(of_site.document, inputs=recordings, config=config)
+        recordings = local.named(document.inputs)
+        document = msgspec.structs.replace(document, inputs=recordings, config=config)
         return replace(of_site, document=document)
     from ..api.calibration import calibrate_with
 
@@ -281,19 +268,14 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
         write_bytes(below(place, path.name), path.read_bytes())
 
 
-def _is_reported(folder: str, site: FleetSite, inputs: Sequence[InputEntry]) -> bool:
-    """Whether a folder has the result of these inputs."""
-    place = below(folder, RESULT_FILE if site.kind == "pair" else SITE_RESULT_FILE)
+def _is_reported(task: Task, hashed: Hashed) -> bool:
+    """Whether the result of these inputs is in its folder, or none is asked for."""
+    if task.reports is None:
+        return True
+    name = RESULT_FILE if task.site.kind == "pair" else SITE_RESULT_FILE
+    place = below(below(task.reports, task.site.id), name)
     try:
-        document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), site.kind)
+        document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), task.site.kind)
     except (ReadError, UnicodeDecodeError):
         return False
-    same = [each.sha256 for each in document.inputs] == [each.sha256 for each in inputs]
-    return same and document.version == __version__
-
-
-def _memory() -> int:
-    """Bytes that this process holds."""
-    import psutil
-
-    return int(psutil.Process().memory_info().rss)
+    return _is_of(document, hashed) and document.version == __version__

@@ -173,12 +173,8 @@ def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> Site
     """Tell what changed at one site, from all of its checks; `newest` is that of this run."""
     usable = observed(list(rows))
     newest = newest or max(rows, key=lambda row: (row.status != "error", row.time, row.key))
-    return SiteChange(
-        rows[0].id,
-        [row.time for row, _ in usable],
-        watch([one for _, one in usable]),
-        newest,
-    )
+    times, watched = [row.time for row, _ in usable], watch([one for _, one in usable])
+    return SiteChange(rows[0].id, times, watched, newest)
 
 
 def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import re
-from bisect import bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,6 @@ from ..tables import arrow, opened, parquet_of
 from .model import Observed
 
 SCHEMA = "retropole/history/1"
-
-LONGEST_ID = 200
-"""Characters of the name of a site."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -104,12 +102,11 @@ class CheckRow:
 
 def plain(row: CheckRow) -> dict[str, Any]:
     """Give a row as the columns of the table."""
-    columns: dict[str, Any] = {"key": row.key}
-    for each in fields(row):
-        value = getattr(row, each.name)
-        columns[each.name] = value.ravel().tolist() if isinstance(value, np.ndarray) else value
-    columns["codes"] = list(row.codes)
-    return columns
+    columns = {
+        name: value.ravel().tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(row).items()
+    }
+    return {"key": row.key, **columns, "codes": list(row.codes)}
 
 
 def row_of(columns: dict[str, Any]) -> CheckRow:
@@ -120,7 +117,7 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     ReadError
         Where a step or covariance is none, or the row is not the one that its key names.
     """
-    values = {name: columns[name] for name in CHECK_FIELDS}
+    values = {each.name: columns[each.name] for each in fields(CheckRow)}
     values["codes"] = tuple(values["codes"] or ())
     arrays = {"step": (6,), "covariance": (6, 6), "random": (6, 6)}
     there = [name for name in arrays if values[name] is not None]
@@ -137,9 +134,6 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     if row.key != columns["key"]:
         raise ReadError(f"history, site {row.id!r}, {row.time}: the row is not that of its key")
     return row
-
-
-CHECK_FIELDS = tuple(each.name for each in fields(CheckRow))
 
 
 def observed(rows: list[CheckRow]) -> list[tuple[CheckRow, Observed]]:
@@ -174,7 +168,7 @@ LARGEST_FILE = 2**31
 """Bytes of a file: 10,000 sites make 10 MB in an append."""
 
 
-def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None = None) -> int:
+def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) -> int:
     """Append checks to a history; those that it has are left out.
 
     Parameters
@@ -184,7 +178,7 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None =
     rows
         Their order does not matter: the same rows give the same bytes.
     known
-        Keys of the checks that the history has of these sites; None has them read.
+        Keys of the checks that the history has of these sites.
 
     Returns
     -------
@@ -195,35 +189,26 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None =
     ------
     MissingExtraError
         Without the extra ``fleet``.
-    ReadError
-        Where a file of the history cannot be read.
     OSError
-        Where one cannot be written; each month is whole or not there.
+        Where a file cannot be written; each month is whole or not there.
     """
     months: dict[str, dict[str, CheckRow]] = {}
     for row in rows:
-        months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
-    count = 0
-    for month, own in sorted(months.items()):
-        there = keys(folder, months=[month]).values() if known is None else ()
-        kept = set().union(*there) if known is None else known
-        fresh = {key: row for key, row in sorted(own.items()) if key not in kept}
-        if fresh:
-            name = hashlib.sha256("\n".join(fresh).encode()).hexdigest()[:32]
-            place = below(below(folder, month), f"{name}.parquet")
-            write_bytes(place, parquet_of(map(plain, fresh.values()), schema()))
-        count += len(fresh)
-    return count
+        if row.key not in known:
+            months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
+    for month, fresh in sorted(months.items()):
+        name = hashlib.sha256("\n".join(sorted(fresh)).encode()).hexdigest()[:32]
+        place = below(below(folder, month), f"{name}.parquet")
+        write_bytes(place, parquet_of((plain(fresh[key]) for key in sorted(fresh)), schema()))
+    return sum(map(len, months.values()))
 
 
-def keys(
-    folder: str, ids: Collection[str] | None = None, months: Collection[str] | None = None
-) -> dict[str, set[str]]:
-    """Give the keys of the checks of each site of a history, or of some of its months."""
+def keys(folder: str, ids: Container[str]) -> dict[str, set[str]]:
+    """Give the keys of the checks of some sites of a history."""
     found: dict[str, set[str]] = {}
-    for place in _files(folder, months):
+    for place in _files(folder):
         for row in _table(place, ["id", "key"]).to_pylist():
-            if ids is None or row["id"] in ids:
+            if row["id"] in ids:
                 found.setdefault(row["id"], set()).add(row["key"])
     return found
 
@@ -260,13 +245,10 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
         tables.append(table if some is None else table.filter(some))
     whole = pa.concat_tables(tables)
     whole = whole.sort_by([(name, "ascending") for name in ("id", "time", "key")])
-    names = whole.column("id").to_pylist()
-    start = 0
-    while start < len(names):
-        end = bisect_right(names, names[start], start)
-        rows = {row["key"]: row for row in whole.slice(start, end - start).to_pylist()}
-        yield names[start], [row_of(row) for row in rows.values()]
-        start = end
+    rows = (row for batch in whole.to_batches(max_chunksize=1000) for row in batch.to_pylist())
+    for name, own in groupby(rows, itemgetter("id")):
+        once = {row["key"]: row for row in own}
+        yield name, [row_of(row) for row in once.values()]
 
 
 def schema() -> Any:
@@ -284,12 +266,10 @@ def schema() -> Any:
     return pa.schema([*needed, *columns.items()], metadata={"schema": SCHEMA})
 
 
-def _files(folder: str, months: Collection[str] | None = None) -> Iterator[str]:
-    for month in names_in(folder):
-        if MONTH.fullmatch(month) and (months is None or month in months):
-            for name in names_in(below(folder, month)):
-                if name.endswith(".parquet"):
-                    yield below(below(folder, month), name)
+def _files(folder: str) -> Iterator[str]:
+    for month in filter(MONTH.fullmatch, names_in(folder)):
+        names = (name for name in names_in(below(folder, month)) if name.endswith(".parquet"))
+        yield from (below(below(folder, month), name) for name in names)
 
 
 def _table(place: str, columns: list[str] | None = None) -> Any:
