@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,13 +109,9 @@ def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
 @cache
 def environment() -> str:
     """Name what the numbers of an answer depend on, beside its inputs."""
-    named = [f"retropole {__version__}"]
-    for name in ("numpy", "scipy", "small_gicp"):
-        try:
-            named.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            named.append(name)
-    return ", ".join([*named, f"Python {platform.python_version()}", platform.machine()])
+    libraries = (f"{name} {version(name)}" for name in ("numpy", "scipy", "small_gicp"))
+    python = f"Python {platform.python_version()}"
+    return ", ".join([f"retropole {__version__}", *libraries, python, platform.machine()])
 
 
 def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from ...api import Array, se3
+from ...api import se3
 from ...base.errors import ReadError, UsageError, quoting
 from ...base.relative import RelativePose
 from ...result.decoding import check_covariance
@@ -202,6 +202,8 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
     lone = sorted(named - number.keys())
     not_used += [NotUsed("node", name, "no relative pose leads to it") for name in lone]
     points = [point for point in nodes.surveyed if point.node in number]
+    numbers = np.array([msgspec.structs.astuple(point)[1:] for point in points], dtype=float)
+    world, sigma, seen = np.split(numbers.reshape(-1, 7), [3, 4], axis=1)
     graph = Graph(
         len(number),
         Edges(
@@ -212,16 +214,12 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
         ),
         points=ControlPoints(
             np.array([number[point.node] for point in points], dtype=np.int64),
-            _rows([(point.x_m, point.y_m, point.z_m) for point in points]),
-            np.array([np.eye(3) * point.sigma_m**2 for point in points]).reshape(-1, 3, 3),
-            _rows([(point.seen_x_m, point.seen_y_m, point.seen_z_m) for point in points]),
+            world,
+            np.eye(3) * sigma[:, :, None] ** 2,
+            seen,
         ),
     )
     return FleetNetwork(graph, tuple(number), sites, tuple(not_used))
-
-
-def _rows(points: list[tuple[float, float, float]]) -> Array:
-    return np.array(points, dtype=float).reshape(-1, 3)
 
 
 def _why_not(row: Row, lidars: Mapping[str, str]) -> str:
