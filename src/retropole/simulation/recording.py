@@ -13,9 +13,8 @@ from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import RetropoleError
 from ..base.sensors import Sensor
 from . import paper
-from .devices import Device
+from .devices import Device, NoiseModel
 from .environment import DELAY, draw_movers
-from .noise import NoiseModel
 from .raycast import Cylinder, Surface, cast
 from .scanning import SWEEP_SECONDS, LabelledScan, beams, scan
 

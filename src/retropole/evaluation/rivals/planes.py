@@ -123,7 +123,8 @@ def planar_surfaces(
         # A candidate that has not converged is still scored: it only has to point to the answer,
         # which is refined again, on all points.
         found = refine(samples[0], samples[1], T)
-        if found is not None and not _is_known(found, refined):
+        known = np.array([each.pose.T_target_source for each in refined]).reshape(-1, 4, 4)
+        if found is not None and not _alike(known, found.pose.T_target_source).any():
             refined.append(found)
     if not refined:
         raise Refusal(
@@ -166,12 +167,6 @@ def _alike(poses: Array, T: Array) -> BoolArray:
     trace = np.einsum("kij,ij->k", poses[:, :3, :3], T[:3, :3])
     near = np.linalg.norm(poses[:, :3, 3] - T[:3, 3], axis=1) < ALIKE[1]
     return np.asarray(near & ((trace - 1) / 2 > np.cos(ALIKE[0])))
-
-
-def _is_known(refined: RefinedPose, others: Sequence[RefinedPose]) -> bool:
-    """Whether a pose is the same candidate as any of others."""
-    poses = np.array([other.pose.T_target_source for other in others]).reshape(-1, 4, 4)
-    return bool(_alike(poses, refined.pose.T_target_source).any())
 
 
 def _different(poses: Array, rank: Array) -> list[Array]:

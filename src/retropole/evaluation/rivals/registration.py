@@ -123,3 +123,57 @@ def _refined(
             threads=CORES,
         )
     return end
+
+
+ICP_CORRESPONDENCE_DISTANCES = (3.0, 1.0, 0.3)
+"""Largest distances of corresponding points, one after the other, metres (chosen: from the error
+of a bad start to that of a good one)."""
+
+
+def icp(
+    target: PointCloud,
+    source: PointCloud,
+    rng: np.random.Generator,
+    method: Literal["ICP", "GICP"] = "ICP",
+) -> PoseEstimate:
+    """Register two clouds by point-to-point ICP.
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+    rng
+        Not used: nothing is drawn.
+    method
+        As `register_clouds`.
+
+    Raises
+    ------
+    Refusal
+        As `register_clouds`.
+    """
+    return register_clouds(
+        target,
+        source,
+        [np.eye(4)],
+        method=method,
+        max_correspondence_distances=ICP_CORRESPONDENCE_DISTANCES,
+    )
+
+
+def gicp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
+    """Register two clouds by GICP (small_gicp).
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+    rng
+        Not used: nothing is drawn.
+
+    Raises
+    ------
+    Refusal
+        As `register_clouds`.
+    """
+    return icp(target, source, rng, "GICP")

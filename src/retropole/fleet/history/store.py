@@ -9,11 +9,11 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Collection, Container, Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from operator import itemgetter
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -254,16 +254,17 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
 def schema() -> Any:
     """Give the schema of the files."""
     pa, _ = arrow()
-    text, double = pa.string(), pa.float64()
-    always = {"key": text, "id": text, "time": pa.timestamp("us", tz="UTC"), "status": text}
-    columns = {
-        **{"used": text, "codes": pa.list_(text), "message": text},
-        **dict.fromkeys(("step", "covariance", "random"), pa.list_(double)),
-        **dict.fromkeys(("chi2", "power"), double),
-        **dict.fromkeys(("stored_sha256", "target_sha256", "source_sha256", "version"), text),
+    kinds: dict[Any, Any] = {
+        datetime: pa.timestamp("us", tz="UTC"),
+        float | None: pa.float64(),
+        Array | None: pa.list_(pa.float64()),
+        tuple[str, ...]: pa.list_(pa.string()),
     }
-    needed = [pa.field(name, kind, nullable=False) for name, kind in always.items()]
-    return pa.schema([*needed, *columns.items()], metadata={"schema": SCHEMA})
+    hints, columns = get_type_hints(CheckRow), [pa.field("key", pa.string(), nullable=False)]
+    for each in fields(CheckRow):
+        kind = kinds.get(hints[each.name], pa.string())
+        columns.append(pa.field(each.name, kind, nullable=each.default is not MISSING))
+    return pa.schema(columns, metadata={"schema": SCHEMA})
 
 
 def _files(folder: str) -> Iterator[str]:
