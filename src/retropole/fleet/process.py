@@ -1,4 +1,9 @@
-"""Calibrating in a process of its own, which is ended where it takes too long or too much."""
+"""Calibrating in a process of its own, which is ended where it takes too long or too much.
+
+It may hang, crash or run out of memory. ``python -m retropole.fleet.process`` takes tasks on its
+standard input and answers on its standard output, one after the other; `Reader` starts it. It ends
+when its input does.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables as Parquet, on any file system."""
+"""Tables on any file system: Parquet, and lists as Parquet or CSV, rows by the names of columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Single LiDARs: the systematic errors that an instrument keeps in all its recordings."""
+"""How simulated recordings differ from exact geometry: families of errors, each of its own size.
+
+Single LiDARs keep systematic errors in all their recordings. What the other families do is written
+in `footprint`, `intensity` and `environment`; a size of 0 (False, ``centre``) switches one off.
+"""
 
 from __future__ import annotations
 

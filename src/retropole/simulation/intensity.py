@@ -1,4 +1,7 @@
-"""Intensities on a sensor's own scale: diffuse surfaces, and tape above its threshold."""
+"""Intensities on a sensor's own scale: diffuse surfaces, and tape above its threshold.
+
+The glow around tape is false bright returns in beams that pass close beside it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Registration of whole clouds from given starts: what every rival but the planar one ends with."""
+"""Registration of whole clouds from given starts: what every rival but the planar one ends with.
+
+From the identity, as if the two frames were one, it is a rival of its own: ICP point to point (Besl
+and McKay 1992), the other rival of Xue et al. 2019, Table IV; and plane to plane (Segal, Haehnel
+and Thrun 2009).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Least squares of a network: normal equations of blocks, solved again until nothing moves."""
+"""Least squares of a network: normal equations of blocks, solved again until nothing moves.
+
+What each observation says, residuals and derivatives, counts in its own σ. Poses move by steps
+``[φ, δ]`` in the axes of the network: ``Exp(φ) R`` and ``t + δ``. The translation does not turn
+with the rotation, so that coordinates as large as a city's do no harm.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""From the answers of a fleet to a network: sites that share LiDARs have nodes in common."""
+"""From the answers of a fleet to a network: sites that share LiDARs have nodes in common.
+
+A list says which LiDAR of which site is which node, and where nodes were surveyed.
+"""
 
 from __future__ import annotations
 

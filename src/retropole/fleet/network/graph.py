@@ -1,4 +1,7 @@
-"""What a network is made of: poses to find, relative poses between them, and what was surveyed."""
+"""What a network is made of: poses to find, relative poses between them, and what was surveyed.
+
+Nodes that hang together are a component, whose datum is control, or the first node held.
+"""
 
 from __future__ import annotations
 
@@ -172,6 +175,19 @@ class Graph:
         """(M,) how many numbers each observation is."""
         return np.repeat([6, 6, 3], [len(self.edges), len(self.known), len(self.points)])
 
+    def only(self, some: IntArray) -> Graph:
+        """Give the same poses with some of the observations (K,), in rising order."""
+        edges, known, points = self.edges, self.known, self.points
+        bounds = np.cumsum([len(edges), len(known)])
+        a, b, c = np.split(some, np.searchsorted(some, bounds))
+        b, c = b - bounds[0], c - bounds[1]
+        return Graph(
+            self.nodes,
+            Edges(edges.i[a], edges.j[a], edges.T_i_j[a], edges.covariance[a]),
+            KnownPoses(known.node[b], known.T_world_node[b], known.covariance[b]),
+            ControlPoints(points.node[c], points.world[c], points.covariance[c], points.at[c]),
+        )
+
 
 def grouped(label: IntArray, count: int) -> list[IntArray]:
     """Give for each label from 0 on the numbers of those that have it, in rising order."""
@@ -259,8 +275,13 @@ class Component:
         return f"{self.controls} controls"
 
 
-def hanging_together(graph: Graph, kept: BoolArray) -> IntArray:
-    """(N + 1,) label of each node and, last, of the ground: equal where those kept (M,) join."""
+def hanging_together(graph: Graph, kept: BoolArray, but: Sequence[int] = ()) -> IntArray:
+    """(N + 1,) label of each node and, last, of the ground: equal where those kept (M,) join.
+
+    Some of these may be left out: their numbers are `but`.
+    """
+    kept = kept.copy()
+    kept[list(but)] = False
     ends = tuple(end[kept] for end in graph.ends)
     size = graph.nodes + 1
     matrix = coo_array((np.ones(len(ends[0])), ends), shape=(size, size))

@@ -3,11 +3,15 @@
 A wrong edge raises the tests of its neighbours too. So only that with the largest χ² around goes,
 the rest is adjusted again, and everything tested anew (data snooping, Baarda 1968), those that are
 out as well, until nothing changes.
+
+Where only one loop leads through two observations, what does not close there is as well the one's
+error as the other's. One was left out; nothing checks the other any more, and it joins what else is
+apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -21,10 +25,7 @@ from .adjustment import SETTLED, AdjustedNetwork, Layout, Model, adjust, with_gr
 from .elimination import Blocks
 from .graph import (
     Component,
-    ControlPoints,
-    Edges,
     Graph,
-    KnownPoses,
     connected,
     find_components,
     hanging_together,
@@ -136,7 +137,7 @@ def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, othe
     both = np.sort([one, other])
     # A control point does not say how a side is turned: it comes last, and lays none.
     T = relaid(graph, active, T, rival, int(both[0]))
-    label = _components_without(graph, active, [rival])
+    label = hanging_together(graph, active, [rival])
     i, j = (int(end[both[0]]) for end in graph.ends)
     side = label == label[j if label[j] != label[-1] else i]
     # A turn of the side by φ moves a pose of it by φ × (t − about).
@@ -144,7 +145,7 @@ def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, othe
     moves = np.tile(np.eye(6), (len(away), 1, 1))
     moves[:, 3:, :3] = -se3.hat(away)
     moves *= side[:, None, None]
-    two = _only(graph, both)
+    two = graph.only(both)
     relative, points = Model(two).at(T)
     first, last = (np.split(end, [len(relative.residual)]) for end in two.ends)
     A = np.concatenate(
@@ -156,20 +157,6 @@ def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, othe
     e = np.concatenate([relative.residual.ravel(), points.residual.ravel()])
     left = e - A @ np.linalg.lstsq(A, e)[0]
     return bool(left @ left <= AGREE * critical(np.array(len(e) - 6)))
-
-
-def _only(graph: Graph, some: IntArray) -> Graph:
-    """Some of the observations, in rising order."""
-    edges, known, points = graph.edges, graph.known, graph.points
-    bounds = np.cumsum([len(edges), len(known)])
-    a, b, c = np.split(some, np.searchsorted(some, bounds))
-    b, c = b - bounds[0], c - bounds[1]
-    return Graph(
-        graph.nodes,
-        Edges(edges.i[a], edges.j[a], edges.T_i_j[a], edges.covariance[a]),
-        KnownPoses(known.node[b], known.T_world_node[b], known.covariance[b]),
-        ControlPoints(points.node[c], points.world[c], points.covariance[c], points.at[c]),
-    )
 
 
 def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) -> Array:
@@ -191,7 +178,7 @@ def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) 
     relative = graph.relative
     if instead >= len(relative):
         return T
-    label = _components_without(graph, active, [rival])
+    label = hanging_together(graph, active, [rival])
     i, j, T_i_j = relative.i[instead], relative.j[instead], relative.T_i_j[instead]
     if label[i] == label[j]:
         return T
@@ -209,19 +196,12 @@ def hanging(
     graph: Graph, active: BoolArray, components: tuple[Component, ...], rivals: set[int]
 ) -> BoolArray:
     """Which poses (N,) are tied to their datum by observations that may be wrong alone."""
-    label = _components_without(graph, active, sorted(rivals))
+    label = hanging_together(graph, active, sorted(rivals))
     doubtful = np.zeros(graph.nodes, dtype=bool)
     for component in components:
         datum = graph.nodes if component.controls else component.nodes[0]
         doubtful[component.nodes] = label[component.nodes] != label[datum]
     return doubtful
-
-
-def _components_without(graph: Graph, active: BoolArray, left_out: Sequence[int]) -> IntArray:
-    """(N + 1,) which nodes, the ground last, hang together by the active observations but some."""
-    kept = active.copy()
-    kept[left_out] = False
-    return hanging_together(graph, kept)
 
 
 MOST_ROUNDS = 30

@@ -24,6 +24,14 @@ from .graph import Component
 def selected_inverse(factor: Factor) -> Blocks:
     """Find the blocks of the inverse at each node, and at each pair of the pattern.
 
+    Selected inversion (Takahashi, Fagan and Chin 1973): with ``N = L Lᵀ`` and a front whose own
+    nodes J touch the later ones S, the inverse Z follows from that of its parent, which holds all
+    of S:
+
+        K = L_SJ L_JJ⁻¹,   Z_SJ = −Z_SS K,   Z_JJ = L_JJ⁻ᵀ L_JJ⁻¹ − Kᵀ Z_SJ.
+
+    Nothing else of the inverse is ever made.
+
     Parameters
     ----------
     factor
