@@ -4,8 +4,7 @@ Methods that `compare` runs, and the movements that a check must not miss where 
 asked for.
 """
 
-from ..evaluation.methods import ALL_METHODS, OURS
-from ..evaluation.rivals import RIVALS
+from ..evaluation.rivals import ALL_METHODS, OURS, RIVALS
 from ..monitoring.tolerance import DEFAULT_TOLERANCE, WIDEST_TOLERANCE
 
 __all__ = [

@@ -63,6 +63,12 @@ RIVALS: dict[str, Rival] = {
 }
 """Every rival by its name."""
 
+OURS = {"poles": "retropole, the poles alone", "poles+scene": "retropole, poles and scene"}
+"""Our own methods, and what each is."""
+
+ALL_METHODS: tuple[str, ...] = (*OURS, *RIVALS)
+"""Our own, then the rivals: all that `comparison.compare` runs."""
+
 
 def load_rival(name: str) -> Method:
     """Import a rival of `RIVALS`; what it needs beyond the core is imported when it is called."""

@@ -135,12 +135,7 @@ ICP_CORRESPONDENCE_DISTANCES = (3.0, 1.0, 0.3)
 of a bad start to that of a good one)."""
 
 
-def icp(
-    target: PointCloud,
-    source: PointCloud,
-    rng: np.random.Generator,
-    method: Literal["ICP", "GICP"] = "ICP",
-) -> PoseEstimate:
+def icp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
     """Register two clouds by point-to-point ICP.
 
     Parameters
@@ -149,20 +144,15 @@ def icp(
         Clouds, each in its own frame. Intensities are not used.
     rng
         Not used: nothing is drawn.
-    method
-        As `register_clouds`.
 
     Raises
     ------
     Refusal
         As `register_clouds`.
     """
+    distances = ICP_CORRESPONDENCE_DISTANCES
     return register_clouds(
-        target,
-        source,
-        [np.eye(4)],
-        method=method,
-        max_correspondence_distances=ICP_CORRESPONDENCE_DISTANCES,
+        target, source, [np.eye(4)], method="ICP", max_correspondence_distances=distances
     )
 
 
@@ -181,4 +171,5 @@ def gicp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> Po
     Refusal
         As `register_clouds`.
     """
-    return icp(target, source, rng, "GICP")
+    distances = ICP_CORRESPONDENCE_DISTANCES
+    return register_clouds(target, source, [np.eye(4)], max_correspondence_distances=distances)
