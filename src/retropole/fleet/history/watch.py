@@ -147,7 +147,10 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
     """
     if not checks:
         return Watched()
-    runs = _started(checks[0])
+    share, time = np.array(list(SLOW)).T
+    total = np.full(len(SLOW), SCALE_CHECKS * SCALE**2)
+    state = first_state(checks[0], share)
+    runs = _Runs(share, time, np.array([*SLOW.values()]), state, no_changes(len(SLOW)), total)
     events: list[Event] = []
     waiting: dict[int, float] = {}
     for n, check in enumerate(checks):
@@ -180,13 +183,6 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
     best, state = runs.best, runs.state
     state = replace(state, mean=state.mean[best], covariance=state.covariance[best])
     return Watched(tuple(events), tuple(waiting), float(runs.scale[best]), state)
-
-
-def _started(first: Observed) -> _Runs:
-    share, time = np.array(list(SLOW)).T
-    total = np.full(len(share), SCALE_CHECKS * SCALE**2)
-    state = first_state(first, share)
-    return _Runs(share, time, np.array([*SLOW.values()]), state, no_changes(len(share)), total)
 
 
 def _ahead(runs: _Runs, check: Observed, n: int) -> _Runs:
