@@ -274,13 +274,9 @@ def answered(
         "frame": frame if lidars else None,
         "lidars": lidars,
         "sigma_30m_m": max(at_range, default=None),
-        "document": encode(timeless(document)).decode(),
+        # When it was made, and how long it took, is no part of the answer.
+        "document": encode(msgspec.structs.replace(document, created="", seconds={})).decode(),
     }
-
-
-def timeless(document: ResultDoc | SiteDoc) -> ResultDoc | SiteDoc:
-    """Leave out when a result was made, and how long it took."""
-    return msgspec.structs.replace(document, created="", seconds={})
 
 
 def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:

@@ -22,7 +22,6 @@ SITE_FILE = ".toml"
 ROLES = ("target", "source")
 """How the recordings of a pair are called in its folder, whatever their suffix."""
 
-LONGEST_ID = 200
 MOST_SITES = 1_000_000
 
 OPTIONS = (
@@ -184,22 +183,8 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
 
 def _in_list(place: str, config: RunConfig) -> Iterator[FleetSite]:
     """Take the sites of a CSV or Parquet list; paths in it count from its folder."""
-    for number, line in enumerate(lines_of(place, COLUMNS, "id"), 1):
-        name = str(line.get("id", ""))
-        if fault := id_fault(name):
-            raise ReadError(f"{place}: row {number}, id: {fault}")
+    for _, name, line in lines_of(place, COLUMNS, "id"):
         yield _listed(name, folder_of(place), line, config)
-
-
-def id_fault(name: str) -> str:
-    """Say what is wrong with an id; empty where nothing is. It names a folder of reports."""
-    sound = len(name) <= LONGEST_ID and name.isprintable() and "\\" not in name
-    if sound and not any(part.strip() in ("", ".", "..") for part in name.split("/")):
-        return ""
-    return (
-        f"{quoting(name)!r}, expected a name of at most {LONGEST_ID} printable characters; "
-        "parts between / are not empty and no dots"
-    )
 
 
 def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig) -> FleetSite:

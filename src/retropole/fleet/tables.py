@@ -7,9 +7,9 @@ import difflib
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..base.errors import MissingExtraError, ReadError
+from ..base.errors import MissingExtraError, ReadError, quoting
 from .storage import LARGEST_LIST, read_bytes
 
 
@@ -69,8 +69,20 @@ def opened(place: str, fault: str, most: int = LARGEST_LIST) -> Iterator[Any]:
 LISTS = (".csv", ".parquet")
 
 
-def lines_of(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:
-    """Read the rows of a list, each without its empty cells.
+LONGEST_NAME = 200
+"""Characters of the name of a site, or of a node."""
+
+
+class Line(NamedTuple):
+    """A row of a list: where it stands, its name, and its cells but those that are empty."""
+
+    here: str
+    name: str
+    cells: Mapping[str, Any]
+
+
+def lines_of(place: str, columns: Sequence[str], needed: str) -> Iterator[Line]:
+    """Read the rows of a list.
 
     Parameters
     ----------
@@ -79,18 +91,27 @@ def lines_of(place: str, columns: Sequence[str], needed: str) -> Iterator[Mappin
     columns
         Every column that it may have.
     needed
-        The column that it must have.
+        The column that it must have, of names.
 
     Raises
     ------
     ReadError
-        Where it cannot be read, or has another column or one twice.
+        Where it cannot be read, has another column or one twice, or a name that is none.
     MissingExtraError
         Where the extra ``fleet`` is not installed.
     """
     read = _csv if place.endswith(".csv") else _parquet
-    for line in read(place, columns, needed):
-        yield {name: value for name, value in line.items() if value not in (None, "")}
+    for number, line in enumerate(read(place, columns, needed), 1):
+        cells = {name: value for name, value in line.items() if value not in (None, "")}
+        name = str(cells.get(needed, ""))
+        # That of a site is the name of a folder of reports.
+        sound = len(name) <= LONGEST_NAME and name.isprintable() and "\\" not in name
+        if not sound or any(part.strip() in ("", ".", "..") for part in name.split("/")):
+            raise ReadError(
+                f"{place}: row {number}, {needed}: {quoting(name)!r}, expected a name of at most "
+                f"{LONGEST_NAME} printable characters; parts between / are not empty and no dots"
+            )
+        yield Line(f"{place}: row {number}", name, cells)
 
 
 def _check_columns(place: str, names: Sequence[str], columns: Sequence[str], needed: str) -> None:

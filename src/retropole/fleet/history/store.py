@@ -238,12 +238,9 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
     pa, _ = arrow()
     from pyarrow import compute
 
-    tables = [schema().empty_table()]
-    for place in _files(folder):
-        table = _table(place)
-        some = None if ids is None else compute.field("id").isin(sorted(ids))
-        tables.append(table if some is None else table.filter(some))
-    whole = pa.concat_tables(tables)
+    some = compute.scalar(True) if ids is None else compute.field("id").isin(sorted(ids))
+    tables = (_table(place).filter(some) for place in _files(folder))
+    whole = pa.concat_tables([schema().empty_table(), *tables])
     whole = whole.sort_by([(name, "ascending") for name in ("id", "time", "key")])
     rows = (row for batch in whole.to_batches(max_chunksize=1000) for row in batch.to_pylist())
     for name, own in groupby(rows, itemgetter("id")):

@@ -22,7 +22,7 @@ from ...base.relative import RelativePose
 from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
 from ..dataset import AT_RANGE, Row, document_of, partitions_in, read_rows
-from ..sites import ROLES, id_fault
+from ..sites import ROLES
 from ..storage import absolute
 from ..tables import LISTS, lines_of
 from .graph import ControlPoints, Edges, Graph
@@ -91,11 +91,7 @@ def read_nodes(place: str) -> NodeList:
         raise UsageError(f"{place}: expected a file {', '.join(LISTS)}")
     of_site: dict[str, dict[str, str]] = {}
     surveyed = []
-    for number, line in enumerate(lines_of(absolute(place), COLUMNS, "node"), 1):
-        here = f"{place}: row {number}"
-        node = str(line.get("node", ""))
-        if fault := id_fault(node):
-            raise ReadError(f"{here}, node: {fault}")
+    for here, node, line in lines_of(absolute(place), COLUMNS, "node"):
         is_member, is_surveyed = bool({"site", "lidar"} & line.keys()), bool({*WORLD} & line.keys())
         if is_surveyed:
             surveyed.append(_surveyed(here, line))
