@@ -144,7 +144,9 @@ def _sites_of(place: str, config: RunConfig) -> Iterator[FleetSite]:
     elif place.endswith(SITE_FILE):
         yield FleetSite(id=_id_of(place, posixpath.basename(place)), kind="site", site=place)
     elif place.endswith(LISTS):
-        yield from _in_list(place, config)
+        # Paths in a list count from its folder.
+        for _, name, line in lines_of(place, COLUMNS, "id"):
+            yield _listed(name, folder_of(place), line, config)
     else:
         expected = ", ".join((SITE_FILE, *LISTS))
         raise UsageError(f"{place}: expected a folder, or a file {expected}")
@@ -179,12 +181,6 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
         name = inside or posixpath.basename(folder.rstrip("/"))
         pair = FleetSite(id=name, kind="pair", target=target, source=source, config=config)
         yield msgspec.structs.replace(pair, fault=fault)
-
-
-def _in_list(place: str, config: RunConfig) -> Iterator[FleetSite]:
-    """Take the sites of a CSV or Parquet list; paths in it count from its folder."""
-    for _, name, line in lines_of(place, COLUMNS, "id"):
-        yield _listed(name, folder_of(place), line, config)
 
 
 def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig) -> FleetSite:

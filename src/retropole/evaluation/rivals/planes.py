@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -191,7 +192,9 @@ def _best(scored: Sequence[ScoredPose]) -> RefinedPose:
     """Give the best pose, or refuse where it is not good, or not better than all others."""
     best, *others = sorted(scored, key=lambda s: -s.score)
     T = best.refined.pose.T_target_source
-    rivals = [s for s in others if _is_different(T, s.refined.pose.T_target_source)]
+    apart = [se3.difference(T, each.refined.pose.T_target_source) for each in others]
+    different = np.any(np.reshape(apart, (-1, 2)) >= np.array(DIFFERENT_POSE), axis=1)
+    rivals = [*compress(others, different)]
     if best.score < MIN_PLANES_SCORE:
         raise Refusal(
             "no_overlap",
@@ -211,9 +214,3 @@ def _best(scored: Sequence[ScoredPose]) -> RefinedPose:
             {"score": best.score, "runner_up": rivals[0].score, "needed": MIN_PLANES_MARGIN},
         )
     return best.refined
-
-
-def _is_different(T: Array, other: Array) -> bool:
-    """Whether two poses (4, 4) are different answers."""
-    apart = se3.difference(T, other)
-    return not (apart.rotation < DIFFERENT_POSE[0] and apart.translation < DIFFERENT_POSE[1])

@@ -169,7 +169,9 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
             # The others that waited agree with nothing.
             events += [Event("outlier", k, n) for k in waiting if k not in branch.numbers]
             events.append(branch.event)
-            runs, waiting = _adopted(branch.runs, branch.change), {}
+            # It is part of what is expected from now on.
+            state = adopted(branch.runs.state, branch.runs.changes, branch.change)
+            runs, waiting = replace(branch.runs, state=state, changes=no_changes(len(SLOW))), {}
         elif off <= GATE and waiting:
             # The filter has not taken them in: they are left out for good.
             events += [Event("outlier", k, n) for k in waiting]
@@ -292,12 +294,6 @@ def _found(
             event = Event(kind, onset, n, size, covariance, statistic, lead)
             return _Branch(runs, numbers, m, event)
     return None
-
-
-def _adopted(runs: _Runs, m: int) -> _Runs:
-    """Make a change part of what is expected."""
-    state = adopted(runs.state, runs.changes, m)
-    return replace(runs, state=state, changes=no_changes(len(runs.share)))
 
 
 def _lost(ahead: _Runs, check: Observed) -> _Runs:
