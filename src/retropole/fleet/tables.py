@@ -74,9 +74,9 @@ LONGEST_NAME = 200
 
 
 class Line(NamedTuple):
-    """A row of a list: where it stands, its name, and its cells but those that are empty."""
+    """A row of a list: its number from 1 on, its name, and its cells but those that are empty."""
 
-    here: str
+    number: int
     name: str
     cells: Mapping[str, Any]
 
@@ -111,7 +111,7 @@ def lines_of(place: str, columns: Sequence[str], needed: str) -> Iterator[Line]:
                 f"{place}: row {number}, {needed}: {quoting(name)!r}, expected a name of at most "
                 f"{LONGEST_NAME} printable characters; parts between / are not empty and no dots"
             )
-        yield Line(f"{place}: row {number}", name, cells)
+        yield Line(number, name, cells)
 
 
 def _check_columns(place: str, names: Sequence[str], columns: Sequence[str], needed: str) -> None:

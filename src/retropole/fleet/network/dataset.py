@@ -91,7 +91,8 @@ def read_nodes(place: str) -> NodeList:
         raise UsageError(f"{place}: expected a file {', '.join(LISTS)}")
     of_site: dict[str, dict[str, str]] = {}
     surveyed = []
-    for here, node, line in lines_of(absolute(place), COLUMNS, "node"):
+    for number, node, line in lines_of(absolute(place), COLUMNS, "node"):
+        here = f"{place}: row {number}"
         is_member, is_surveyed = bool({"site", "lidar"} & line.keys()), bool({*WORLD} & line.keys())
         if is_surveyed:
             surveyed.append(_surveyed(here, line))
