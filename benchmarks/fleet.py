@@ -92,7 +92,7 @@ def memory_sampled() -> Iterator[list[tuple[str, float, int]]]:
             for process in here.children(recursive=True):
                 try:
                     words = " ".join(process.cmdline())
-                    kind = "calibrating" if "fleet.child" in words else "Dask's worker"
+                    kind = "calibrating" if "fleet.process" in words else "Dask's worker"
                     if kind == "calibrating" or "spawn_main" in words:
                         samples.append((kind, time.monotonic(), process.memory_info().rss))
                 except psutil.Error:

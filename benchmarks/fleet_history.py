@@ -40,7 +40,7 @@ from retropole.api import floor
 from retropole.base.datatypes import Array, PoseEstimate
 from retropole.fleet.history.events import Watched
 from retropole.fleet.history.model import YEAR, Observed
-from retropole.fleet.history.rows import CheckRow, observed
+from retropole.fleet.history.store import CheckRow, observed
 from retropole.fleet.history.watch import watch
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate

@@ -36,11 +36,9 @@ from city import SURVEY, City, simulate_city
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.relative import relative_jacobian
-from retropole.fleet.network.adjustment import adjust, find_layout
-from retropole.fleet.network.components import find_components
-from retropole.fleet.network.graph import ControlPoints, Edges, Graph
+from retropole.fleet.network.adjustment import Model, adjust, find_layout
+from retropole.fleet.network.graph import ControlPoints, Edges, Graph, find_components
 from retropole.fleet.network.network import NetworkAdjustment, adjust_network
-from retropole.fleet.network.residuals import Model
 from retropole.fleet.network.testing import all_tests, covariances, noncentrality
 
 

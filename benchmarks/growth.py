@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from retropole.base.datatypes import PointCloud
-from retropole.evaluation.methods import ALL_METHODS, OURS
+from retropole.evaluation.rivals import ALL_METHODS, OURS
 from retropole.io.thinning import MAX_POINTS, thinned
 from retropole.simulation import SimulationError, simulate_pair
 from rivals import installed, peak_megabytes, quiet, timed

@@ -34,9 +34,8 @@ import numpy as np
 
 from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
-from retropole.evaluation.methods import ALL_METHODS
 from retropole.evaluation.metrics import Errors, errors_of
-from retropole.evaluation.rivals import RIVALS, load_rival, missing_extra
+from retropole.evaluation.rivals import ALL_METHODS, RIVALS, load_rival, missing_extra
 from retropole.pipeline import calibrate
 from retropole.simulation import simulate_pair
 

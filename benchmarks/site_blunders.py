@@ -17,11 +17,10 @@ from retropole.base.datatypes import Array
 from retropole.base.errors import UsageError
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scenes import UP
-from retropole.simulation.site_arrangement import arrange
-from retropole.simulation.site_graph import Seen, are_linked
+from retropole.simulation.site_arrangement import Seen, are_linked, arrange
 from retropole.simulation.site_survey import Survey, Surveyed
-from retropole.simulation.site_writing import write_site
 from retropole.simulation.sites import DrawnSite, SimulatedSite, draw_site, record_site
+from retropole.simulation.writing import write_site
 from retropole.site.description import SurveyedPole
 
 BLUNDERS = "pole", "slide", "files", "control"

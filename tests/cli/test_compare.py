@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from retropole.evaluation.methods import ALL_METHODS, OURS
-from retropole.evaluation.rivals import RIVALS, missing_extra
+from retropole.evaluation.rivals import ALL_METHODS, OURS, RIVALS, missing_extra
 from retropole.io import read_cloud, write_pcd
 from tests.cli.commands import retropole_here
 

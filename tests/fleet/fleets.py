@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from retropole.fleet.batch import Doing
-from retropole.fleet.child import done
+from retropole.fleet.process import done
 from retropole.fleet.sites import FleetSite
 from retropole.fleet.work import Outcome, Task
 from retropole.io import write_pcd

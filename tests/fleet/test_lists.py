@@ -7,7 +7,7 @@ import pytest
 from pyarrow import parquet as pq
 
 from retropole.base.errors import ReadError
-from retropole.fleet.lists import lines_of
+from retropole.fleet.tables import lines_of
 
 
 def test_empty_cells_are_not_there(tmp_path: Path) -> None:
@@ -15,7 +15,7 @@ def test_empty_cells_are_not_there(tmp_path: Path) -> None:
     pq.write_table(pa.table({"id": ["a", "b"], "x": ["1", None]}), tmp_path / "list.parquet")
     for name in ("list.csv", "list.parquet"):
         lines = lines_of(str(tmp_path / name), ("id", "x"), "id")
-        assert list(lines) == [{"id": "a", "x": "1"}, {"id": "b"}]
+        assert [line.cells for line in lines] == [{"id": "a", "x": "1"}, {"id": "b"}]
 
 
 @pytest.mark.parametrize(

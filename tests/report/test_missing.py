@@ -16,7 +16,7 @@ from retropole.base.sensors import find_sensor
 from retropole.extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
 from retropole.report.missing import missing_poles
 from retropole.result import ResultDoc
-from retropole.simulation.noise import TYPICAL
+from retropole.simulation.devices import TYPICAL
 from retropole.simulation.raycast import Cylinder
 from retropole.simulation.scanning import scan
 from retropole.simulation.scenes import TAPE

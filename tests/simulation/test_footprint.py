@@ -7,9 +7,9 @@ import pytest
 
 from retropole.base.sensors import find_sensor
 from retropole.simulation import EXACT, Box, Material, NoiseModel, Rectangle, Surface
+from retropole.simulation.devices import Footprint
 from retropole.simulation.footprint import sideways, turned
-from retropole.simulation.glow import BLOOM_NOISE, bloom
-from retropole.simulation.noise import Footprint
+from retropole.simulation.intensity import BLOOM_NOISE, bloom
 from tests.simulation.rooms import X, Y, Z, ranges_and_rays, scan_room
 
 TAPE = Material(0.9, retro=True)

@@ -4,8 +4,8 @@ Methods that `compare` runs, and the movements that a check must not miss where 
 asked for.
 """
 
-from ..evaluation.methods import ALL_METHODS as ALL_METHODS
-from ..evaluation.methods import OURS as OURS
+from ..evaluation.rivals import ALL_METHODS as ALL_METHODS
+from ..evaluation.rivals import OURS as OURS
 from ..evaluation.rivals import RIVALS as RIVALS
 from ..monitoring.tolerance import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from ..monitoring.tolerance import WIDEST_TOLERANCE as WIDEST_TOLERANCE

@@ -13,10 +13,10 @@ from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
 from ..evaluation.entropy import KERNEL_WIDTH
-from ..evaluation.methods import ALL_METHODS
 from ..evaluation.metrics import Alignment
 from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
+from ..evaluation.rivals import ALL_METHODS
 from ..export import read_transform
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable

@@ -48,7 +48,8 @@ def simulate(
         Make surroundings that do not distinguish the hypotheses.
     nuisances
         What the recordings suffer from: ``field``, ``typical`` or ``none``
-        (`retropole.simulation.noise`); None takes ``typical``, and for ``paper`` the paper's noise.
+        (`retropole.simulation.devices`); None takes ``typical``, and for ``paper`` the noise of the
+        paper.
 
     Returns
     -------

@@ -16,8 +16,8 @@ from .options import Command, Number
 
 if TYPE_CHECKING:
     from ..fleet.history.events import Event
-    from ..fleet.history.rows import CheckRow
     from ..fleet.history.run import FleetCheck, SiteChange
+    from ..fleet.history.store import CheckRow
 
 SCHEMA = "retropole/fleet-check/1"
 

@@ -65,9 +65,8 @@ def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool
       130  interrupted
     """
     from ..fleet.network.answer import write_network
-    from ..fleet.network.dataset import find_network
+    from ..fleet.network.dataset import find_network, read_nodes
     from ..fleet.network.network import adjust_network
-    from ..fleet.network.nodes import read_nodes
 
     with progress_on_terminal(quiet or as_json) as progress:
         progress("read")

@@ -14,9 +14,8 @@ from ..base.errors import Refusal, UsageError
 from ..base.quantities import step_of
 from ..base.sensors import Sensor
 from ..pipeline import calibrate
-from .methods import ALL_METHODS, OURS
 from .metrics import Alignment, Errors, errors_of, evaluate
-from .rivals import load_rival, missing_extra
+from .rivals import ALL_METHODS, OURS, load_rival, missing_extra
 
 Status = Literal["ok", "warn", "refused", "missing"]
 
@@ -28,7 +27,7 @@ class Compared:
     Attributes
     ----------
     method
-        Its name in `methods.ALL_METHODS`.
+        Its name in `rivals.ALL_METHODS`.
     status
         ``missing`` where the extra that it needs is not installed.
     codes
@@ -74,7 +73,7 @@ def compare(
     target, source
         Clouds, each in its own frame.
     methods
-        Names from `methods.ALL_METHODS`.
+        Names from `rivals.ALL_METHODS`.
     T_true
         (4, 4) truth, where it is known.
     radius, sensors, thresholds

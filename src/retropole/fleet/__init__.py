@@ -1,8 +1,8 @@
 """Thousands of sites: all calibrated, adjusted as one network, and watched over time.
 
 `batch.calibrate_fleet` is the first on one page: sites (`sites`), one after the other on the
-workers of a Dask cluster (`engine`), each in a process that can be ended (`process`, `child`, and
-`work` within), rows into a partitioned Parquet dataset (`dataset`), on any file system (`storage`).
+workers of a Dask cluster (`engine`), each in a process that can be ended (`process`, and `work`
+within), rows into a partitioned Parquet dataset (`dataset`), on any file system (`storage`).
 `network` adjusts relative poses of many sites together, `history` watches every site's checks.
 """
 

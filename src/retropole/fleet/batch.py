@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TypeVar
@@ -14,7 +14,7 @@ from . import TIME_LIMIT
 from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
 from .storage import absolute
-from .work import Outcome, Task, environment, lost
+from .work import Outcome, Task, lost, task_of
 
 Key = TypeVar("Key")
 Of = TypeVar("Of")
@@ -91,42 +91,54 @@ def calibrate_fleet(
     for site in sorted(sites, key=lambda site: site.id):
         parts.setdefault(partition_of(site.id), []).append(site)
 
-    def tasks() -> Iterator[Task]:
-        for part in sorted(parts):
-            for site in parts[part]:
-                row = known.get(site.id)
-                # One that is to be tried again has no row that holds.
-                holds = row is not None and not (retry and row.status == "error")
-                if not site.fault:
-                    yield Task(
-                        site=site,
-                        known=row.key if row is not None and holds else None,
-                        reports=reports,
-                        time_limit=time_limit,
-                        environment=environment(),
-                    )
-
-    faulty = [lost(site, "usage", site.fault) for site in sites if site.fault]
-    fresh: list[str] = []
-
-    def found() -> Iterator[tuple[str, Outcome]]:
-        yield from ((outcome.id, outcome) for outcome in faulty)
-        start = time.monotonic()
-        for over, outcome in enumerate(doing(tasks()), len(faulty) + 1):
-            yield outcome.id, outcome
-            if outcome.row is not None:
-                fresh.append(outcome.id)
-            progress(how_far("calibrate", over, len(sites), time.monotonic() - start))
-
+    # One that is to be tried again has no row that holds.
+    holds = {each: row.key for each, row in known.items() if not retry or row.status != "error"}
+    tasks = (
+        task_of(site, time_limit, known=holds.get(site.id), reports=reports)
+        for part in sorted(parts)
+        for site in parts[part]
+        if not site.fault
+    )
+    done = 0
     statuses: Counter[str] = Counter()
     codes: Counter[str] = Counter()
     empty = {part: dict[str, Outcome]() for part, of_part in parts.items() if not of_part}
     part_of = {site.id: part for part, of_part in parts.items() for site in of_part}
-    for part, outcomes in chain(empty.items(), whole_groups(found(), part_of, {})):
+    found = outcomes_of("calibrate", sites, doing(tasks), progress)
+    for part, outcomes in chain(empty.items(), whole_groups(found, part_of, {})):
         rows = _write(out, part, outcomes, drop_others)
         statuses.update(rows[site.id].status for site in parts[part])
         codes.update(code for site in parts[part] for code in rows[site.id].codes)
-    return FleetSummary(len(sites), len(fresh), len(others), dict(statuses), dict(codes))
+        done += sum(each.row is not None for each in outcomes.values())
+    done -= sum(bool(site.fault) for site in sites)
+    return FleetSummary(len(sites), done, len(others), dict(statuses), dict(codes))
+
+
+def outcomes_of(
+    step: str,
+    sites: Collection[FleetSite],
+    done: Iterable[Outcome],
+    progress: Callable[[str], None],
+) -> Iterator[tuple[str, Outcome]]:
+    """Give the outcome of each site by its id: of what is wrong in itself, then as they are done.
+
+    Parameters
+    ----------
+    step
+        What is done, in a word.
+    sites
+        All of them.
+    done
+        Outcomes of those without a fault.
+    progress
+        Called with how many of the sites are done, and when the rest may be.
+    """
+    faulty = [site for site in sites if site.fault]
+    yield from ((site.id, lost(site, "usage", site.fault)) for site in faulty)
+    start = time.monotonic()
+    for over, outcome in enumerate(done, len(faulty) + 1):
+        yield outcome.id, outcome
+        progress(how_far(step, over, len(sites), time.monotonic() - start))
 
 
 def whole_groups(

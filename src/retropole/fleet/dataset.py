@@ -8,18 +8,22 @@ differs from run to run, times and machines, lies beside it in ``runs/part-3f.pa
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
+from itertools import chain
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from ..api import Array
 from ..base.errors import ReadError
-from ..result import BudgetEntry, ErrorAtRange
-from .parquet import arrow, opened, parquet_of
-from .sites import Kind
+from ..result import BudgetEntry, ErrorAtRange, ResultDoc, encode
+from ..result.decoding import decode, decode_site
+from ..result.site import LidarDoc, SiteDoc
+from .sites import FleetSite, Kind
 from .storage import below, names_in, remove, write_bytes
+from .tables import arrow, opened, parquet_of
 
 FLEET_SCHEMA = "retropole/fleet/1"
 ANSWERS, RUNS = "answers", "runs"
@@ -231,3 +235,78 @@ def _column(kind: Any) -> Any:
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         return pa.struct(_columns(kind))
     return {float: pa.float64(), int: pa.int64()}.get(kind, pa.string())
+
+
+def answered(
+    site: FleetSite, document: ResultDoc | SiteDoc, inputs: Sequence[InputEntry]
+) -> dict[str, Any]:
+    """Give the columns of a row that follow from a result.
+
+    Parameters
+    ----------
+    site
+        What was calibrated.
+    document
+        Its result.
+    inputs
+        Its recordings, in the order of the document.
+    """
+    lidars, frame = _lidars(document), "target"
+    latitude, longitude = site.latitude, site.longitude
+    if isinstance(document, SiteDoc):
+        frame, geodetic = document.frame.name, document.frame.geodetic
+        if latitude is None and geodetic is not None:
+            latitude, longitude = geodetic.latitude_rad, geodetic.longitude_rad
+    errors = chain.from_iterable(lidar.predicted_error for lidar in lidars)
+    at_range = [each.sigma_m for each in errors if each.range_m == AT_RANGE]
+    return {
+        "status": document.status,
+        "codes": [reason.code for reason in document.reasons],
+        "messages": [reason.message for reason in document.reasons],
+        "inputs": [
+            msgspec.structs.replace(entry, sensor=read.sensor, points=read.points)
+            for entry, read in zip(inputs, document.inputs, strict=True)
+        ],
+        "latitude_rad": latitude,
+        "longitude_rad": longitude,
+        "frame": frame if lidars else None,
+        "lidars": lidars,
+        "sigma_30m_m": max(at_range, default=None),
+        # When it was made, and how long it took, is no part of the answer.
+        "document": encode(msgspec.structs.replace(document, created="", seconds={})).decode(),
+    }
+
+
+def document_of(text: str, kind: Kind) -> ResultDoc | SiteDoc:
+    """Read the result document of a row.
+
+    Raises
+    ------
+    ReadError
+        Where it is none.
+    """
+    return decode(text.encode()) if kind == "pair" else decode_site(text.encode())
+
+
+def _lidars(document: ResultDoc | SiteDoc) -> list[LidarEntry]:
+    """Give the pose of the source in the frame of the target, or of every LiDAR in the site's.
+
+    None where refused.
+    """
+    poses: list[tuple[str, str, Array | None, ResultDoc | LidarDoc]]
+    if isinstance(document, SiteDoc):
+        poses = [(each.name, each.sensor, each.T_site_lidar, each) for each in document.lidars]
+    else:
+        poses = [("source", document.inputs[1].sensor, document.T_target_source, document)]
+    return [
+        LidarEntry(
+            name=name,
+            sensor=sensor,
+            T=T.ravel().tolist(),
+            covariance=of.covariance.ravel().tolist(),
+            predicted_error=list(of.predicted_error or ()),
+            budget=list(of.budget or ()),
+        )
+        for name, sensor, T, of in poses
+        if T is not None and of.covariance is not None
+    ]

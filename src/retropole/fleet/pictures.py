@@ -213,8 +213,8 @@ def histogram(values: Sequence[float]) -> str:
     wide, tall = (WIDTH - 2 * MARGIN) / len(counts), (foot - head) / max(counts)
     bars = [
         f'<path d="M{MARGIN + k * wide + 0.5:.1f} {foot:.1f}v{-count * tall:.1f}h{wide - 1:.1f}'
-        f'v{count * tall:.1f}z"><title>{_between(edges[k], edges[k + 1])}: '
-        f"{quantities.counted(count, 'site')}</title></path>"
+        f'v{count * tall:.1f}z"><title>{quantities.error(edges[k])} to '
+        f"{quantities.error(edges[k + 1])}: {quantities.counted(count, 'site')}</title></path>"
         for k, count in enumerate(counts)
         if count
     ]
@@ -271,7 +271,3 @@ def _round_values(low: float, high: float) -> list[float]:
 def _plain_length(metres: float) -> str:
     """Write a round length without more digits than it has: ``5 mm``, ``0.2 m``."""
     return f"{1000 * metres:.3g} mm" if metres < quantities.MILLIMETRES_BELOW else f"{metres:.3g} m"
-
-
-def _between(low: float, high: float) -> str:
-    return f"{quantities.error(low)} to {quantities.error(high)}"

@@ -1,22 +1,89 @@
-"""Calibrating in a process of its own, which is ended where it takes too long or too much."""
+"""Calibrating in a process of its own, which is ended where it takes too long or too much.
+
+It may hang, crash or run out of memory. ``python -m retropole.fleet.process`` takes tasks on its
+standard input and answers on its standard output, one after the other; `Reader` starts it. It ends
+when its input does.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import signal
+import struct
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from queue import SimpleQueue
+from typing import IO
 
 import msgspec
 
 from ..base.errors import RetropoleError
-from .child import Message, receive, send
-from .work import Hashed, Outcome, Task, lost
+from .history.check import check_site
+from .work import Hashed, Outcome, Task, answer, lost
+
+LENGTH = struct.Struct("<I")
+Message = Hashed | Outcome | None
+"""None: started, and ready for a task."""
+
+
+def done(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
+    """Do a task: check a site against its stored result, or calibrate it as `work.answer` does."""
+    if task.check is None:
+        return answer(task, tell)
+    return Outcome(task.site.id, check=check_site(task.site, task.check, tell))
+
+
+def send(stream: IO[bytes], message: object) -> None:
+    """Write a message with its length before it."""
+    data = msgspec.msgpack.encode(message)
+    stream.write(LENGTH.pack(len(data)) + data)
+    stream.flush()
+
+
+def receive(stream: IO[bytes]) -> bytes | None:
+    """Read a message; None where the other end has gone, in the middle of one as well."""
+    head = stream.read(LENGTH.size)
+    if len(head) < LENGTH.size:
+        return None
+    (length,) = LENGTH.unpack(head)
+    data = stream.read(length)
+    return data if len(data) == length else None
+
+
+def main() -> None:
+    """Answer tasks until there are no more."""
+    # An interrupt is for whoever started this; it then closes our input.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "wb")
+    # What a library prints is no answer.
+    os.dup2(2, 1)
+    tasks: SimpleQueue[bytes] = SimpleQueue()
+
+    def listen() -> None:
+        while (data := receive(sys.stdin.buffer)) is not None:
+            tasks.put(data)
+        # Nobody waits for an answer any more, however long it still takes.
+        os._exit(0)
+
+    threading.Thread(target=listen, daemon=True).start()
+    # No site pays for what all of them need.
+    from ..api import calibration, site  # noqa: F401
+
+    send(answers, None)
+    while True:
+        task = msgspec.msgpack.decode(tasks.get(), type=Task)
+        send(answers, done(task, lambda hashed: send(answers, hashed)))
+
+
+if __name__ == "__main__":
+    main()
+
 
 ATTEMPTS = 3
 """How often a site is tried whose process is ended by the system: a machine that is short of memory
@@ -55,20 +122,17 @@ class Reader:
         RetropoleError
             Where no such process can be started.
         """
-        started = time.monotonic()
-        for attempt in range(1, ATTEMPTS + 1):
+        started, attempts = time.monotonic(), 0
+        outcome, why = None, list[tuple[str, str]]()
+        while outcome is None and not why and attempts < ATTEMPTS:
             hashed, outcome, why = self._try(task)
-            if outcome is not None and outcome.run is not None:
-                run = msgspec.structs.replace(outcome.run, attempts=attempt)
-                return msgspec.structs.replace(outcome, run=run)
-            if outcome is not None:
-                return outcome
-            if why:
-                break
-        killed = "killed", f"its process was ended by the system or crashed, {ATTEMPTS} times"
-        code, words = next(iter(why), killed)
-        seconds = time.monotonic() - started
-        return lost(task.site, code, words, hashed, seconds=seconds, attempts=attempt)
+            attempts += 1
+        if outcome is None:
+            killed = "killed", f"its process was ended by the system or crashed, {ATTEMPTS} times"
+            code, words = next(iter(why), killed)
+            outcome = lost(task.site, code, words, hashed, time.monotonic() - started)
+        run = outcome.run and msgspec.structs.replace(outcome.run, attempts=attempts)
+        return msgspec.structs.replace(outcome, run=run)
 
     def _try(self, task: Task) -> tuple[Hashed | None, Outcome | None, list[tuple[str, str]]]:
         """Have the process calibrate it: the outcome, or why it was ended, or neither."""
@@ -91,7 +155,7 @@ class Reader:
         if self._process is not None and self._process.poll() is None:
             return self._process
         self.close()
-        command = [sys.executable, "-m", "retropole.fleet.child"]
+        command = [sys.executable, "-m", "retropole.fleet.process"]
         self._copies = tempfile.mkdtemp(prefix="retropole-", dir=self.folder)
         self._process = subprocess.Popen(
             command,

@@ -43,9 +43,6 @@ ERRORS = {
 }
 """What the code of a row that ended in an error means, in short; docs/fleet.md says more."""
 
-TITLES = {"map": "Map", "far": "Errors at 30 m", "worst": "Worst", "reasons": "Reasons"}
-TITLES |= {"errors": "Errors", "run": "This dataset"}
-
 
 def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: "") -> str:
     """Render what became of a fleet as one HTML page.
@@ -63,15 +60,15 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         The page. It holds its style and code, asks no other address for anything, and works from a
         file. The same dataset gives the same page.
     """
-    parts = {
-        "map": fleet_map(overview.sites),
-        "far": _far(overview),
-        "worst": _worst(overview, link),
-        "reasons": _reasons(overview),
-        "errors": _errors(overview),
-        "run": _dataset(overview),
-    }
-    parts = {name: html for name, html in parts.items() if html}
+    every = (
+        ("map", "Map", fleet_map(overview.sites)),
+        ("far", "Errors at 30 m", _far(overview)),
+        ("worst", "Worst", _worst(overview, link)),
+        ("reasons", "Reasons", _reasons(overview)),
+        ("errors", "Errors", _errors(overview)),
+        ("run", "This dataset", _dataset(overview)),
+    )
+    parts = [part for part in every if part[2]]
     name = printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
     return fill_page(
         "fleet.html",
@@ -81,11 +78,10 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
             "title": escape(name),
             "created": escape(_when(overview)),
             "counts": _counts(overview),
-            "links": "".join(f'<a href="#{part}">{TITLES[part]}</a>' for part in parts),
+            "links": "".join(f'<a href="#{part}">{title}</a>' for part, title, _ in parts),
             "parts": "".join(
-                f'<section aria-labelledby="{part}"><h2 id="{part}">{TITLES[part]}</h2>'
-                f"{html}</section>"
-                for part, html in parts.items()
+                f'<section aria-labelledby="{part}"><h2 id="{part}">{title}</h2>{html}</section>'
+                for part, title, html in parts
             ),
         },
         share_styles(),
@@ -179,11 +175,10 @@ def _far(overview: Overview) -> str:
     errors = overview.errors_at_range
     if not errors:
         return "<p>No site has an answer, so there is no predicted error.</p>"
-    stated = {"least": errors[0]}
-    for level in LEVELS:
-        stated[f"{quantities.percent(level)} have at most"] = _quantile(errors, level)
+    inner = {f"{quantities.percent(level)} have at most": level for level in LEVELS}
     rows = [
-        (what, quantities.error(value)) for what, value in {**stated, "largest": errors[-1]}.items()
+        (what, quantities.error(_quantile(errors, level)))
+        for what, level in {"least": 0.0, **inner, "largest": 1.0}.items()
     ]
     listed = table("Predicted error at 30 m", ("sites with an answer", "1 σ"), rows)
     return (
@@ -197,20 +192,14 @@ def _worst(overview: Overview, link: Callable[[Seen], str]) -> str:
     sites = overview.worst(WORST)
     if not sites:
         return ""
-    rows = [
-        (
-            printable(site.id),
-            site.status,
-            quantities.error(site.sigma_30m_m),
-            printable(", ".join(site.codes)) or quantities.UNKNOWN,
-        )
-        for site in sites
-    ]
+    rows = []
+    for site in sites:
+        codes = printable(", ".join(site.codes)) or quantities.UNKNOWN
+        rows.append((printable(site.id), site.status, quantities.error(site.sigma_30m_m), codes))
     links = [link(site) for site in sites]
     caption = f"The {len(rows)} largest predicted errors"
-    listed = table(
-        caption, ("site", "status", "error at 30 m, 1 σ", "codes"), rows, (1, 3), links=links
-    )
+    header = ("site", "status", "error at 30 m, 1 σ", "codes")
+    listed = table(caption, header, rows, (1, 3), links=links)
     if any(links):
         return listed
     return (
@@ -275,13 +264,9 @@ def _dataset(overview: Overview) -> str:
         # The ten commonest.
         for name, n in sorted(counts.items(), key=lambda each: (-each[1], each[0]))[:10]:
             rows.append((f"{what} ({quantities.counted(n, 'site')})", printable(name)))
-    seconds = sorted(overview.seconds)
-    if seconds:
-        times = {
-            "time of one site, median": _quantile(seconds, 0.5),
-            "time of one site, 95 % at most": _quantile(seconds, 0.95),
-            "time of one site, longest": seconds[-1],
-            "of all together": sum(seconds),
-        }
-        rows += [(what, quantities.duration(value)) for what, value in times.items()]
+    if seconds := sorted(overview.seconds):
+        for what, level in (("median", 0.5), ("95 % at most", 0.95), ("longest", 1.0)):
+            value = quantities.duration(_quantile(seconds, level))
+            rows.append((f"time of one site, {what}", value))
+        rows.append(("of all together", quantities.duration(sum(seconds))))
     return table("What this page shows", ("what", "value"), rows, (1,))

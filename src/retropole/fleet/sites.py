@@ -13,8 +13,8 @@ from msgspec import Meta
 
 from ..base.errors import ReadError, UsageError, quoting
 from ..result import DEFAULT_CONFIG, RunConfig
-from .lists import LISTS, lines_of
 from .storage import absolute, below, exists, folder_of, found_below, is_folder, matching
+from .tables import LISTS, lines_of
 
 Kind = Literal["pair", "site"]
 
@@ -22,7 +22,6 @@ SITE_FILE = ".toml"
 ROLES = ("target", "source")
 """How the recordings of a pair are called in its folder, whatever their suffix."""
 
-LONGEST_ID = 200
 MOST_SITES = 1_000_000
 
 OPTIONS = (
@@ -145,7 +144,9 @@ def _sites_of(place: str, config: RunConfig) -> Iterator[FleetSite]:
     elif place.endswith(SITE_FILE):
         yield FleetSite(id=_id_of(place, posixpath.basename(place)), kind="site", site=place)
     elif place.endswith(LISTS):
-        yield from _in_list(place, config)
+        # Paths in a list count from its folder.
+        for _, name, line in lines_of(place, COLUMNS, "id"):
+            yield _listed(name, folder_of(place), line, config)
     else:
         expected = ", ".join((SITE_FILE, *LISTS))
         raise UsageError(f"{place}: expected a folder, or a file {expected}")
@@ -180,26 +181,6 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
         name = inside or posixpath.basename(folder.rstrip("/"))
         pair = FleetSite(id=name, kind="pair", target=target, source=source, config=config)
         yield msgspec.structs.replace(pair, fault=fault)
-
-
-def _in_list(place: str, config: RunConfig) -> Iterator[FleetSite]:
-    """Take the sites of a CSV or Parquet list; paths in it count from its folder."""
-    for number, line in enumerate(lines_of(place, COLUMNS, "id"), 1):
-        name = str(line.get("id", ""))
-        if fault := id_fault(name):
-            raise ReadError(f"{place}: row {number}, id: {fault}")
-        yield _listed(name, folder_of(place), line, config)
-
-
-def id_fault(name: str) -> str:
-    """Say what is wrong with an id; empty where nothing is. It names a folder of reports."""
-    sound = len(name) <= LONGEST_ID and name.isprintable() and "\\" not in name
-    if sound and not any(part.strip() in ("", ".", "..") for part in name.split("/")):
-        return ""
-    return (
-        f"{quoting(name)!r}, expected a name of at most {LONGEST_ID} printable characters; "
-        "parts between / are not empty and no dots"
-    )
 
 
 def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig) -> FleetSite:

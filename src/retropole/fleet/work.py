@@ -6,11 +6,11 @@ import hashlib
 import platform
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,13 +19,38 @@ import msgspec
 from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable, quoting
 from ..base.files import LARGEST_DOCUMENT
 from ..base.version import __version__
+from ..result import ResultDoc
 from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
-from .answers import answered, document_of
-from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step
-from .history.task import Check
+from ..result.site import SiteDoc
+from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered, document_of
 from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
 from .storage import below, is_url, read_bytes, write_bytes
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """What a site is held against.
+
+    Attributes
+    ----------
+    tolerance
+        Movement that matters, rad and m; None for as little as the data tell.
+    tried
+        When the run began: the time of a site whose recordings tell none.
+    document
+        The stored result itself; None where it is at the place that the site names.
+    lidars
+        Target and source by their names, of the stored result of a site; None of a pair.
+    known
+        Keys of the checks that the history has: these are not done again.
+    """
+
+    tolerance: tuple[float | None, float | None]
+    tried: datetime
+    document: str | None = None
+    lidars: tuple[str, str] | None = None
+    known: list[str] = []
+
 
 if TYPE_CHECKING:
     from ..api.result import CalibrationResult
@@ -76,16 +101,17 @@ class Outcome(msgspec.Struct, frozen=True, tag=True):
     check: dict[str, Any] | None = None
 
 
+def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
+    """Make the task of a site, to be done by a worker that computes as whoever asks does."""
+    return Task(site=site, time_limit=time_limit, environment=environment(), **given)
+
+
 @cache
 def environment() -> str:
     """Name what the numbers of an answer depend on, beside its inputs."""
-    named = [f"retropole {__version__}"]
-    for name in ("numpy", "scipy", "small_gicp"):
-        try:
-            named.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            named.append(name)
-    return ", ".join([*named, f"Python {platform.python_version()}", platform.machine()])
+    libraries = (f"{name} {version(name)}" for name in ("numpy", "scipy", "small_gicp"))
+    python = f"Python {platform.python_version()}"
+    return ", ".join([f"retropole {__version__}", *libraries, python, platform.machine()])
 
 
 def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
@@ -103,26 +129,24 @@ def answer(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> 
     Outcome
         With a row, whatever happens.
     """
+    import psutil
+
     start = time.perf_counter()
-    hashed: list[Hashed] = []
-
-    def note(found: Hashed) -> None:
-        hashed.append(found)
-        tell(found)
-
-    seconds: Mapping[str, float] = {}
+    hashed: Hashed | None = None
+    steps: Mapping[str, float] = {}
     try:
         with local_files(task.site) as local:
-            done = _calibrated(task, local, note)
-        if done is None:
-            return Outcome(task.site.id)
-        row, seconds = done
+            hashed = _hashed(task.site, local)
+            tell(hashed)
+            if hashed.key == task.known and _is_reported(task, hashed):
+                return Outcome(task.site.id)
+            row, steps = _calibrated(task, local, hashed)
     except Refusal as error:
-        row = failed(task.site, "refused", error.code, error.message, *hashed)
+        row = failed(task.site, "refused", error.code, error.message, hashed)
     except Exception as error:
-        row = failed(task.site, "error", *code_of(error), *hashed)
-    steps = [Step(name, value) for name, value in seconds.items()]
-    return Outcome(task.site.id, row, _run(row, time.perf_counter() - start, steps, _memory()))
+        row = failed(task.site, "error", *code_of(error), hashed)
+    memory = int(psutil.Process().memory_info().rss)
+    return Outcome(task.site.id, row, _run(row, time.perf_counter() - start, steps, memory))
 
 
 def code_of(error: Exception) -> tuple[str, str]:
@@ -165,22 +189,14 @@ def _row(site: FleetSite, hashed: Hashed | None, **columns: Any) -> Row:
 
 
 def lost(
-    site: FleetSite,
-    code: str,
-    message: str,
-    hashed: Hashed | None = None,
-    *,
-    seconds: float = 0.0,
-    attempts: int = 1,
+    site: FleetSite, code: str, message: str, hashed: Hashed | None = None, seconds: float = 0.0
 ) -> Outcome:
     """Make the outcome of a site whose process or worker never answered."""
     row = failed(site, "error", code, message, hashed)
-    return Outcome(site.id, row, _run(row, seconds, attempts=attempts))
+    return Outcome(site.id, row, _run(row, seconds, {}, 0))
 
 
-def _run(
-    row: Row, seconds: float, steps: Sequence[Step] = (), memory: int = 0, attempts: int = 1
-) -> Run:
+def _run(row: Row, seconds: float, steps: Mapping[str, float], memory: int) -> Run:
     """Say how a row came about that is done now."""
     started = datetime.now(UTC) - timedelta(seconds=seconds)
     return Run(
@@ -188,41 +204,36 @@ def _run(
         key=row.key,
         started=started.isoformat(timespec="milliseconds"),
         seconds=seconds,
-        steps=list(steps),
+        steps=[Step(name, value) for name, value in steps.items()],
         host=socket.gethostname(),
         memory_bytes=memory,
-        attempts=attempts,
     )
 
 
-def _calibrated(
-    task: Task, local: LocalFiles, tell: Callable[[Hashed], None]
-) -> tuple[Row, Mapping[str, float]] | None:
-    """Hash the inputs and, where the row is of others, calibrate them."""
-    site = task.site
+def _hashed(site: FleetSite, local: LocalFiles) -> Hashed:
+    """Hash the inputs, and with them all that a row follows from: files, settings, version."""
     site_sha256 = None if local.site is None else hash_of(local.site)
     inputs = local.inputs()
-    hashed = Hashed(_key(site, site_sha256, inputs, local.metadata()), inputs, site_sha256)
-    tell(hashed)
-    if hashed.key == task.known and (
-        task.reports is None or _is_reported(below(task.reports, site.id), site, inputs)
-    ):
-        return None
-    result = _result(site, local)
-    if [each.sha256 for each in result.document.inputs] != [each.sha256 for each in inputs]:
+    site = msgspec.structs.replace(site, result="", time="")
+    parts = [FLEET_SCHEMA, __version__, site, site_sha256, inputs, local.metadata()]
+    key = hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+    return Hashed(key, inputs, site_sha256)
+
+
+def _calibrated(task: Task, local: LocalFiles, hashed: Hashed) -> tuple[Row, Mapping[str, float]]:
+    """Calibrate, and report where that is asked for; gives the time of each step too."""
+    site, result = task.site, _result(task.site, local)
+    if not _is_of(result.document, hashed):
         raise ReadError(f"{site.id}: a recording changed while it was read")
     if task.reports is not None:
         _report(result, below(task.reports, site.id), local.folder / "report")
-    return _row(site, hashed, **answered(site, result.document, inputs)), result.document.seconds
+    columns = answered(site, result.document, hashed.inputs)
+    return _row(site, hashed, **columns), result.document.seconds
 
 
-def _key(
-    site: FleetSite, site_sha256: str | None, inputs: Sequence[InputEntry], metadata: Sequence[str]
-) -> str:
-    """Hash all that a row follows from: files, settings, version."""
-    site = msgspec.structs.replace(site, result="", time="")
-    parts = [FLEET_SCHEMA, __version__, site, site_sha256, inputs, metadata]
-    return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+def _is_of(document: ResultDoc | SiteDoc, hashed: Hashed) -> bool:
+    """Whether a result is of these inputs."""
+    return [each.sha256 for each in document.inputs] == [each.sha256 for each in hashed.inputs]
 
 
 def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResult:
@@ -231,10 +242,10 @@ def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResul
         from ..api.site import calibrate_site
 
         of_site = calibrate_site(local.site)
-        config = of_site.document.config
+        document, config = of_site.document, of_site.document.config
         config = msgspec.structs.replace(config, site_file=local.renamed(config.site_file))
-        recordings = local.named(of_site.document.inputs)
-        document = msgspec.structs.replace(of_site.document, inputs=recordings, config=config)
+        recordings = local.named(document.inputs)
+        document = msgspec.structs.replace(document, inputs=recordings, config=config)
         return replace(of_site, document=document)
     from ..api.calibration import calibrate_with
 
@@ -253,19 +264,14 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
         write_bytes(below(place, path.name), path.read_bytes())
 
 
-def _is_reported(folder: str, site: FleetSite, inputs: Sequence[InputEntry]) -> bool:
-    """Whether a folder has the result of these inputs."""
-    place = below(folder, RESULT_FILE if site.kind == "pair" else SITE_RESULT_FILE)
+def _is_reported(task: Task, hashed: Hashed) -> bool:
+    """Whether the result of these inputs is in its folder, or none is asked for."""
+    if task.reports is None:
+        return True
+    name = RESULT_FILE if task.site.kind == "pair" else SITE_RESULT_FILE
+    place = below(below(task.reports, task.site.id), name)
     try:
-        document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), site.kind)
+        document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), task.site.kind)
     except (ReadError, UnicodeDecodeError):
         return False
-    same = [each.sha256 for each in document.inputs] == [each.sha256 for each in inputs]
-    return same and document.version == __version__
-
-
-def _memory() -> int:
-    """Bytes that this process holds."""
-    import psutil
-
-    return int(psutil.Process().memory_info().rss)
+    return _is_of(document, hashed) and document.version == __version__

@@ -1,15 +1,13 @@
 """Simulated pairs and sites whose true poses are known."""
 
-from .devices import Device, draw_device
-from .noise import EXACT, FIELD, NOISE_MODELS, TYPICAL, NoiseModel
+from .devices import EXACT, FIELD, NOISE_MODELS, TYPICAL, Device, NoiseModel, draw_device
 from .pairs import SCENES, place_again, record_again, simulate_pair
 from .raycast import Box, Cylinder, Material, Rectangle, Surface
 from .recording import SimulatedPair, SimulationError
 from .scanning import LabelledScan, scan
 from .site_survey import Survey
-from .site_writing import write_site
 from .sites import SITES, SimulatedSite, simulate_site
-from .writing import write_pair
+from .writing import write_pair, write_site
 
 __all__ = [
     "EXACT",

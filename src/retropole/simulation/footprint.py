@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.sensors import Sensor
-from .noise import Footprint
+from .devices import Footprint
 from .raycast import Hits, Surface, cast
 
 SUB_RAYS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])

@@ -10,8 +10,7 @@ from ..base.errors import UsageError
 from ..base.sensors import find_sensor
 from . import paper
 from .arrangement import draw_lidar, draw_poles, rotated_by_180, symmetric_poles
-from .devices import draw_device
-from .noise import TYPICAL, NoiseModel
+from .devices import TYPICAL, NoiseModel, draw_device
 from .raycast import Cylinder
 from .recording import (
     MIN_RETURNS,

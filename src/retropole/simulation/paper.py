@@ -8,7 +8,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
-from .noise import EXACT
+from .devices import EXACT
 from .raycast import Cylinder
 from .scenes import TAPE
 

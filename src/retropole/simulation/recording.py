@@ -13,9 +13,8 @@ from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import RetropoleError
 from ..base.sensors import Sensor
 from . import paper
-from .devices import Device
+from .devices import Device, NoiseModel
 from .environment import DELAY, draw_movers
-from .noise import NoiseModel
 from .raycast import Cylinder, Surface, cast
 from .scanning import SWEEP_SECONDS, LabelledScan, beams, scan
 
@@ -194,22 +193,14 @@ def record_in_turn(
     starts = np.cumsum([0.0, *waits])
     until = float(starts[-1]) + frames * SWEEP_SECONDS
     movers = draw_movers(noise.movers, reach, [pose[:3, 3] for pose in poses], until, for_movers)
-    return tuple(
-        scan(
-            scene,
-            sensor,
-            pose,
-            own,
-            noise,
-            frames,
-            device=device,
-            movers=movers,
-            start=float(start),
+    scans = []
+    in_turn = zip(scenes, sensors, poses, each, devices, starts.tolist(), strict=True)
+    for scene, sensor, pose, own, device, start in in_turn:
+        one = scan(
+            scene, sensor, pose, own, noise, frames, device=device, movers=movers, start=start
         )
-        for scene, sensor, pose, own, device, start in zip(
-            scenes, sensors, poses, each, devices, starts, strict=True
-        )
-    )
+        scans.append(one)
+    return tuple(scans)
 
 
 def record(at: Arrangement, recorders: Recorders, rng: np.random.Generator) -> SimulatedPair:

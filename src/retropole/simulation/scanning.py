@@ -10,12 +10,10 @@ import numpy as np
 
 from ..base.datatypes import Array, IntArray, PointCloud
 from ..base.sensors import Sensor
-from .devices import Device, draw_device
+from .devices import TYPICAL, Device, NoiseModel, draw_device
 from .environment import Mover, draw_sway, is_ground, wet_loss
 from .footprint import Materials, report
-from .glow import Echoes, with_glow
-from .intensity import intensities
-from .noise import TYPICAL, NoiseModel
+from .intensity import Echoes, intensities, with_glow
 from .raycast import Surface, cast
 
 SWEEP_SECONDS = 0.1
@@ -66,11 +64,8 @@ def beams(sensor: Sensor, rng: np.random.Generator) -> Sweep:
         start = rng.uniform(0, sensor.azimuth_step)
         azimuths = start + np.arange(count) * (2 * np.pi / count)
         up, level = np.sin(sensor.elevations), np.cos(sensor.elevations)
-        grid = np.empty((count, len(up), 3))
-        grid[:, :, 0] = np.cos(azimuths)[:, None] * level
-        grid[:, :, 1] = np.sin(azimuths)[:, None] * level
-        grid[:, :, 2] = up
-        rays = grid.reshape(-1, 3)
+        x, y = np.cos(azimuths)[:, None] * level, np.sin(azimuths)[:, None] * level
+        rays = np.stack(np.broadcast_arrays(x, y, up), axis=-1).reshape(-1, 3)
         ring = np.tile(np.arange(len(sensor.elevations)), count)
         time = np.repeat(np.arange(count) * (SWEEP_SECONDS / count), len(sensor.elevations))
     else:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from ..base.datatypes import Array
 from ..base.sensors import Sensor
@@ -14,8 +15,28 @@ from .arrangement import draw_poles, symmetric_poles
 from .pairs import MAX_POLE_ANGLE, MIN_POLE_ANGLE
 from .raycast import Cylinder
 from .recording import SimulationError, poles_in_view
-from .site_graph import Seen, groups_of
 from .site_places import PLACES, SitePlace, is_free, stands_free
+
+Seen = tuple[tuple[tuple[bool, ...], ...], ...]
+"""``seen[placement][lidar][pole]``."""
+
+LINKING_POLES = 2
+"""Poles of one placement that two LiDARs share when they are linked: fewer determine no pose."""
+
+
+def groups_of(seen: Sequence[Sequence[Sequence[bool]]], lidars: int) -> list[tuple[int, ...]]:
+    """LiDARs that are linked with each other, directly or through others."""
+    linked = np.zeros((lidars, lidars), dtype=bool)
+    for placement in np.array(seen, dtype=np.int64) if len(seen) else ():
+        linked |= placement @ placement.T >= LINKING_POLES
+    count, group = connected_components(linked, directed=False)
+    return [tuple(np.flatnonzero(group == k).tolist()) for k in range(count)]
+
+
+def are_linked(seen: Sequence[Sequence[Sequence[bool]]], lidars: int) -> bool:
+    """Whether all LiDARs are in one group."""
+    return len(groups_of(seen, lidars)) == 1
+
 
 SHARED_RETURNS = 9
 """Two LiDARs that are to be linked see a pole with so many returns of thin beams or more: half

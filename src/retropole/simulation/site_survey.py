@@ -61,24 +61,16 @@ def draw_survey(
     """Survey a site: what is true, and what is stated, with errors drawn by their σ."""
     if survey is None:
         return ((), ()), ((), ())
-    true = tuple(
-        SurveyedPole(
-            f"P{p + 1}-{k + 1}",
-            p,
-            pole.centre - pole.axis * pole.length / 2,
-            pole.centre + pole.axis * pole.length / 2,
-            survey.sigma,
-        )
-        for p in survey.placements
-        for k, pole in enumerate(poles[p])
-    )
     for_poles, for_places, for_points = rng.spawn(3)
-    stated = []
-    for pole in true:
-        assert pole.foot is not None
-        assert pole.top is not None
-        foot, top = for_poles.normal(0, survey.sigma, (2, 3))
-        stated.append(replace(pole, foot=pole.foot + foot, top=pole.top + top))
+    true, stated = [], []
+    standing = [(p, k, pole) for p in survey.placements for k, pole in enumerate(poles[p])]
+    for p, k, pole in standing:
+        name = f"P{p + 1}-{k + 1}"
+        half = pole.axis * pole.length / 2
+        foot, top = pole.centre - half, pole.centre + half
+        errors = for_poles.normal(0, survey.sigma, (2, 3))
+        true.append(SurveyedPole(name, p, foot, top, survey.sigma))
+        stated.append(SurveyedPole(name, p, foot + errors[0], top + errors[1], survey.sigma))
     points = _points(survey, place, sensors, for_places)
     seen = [
         replace(
@@ -90,7 +82,7 @@ def draw_survey(
         )
         for point in points
     ]
-    return (true, points), (tuple(stated), tuple(seen))
+    return (tuple(true), points), (tuple(stated), tuple(seen))
 
 
 def _points(

@@ -11,13 +11,11 @@ from ..base.datatypes import DEFAULT_RADIUS, MAX_POLES, Array, IntArray, PointCl
 from ..base.errors import UsageError
 from ..base.sensors import Sensor, find_sensor
 from ..site.description import ControlPoint, Frame, Site, SiteLidar, SurveyedPole
-from .devices import Device, draw_device
-from .noise import TYPICAL, NoiseModel
+from .devices import TYPICAL, Device, NoiseModel, draw_device
 from .raycast import Cylinder, Surface
 from .recording import Recorders, SimulationError, is_seen, record_in_turn
 from .scanning import LabelledScan
-from .site_arrangement import Arrangement, arrange
-from .site_graph import Seen, are_linked
+from .site_arrangement import Arrangement, Seen, are_linked, arrange
 from .site_places import PLACES
 from .site_survey import Survey, draw_survey
 

@@ -1,17 +1,22 @@
-"""Simulated pairs as files that the command line reads."""
+"""Simulated pairs and sites as files that the command line reads, and the truth about them."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
+from itertools import compress
 from pathlib import Path
 from typing import Any
+
+import msgspec
+import numpy as np
 
 from ..base.files import write_together
 from ..io.pcd import pcd_of
 from .raycast import Cylinder
 from .recording import SimulatedPair
+from .sites import SimulatedSite
 
 
 def write_pair(pair: SimulatedPair, out: Path) -> None:
@@ -19,27 +24,24 @@ def write_pair(pair: SimulatedPair, out: Path) -> None:
 
     The three are never of two runs.
     """
+    target, source = pair.devices
     truth = {
-        "T_target_source": pair.T_target_source.tolist(),
-        "T_world_target": pair.T_world_target.tolist(),
-        "T_world_source": pair.T_world_source.tolist(),
+        "T_target_source": pair.T_target_source,
+        "T_world_target": pair.T_world_target,
+        "T_world_source": pair.T_world_source,
         "target": "lidar0.pcd",
         "source": "lidar1.pcd",
         "sensors": [sensor.name for sensor in pair.sensors],
         "noise": asdict(pair.noise),
-        "devices": {
-            role: device.as_dict()
-            for role, device in zip(("target", "source"), pair.devices, strict=True)
-        },
+        "devices": {"target": target.as_dict(), "source": source.as_dict()},
         "poles": truth_of_poles(pair.poles, pair.returns_on_poles),
     }
-    write_together(
-        {
-            out / "truth.json": json.dumps(truth, indent=1).encode() + b"\n",
-            out / "lidar0.pcd": pcd_of(pair.target),
-            out / "lidar1.pcd": pcd_of(pair.source),
-        }
-    )
+    clouds = {out / "lidar0.pcd": pcd_of(pair.target), out / "lidar1.pcd": pcd_of(pair.source)}
+    write_together({out / "truth.json": _json(truth), **clouds})
+
+
+def _json(truth: Mapping[str, Any]) -> bytes:
+    return json.dumps(truth, indent=1, default=np.ndarray.tolist).encode() + b"\n"
 
 
 def truth_of_pole(pole: Cylinder) -> dict[str, Any]:
@@ -68,3 +70,99 @@ def truth_of_poles(
         {**truth_of_pole(pole), "returns_target": target, "returns_source": source}
         for pole, (target, source) in zip(poles, returns, strict=True)
     ]
+
+
+def write_site(site: SimulatedSite, out: Path, more: Mapping[str, Any] | None = None) -> None:
+    """Write ``truth.json``, ``site.toml`` and ``LIDAR_PLACEMENT.pcd`` of each recording.
+
+    They are never of two runs.
+
+    Parameters
+    ----------
+    site
+        What was simulated.
+    out
+        A folder.
+    more
+        What else ``truth.json`` says.
+    """
+    recordings = {
+        out / _file(site, lidar, placement): pcd_of(cloud)
+        for lidar, own in enumerate(site.clouds)
+        for placement, cloud in enumerate(own)
+        if cloud is not None
+    }
+    truth = _json({**_truth(site), **(more or {})})
+    site_file = _site_file(site).encode()
+    write_together({out / "truth.json": truth, out / "site.toml": site_file, **recordings})
+
+
+def _file(site: SimulatedSite, lidar: int, placement: int) -> str:
+    """Name of the file of a recording; empty where there is none."""
+    if site.clouds[lidar][placement] is None:
+        return ""
+    return f"{site.names[lidar]}_{site.placements[placement]}.pcd"
+
+
+def _truth(site: SimulatedSite) -> dict[str, Any]:
+    lidars = zip(site.names, site.sensors, site.T_world_lidar, site.devices, strict=True)
+    placements = zip(site.placements, site.poles, site.seen, strict=True)
+    return {
+        "kind": site.kind,
+        "lidars": [
+            {"name": name, "sensor": sensor.name, "T_world_lidar": T, "device": device.as_dict()}
+            for name, sensor, T, device in lidars
+        ],
+        "placements": [
+            {
+                "name": name,
+                "poles": [
+                    {**truth_of_pole(pole), "seen_by": [*compress(site.names, by)]}
+                    for pole, by in zip(poles, zip(*seen, strict=True), strict=True)
+                ],
+            }
+            for name, poles, seen in placements
+        ],
+        "surveyed": {
+            pole.name: {"foot_m": pole.foot, "top_m": pole.top} for pole in site.true_surveyed
+        },
+        "control_points": {point.name: point.at for point in site.true_points},
+        "noise": asdict(site.noise),
+    }
+
+
+def _site_file(site: SimulatedSite) -> str:
+    """Give the site file as TOML: strings of JSON are strings of TOML, and numbers are numbers."""
+    surveyed = bool(site.surveyed or site.points)
+    tables: list[tuple[str, dict[str, Any]]] = [
+        ("\n[poles]", {"radius_m": site.radius}),
+        ("\n[reference]", {"frame": "local"} if surveyed else {"lidar": site.names[0]}),
+    ]
+    for k, (name, sensor) in enumerate(zip(site.names, site.sensors, strict=True)):
+        recordings = [_file(site, k, p) for p in range(len(site.placements))]
+        lidar = {"name": name, "sensor": sensor.name, "recordings": recordings}
+        tables.append(("\n[[lidar]]", lidar))
+    for pole in site.surveyed:
+        named = {"placement": site.placements[pole.placement]}
+        tables.append(("\n[[surveyed_pole]]", {**_plain(pole), **named}))
+    for point in site.points:
+        keys = _plain(point)
+        seen = keys.pop("seen")
+        tables.append(("\n[[control_point]]", keys))
+        for own in seen:
+            named = {"lidar": site.names[own["lidar"]]}
+            tables.append(("[[control_point.seen]]", {**own, **named}))
+    lines = _keys({"name": f"simulated {site.kind}", "placements": site.placements})
+    for head, keys in tables:
+        lines += [head, *_keys(keys)]
+    return "\n".join(lines) + "\n"
+
+
+def _plain(surveyed: msgspec.Struct) -> dict[str, Any]:
+    """Give what was surveyed by the names that it has in a site file."""
+    keys: dict[str, Any] = msgspec.to_builtins(surveyed, enc_hook=np.ndarray.tolist)
+    return keys
+
+
+def _keys(values: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {json.dumps(value)}" for key, value in values.items()]

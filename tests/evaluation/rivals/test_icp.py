@@ -8,8 +8,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud, PoseEstimate
 from retropole.base.errors import Refusal
-from retropole.evaluation.rivals.icp import gicp, icp
-from retropole.evaluation.rivals.registration import register_clouds
+from retropole.evaluation.rivals.registration import gicp, icp, register_clouds
 from retropole.simulation import SimulatedPair, simulate_pair
 
 Method = Callable[[PointCloud, PointCloud, np.random.Generator], PoseEstimate]

@@ -7,7 +7,7 @@ import numpy as np
 
 from retropole.base.datatypes import Array
 from retropole.fleet.history.model import Observed
-from retropole.fleet.history.rows import CheckRow
+from retropole.fleet.history.store import CheckRow
 
 SIGMA = np.repeat([np.radians(0.01), 0.002], 3)
 RANDOM = np.diag(SIGMA**2)

@@ -9,11 +9,10 @@ import pytest
 
 from retropole.fleet.dataset import Row, partition_of, read_rows
 from retropole.fleet.history.check import check_site, lost_check
-from retropole.fleet.history.rows import CheckRow, row_of
-from retropole.fleet.history.task import Check
+from retropole.fleet.history.store import CheckRow, row_of
 from retropole.fleet.process import Reader
 from retropole.fleet.sites import FleetSite, find_sites
-from retropole.fleet.work import Hashed, Task, environment, failed
+from retropole.fleet.work import Check, Hashed, Task, environment, failed
 
 TRIED = datetime(2026, 11, 2, 4, 0, tzinfo=UTC)
 CHECK = Check(tolerance=(0.005, 0.03), tried=TRIED)

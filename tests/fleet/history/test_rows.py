@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import ReadError
-from retropole.fleet.history.rows import observed, plain, row_of
+from retropole.fleet.history.store import observed, plain, row_of
 from tests.fleet.history.checks import COMMON, row
 
 

@@ -5,9 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from retropole.fleet.history.check import check_site
-from retropole.fleet.history.rows import row_of
-from retropole.fleet.history.site_pairs import watched_pairs
+from retropole.fleet.history.check import check_site, watched_pairs
+from retropole.fleet.history.store import row_of
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.result import encode
 from tests.api.site_files import write_site

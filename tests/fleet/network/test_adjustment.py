@@ -3,13 +3,12 @@ import numpy as np
 from retropole.base import se3
 from retropole.fleet.network.adjustment import (
     AdjustedNetwork,
+    Model,
     adjust,
     find_layout,
     normal_equations,
 )
-from retropole.fleet.network.components import find_components
-from retropole.fleet.network.graph import Graph
-from retropole.fleet.network.residuals import Model
+from retropole.fleet.network.graph import Graph, find_components
 from tests.fleet.network.networks import city, dense, ladder
 
 

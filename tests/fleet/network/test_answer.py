@@ -5,9 +5,8 @@ from pathlib import Path
 from pyarrow import parquet as pq
 
 from retropole.fleet.network.answer import name_of, write_network
-from retropole.fleet.network.dataset import find_network
+from retropole.fleet.network.dataset import find_network, read_nodes
 from retropole.fleet.network.network import adjust_network
-from retropole.fleet.network.nodes import read_nodes
 from tests.fleet.network.made_up_fleet import write_made_up_fleet
 
 

@@ -3,8 +3,13 @@ from dataclasses import replace
 import numpy as np
 
 from retropole.base.datatypes import Array
-from retropole.fleet.network.components import connected, find_components
-from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses
+from retropole.fleet.network.graph import (
+    ControlPoints,
+    Graph,
+    KnownPoses,
+    connected,
+    find_components,
+)
 from tests.fleet.network.networks import ladder
 
 

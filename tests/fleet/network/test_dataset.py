@@ -10,9 +10,8 @@ from retropole.api.site import SiteResult
 from retropole.base import se3
 from retropole.base.errors import ReadError
 from retropole.fleet.dataset import LidarEntry, Row
-from retropole.fleet.network.dataset import NotUsed, find_network
+from retropole.fleet.network.dataset import NotUsed, find_network, read_nodes
 from retropole.fleet.network.network import adjust_network
-from retropole.fleet.network.nodes import read_nodes
 from retropole.result import encode
 from tests.export.sites import free
 from tests.fleet.answered import SIGMA, answered_pair, write_answers

@@ -5,9 +5,8 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
-from retropole.fleet.network.components import find_components
-from retropole.fleet.network.doubtful import agrees, hanging, inseparable, outvoted, relaid
-from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses
+from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses, find_components
+from retropole.fleet.network.snooping import agrees, hanging, inseparable, outvoted, relaid
 from tests.fleet.network.networks import network_of, spoiled
 
 ENDS = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 1], [4, 5]])

@@ -7,7 +7,7 @@ import pytest
 from pyarrow import parquet as pq
 
 from retropole.base.errors import ReadError, UsageError
-from retropole.fleet.network.nodes import read_nodes
+from retropole.fleet.network.dataset import read_nodes
 
 HEAD = "node,site,lidar,x_m,y_m,z_m,sigma_m,seen_x_m\n"
 

@@ -5,8 +5,8 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.fleet.network.adjustment import Model
 from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses
-from retropole.fleet.network.residuals import Model
 from tests.fleet.network.networks import city
 from tests.numeric import numeric_jacobian
 

@@ -1,9 +1,8 @@
 import numpy as np
 
 from retropole.base import se3
-from retropole.fleet.network.adjustment import find_layout
+from retropole.fleet.network.adjustment import Model, find_layout
 from retropole.fleet.network.graph import Graph
-from retropole.fleet.network.residuals import Model
 from retropole.fleet.network.snooping import Snooped, snoop, worst_around
 from tests.fleet.network.networks import city, ladder, network_of, spoiled
 

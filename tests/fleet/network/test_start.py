@@ -1,8 +1,7 @@
 import numpy as np
 
 from retropole.base import se3
-from retropole.fleet.network.adjustment import find_layout
-from retropole.fleet.network.residuals import Model
+from retropole.fleet.network.adjustment import Model, find_layout
 from retropole.fleet.network.start import find_start, narrowed
 from retropole.fleet.network.testing import critical
 from tests.fleet.network.networks import city

@@ -3,10 +3,8 @@ from scipy.special import chdtri
 from scipy.stats import ncx2
 
 from retropole.base import se3
-from retropole.fleet.network.adjustment import adjust, find_layout
-from retropole.fleet.network.components import find_components
-from retropole.fleet.network.graph import Graph
-from retropole.fleet.network.residuals import Model
+from retropole.fleet.network.adjustment import Model, adjust, find_layout
+from retropole.fleet.network.graph import Graph, find_components
 from retropole.fleet.network.testing import (
     POWER,
     SIGNIFICANT,

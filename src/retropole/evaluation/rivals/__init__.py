@@ -56,12 +56,18 @@ class Rival(NamedTuple):
 
 RIVALS: dict[str, Rival] = {
     "planes": Rival("planar surfaces (Jiao et al. 2019)", "planes:planar_surfaces"),
-    "icp": Rival("point-to-point ICP from the identity", "icp:icp"),
-    "gicp": Rival("plane-to-plane ICP from the identity", "icp:gicp"),
+    "icp": Rival("point-to-point ICP from the identity", "registration:icp"),
+    "gicp": Rival("plane-to-plane ICP from the identity", "registration:gicp"),
     "kiss": Rival("KISS-Matcher, then GICP", "kiss:kiss_matcher", Extra("kiss", "kiss_matcher")),
     "fpfh": Rival("FPFH with RANSAC, then GICP", "fpfh:fpfh_ransac", Extra("open3d", "open3d")),
 }
 """Every rival by its name."""
+
+OURS = {"poles": "retropole, the poles alone", "poles+scene": "retropole, poles and scene"}
+"""Our own methods, and what each is."""
+
+ALL_METHODS: tuple[str, ...] = (*OURS, *RIVALS)
+"""Our own, then the rivals: all that `comparison.compare` runs."""
 
 
 def load_rival(name: str) -> Method:

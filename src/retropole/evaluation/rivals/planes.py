@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -123,7 +124,8 @@ def planar_surfaces(
         # A candidate that has not converged is still scored: it only has to point to the answer,
         # which is refined again, on all points.
         found = refine(samples[0], samples[1], T)
-        if found is not None and not _is_known(found, refined):
+        known = np.array([each.pose.T_target_source for each in refined]).reshape(-1, 4, 4)
+        if found is not None and not _alike(known, found.pose.T_target_source).any():
             refined.append(found)
     if not refined:
         raise Refusal(
@@ -168,12 +170,6 @@ def _alike(poses: Array, T: Array) -> BoolArray:
     return np.asarray(near & ((trace - 1) / 2 > np.cos(ALIKE[0])))
 
 
-def _is_known(refined: RefinedPose, others: Sequence[RefinedPose]) -> bool:
-    """Whether a pose is the same candidate as any of others."""
-    poses = np.array([other.pose.T_target_source for other in others]).reshape(-1, 4, 4)
-    return bool(_alike(poses, refined.pose.T_target_source).any())
-
-
 def _different(poses: Array, rank: Array) -> list[Array]:
     """The `MAX_SCORED_POSES` best ranked poses of which no two are alike."""
     kept: list[Array] = []
@@ -196,7 +192,9 @@ def _best(scored: Sequence[ScoredPose]) -> RefinedPose:
     """Give the best pose, or refuse where it is not good, or not better than all others."""
     best, *others = sorted(scored, key=lambda s: -s.score)
     T = best.refined.pose.T_target_source
-    rivals = [s for s in others if _is_different(T, s.refined.pose.T_target_source)]
+    apart = [se3.difference(T, each.refined.pose.T_target_source) for each in others]
+    different = np.any(np.reshape(apart, (-1, 2)) >= np.array(DIFFERENT_POSE), axis=1)
+    rivals = [*compress(others, different)]
     if best.score < MIN_PLANES_SCORE:
         raise Refusal(
             "no_overlap",
@@ -216,9 +214,3 @@ def _best(scored: Sequence[ScoredPose]) -> RefinedPose:
             {"score": best.score, "runner_up": rivals[0].score, "needed": MIN_PLANES_MARGIN},
         )
     return best.refined
-
-
-def _is_different(T: Array, other: Array) -> bool:
-    """Whether two poses (4, 4) are different answers."""
-    apart = se3.difference(T, other)
-    return not (apart.rotation < DIFFERENT_POSE[0] and apart.translation < DIFFERENT_POSE[1])

@@ -1,4 +1,9 @@
-"""Registration of whole clouds from given starts: what every rival but the planar one ends with."""
+"""Registration of whole clouds from given starts: what every rival but the planar one ends with.
+
+From the identity, as if the two frames were one, it is a rival of its own: ICP point to point (Besl
+and McKay 1992), the other rival of Xue et al. 2019, Table IV; and plane to plane (Segal, Haehnel
+and Thrun 2009).
+"""
 
 from __future__ import annotations
 
@@ -123,3 +128,48 @@ def _refined(
             threads=CORES,
         )
     return end
+
+
+ICP_CORRESPONDENCE_DISTANCES = (3.0, 1.0, 0.3)
+"""Largest distances of corresponding points, one after the other, metres (chosen: from the error
+of a bad start to that of a good one)."""
+
+
+def icp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
+    """Register two clouds by point-to-point ICP.
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+    rng
+        Not used: nothing is drawn.
+
+    Raises
+    ------
+    Refusal
+        As `register_clouds`.
+    """
+    distances = ICP_CORRESPONDENCE_DISTANCES
+    return register_clouds(
+        target, source, [np.eye(4)], method="ICP", max_correspondence_distances=distances
+    )
+
+
+def gicp(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
+    """Register two clouds by GICP (small_gicp).
+
+    Parameters
+    ----------
+    target, source
+        Clouds, each in its own frame. Intensities are not used.
+    rng
+        Not used: nothing is drawn.
+
+    Raises
+    ------
+    Refusal
+        As `register_clouds`.
+    """
+    distances = ICP_CORRESPONDENCE_DISTANCES
+    return register_clouds(target, source, [np.eye(4)], max_correspondence_distances=distances)

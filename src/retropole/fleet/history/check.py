@@ -1,25 +1,153 @@
-"""The drift check of one site as a row. Nothing that can be wrong with it ends more than itself."""
+"""What is watched, and the drift check of one pair as a row.
+
+Of a site of many LiDARs each pair is watched by itself. Nothing that can be wrong with one ends
+more than itself.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ...base.errors import ReadError, Refusal, quoting
+import msgspec
+
+from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
+from ...base.errors import ReadError, Refusal, RetropoleError, quoting
 from ...base.files import LARGEST_DOCUMENT, read_document
 from ...base.version import __version__
-from ...result.folder import RESULT_FILE, result_file
+from ...result import RunConfig
+from ...result.decoding import decode_site
+from ...result.folder import RESULT_FILE, SITE_RESULT_FILE, result_file
+from ...result.site import SiteDoc
 from ..dataset import Row
 from ..local import LocalFiles, local_files
-from ..sites import FleetSite
+from ..sites import ROLES, FleetSite
 from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, written
-from ..work import Hashed, code_of
-from .rows import CheckRow, plain
-from .task import Check
+from ..work import Check, Hashed, code_of
+from .store import CheckRow, plain
+
+
+@dataclass(frozen=True)
+class WatchedPair:
+    """A pair to watch.
+
+    Attributes
+    ----------
+    site
+        The pair as it is checked; what is wrong with it is its `fault`.
+    origin
+        Id of the site that it is of: its own, or that of a site of many LiDARs.
+    lidars
+        Target and source by their names in the stored result of a site; None of a pair.
+    """
+
+    site: FleetSite
+    origin: str
+    lidars: tuple[str, str] | None = None
+
+
+def watched_pairs(
+    site: FleetSite, answers: Mapping[str, Row] | None = None
+) -> Iterator[WatchedPair]:
+    """Give what is watched of a site: a pair itself, of many LiDARs each pair that shared poles.
+
+    Parameters
+    ----------
+    site
+        A pair, or a site file of the new recordings.
+    answers
+        Rows that hold the stored results, by the ids of sites; None where each site names its own,
+        or has ``site-result.json`` beside its file.
+    """
+    if site.kind == "pair" or site.fault:
+        fault = site.fault or ("" if answers is None else _unanswered(answers.get(site.id)))
+        yield WatchedPair(msgspec.structs.replace(site, fault=fault), site.id)
+        return
+    try:
+        stored, place = _result_of_site(site, answers)
+        file = decode_site_file(read_bytes(site.site, LARGEST_SITE_FILE))
+        yield from _pairs(site, stored, file, place)
+    except RetropoleError as error:
+        fault = quoting(f"{site.site}: {error}")
+        yield WatchedPair(msgspec.structs.replace(site, fault=fault), site.id)
+
+
+def _unanswered(stored: Row | None) -> str:
+    """Say why a pair has no stored result among the answers; empty where it has one."""
+    if stored is None:
+        return "the answers have no site of this id; calibrate it"
+    if stored.kind == "site":
+        return "the answers have a site of many LiDARs of this id: give a site file"
+    return "" if stored.document else f"it was not calibrated: {', '.join(stored.codes)}"
+
+
+def _result_of_site(site: FleetSite, answers: Mapping[str, Row] | None) -> tuple[SiteDoc, str]:
+    """Read the stored result of a site, and name its place where it has one."""
+    if answers is not None:
+        row = answers.get(site.id)
+        if row is None or row.document is None or row.kind != "site":
+            raise ReadError("the answers have no result of a site of this id")
+        return decode_site(row.document.encode()), ""
+    place = site.result or folder_of(site.site)
+    if is_folder(place):
+        place = below(place, SITE_RESULT_FILE)
+    return decode_site(read_bytes(place, LARGEST_DOCUMENT)), place
+
+
+def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iterator[WatchedPair]:
+    names = [lidar.name for lidar in stored.lidars]
+    tables = {lidar.name: lidar for lidar in file.lidar}
+    shared = [each.lidars for each in stored.pairs if each.shared_poles and each.refusal is None]
+    if stored.status == "refused" or not shared:
+        codes = ", ".join(reason.code for reason in stored.reasons)
+        raise ReadError(f"its stored result has no pair that shares poles ({codes})")
+    for i, j in shared:
+        both = names[i], names[j]
+        given: dict[str, Any] = {"result": place, "time": site.time}
+        try:
+            if not tables.keys() >= {*both}:
+                raise ReadError(f"it has no LiDARs {quoting(' and '.join(both))}")
+            given |= _recorded(site, stored, *(tables[name] for name in both))
+        except ReadError as error:
+            given["fault"] = f"{site.site}: {error}"
+        pair = FleetSite(
+            id="/".join((site.id, *both)),
+            kind="pair",
+            latitude=site.latitude,
+            longitude=site.longitude,
+            **given,
+        )
+        yield WatchedPair(pair, site.id, both)
+
+
+def _recorded(
+    site: FleetSite, stored: SiteDoc, target: LidarTable, source: LidarTable
+) -> dict[str, Any]:
+    """Take the recordings of the first placement that both have, with the options of the file."""
+    both = zip(target.recordings, source.recordings, strict=False)
+    recordings = next(filter(all, both), None)
+    if recordings is None:
+        raise ReadError(f"no placement of both {target.name} and {source.name}")
+    if target.frames or source.frames:
+        raise ReadError("frames: a check takes whole recordings")
+    config = RunConfig(
+        radius_m=stored.radius_m,
+        radius_sigma_m=stored.radius_sigma_m,
+        sensor_target=target.sensor,
+        sensor_source=source.sensor,
+        threshold_target=target.threshold,
+        threshold_source=source.threshold,
+        target_topic=target.topic,
+        source_topic=source.topic,
+        unit=target.unit,
+        unit_source=source.unit,
+    )
+    places = (below(folder_of(site.site), each) for each in recordings)
+    return {**dict(zip(ROLES, places, strict=True)), "config": config}
 
 
 def check_site(

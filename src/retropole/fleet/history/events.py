@@ -48,11 +48,6 @@ class Event:
     lead: float = np.inf
 
     @property
-    def is_alarm(self) -> bool:
-        """Whether somebody should look: anything but a single check that is off."""
-        return self.kind != "outlier"
-
-    @property
     def is_clear(self) -> bool:
         """Whether a step and a trend are told apart."""
         return self.lead >= CLEAR
@@ -81,5 +76,5 @@ class Watched:
 
     @property
     def alarms(self) -> tuple[Event, ...]:
-        """The events that somebody should look at."""
-        return tuple(event for event in self.events if event.is_alarm)
+        """The events that somebody should look at: any but a single check that is off."""
+        return tuple(event for event in self.events if event.kind != "outlier")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,17 +11,15 @@ import msgspec
 
 from ...base.errors import UsageError
 from .. import TIME_LIMIT
-from ..batch import Doing, how_far, whole_groups
-from ..dataset import Row, partition_of, partitions_in, read_rows
+from ..batch import Doing, outcomes_of, whole_groups
+from ..dataset import partition_of, partitions_in, read_rows
 from ..sites import FleetSite
 from ..storage import absolute
-from ..work import Outcome, Task, environment, lost
+from ..work import Check, Outcome, Task, task_of
 from . import store
-from .check import lost_check
+from .check import WatchedPair, lost_check, watched_pairs
 from .events import Event, Watched
-from .rows import CheckRow, observed, row_of
-from .site_pairs import watched_pairs
-from .task import Check
+from .store import CheckRow, observed, row_of
 from .watch import watch
 
 FLUSH = 100
@@ -121,53 +118,36 @@ def check_fleet(
         answers = absolute(answers)
         _check_answers(answers, sites)
     tried = (now or datetime.now(UTC)).replace(microsecond=0)
-    # So that each partition of the answers is read once.
-    ordered = [
-        pair
-        for site in sorted(sites, key=lambda site: (partition_of(site.id), site.id))
-        for pair in watched_pairs(site, answers)
-    ]
-    by_id = {pair.site.id: pair.site for pair in ordered}
-    if len(by_id) < len(ordered):
+    pairs: list[WatchedPair] = []
+    # So that no more than a partition of the answers is in memory.
+    by_part = sorted(sites, key=lambda site: (partition_of(site.id), site.id))
+    for part, of_part in groupby(by_part, lambda site: partition_of(site.id)):
+        stored = None if answers is None else read_rows(answers, part)
+        pairs += (pair for site in of_part for pair in watched_pairs(site, stored))
+    by_id = {pair.site.id: pair.site for pair in pairs}
+    if len(by_id) < len(pairs):
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
     known = store.keys(history, by_id)
     blank = Check(tolerance=tolerance, tried=tried)
-    faulty: list[Outcome] = []
 
     def tasks() -> Iterator[Task]:
-        for part, of_part in groupby(ordered, lambda pair: partition_of(pair.origin)):
+        for part, of_part in groupby(pairs, lambda pair: partition_of(pair.origin)):
             stored = {} if answers is None else read_rows(answers, part)
             for pair in of_part:
-                site, own = pair.site, stored.get(pair.origin)
-                fault = site.fault or ("" if answers is None else _unanswered(own, pair.lidars))
-                if fault:
-                    faulty.append(lost(site, "usage", fault))
+                if pair.site.fault:
                     continue
                 check = msgspec.structs.replace(
                     blank,
-                    document=None if own is None else own.document,
+                    document=stored[pair.origin].document if stored else None,
                     lidars=pair.lidars,
-                    known=sorted(known.get(site.id, ())),
+                    known=sorted(known.get(pair.site.id, ())),
                 )
-                yield Task(site=site, check=check, time_limit=time_limit, environment=environment())
+                yield task_of(pair.site, time_limit, check=check)
 
     newest: dict[str, CheckRow] = {}
 
-    def outcomes() -> Iterator[Outcome]:
-        # Which are faulty is known as tasks are taken, and of the last after all outcomes.
-        for outcome in chain(doing(tasks()), (None,)):
-            if outcome is not None:
-                yield outcome
-            while faulty:
-                yield faulty.pop()
-
-    def found() -> Iterator[tuple[str, CheckRow | None]]:
-        start = time.monotonic()
-        for over, outcome in enumerate(outcomes(), 1):
-            yield outcome.id, _row(outcome, by_id[outcome.id], blank)
-            progress(how_far("check", over, len(ordered), time.monotonic() - start))
-
-    def append(rows: Iterable[CheckRow | None]) -> int:
+    def append(outcomes: Iterable[Outcome]) -> int:
+        rows = (_row(outcome, by_id[outcome.id], blank) for outcome in outcomes)
         new = [row for row in rows if row is not None]
         newest.update((row.id, row) for row in new)
         return store.append(history, new, set().union(*(known.get(row.id, ()) for row in new)))
@@ -175,15 +155,15 @@ def check_fleet(
     # Rows come in any order: those of the same sites are appended together, so that the files of
     # the history are the same whatever the workers.
     appended = 0
-    waiting: dict[int, dict[str, CheckRow | None]] = {}
+    waiting: dict[int, dict[str, Outcome]] = {}
     chunk_of = {name: k // FLUSH for k, name in enumerate(by_id)}
+    found = outcomes_of("check", by_id.values(), doing(tasks()), progress)
     try:
-        for _, rows in whole_groups(found(), chunk_of, waiting):
-            appended += append(rows.values())
+        for _, outcomes in whole_groups(found, chunk_of, waiting):
+            appended += append(outcomes.values())
     finally:
         # Also what was checked before an interrupt.
-        rest = chain.from_iterable(rows.values() for rows in waiting.values())
-        append([*rest, *(_row(each, by_id[each.id], blank) for each in faulty)])
+        append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
     changes = (changes_of(own, newest.get(name)) for name, own in store.read(history, by_id))
     return FleetCheck(appended, tuple(changes))
@@ -193,12 +173,8 @@ def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> Site
     """Tell what changed at one site, from all of its checks; `newest` is that of this run."""
     usable = observed(list(rows))
     newest = newest or max(rows, key=lambda row: (row.status != "error", row.time, row.key))
-    return SiteChange(
-        rows[0].id,
-        [row.time for row, _ in usable],
-        watch([one for _, one in usable]),
-        newest,
-    )
+    times, watched = [row.time for row, _ in usable], watch([one for _, one in usable])
+    return SiteChange(rows[0].id, times, watched, newest)
 
 
 def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:
@@ -211,17 +187,6 @@ def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:
             f"site {named.id!r}: its list names a stored result, {named.result}, and so do the "
             "answers; take the column result out, or do without --answers"
         )
-
-
-def _unanswered(stored: Row | None, lidars: tuple[str, str] | None) -> str:
-    """Say why a pair has no stored result among the answers; empty where it has one."""
-    if stored is None:
-        return "the answers have no site of this id; calibrate it"
-    if lidars is None and stored.kind == "site":
-        return "the answers have a site of many LiDARs of this id: give a site file"
-    if stored.document is None:
-        return f"it was not calibrated: {', '.join(stored.codes)}"
-    return ""
 
 
 def _row(outcome: Outcome, site: FleetSite, check: Check) -> CheckRow | None:

@@ -8,14 +8,159 @@ from __future__ import annotations
 
 import hashlib
 import re
-from bisect import bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator
-from typing import Any
+from dataclasses import MISSING, dataclass, fields
+from datetime import UTC, datetime, timedelta
+from itertools import groupby
+from operator import itemgetter
+from typing import Any, get_type_hints
 
+import numpy as np
+
+from ...api import Array
 from ...base.errors import ReadError
-from ..parquet import arrow, opened, parquet_of
+from ...result.decoding import check_covariance
 from ..storage import below, names_in, write_bytes
-from .rows import SCHEMA, CheckRow, plain, row_of
+from ..tables import arrow, opened, parquet_of
+from .model import Observed
+
+SCHEMA = "retropole/history/1"
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+UNSETTLED = ("several_minima", "stored_fits_as_well", "scene_denies_stored", "swapped")
+"""Codes of checks whose step is not to be trusted, for more than its size."""
+
+
+@dataclass(frozen=True, eq=False)
+class CheckRow:
+    """A check of a site at a time.
+
+    Attributes
+    ----------
+    id
+        Name of the site.
+    time
+        When it was recorded, UTC.
+    status
+        ``same``, ``moved`` or ``cannot_tell``, as of ``retropole check``; ``error`` where a file
+        could not be read.
+    used
+        What the pose was found by: ``poles``, ``scene``; None where there is none.
+    codes
+        Reason codes.
+    message
+        What went wrong, in words; None where nothing did.
+    step
+        (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None where there is none.
+    covariance
+        (6, 6) of it.
+    random
+        (6, 6) of that the part that each check draws anew.
+    chi2, power
+        As of ``retropole check``.
+    stored_sha256, target_sha256, source_sha256
+        Hashes of the stored result and of the recordings; empty where they could not be read.
+    version
+        Of this program.
+    """
+
+    id: str
+    time: datetime
+    status: str
+    used: str | None = None
+    codes: tuple[str, ...] = ()
+    message: str | None = None
+    step: Array | None = None
+    covariance: Array | None = None
+    random: Array | None = None
+    chi2: float | None = None
+    power: float | None = None
+    stored_sha256: str = ""
+    target_sha256: str = ""
+    source_sha256: str = ""
+    version: str = ""
+
+    @property
+    def key(self) -> str:
+        """What makes it this check: the same site, time, stored result and recordings.
+
+        A check that ended in an error does not stand for one that succeeds.
+        """
+        hashes = self.stored_sha256, self.target_sha256, self.source_sha256
+        failure = ("error", *self.codes) if self.status == "error" else ()
+        words = "\n".join((self.id, self.time.astimezone(UTC).isoformat(), *hashes, *failure))
+        return hashlib.sha256(words.encode()).hexdigest()
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether its step says where the site stands: a check too weak to say *same* does."""
+        if self.step is None or self.status == "error" or set(self.codes) & set(UNSETTLED):
+            return False
+        return self.status != "cannot_tell" or "too_weak" in self.codes
+
+
+def plain(row: CheckRow) -> dict[str, Any]:
+    """Give a row as the columns of the table."""
+    columns = {
+        name: value.ravel().tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(row).items()
+    }
+    return {"key": row.key, **columns, "codes": list(row.codes)}
+
+
+def row_of(columns: dict[str, Any]) -> CheckRow:
+    """Read a row back; what is written by others need not be sound.
+
+    Raises
+    ------
+    ReadError
+        Where a step or covariance is none, or the row is not the one that its key names.
+    """
+    values = {each.name: columns[each.name] for each in fields(CheckRow)}
+    values["codes"] = tuple(values["codes"] or ())
+    arrays = {"step": (6,), "covariance": (6, 6), "random": (6, 6)}
+    there = [name for name in arrays if values[name] is not None]
+    for name in there:
+        values[name] = array = np.array(values[name], dtype=float).reshape(arrays[name])
+        what = f"history, site {values['id']!r}, {name}"
+        if name != "step":
+            check_covariance(what, array, is_part=name == "random")
+        elif not np.isfinite(array).all():
+            raise ReadError(f"{what}: a number is not finite")
+    if len(there) not in (0, 3):
+        raise ReadError(f"history, site {values['id']!r}: a step without its covariances")
+    row = CheckRow(**values)
+    if row.key != columns["key"]:
+        raise ReadError(f"history, site {row.id!r}, {row.time}: the row is not that of its key")
+    return row
+
+
+def observed(rows: list[CheckRow]) -> list[tuple[CheckRow, Observed]]:
+    """Give what the checks of one site say of its newest stored pose, in the order of time.
+
+    A site that was calibrated anew begins anew: steps from an older pose are left out.
+    """
+    ordered = sorted(rows, key=lambda row: (row.time, row.key))
+    usable = [row for row in ordered if row.is_usable]
+    if not usable:
+        return []
+    newest = [row.stored_sha256 for row in ordered if row.stored_sha256][-1:]
+    usable = [row for row in usable if not newest or row.stored_sha256 == newest[0]]
+    return [(row, _observed(row, usable[0].used)) for row in usable]
+
+
+def _observed(row: CheckRow, first: str | None) -> Observed:
+    assert row.step is not None
+    assert row.covariance is not None
+    assert row.random is not None
+    days = (row.time - EPOCH) / timedelta(days=1)
+    # What rounding leaves of a common part must stay a covariance.
+    common = row.covariance - row.random
+    values, vectors = np.linalg.eigh((common + common.T) / 2.0)
+    common = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return Observed(days, row.step, row.random, common, row.used != first)
+
 
 MONTH = re.compile(r"month=\d{4}-\d{2}")
 
@@ -23,7 +168,7 @@ LARGEST_FILE = 2**31
 """Bytes of a file: 10,000 sites make 10 MB in an append."""
 
 
-def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None = None) -> int:
+def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) -> int:
     """Append checks to a history; those that it has are left out.
 
     Parameters
@@ -33,7 +178,7 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None =
     rows
         Their order does not matter: the same rows give the same bytes.
     known
-        Keys of the checks that the history has of these sites; None has them read.
+        Keys of the checks that the history has of these sites.
 
     Returns
     -------
@@ -44,35 +189,26 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] | None =
     ------
     MissingExtraError
         Without the extra ``fleet``.
-    ReadError
-        Where a file of the history cannot be read.
     OSError
-        Where one cannot be written; each month is whole or not there.
+        Where a file cannot be written; each month is whole or not there.
     """
     months: dict[str, dict[str, CheckRow]] = {}
     for row in rows:
-        months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
-    count = 0
-    for month, own in sorted(months.items()):
-        there = keys(folder, months=[month]).values() if known is None else ()
-        kept = set().union(*there) if known is None else known
-        fresh = {key: row for key, row in sorted(own.items()) if key not in kept}
-        if fresh:
-            name = hashlib.sha256("\n".join(fresh).encode()).hexdigest()[:32]
-            place = below(below(folder, month), f"{name}.parquet")
-            write_bytes(place, parquet_of(map(plain, fresh.values()), schema()))
-        count += len(fresh)
-    return count
+        if row.key not in known:
+            months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
+    for month, fresh in sorted(months.items()):
+        name = hashlib.sha256("\n".join(sorted(fresh)).encode()).hexdigest()[:32]
+        place = below(below(folder, month), f"{name}.parquet")
+        write_bytes(place, parquet_of((plain(fresh[key]) for key in sorted(fresh)), schema()))
+    return sum(map(len, months.values()))
 
 
-def keys(
-    folder: str, ids: Collection[str] | None = None, months: Collection[str] | None = None
-) -> dict[str, set[str]]:
-    """Give the keys of the checks of each site of a history, or of some of its months."""
+def keys(folder: str, ids: Container[str]) -> dict[str, set[str]]:
+    """Give the keys of the checks of some sites of a history."""
     found: dict[str, set[str]] = {}
-    for place in _files(folder, months):
+    for place in _files(folder):
         for row in _table(place, ["id", "key"]).to_pylist():
-            if ids is None or row["id"] in ids:
+            if row["id"] in ids:
                 found.setdefault(row["id"], set()).add(row["key"])
     return found
 
@@ -102,43 +238,36 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
     pa, _ = arrow()
     from pyarrow import compute
 
-    tables = [schema().empty_table()]
-    for place in _files(folder):
-        table = _table(place)
-        some = None if ids is None else compute.field("id").isin(sorted(ids))
-        tables.append(table if some is None else table.filter(some))
-    whole = pa.concat_tables(tables)
+    some = compute.scalar(True) if ids is None else compute.field("id").isin(sorted(ids))
+    tables = (_table(place).filter(some) for place in _files(folder))
+    whole = pa.concat_tables([schema().empty_table(), *tables])
     whole = whole.sort_by([(name, "ascending") for name in ("id", "time", "key")])
-    names = whole.column("id").to_pylist()
-    start = 0
-    while start < len(names):
-        end = bisect_right(names, names[start], start)
-        rows = {row["key"]: row for row in whole.slice(start, end - start).to_pylist()}
-        yield names[start], [row_of(row) for row in rows.values()]
-        start = end
+    rows = (row for batch in whole.to_batches(max_chunksize=1000) for row in batch.to_pylist())
+    for name, own in groupby(rows, itemgetter("id")):
+        once = {row["key"]: row for row in own}
+        yield name, [row_of(row) for row in once.values()]
 
 
 def schema() -> Any:
     """Give the schema of the files."""
     pa, _ = arrow()
-    text, double = pa.string(), pa.float64()
-    always = {"key": text, "id": text, "time": pa.timestamp("us", tz="UTC"), "status": text}
-    columns = {
-        **{"used": text, "codes": pa.list_(text), "message": text},
-        **dict.fromkeys(("step", "covariance", "random"), pa.list_(double)),
-        **dict.fromkeys(("chi2", "power"), double),
-        **dict.fromkeys(("stored_sha256", "target_sha256", "source_sha256", "version"), text),
+    kinds: dict[Any, Any] = {
+        datetime: pa.timestamp("us", tz="UTC"),
+        float | None: pa.float64(),
+        Array | None: pa.list_(pa.float64()),
+        tuple[str, ...]: pa.list_(pa.string()),
     }
-    needed = [pa.field(name, kind, nullable=False) for name, kind in always.items()]
-    return pa.schema([*needed, *columns.items()], metadata={"schema": SCHEMA})
+    hints, columns = get_type_hints(CheckRow), [pa.field("key", pa.string(), nullable=False)]
+    for each in fields(CheckRow):
+        kind = kinds.get(hints[each.name], pa.string())
+        columns.append(pa.field(each.name, kind, nullable=each.default is not MISSING))
+    return pa.schema(columns, metadata={"schema": SCHEMA})
 
 
-def _files(folder: str, months: Collection[str] | None = None) -> Iterator[str]:
-    for month in names_in(folder):
-        if MONTH.fullmatch(month) and (months is None or month in months):
-            for name in names_in(below(folder, month)):
-                if name.endswith(".parquet"):
-                    yield below(below(folder, month), name)
+def _files(folder: str) -> Iterator[str]:
+    for month in filter(MONTH.fullmatch, names_in(folder)):
+        names = (name for name in names_in(below(folder, month)) if name.endswith(".parquet"))
+        yield from (below(below(folder, month), name) for name in names)
 
 
 def _table(place: str, columns: list[str] | None = None) -> Any:

@@ -147,7 +147,10 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
     """
     if not checks:
         return Watched()
-    runs = _started(checks[0])
+    share, time = np.array(list(SLOW)).T
+    total = np.full(len(SLOW), SCALE_CHECKS * SCALE**2)
+    state = first_state(checks[0], share)
+    runs = _Runs(share, time, np.array([*SLOW.values()]), state, no_changes(len(SLOW)), total)
     events: list[Event] = []
     waiting: dict[int, float] = {}
     for n, check in enumerate(checks):
@@ -166,7 +169,9 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
             # The others that waited agree with nothing.
             events += [Event("outlier", k, n) for k in waiting if k not in branch.numbers]
             events.append(branch.event)
-            runs, waiting = _adopted(branch.runs, branch.change), {}
+            # It is part of what is expected from now on.
+            state = adopted(branch.runs.state, branch.runs.changes, branch.change)
+            runs, waiting = replace(branch.runs, state=state, changes=no_changes(len(SLOW))), {}
         elif off <= GATE and waiting:
             # The filter has not taken them in: they are left out for good.
             events += [Event("outlier", k, n) for k in waiting]
@@ -180,13 +185,6 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
     best, state = runs.best, runs.state
     state = replace(state, mean=state.mean[best], covariance=state.covariance[best])
     return Watched(tuple(events), tuple(waiting), float(runs.scale[best]), state)
-
-
-def _started(first: Observed) -> _Runs:
-    share, time = np.array(list(SLOW)).T
-    total = np.full(len(share), SCALE_CHECKS * SCALE**2)
-    state = first_state(first, share)
-    return _Runs(share, time, np.array([*SLOW.values()]), state, no_changes(len(share)), total)
 
 
 def _ahead(runs: _Runs, check: Observed, n: int) -> _Runs:
@@ -296,12 +294,6 @@ def _found(
             event = Event(kind, onset, n, size, covariance, statistic, lead)
             return _Branch(runs, numbers, m, event)
     return None
-
-
-def _adopted(runs: _Runs, m: int) -> _Runs:
-    """Make a change part of what is expected."""
-    state = adopted(runs.state, runs.changes, m)
-    return replace(runs, state=state, changes=no_changes(len(runs.share)))
 
 
 def _lost(ahead: _Runs, check: Observed) -> _Runs:

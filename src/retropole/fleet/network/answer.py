@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any
 
 from ...api import Array
-from ..parquet import arrow, parquet_of
 from ..storage import absolute, write_bytes
+from ..tables import arrow, parquet_of
 from .dataset import FleetNetwork
 from .network import Kind, LeftOut, NetworkAdjustment
 

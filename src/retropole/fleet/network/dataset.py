@@ -1,25 +1,129 @@
-"""From the answers of a fleet to a network: sites that share LiDARs have nodes in common."""
+"""From the answers of a fleet to a network: sites that share LiDARs have nodes in common.
+
+A list says which LiDAR of which site is which node, and where nodes were surveyed.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from ...api import Array, se3
-from ...base.errors import ReadError, quoting
+from ...api import se3
+from ...base.errors import ReadError, UsageError, quoting
 from ...base.relative import RelativePose
 from ...result.decoding import check_covariance
 from ...result.site import SiteDoc
-from ..answers import document_of
-from ..dataset import AT_RANGE, Row, partitions_in, read_rows
+from ..dataset import AT_RANGE, Row, document_of, partitions_in, read_rows
 from ..sites import ROLES
 from ..storage import absolute
+from ..tables import LISTS, lines_of
 from .graph import ControlPoints, Edges, Graph
-from .nodes import NodeList
+
+WORLD, SEEN = ("x_m", "y_m", "z_m"), ("seen_x_m", "seen_y_m", "seen_z_m")
+
+COLUMNS = ("node", "site", "lidar", *WORLD, "sigma_m", *SEEN)
+"""Every column that a list may have."""
+
+Coordinate = Annotated[float, Meta(ge=-se3.FARTHEST, le=se3.FARTHEST)]
+
+
+class Surveyed(msgspec.Struct, frozen=True, kw_only=True):
+    """A control point of a node, metres: where it was surveyed, and where the node sees it."""
+
+    node: str
+    x_m: Coordinate
+    y_m: Coordinate
+    z_m: Coordinate
+    sigma_m: Annotated[float, Meta(gt=0.0, le=se3.FARTHEST)]
+    seen_x_m: Coordinate = 0.0
+    seen_y_m: Coordinate = 0.0
+    seen_z_m: Coordinate = 0.0
+
+
+@dataclass(frozen=True)
+class NodeList:
+    """A list of nodes.
+
+    Attributes
+    ----------
+    place
+        Where it was read.
+    of_site
+        For each site the nodes of its LiDARs, by their names.
+    surveyed
+        Control points, in the order of the list.
+    """
+
+    place: str
+    of_site: Mapping[str, Mapping[str, str]]
+    surveyed: tuple[Surveyed, ...]
+
+
+def read_nodes(place: str) -> NodeList:
+    """Read which LiDAR of which site is which node.
+
+    Parameters
+    ----------
+    place
+        Path or URL of a list, ``.csv`` or ``.parquet``. Each row names a node and says, by site and
+        lidar, which LiDAR it is there, or, by x_m, y_m, z_m and sigma_m, where a point of it was
+        surveyed, or both. The point is the origin of the node, or what seen_x_m, seen_y_m and
+        seen_z_m say.
+
+    Raises
+    ------
+    UsageError
+        For a file of another kind.
+    ReadError
+        Where it cannot be read, or contradicts itself.
+    MissingExtraError
+        Where the extra ``fleet`` is not installed.
+    """
+    if not place.endswith(LISTS):
+        raise UsageError(f"{place}: expected a file {', '.join(LISTS)}")
+    of_site: dict[str, dict[str, str]] = {}
+    surveyed = []
+    for number, node, line in lines_of(absolute(place), COLUMNS, "node"):
+        here = f"{place}: row {number}"
+        is_member, is_surveyed = bool({"site", "lidar"} & line.keys()), bool({*WORLD} & line.keys())
+        if is_surveyed:
+            surveyed.append(_surveyed(here, line))
+        elif line.keys() & {"sigma_m", *SEEN} or not is_member:
+            raise ReadError(f"{here}: expected site and lidar, or x_m, y_m, z_m and sigma_m")
+        if is_member:
+            if not {"site", "lidar"} <= line.keys():
+                raise ReadError(f"{here}: site and lidar need each other")
+            site, lidar = str(line["site"]), str(line["lidar"])
+            lidars = of_site.setdefault(site, {})
+            if lidar in lidars or node in lidars.values():
+                raise ReadError(
+                    f"{here}: {quoting(lidar)!r} of {quoting(site)!r} as {quoting(node)!r}, but a "
+                    "row above has that LiDAR or that node of this site already"
+                )
+            lidars[lidar] = node
+    if not of_site:
+        raise ReadError(f"{place}: no row with a site and a lidar")
+    return NodeList(place, of_site, tuple(surveyed))
+
+
+def _surveyed(here: str, line: Mapping[str, Any]) -> Surveyed:
+    """Take the control point of a row."""
+    given = {key: value for key, value in line.items() if key not in ("site", "lidar")}
+    try:
+        point = msgspec.convert({**given, "node": str(given["node"])}, Surveyed, strict=False)
+    except msgspec.ValidationError as error:
+        raise ReadError(f"{here}: {quoting(str(error).replace('`$.', '`'))}") from None
+    if not all(math.isfinite(each) for each in msgspec.structs.astuple(point)[1:]):
+        raise ReadError(f"{here}: a number is not finite")
+    return point
 
 
 @dataclass(frozen=True)
@@ -98,6 +202,8 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
     lone = sorted(named - number.keys())
     not_used += [NotUsed("node", name, "no relative pose leads to it") for name in lone]
     points = [point for point in nodes.surveyed if point.node in number]
+    numbers = np.array([msgspec.structs.astuple(point)[1:] for point in points], dtype=float)
+    world, sigma, seen = np.split(numbers.reshape(-1, 7), [3, 4], axis=1)
     graph = Graph(
         len(number),
         Edges(
@@ -108,16 +214,12 @@ def find_network(dataset: str, nodes: NodeList) -> FleetNetwork:
         ),
         points=ControlPoints(
             np.array([number[point.node] for point in points], dtype=np.int64),
-            _rows([(point.x_m, point.y_m, point.z_m) for point in points]),
-            np.array([np.eye(3) * point.sigma_m**2 for point in points]).reshape(-1, 3, 3),
-            _rows([(point.seen_x_m, point.seen_y_m, point.seen_z_m) for point in points]),
+            world,
+            np.eye(3) * sigma[:, :, None] ** 2,
+            seen,
         ),
     )
     return FleetNetwork(graph, tuple(number), sites, tuple(not_used))
-
-
-def _rows(points: list[tuple[float, float, float]]) -> Array:
-    return np.array(points, dtype=float).reshape(-1, 3)
 
 
 def _why_not(row: Row, lidars: Mapping[str, str]) -> str:

@@ -100,7 +100,7 @@ def find_pattern(size: int, pairs: IntArray) -> Pattern:
         (P, 2) pairs of nodes, the lower number first, each pair once.
     """
     order = _minimum_degree(size, pairs)
-    groups, parents = _merged(*_columns(pairs, order))
+    groups, parents = _merged(_columns(pairs, order))
     sequence = _postorder(parents)
     own = [len(groups[g][0]) for g in sequence]
     ordered = order[np.concatenate([groups[g][0] for g in sequence])]
@@ -132,46 +132,39 @@ def _minimum_degree(size: int, pairs: IntArray) -> IntArray:
     return np.argsort(found.perm_c).astype(np.int64)
 
 
-def _columns(pairs: IntArray, order: IntArray) -> tuple[list[set[int]], list[int]]:
-    """Later places that each place touches when it is eliminated, and the first of them or -1."""
+def _columns(pairs: IntArray, order: IntArray) -> list[set[int]]:
+    """Later places that each place touches when it is eliminated."""
     touched = [set[int]() for _ in order]
     for first, later in np.sort(np.argsort(order)[pairs], axis=1).tolist():
         touched[first].add(later)
-    parents = [-1] * len(order)
-    for k, later in enumerate(touched):
-        if later:
-            parents[k] = min(later)
-            touched[parents[k]] |= later - {parents[k]}
-    return touched, parents
+    for later in filter(None, touched):
+        # The first of them then touches the others.
+        touched[min(later)] |= later - {min(later)}
+    return touched
 
 
-def _merged(
-    touched: list[set[int]], parent: list[int]
-) -> tuple[list[tuple[list[int], list[int]]], list[int]]:
+def _merged(touched: list[set[int]]) -> tuple[list[tuple[list[int], list[int]]], list[int]]:
     """Take places together as fronts: own and later places of each, and the parent of each."""
     size = len(touched)
     own: list[list[int]] = [[k] for k in range(size)]
     filled = [1 + len(each) for each in touched]
     children: list[list[int]] = [[] for _ in range(size)]
-    gone = [False] * size
-    for k in range(size):
-        below = len(touched[k])
+    for k, later in enumerate(touched):
         kept = []
         for child in sorted(children[k], key=lambda c: -len(touched[c])):
             count = len(own[k]) + len(own[child])
-            whole = count * (count + 1) // 2 + count * below
+            whole = count * (count + 1) // 2 + count * len(later)
             zeros = whole - filled[k] - filled[child]
             if zeros <= MOST_ZEROS * whole or (count <= SMALL_FRONT and zeros <= 0.5 * whole):
-                own[k] = own[child] + own[k]
+                own[k], own[child] = own[child] + own[k], []
                 filled[k] += filled[child]
-                gone[child] = True
                 kept += children[child]
             else:
                 kept.append(child)
         children[k] = kept
-        if parent[k] >= 0:
-            children[parent[k]].append(k)
-    left = [k for k in range(size) if not gone[k]]
+        if later:
+            children[min(later)].append(k)
+    left = [k for k in range(size) if own[k]]
     above = {child: g for g, k in enumerate(left) for child in children[k]}
     return [(own[k], list(touched[k])) for k in left], [above.get(k, -1) for k in left]
 

@@ -11,12 +11,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ...api import Array, BoolArray
-from .adjustment import Layout, find_layout
-from .components import Component
-from .doubtful import hanging, inseparable
-from .graph import Graph
-from .residuals import Model
-from .snooping import Snooped, snoop
+from .adjustment import Layout, Model, find_layout
+from .graph import Component, Graph
+from .snooping import Snooped, hanging, inseparable, snoop
 from .start import find_start, narrowed
 from .testing import ObservationTests, critical
 

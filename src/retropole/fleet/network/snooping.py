@@ -3,23 +3,206 @@
 A wrong edge raises the tests of its neighbours too. So only that with the largest χ² around goes,
 the rest is adjusted again, and everything tested anew (data snooping, Baarda 1968), those that are
 out as well, until nothing changes.
+
+Where only one loop leads through two observations, what does not close there is as well the one's
+error as the other's. One was left out; nothing checks the other any more, and it joins what else is
+apart.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order
 
-from ...api import Array, BoolArray, IntArray
-from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
-from .components import Component, connected, find_components
-from .doubtful import agrees, inseparable, outvoted, relaid
+from ...api import Array, BoolArray, IntArray, se3
+from .adjustment import SETTLED, AdjustedNetwork, Layout, Model, adjust, with_ground
 from .elimination import Blocks
-from .graph import Graph
-from .residuals import Model
+from .graph import (
+    Component,
+    Graph,
+    connected,
+    find_components,
+    hanging_together,
+)
 from .testing import ObservationTests, all_tests, covariances, critical
+
+AGREE = 10.0
+"""By how much more than chance allows two may miss each other and still agree, as a multiple of
+that χ²: the poses on either side of them, whose errors they also miss by, are taken as certain."""
+
+
+def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int, tuple[int, ...]]:
+    """Find for each observation that is left out the active ones that may be wrong in its stead.
+
+    Parameters
+    ----------
+    graph
+        The network.
+    active
+        (M,) which observations were adjusted.
+    checked
+        (M,) how many numbers of each the others check.
+
+    Returns
+    -------
+    dict
+        Only of those that have any, in the order in which they lead from one end to the other.
+    """
+    i, j = graph.ends
+    lone = active & (checked == 0)
+    label = hanging_together(graph, active & ~lone)
+    bridges = np.flatnonzero(lone)
+    left_out = np.flatnonzero(~active & (label[i] != label[j]))
+    if not len(bridges) or not len(left_out):
+        return {}
+    size = int(label.max()) + 1
+    a, b = label[i[bridges]], label[j[bridges]]
+    forest = csr_array((np.ones(len(bridges)), (a, b)), shape=(size, size))
+    ends = zip(a.tolist(), b.tolist(), strict=True)
+    by_ends = dict(zip(map(frozenset, ends), bridges.tolist(), strict=True))
+    found = {}
+    for k in left_out.tolist():
+        first, last = int(label[i[k]]), int(label[j[k]])
+        _, before = breadth_first_order(forest, first, directed=False)
+        path, at = [], last
+        while before[at] >= 0:
+            path.append(by_ends[frozenset((at, int(before[at])))])
+            at = int(before[at])
+        if at == first:
+            found[k] = tuple(path[::-1])
+    return found
+
+
+def outvoted(
+    alone: dict[int, tuple[int, ...]], tried: set[int], agree: Callable[[int, int, int], bool]
+) -> dict[int, list[int]]:
+    """Find active observations that two or more which were left out agree to be wrong instead.
+
+    Parameters
+    ----------
+    alone
+        From `inseparable`.
+    tried
+        Those that were taken out for that before.
+    agree
+        Whether two agree where a third, the first given, is wrong: `agrees`.
+
+    Returns
+    -------
+    dict
+        For each the ones to put back in its stead, none of them twice.
+    """
+    against: dict[int, list[int]] = {}
+    for k, path in alone.items():
+        for rival in path:
+            against.setdefault(rival, []).append(k)
+    found: dict[int, list[int]] = {}
+    used: set[int] = set()
+    for rival, back in sorted(against.items(), key=lambda each: (-len(each[1]), each[0])):
+        if len(back) > 1 and rival not in tried and used.isdisjoint(back):
+            agreed = {frozenset(pair) for pair in combinations(back, 2) if agree(rival, *pair)}
+            groups = ([k for k in back if k == one or {k, one} in agreed] for one in back)
+            most = max(groups, key=len)
+            if len(most) > 1:
+                found[rival] = most
+                used.update(most)
+    return found
+
+
+def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, other: int) -> bool:
+    """Whether two observations lay what hangs by a third in the same place.
+
+    That whole side is laid by least squares of both; they agree if neither then misses by far more
+    than chance (`AGREE`).
+
+    Parameters
+    ----------
+    graph
+        The network.
+    active
+        (M,) which observations were adjusted.
+    T
+        (N, 4, 4) poses.
+    rival
+        An active observation that nothing checks.
+    one, other
+        Two that join the same two sides.
+    """
+    both = np.sort([one, other])
+    # A control point does not say how a side is turned: it comes last, and lays none.
+    T = relaid(graph, active, T, rival, int(both[0]))
+    label = hanging_together(graph, active, [rival])
+    i, j = (int(end[both[0]]) for end in graph.ends)
+    side = label == label[j if label[j] != label[-1] else i]
+    # A turn of the side by φ moves a pose of it by φ × (t − about).
+    away = with_ground(T)[:, :3, 3] - T[j, :3, 3]
+    moves = np.tile(np.eye(6), (len(away), 1, 1))
+    moves[:, 3:, :3] = -se3.hat(away)
+    moves *= side[:, None, None]
+    two = graph.only(both)
+    relative, points = Model(two).at(T)
+    first, last = (np.split(end, [len(relative.residual)]) for end in two.ends)
+    A = np.concatenate(
+        [
+            (seen.by_i @ moves[i] + seen.by_j @ moves[j]).reshape(-1, 6)
+            for seen, i, j in zip((relative, points), first, last, strict=True)
+        ]
+    )
+    e = np.concatenate([relative.residual.ravel(), points.residual.ravel()])
+    left = e - A @ np.linalg.lstsq(A, e)[0]
+    return bool(left @ left <= AGREE * critical(np.array(len(e) - 6)))
+
+
+def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) -> Array:
+    """Move what hangs by one observation to where another puts it.
+
+    Parameters
+    ----------
+    graph
+        The network.
+    active
+        (M,) which observations were adjusted.
+    T
+        (N, 4, 4) poses.
+    rival
+        An active observation that nothing checks.
+    instead
+        An edge or a known pose that joins the same two sides.
+    """
+    relative = graph.relative
+    if instead >= len(relative):
+        return T
+    label = hanging_together(graph, active, [rival])
+    i, j, T_i_j = relative.i[instead], relative.j[instead], relative.T_i_j[instead]
+    if label[i] == label[j]:
+        return T
+    # The side without the ground moves, or the smaller one.
+    sizes = [np.count_nonzero(label == label[end]) for end in (i, j)]
+    if label[j] == label[-1] or (label[i] != label[-1] and sizes[1] > sizes[0]):
+        i, j, T_i_j = j, i, se3.inverse(T_i_j)
+    T = with_ground(T)
+    side = label == label[j]
+    T[side] = T[i] @ T_i_j @ se3.inverse(T[j]) @ T[side]
+    return T[:-1]
+
+
+def hanging(
+    graph: Graph, active: BoolArray, components: tuple[Component, ...], rivals: set[int]
+) -> BoolArray:
+    """Which poses (N,) are tied to their datum by observations that may be wrong alone."""
+    label = hanging_together(graph, active, sorted(rivals))
+    doubtful = np.zeros(graph.nodes, dtype=bool)
+    for component in components:
+        datum = graph.nodes if component.controls else component.nodes[0]
+        doubtful[component.nodes] = label[component.nodes] != label[datum]
+    return doubtful
+
 
 MOST_ROUNDS = 30
 """So often the network is adjusted again; cities of 10,000 poses with 1 % wrong

@@ -13,11 +13,9 @@ from collections.abc import Callable
 import numpy as np
 
 from ...api import Array, se3
-from .adjustment import Layout, added, step
-from .components import Component, find_components
+from .adjustment import Layout, Model, added, step
 from .elimination import Blocks, factorise, solve
-from .graph import Graph, grouped
-from .residuals import Model
+from .graph import Component, Graph, find_components, grouped
 
 REWEIGHTED = (4, 4)
 """So often edges are weighted anew by the absolute value of what they miss, which has one minimum,
