@@ -16,7 +16,7 @@ from ..base.errors import ReadError, Reason, UsageError
 from ..base.files import read_document, write_together
 from ..base.quantities import error as in_words
 from ..base.relative import joint_of, relative
-from ..report.site import render_site
+from ..report import render_site
 from ..report.site_text import pose_rows
 from ..result import ReasonDoc, encode, refusal_of
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE

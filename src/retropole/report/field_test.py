@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
-
 from ..base.quantities import counted, percent
 from ..result.certification import FieldTestDoc, PairTestDoc
 from ..site.certification import DistanceTest, Verdict
@@ -11,10 +9,11 @@ from ..site.repetition import SpreadTest
 from .layout import legible, wrapped
 from .layout import table as text_table
 from .markup import table
-from .names import LIDARS
-from .page import fill_page
-from .sections import reason_item
+from .page import Html, fill, fill_each, join
+from .render import render_page
+from .subject import LIDARS
 from .text import reason_lines
+from .verdict import reason_item, verdict_box
 
 LISTED = 16
 """So many distances are printed, those nearest to their limits, and so many pairs of a site."""
@@ -152,69 +151,46 @@ def _variances(test: SpreadTest) -> str:
 
 def render_field_test(document: FieldTestDoc) -> str:
     """Render the test as one HTML page that holds its style and code and works from a file."""
-    count = counted(len(document.pairs), "pair") + " of LiDARs"
-    return fill_page(
-        "field-test.html",
-        ("style.css",),
-        ("page.js", "field-test.js"),
-        {
-            "title": "Field test",
-            "status": escape(document.status),
-            "created": escape(f"{document.created} · {count}"),
-            "verdict": _verdict(document),
-            "parts": field_test_section(document) + _inputs(document),
-        },
-    )
-
-
-def _verdict(document: FieldTestDoc) -> str:
-    """Say pass, fail or refused first, and list the pairs where there are several."""
-    status = document.status
-    kind, symbol, title = VERDICTS[status]
-    pairs = ""
+    kind, symbol, title = VERDICTS[document.status]
+    pairs = Html("")
     if len(document.pairs) > 1:
         title = f"{title.partition(':')[0]}: {_tested(document)}"
         # The verdict beside the name: on a phone the last columns are out of sight.
         header = ("LiDARs", "verdict", "distances", "largest difference / limit")
         rows = [(name, said, *numbers) for name, *numbers, said in _pair_rows(document)]
         pairs = table("Pairs, what failed first", header, rows, (1,))
-    return (
-        f'<section class="verdict {kind}" aria-labelledby="verdict">'
-        f'<div class="mark" aria-hidden="true">{symbol}</div><div>'
-        f'<h2 id="verdict">{escape(title)}</h2>'
-        "<p>Distances between poles, measured by each LiDAR for itself. No calibration is used: "
-        f"the test judges the LiDARs.</p>{pairs}</div></section>"
+    return render_page(
+        "field test of LiDARs",
+        "Field test",
+        f"{document.created} · {counted(len(document.pairs), 'pair')} of LiDARs",
+        document.status,
+        verdict_box(kind, symbol, title, fill("field-test", pairs=pairs)),
+        [field_test_section(document), _inputs(document)],
     )
 
 
-def _inputs(document: FieldTestDoc) -> str:
+def _inputs(document: FieldTestDoc) -> Html:
     """List the recordings, with what tells them again."""
-    if not document.inputs:
-        return ""
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
-    return (
-        '<section aria-labelledby="recordings"><h2 id="recordings">Recordings</h2>'
-        f"{table('What was tested', header, rows, (1, 3))}</section>"
-    )
+    listed = table("What was tested", header, rows, (1, 3))
+    return fill("recordings", table=listed) if rows else Html("")
 
 
-def field_test_section(document: FieldTestDoc) -> str:
+def field_test_section(document: FieldTestDoc) -> Html:
     """Write every pair as a section of an HTML page; whatever the document holds is escaped."""
-    parts = ['<section aria-labelledby="distances"><h2 id="distances">Distances</h2>']
+    parts = []
     for pair in _in_order(document):
-        name = f"{pair.target}, {pair.source}: {pair.status}"
-        parts.append(f"<h3>{escape(name)}</h3>")
-        if len(document.pairs) == 1:
-            parts += [f'<ul class="reasons">{reason_item(each)}</ul>' for each in pair.reasons]
-        else:
-            parts += [f"<p>{escape(each.message)}.</p>" for each in pair.reasons]
-        if pair.distances:
-            header = (*HEADER[:-1], "passed")
-            rows = [_row(each, pair, "yes") for each in pair.distances]
-            parts.append(table(f"Distances, {pair.target} and {pair.source}", header, rows, (5,)))
-        parts += [f"<p>{escape(words)}.</p>" for words in sentences(pair, document.alpha)]
-    return "".join((*parts, "</section>"))
+        reasons = fill_each("said", (f"{each.message}." for each in pair.reasons))
+        if len(document.pairs) == 1 and pair.reasons:
+            reasons = fill("reasons", items=join(map(reason_item, pair.reasons)))
+        rows = [_row(each, pair, "yes") for each in pair.distances]
+        caption = f"Distances, {pair.target} and {pair.source}"
+        listed = table(caption, (*HEADER[:-1], "passed"), rows, (5,)) if rows else Html("")
+        said = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
+        title = f"{pair.target}, {pair.source}: {pair.status}"
+        parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=said))
+    return fill("distances", parts=join(parts))
 
 
 def _row(each: DistanceTest, pair: PairTestDoc, passed: str = "") -> tuple[str, ...]:

@@ -1,12 +1,48 @@
-"""A page of its own: a template filled with text, style and code, which runs no other code."""
+"""Pages and pieces of pages: templates filled with text, style and code, which run no other code."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from html import escape
 from importlib.resources import files
 from string import Template
+
+PIECE = re.compile(r'<template id="([\w-]+)">\n(.*?)\n</template>', re.DOTALL)
+"""A piece in `pieces.html`: its name, and the markup with its ``$places``."""
+
+
+class Html(str):
+    """Text that is markup. All other text is escaped where a template takes it in."""
+
+    __slots__ = ()
+
+
+def join(parts: Iterable[Html]) -> Html:
+    """Put markup one behind the other."""
+    return Html("".join(parts))
+
+
+def fill(piece: str, /, **places: object) -> Html:
+    """Fill the places of a piece in `pieces.html`; what is no `Html` is escaped.
+
+    Numbers that are no integers are places in a picture, and have one digit behind the point.
+    """
+    return Html(_pieces()[piece].substitute({name: _markup(v) for name, v in places.items()}))
+
+
+def _markup(value: object) -> str:
+    if isinstance(value, Html):
+        return value
+    return f"{value:.1f}" if isinstance(value, float) else escape(str(value))
+
+
+def fill_each(piece: str, values: Iterable[object]) -> Html:
+    """Fill a piece with each of several values, as its ``$value``."""
+    return join(fill(piece, value=value) for value in values)
 
 
 def fill_page(
@@ -41,8 +77,14 @@ def fill_page(
     )
 
 
+@cache
 def _asset(name: str) -> str:
     return (files("retropole.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+@cache
+def _pieces() -> dict[str, Template]:
+    return {name: Template(markup) for name, markup in PIECE.findall(_asset("pieces.html"))}
 
 
 def _source_of(text: str) -> str:

@@ -11,10 +11,9 @@ from ..base import se3
 from ..base.errors import printable, shortened
 from ..base.quantities import UNKNOWN, error
 from ..result.site import SiteDoc
+from .certainty import LIMIT_W, far_error, probability
+from .checks import UNCHECKED
 from .layout import LINES, WIDTH, legible, table, wrapped
-from .site.checks import UNCHECKED
-from .site.pairs import LIMIT_W
-from .site.verdict import far_error, probability
 from .text import input_lines, reasons_whole, reasons_within
 
 LONGEST_NAME = 20

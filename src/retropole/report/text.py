@@ -23,7 +23,7 @@ from ..result import (
 from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words, scene_words
 from .hypotheses_text import describe_standing
 from .layout import LINES, WIDTH, legible, table, wrapped
-from .names import LIDARS, hypothesis_name, pair_name, pole_name
+from .subject import LIDARS, hypothesis_name, pair_name, pole_name
 
 ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
@@ -249,7 +249,7 @@ def _certainty_lines(result: ResultDoc, verbose: bool) -> list[str]:
         lines += [
             f"  at {each.range_m:g} m: random ± {error(each.random)}, "
             f"systematic ± {error(each.systematic)}"
-            for each in error_parts(result)
+            for each in error_parts(result.predicted_error, result.uncertainty)
             if each.range_m == BUDGET_RANGE
         ]
     if largest is not None:

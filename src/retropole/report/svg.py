@@ -1,13 +1,11 @@
-"""Pieces of the pictures of a site: labels that cover no other, shortened names."""
+"""Labels of the pictures of a site: none covers another, and long names are shortened."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from html import escape
 
-COLOURS = 8
-"""So many LiDARs have a colour of their own; more begin again. Each has its name beside it."""
+from .page import Html, fill
 
 LONGEST_LABEL = 18
 """Characters of a name in a picture; the tables have it whole."""
@@ -32,11 +30,6 @@ def short(name: str) -> str:
     return name if len(name) <= LONGEST_LABEL else f"{name[: LONGEST_LABEL - 1]}…"
 
 
-def colour_class(lidar: int) -> str:
-    """Name the class of a LiDAR's colour."""
-    return f"lidar-{lidar % COLOURS}"
-
-
 @dataclass
 class Labels:
     """Labels of one picture of so many units across and down; none covers another if it can."""
@@ -51,7 +44,7 @@ class Labels:
 
     def place(
         self, text: str, x: float, y: float, away: float, style: str = "", size: float = FONT
-    ) -> str:
+    ) -> Html:
         """Write a label beside a mark at x, y, where it covers least."""
         best, least = None, math.inf
         for dx, dy, anchor in _AROUND:
@@ -64,9 +57,8 @@ class Labels:
                 break
         assert best is not None
         self.taken.append(best[3])
-        return (
-            f'<text x="{best[0]:.1f}" y="{best[1] + 0.35 * size:.1f}" text-anchor="{best[2]}" '
-            f'class="{style}">{escape(text)}</text>'
+        return fill(
+            "label", x=best[0], y=best[1] + 0.35 * size, anchor=best[2], style=style, text=text
         )
 
     def _box(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.datatypes import Array
-from ...result.site import SiteDoc
+from ..base.datatypes import Array
+from ..result.site import SiteDoc
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,229 @@
+"""What was read and found: the poles of every LiDAR and placement, recordings, options, times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from ..base import se3
+from ..base.quantities import UNKNOWN, counted
+from ..result import PoleDoc, ResultDoc
+from ..result.site_parts import FoundDoc
+from .certainty import radius_words
+from .crosssections import cross_sections
+from .markup import folded, number, table
+from .page import Html, fill, fill_each, join
+from .subject import Subject, pair_name
+from .text import left_out_words
+
+UNFOLDED_CLUSTERS = 4
+"""Up to so many rejected clusters of a pair are listed unfolded."""
+
+POLE_COLUMNS = ("pole", "x, m", "y, m", "z, m", "length, m", "points", "rings", "rms, mm")
+
+
+def pole_row(name: str, pole: PoleDoc) -> list[str]:
+    """Write the figures of a pole, in the order of `POLE_COLUMNS`."""
+    return [
+        name,
+        *(number(v, 3) for v in pole.point_m),
+        number(pole.length_m, 2),
+        str(pole.points),
+        str(pole.rings),
+        number(pole.rms_m, 1, 1000),
+    ]
+
+
+def rejected_mark(lidar: int, k: int) -> str:
+    """Write how the view marks the k-th rejected cluster of a LiDAR: ``× 3``, ``+ 0``."""
+    return f"{'+' if lidar % 2 else '×'} {k}"
+
+
+def poles(subject: Subject) -> Html:
+    """Show what was found in every recording; of a refused run, all of it unfolded."""
+    site = subject.site
+    if not site.found:
+        return Html("")
+    nothing = not any(each and each.poles for of_lidar in site.found for each in of_lidar)
+    return fill(
+        "found",
+        none=fill("p", text="No pole was found in any cloud.") if nothing else "",
+        counts=_counts(subject) if len(site.placements) > 1 or len(site.lidars) > 2 else "",
+        pair=Html("") if subject.pair is None else _of_pair(subject, subject.pair),
+        listed=join(_of_lidar(subject, k, of_lidar) for k, of_lidar in enumerate(site.found)),
+    )
+
+
+def _counts(subject: Subject) -> Html:
+    rows = [
+        (lidar.name, *map(_count, of_lidar))
+        for lidar, of_lidar in zip(subject.site.lidars, subject.site.found, strict=True)
+    ]
+    header = ("LiDAR", *subject.placements)
+    return table("Poles found in each placement", header, rows, range(1, len(header)))
+
+
+def _count(each: FoundDoc | None) -> str:
+    if each is None:
+        return "not recorded"
+    said = counted(len(each.poles), "pole")
+    if each.rejected:
+        said += f", {len(each.rejected)} rejected"
+    return said if each.refusal is None else f"{said} ({each.refusal.code})"
+
+
+def _of_lidar(subject: Subject, k: int, of_lidar: Sequence[FoundDoc | None]) -> Html:
+    """List the poles and the rejected clusters of one LiDAR, each with its reason."""
+    several = len(of_lidar) > 1
+    poles, rejected, refusals = [], [], []
+    for name, each in zip(subject.placements, of_lidar, strict=True):
+        if each is None:
+            continue
+        where = [name] if several else []
+        if each.refusal is not None:
+            refusals.append(f"Placement {name}: {each.refusal.message}.")
+        for i, pole in enumerate(each.poles):
+            poles.append([*where, *pole_row(subject.pole(k, i), pole)])
+        for i, cluster in enumerate(each.rejected):
+            at = [number(v, 2) for v in cluster.centre_m]
+            words = (rejected_mark(k, i), cluster.code, cluster.reason, cluster.points)
+            rejected.append([*where, *words, *at])
+    called, placement = subject.called(k), ["placement"] if several else []
+    tables = []
+    if poles:
+        caption = f"Poles in the frame of {called}"
+        tables.append(table(caption, (*placement, *POLE_COLUMNS), poles, (1,) if several else ()))
+    if rejected:
+        header = (*placement, "mark", "code", "reason", "points", "x, m", "y, m", "z, m")
+        words = range(1, header.index("points"))
+        listed = table(f"Rejected clusters of {called}", header, rejected, words)
+        tables.append(fill("rejected", body=listed))
+    refused = subject.site.status == "refused" and (refusals or subject.pair is not None)
+    few = subject.pair is not None and len(rejected) <= UNFOLDED_CLUSTERS
+    rejects = counted(len(rejected), "rejected cluster")
+    return folded(
+        f"{subject.site.lidars[k].name}: {counted(len(poles), 'pole')}, {rejects}",
+        join(
+            (fill_each("said", refusals), fill("stack", body=join(tables)) if tables else Html(""))
+        ),
+        is_open=bool(refused or few),
+    )
+
+
+def _of_pair(subject: Subject, pair: ResultDoc) -> Html:
+    """Show how well the poles of a pair agree under its pose."""
+    if pair.T_target_source is None:
+        return Html("")
+    millimetres, words = 1000 * pair.config.radius_m, radius_words(pair)
+    return fill(
+        "agreement",
+        residuals=_residuals(subject, pair),
+        radius="" if words is None else fill("radius", words=words),
+        given=f"{millimetres:g}",
+        apart=f"{millimetres * math.pi / 2:.0f}",
+        sections=cross_sections(subject),
+    )
+
+
+def _residuals(subject: Subject, pair: ResultDoc) -> Html:
+    """Distance of each source pole from its target pole's line, under the transform."""
+    if pair.chosen is None:
+        return Html("")
+    T, scan = np.array(pair.T_target_source), subject.scans[1][0]
+    rows = []
+    for i, j in pair.chosen.pairs:
+        a, b = pair.poles.target[i], pair.poles.source[j]
+        searched = scan is not None and scan.detection is not None
+        points = scan.poles[j].xyz if scan is not None and searched else np.array([b.point_m])
+        away = se3.apply(T, points) - a.point_m
+        lateral = away - (away @ a.direction)[:, None] * a.direction
+        distance = np.linalg.norm(lateral, axis=1)
+        sine = float(np.linalg.norm(np.cross(T[:3, :3] @ b.direction, a.direction)))
+        figures = (float(np.sqrt(np.mean(distance**2))), float(distance.max()))
+        rows.append(
+            (
+                pair_name((i, j)),
+                number(math.degrees(math.asin(min(1.0, sine))), 2),
+                number(float(np.linalg.norm(lateral.mean(axis=0))), 1, 1000),
+                *(number(each if searched else None, 1, 1000) for each in figures),
+            )
+        )
+    header = ("pair", "angle, deg", "lateral offset, mm", "rms, mm", "largest, mm")
+    return table("Source poles from the target poles' lines, with the transform", header, rows)
+
+
+def run(subject: Subject) -> Html:
+    """List inputs, options, version and times."""
+    site = subject.site
+    several = len(site.placements) > 1
+    inputs = [
+        (
+            site.lidars[item.lidar].name,
+            *([subject.placement(item.placement)] if several else []),
+            item.path,
+            f"{item.points:,}",
+            f"{item.dropped:,}" + (f" ({left_out_words(item)})" if left_out_words(item) else ""),
+            item.sensor,
+            UNKNOWN if item.threshold is None else f"{item.threshold:g}",
+            item.sha256,
+        )
+        for item in site.inputs
+    ]
+    header = (
+        *("LiDAR", *(["placement"] if several else []), "path", "points", "dropped"),
+        *("sensor", "threshold", "sha256"),
+    )
+    words = [k for k, name in enumerate(header) if name in ("placement", "path", "sensor")]
+    notes = [
+        f"{', '.join(row[: 1 + several])}: {note}"
+        for row, item in zip(inputs, site.inputs, strict=True)
+        for note in item.notes
+    ]
+    times = [(step, number(seconds, 3)) for step, seconds in site.seconds.items()]
+    times.append(("sum", number(float(sum(site.seconds.values())), 3)))
+    listed = table("Inputs", header, inputs, (*words, len(header) - 1)) if inputs else ""
+    return fill(
+        "run",
+        version=site.version,
+        created=site.created,
+        inputs=listed,
+        notes=fill_each("said", notes),
+        options=table("Options", ("option", "value"), _options(subject), (1,)),
+        times=table("Time", ("step", "seconds"), times),
+    )
+
+
+def _options(subject: Subject) -> list[tuple[str, str]]:
+    """Write every option of the run, whatever there are, as a person would."""
+    site, config = subject.site, subject.pair.config if subject.pair else subject.site.config
+    need, said = site.need, {}
+    if subject.pair is None:
+        said = {
+            "name": site.name,
+            "datum": site.datum,
+            "frame": site.frame.name,
+            "reference": site.lidars[site.reference].name,
+            "radius": f"{1000 * site.radius_m:g} ± {1000 * site.radius_sigma_m:g} mm",
+            "asked for": f"{100 * need.within:g} cm at {need.at:g} m" if need else "",
+            "surveyed poles": len(site.surveyed_poles),
+            "control points": len(site.control_points),
+        }
+    said |= msgspec.structs.asdict(config)
+    if config.frames is not None:
+        # As the command line takes them: ``0:20``, ``::10``.
+        parts = config.frames[:2] if config.frames[2] is None else config.frames
+        said["frames"] = ":".join("" if part is None else str(part) for part in parts)
+    return [(name, _option(value)) for name, value in said.items()]
+
+
+def _option(value: object) -> str:
+    if value is None:
+        return "default"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    return str(value) or UNKNOWN
