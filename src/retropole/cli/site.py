@@ -125,7 +125,7 @@ def calibrate(
       130  interrupted
     """
     from ..api.site import calibrate_site
-    from ..report.site_text import describe_site
+    from ..report.text import describe_site
     from ..result import encode
 
     def tell(given: Input) -> None:

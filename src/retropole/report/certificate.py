@@ -8,7 +8,7 @@ from ..base.quantities import UNKNOWN, counted, error, percent
 from ..result import BudgetEntry, ResultDoc
 from .certainty import BUDGET_RANGE, radius_words, scene_words
 from .markup import table
-from .page import Html, fill, join
+from .page import EMPTY, Html, fill, join
 from .poses import pose_parts, transform_matrix
 from .subject import Subject
 from .uncertainty import range_table, state_table
@@ -30,7 +30,7 @@ def certificate(subject: Subject, place: str = "") -> Html:
     """
     site, pair = subject.site, subject.pair
     if pair is None or pair.T_target_source is None:
-        return Html("")
+        return EMPTY
     T, source = np.array(pair.T_target_source), site.lidars[1]
     several = len(site.placements) > 1
     recordings = [
@@ -111,4 +111,4 @@ def _budget(budget: list[BudgetEntry]) -> Html:
         together = percent(sum(entry.share_at_30m for entry in rest))
         rows.append((f"{len(rest)} smaller", UNKNOWN, UNKNOWN, together))
     header = ("source of error", "LiDAR", "1 σ", f"share at {BUDGET_RANGE:g} m")
-    return table("Uncertainty budget", header, rows, (1,)) if rows else Html("")
+    return table("Uncertainty budget", header, rows, (1,)) if rows else EMPTY

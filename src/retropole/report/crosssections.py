@@ -10,7 +10,7 @@ import numpy as np
 from ..alignment.solver import Step, gauss_newton
 from ..base import se3
 from ..base.datatypes import Array
-from .page import Html, fill, join
+from .page import EMPTY, Html, fill, join
 from .subject import LIDARS, Subject, colour_class, pair_name
 
 HALF_PICTURE = 110.0
@@ -55,10 +55,10 @@ def cross_sections(subject: Subject) -> Html:
     pair, scans = subject.pair, [of_lidar[0] for of_lidar in subject.scans]
     detections = [None if scan is None else scan.detection for scan in scans]
     if pair is None or pair.chosen is None or pair.T_target_source is None:
-        return Html("")
+        return EMPTY
     target, source = detections
     if target is None or source is None:
-        return Html("")
+        return EMPTY
     T, radius = pair.T_target_source, pair.config.radius_m
     figures = (
         _figure(

@@ -9,7 +9,7 @@ from ..site.repetition import SpreadTest
 from .layout import legible, wrapped
 from .layout import table as text_table
 from .markup import table
-from .page import Html, fill, fill_each, join
+from .page import EMPTY, Html, fill, fill_each, join
 from .render import render_page
 from .subject import LIDARS
 from .text import reason_lines
@@ -152,7 +152,7 @@ def _variances(test: SpreadTest) -> str:
 def render_field_test(document: FieldTestDoc) -> str:
     """Render the test as one HTML page that holds its style and code and works from a file."""
     kind, symbol, title = VERDICTS[document.status]
-    pairs = Html("")
+    pairs = EMPTY
     if len(document.pairs) > 1:
         title = f"{title.partition(':')[0]}: {_tested(document)}"
         # The verdict beside the name: on a phone the last columns are out of sight.
@@ -174,7 +174,7 @@ def _inputs(document: FieldTestDoc) -> Html:
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
     listed = table("What was tested", header, rows, (1, 3))
-    return fill("recordings", table=listed) if rows else Html("")
+    return fill("recordings", table=listed) if rows else EMPTY
 
 
 def field_test_section(document: FieldTestDoc) -> Html:
@@ -186,7 +186,7 @@ def field_test_section(document: FieldTestDoc) -> Html:
             reasons = fill("reasons", items=join(map(reason_item, pair.reasons)))
         rows = [_row(each, pair, "yes") for each in pair.distances]
         caption = f"Distances, {pair.target} and {pair.source}"
-        listed = table(caption, (*HEADER[:-1], "passed"), rows, (5,)) if rows else Html("")
+        listed = table(caption, (*HEADER[:-1], "passed"), rows, (5,)) if rows else EMPTY
         said = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
         title = f"{pair.target}, {pair.source}: {pair.status}"
         parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=said))

@@ -3,42 +3,23 @@
 from __future__ import annotations
 
 from ..result import HypothesisDoc, ResultDoc
+from . import listings
+from .certainty import number
 from .hypotheses_text import deciding, pose_numbers, relative_words, standing
-from .markup import inline, number, table
-from .page import Html, fill, fill_each, join
-from .subject import hypothesis_name, pair_name
-
-COLUMNS = (
-    *("hypothesis", "pairs", "exact", "pole rms, mm", "e_r, rad", "e_t, m"),
-    *("overlap", "free-space violation", "score"),
-)
-
-
-def hypothesis_row(k: int, hypothesis: HypothesisDoc, mark: str) -> list[str]:
-    """Write the figures of the k-th hypothesis, in the order of `COLUMNS`."""
-    return [
-        hypothesis_name(k) + (mark if hypothesis.chosen else ""),
-        " ".join(map(pair_name, hypothesis.pairs)),
-        "yes" if hypothesis.exact else "no",
-        number(hypothesis.pole_rms_m, 1, 1000),
-        number(hypothesis.icp_rotation_rad, 4),
-        number(hypothesis.icp_translation_m, 4),
-        number(hypothesis.overlap, 1, 100, " %"),
-        number(hypothesis.free_space_violation, 1, 100, " %"),
-        number(hypothesis.score, 3),
-    ]
+from .markup import inline, listed, table
+from .page import EMPTY, Html, fill, fill_each, join
+from .subject import hypothesis_name
 
 
 def hypotheses(result: ResultDoc | None) -> Html:
     """Show all hypotheses of a pair as panels (drawn by the page's code) and as a table."""
     if result is None or not result.hypotheses:
-        return Html("")
-    rows = [hypothesis_row(k, each, " · chosen") for k, each in enumerate(result.hypotheses)]
+        return EMPTY
     return fill(
         "hypotheses",
         standing=_standing(result),
         panels=join(_panel(k, each) for k, each in enumerate(result.hypotheses)),
-        table=table("Hypotheses, best first", COLUMNS, rows, (1,)),
+        table=listed(listings.hypotheses(result)),
     )
 
 
@@ -46,7 +27,7 @@ def _standing(result: ResultDoc) -> Html:
     """List the hypotheses between which a person may decide, and the options that would."""
     named = standing(result)
     if not named:
-        return Html("")
+        return EMPTY
     rows = [
         (
             name + (" · chosen" if each.chosen else ""),
@@ -55,11 +36,11 @@ def _standing(result: ResultDoc) -> Html:
         )
         for name, each in named
     ]
-    header = ("hypothesis", "roll, deg", "pitch, deg", "yaw, deg", "x, m", "y, m", "z, m")
+    names = "hypothesis; roll, deg; pitch, deg; yaw, deg; x, m; y, m; z, m; as against a"
     items = fill_each("li", map(inline, deciding(result, named)))
     return fill(
         "standing",
-        table=table("Hypotheses that stand", (*header, "as against a"), rows, (7,)),
+        table=table("Hypotheses that stand", listings.columns(names), rows, (7,)),
         options=fill("advice", title="What decides", items=items) if items else items,
     )
 

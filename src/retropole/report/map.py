@@ -9,8 +9,9 @@ import numpy as np
 from ..base.datatypes import Array
 from ..base.quantities import UNKNOWN, error, large, round_below
 from ..result.site import SiteDoc
-from .markup import folded, number, table
-from .page import Html, fill, join
+from .certainty import number
+from .markup import folded, table
+from .page import EMPTY, Html, fill, join
 from .plan import Plan
 from .subject import Subject, colour_class, pole_labels
 from .svg import FONT, Labels, short
@@ -38,7 +39,7 @@ def site_map(subject: Subject, plan: Plan) -> Html:
     """Draw a site from above and list where its LiDARs stand; nothing of two, or where refused."""
     site = subject.site
     if site.status == "refused" or subject.pair is not None:
-        return Html("")
+        return EMPTY
     return fill("map", figure=_figure(site, plan), places=_places(site), poles=_poles(site))
 
 
@@ -202,4 +203,4 @@ def _poles(site: SiteDoc) -> Html:
     ]
     header = ("pole", "name", "x, m", "y, m", "z, m", "length, m", "seen by")
     listed = table("Poles, the middle of the tape", header, rows, (1, 6))
-    return folded(f"Poles: {len(rows)}", listed) if rows else Html("")
+    return folded(f"Poles: {len(rows)}", listed) if rows else EMPTY

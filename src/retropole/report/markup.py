@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Sequence
 from html import escape
 
 from ..base.quantities import UNKNOWN, error
 from ..base.reasons import unlinked
-from .page import Html, fill, join
+from .listings import Listing
+from .page import EMPTY, Html, fill, join
 
 NO_BREAK = "\u00a0"
 
@@ -18,13 +18,6 @@ EMPHASIS = re.compile(r"\*([^*\s][^*]*)\*")
 
 SHOWN = 12
 """So many rows of a long table are shown at once, the worst first; the page unfolds the others."""
-
-
-def number(value: float | None, digits: int, scale: float = 1.0, unit: str = "") -> str:
-    """Write a number with fixed digits, without a negative zero; a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return UNKNOWN
-    return f"{round(float(value) * scale, digits) + 0.0:.{digits}f}{unit}"
 
 
 def plus_minus(sigma_m: float | None) -> str:
@@ -59,7 +52,7 @@ def table(
     links
         Of each row, where its heading leads; empty for nowhere.
     """
-    kinds = [Html(' class="text"') if k in text else Html("") for k in range(len(header))]
+    kinds = [Html(' class="text"') if k in text else EMPTY for k in range(len(header))]
     head = (fill("th", kind=kind, text=name) for kind, name in zip(kinds, header, strict=True))
     lengths = [(name, round(100 * min(max(share, 0), 1))) for name, share in bars]
     ends = [fill("share", name=name, length=length) for name, length in lengths]
@@ -79,19 +72,14 @@ def table(
     return fill("table", caption=caption, head=join(head), body=join(body))
 
 
-def long_table(
-    captions: tuple[str, str],
-    header: Sequence[str],
-    rows: Sequence[Sequence[object]],
-    text: Collection[int] = (),
-) -> Html:
-    """Lay out the first `SHOWN` rows, and unfold the rest, under a caption of each."""
-    shown, rest = rows[:SHOWN], rows[SHOWN:]
-    listed = table(captions[0], header, shown, text)
-    if not rest:
-        return listed
-    others = table(captions[1], header, rest, text)
-    return fill("stack", body=join((listed, folded(f"{len(rest)} more", others))))
+def listed(listing: Listing) -> Html:
+    """Lay out a table; of a long one the first `SHOWN` rows, the rest folded away."""
+    caption, header, rows, words = listing
+    if len(rows) <= SHOWN:
+        return table(caption, header, rows, words) if rows else EMPTY
+    rest = table(f"{caption}: the rest", header, rows[SHOWN:], words)
+    more = folded(f"{len(rows) - SHOWN} more", rest)
+    return fill("stack", body=join((table(caption, header, rows[:SHOWN], words), more)))
 
 
 def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:

@@ -12,9 +12,9 @@ from ..base.datatypes import Array, Pole, RejectedCluster, Scan
 from ..base.quantities import counted
 from ..base.reasons import explain
 from ..extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
+from .listings import rejected_mark
 from .markup import inline
-from .page import Html, fill, fill_each, join
-from .recorded import rejected_mark
+from .page import EMPTY, Html, fill, fill_each, join
 from .subject import LIDARS, Subject, pole_name
 
 SAME_DISTANCE = 0.3
@@ -36,7 +36,7 @@ def missing_poles(subject: Subject) -> Html:
     """Say of each LiDAR of a refused pair that sees too few poles what it sees, and what lacks."""
     pair = subject.pair
     if pair is None or pair.status != "refused":
-        return Html("")
+        return EMPTY
     needed = pair.config.poles or 2
     parts = []
     for j, both in enumerate(zip(*subject.scans, strict=True), 1):
@@ -49,7 +49,7 @@ def missing_poles(subject: Subject) -> Html:
                 title = f"The {lidar} sees {len(scan.poles)} of {needed} poles{where}"
                 items = fill_each("li", _items(k, scan, other))
                 parts.append(fill("lacking", title=title, items=items))
-    return fill("missing", parts=join(parts)) if parts else Html("")
+    return fill("missing", parts=join(parts)) if parts else EMPTY
 
 
 def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
@@ -68,7 +68,7 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
         "outside of the field of view."
     )
     if not rejected:
-        yield (f"Nothing else is as bright as tape. If the pole is there, {unseen}")
+        yield f"Nothing else is as bright as tape. If the pole is there, {unseen}"
         return
     distances = _distances(other.poles)
     if not scan.poles or not distances:
@@ -77,7 +77,7 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
         for k, cluster in little[:NAMED]:
             yield _candidate(lidar, k, cluster, scan)
         if len(rejected) > NAMED:
-            yield (f"{counted(len(rejected) - NAMED, 'more bright cluster')}, listed under Poles.")
+            yield f"{counted(len(rejected) - NAMED, 'more bright cluster')}, listed under Poles."
         return
     near = sorted(
         (abs(_beside(pole, cluster.centre) - distance), k, n)
@@ -88,12 +88,13 @@ def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m beside {pole_name(LIDARS[lidar], n)}"
-        yield _candidate(lidar, k, clusters[k], scan, f", {beside}")
+        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m beside"
+        name = pole_name(LIDARS[lidar], n)
+        yield _candidate(lidar, k, clusters[k], scan, f", {beside} {name}")
     told = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
     there = f"The other LiDAR sees poles {told} m beside each other"
     if fitting:
-        yield (f"{there}: what is named here fits that.")
+        yield f"{there}: what is named here fits that."
     else:
         yield (
             f"{there}. None of the {len(rejected)} rejected clusters fits that. If the pole is "

@@ -1,4 +1,4 @@
-"""Pages and pieces of pages: templates filled with text, style and code, which run no other code."""
+"""Pages and their pieces: templates filled with text, style and code, which run no other code."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ class Html(str):
     """Text that is markup. All other text is escaped where a template takes it in."""
 
     __slots__ = ()
+
+
+EMPTY = Html("")
+"""What a part of a page is that has nothing to say."""
 
 
 def join(parts: Iterable[Html]) -> Html:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.quantities import UNKNOWN, counted
 from ..result.site import SiteDoc
-from ..result.site_checks import PairDoc
-from .certainty import LIMIT_W
-from .checks import size_of
-from .markup import long_table, number
-from .page import Html, fill, join
+from . import listings
+from .certainty import LIMIT_W, number
+from .markup import listed
+from .page import EMPTY, Html, fill, join
 from .subject import colour_class
 from .svg import FONT, Labels, short
 
@@ -42,41 +40,13 @@ def level_of(w: float | None) -> str:
     return "calm" if abs(w) <= DOUBT_W else "doubt" if abs(w) <= LIMIT_W else "blunder"
 
 
-def pair_words(pair: PairDoc, refused: bool) -> str:
-    """Say what a pair alone has to say of its pose."""
-    if pair.standing == 1:
-        return "decides by itself"
-    if pair.standing > 1:
-        ways = counted(pair.standing, "way")
-        return f"leaves {ways}" if refused else f"leaves {ways}, others decide"
-    return "no answer of its own" if refused else "linked through others"
-
-
 def pairs(site: SiteDoc) -> Html:
-    """Draw the pairs as a graph, and list them, those with the largest w first."""
+    """Draw the pairs as a graph, and list them."""
     if not site.pairs:
-        return Html("")
-    refused = site.status == "refused"
-    ordered = sorted(site.pairs, key=lambda each: (-abs(each.w or 0.0), each.lidars))
-    rows = [
-        (
-            " – ".join(site.lidars[k].name for k in pair.lidars),
-            size_of(pair.w, 1),
-            pair.shared_poles,
-            pair.patches or UNKNOWN,
-            pair_words(pair, refused)
-            + ("" if pair.refusal is None else f": {pair.refusal.message}"),
-        )
-        for pair in ordered
-    ]
-    captions = ("Pairs" if refused else "Pairs, the largest |w| first", "The other pairs")
-    header = ("pair", "|w|", "shared poles", "patches", "the pair alone")
-    return fill(
-        "pairs",
-        decided="" if refused else " and others decide",
-        figure=_figure(site),
-        table=long_table(captions, header, rows, (4,)),
-    )
+        return EMPTY
+    decided = "" if site.status == "refused" else " and others decide"
+    table = listed(listings.pairs(site))
+    return fill("pairs", decided=decided, figure=_figure(site), table=table)
 
 
 def _figure(site: SiteDoc) -> Html:

@@ -7,11 +7,11 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import RetropoleError
-from ..base.quantities import UNKNOWN, error
 from ..export import FORMATS, export_lines
-from .certainty import far_error
-from .markup import folded, number, table
-from .page import Html, fill, join
+from . import listings
+from .certainty import number
+from .markup import folded, listed
+from .page import EMPTY, Html, fill, join
 from .subject import LIDARS, Subject, colour_class
 from .uncertainty import uncertainty
 
@@ -28,7 +28,7 @@ def poses(subject: Subject) -> Html:
     # The target of a pair is the frame itself.
     shown = range(0 if subject.pair is None else 1, len(site.lidars))
     if any(site.lidars[k].T_site_lidar is None for k in shown):
-        return Html("")
+        return EMPTY
     offset = site.frame.offset
     if subject.pair is not None:
         body = _pose(subject, 1)
@@ -37,7 +37,7 @@ def poses(subject: Subject) -> Html:
             fill("lidar", colour=colour_class(k), name=site.lidars[k].name, body=_pose(subject, k))
             for k in shown
         )
-        body = join((_summary(subject), fill("lidars", body=join(lidars))))
+        body = join((listed(listings.poses(subject)), fill("lidars", body=join(lidars))))
     return fill(
         "poses",
         transform=subject.transform,
@@ -48,30 +48,6 @@ def poses(subject: Subject) -> Html:
         offset=fill("offset", at=", ".join(f"{v:.3f}" for v in offset)) if any(offset) else "",
         body=body,
     )
-
-
-def _summary(subject: Subject) -> Html:
-    """List the poses of all LiDARs."""
-    asked = any(lidar.fitness is not None for lidar in subject.site.lidars)
-    rows = []
-    for lidar in subject.site.lidars:
-        T = np.array(lidar.T_site_lidar)
-        angles = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
-        fitness = UNKNOWN if lidar.fitness is None else lidar.fitness.answer
-        rows.append(
-            (
-                lidar.name,
-                *(number(v, 4) for v in T[:3, 3]),
-                *(number(v, 3) for v in angles),
-                error(far_error(lidar)),
-                fitness,
-            )[: None if asked else -1]
-        )
-    header = (
-        *("LiDAR", "x, m", "y, m", "z, m", "roll, deg", "pitch, deg", "yaw, deg"),
-        *("1 σ at 30 m", *(["good enough"] if asked else [])),
-    )
-    return table("Poses of all LiDARs", header, rows)
 
 
 def _pose(subject: Subject, k: int) -> Html:
@@ -97,7 +73,7 @@ def _pose(subject: Subject, k: int) -> Html:
 
 def transform_matrix(T: Array, name: str = "T_target_source") -> Html:
     """Lay out a transform (4, 4) as a matrix under its name."""
-    rows = (join(fill("td", kind=Html(""), text=f"{v:.6f}") for v in row) for row in T)
+    rows = (join(fill("td", kind=EMPTY, text=f"{v:.6f}") for v in row) for row in T)
     return fill("matrix", name=name, rows=join(fill("row", cells=cells) for cells in rows))
 
 
@@ -130,7 +106,7 @@ def _copies(subject: Subject, k: int) -> Html:
     whose = f" of {names[k]}" if subject.pair is None else ""
     parent = "site" if "site" not in names else "site_frame"
     frames = (parent, names[k]) if subject.pair is None else FRAMES
-    fields = Html("")
+    fields = EMPTY
     if subject.pair is not None:
         fields = join(
             fill("frame", lidar=lidar, frame=frame)

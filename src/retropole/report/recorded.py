@@ -10,105 +10,53 @@ import numpy as np
 
 from ..base import se3
 from ..base.quantities import UNKNOWN, counted
-from ..result import PoleDoc, ResultDoc
+from ..result import ResultDoc
 from ..result.site_parts import FoundDoc
-from .certainty import radius_words
+from . import listings
+from .certainty import number, radius_words
 from .crosssections import cross_sections
-from .markup import folded, number, table
-from .page import Html, fill, fill_each, join
+from .listings import columns, left_out_words
+from .markup import folded, table
+from .page import EMPTY, Html, fill, fill_each, join
 from .subject import Subject, pair_name
-from .text import left_out_words
 
 UNFOLDED_CLUSTERS = 4
 """Up to so many rejected clusters of a pair are listed unfolded."""
-
-POLE_COLUMNS = ("pole", "x, m", "y, m", "z, m", "length, m", "points", "rings", "rms, mm")
-
-
-def pole_row(name: str, pole: PoleDoc) -> list[str]:
-    """Write the figures of a pole, in the order of `POLE_COLUMNS`."""
-    return [
-        name,
-        *(number(v, 3) for v in pole.point_m),
-        number(pole.length_m, 2),
-        str(pole.points),
-        str(pole.rings),
-        number(pole.rms_m, 1, 1000),
-    ]
-
-
-def rejected_mark(lidar: int, k: int) -> str:
-    """Write how the view marks the k-th rejected cluster of a LiDAR: ``× 3``, ``+ 0``."""
-    return f"{'+' if lidar % 2 else '×'} {k}"
 
 
 def poles(subject: Subject) -> Html:
     """Show what was found in every recording; of a refused run, all of it unfolded."""
     site = subject.site
     if not site.found:
-        return Html("")
+        return EMPTY
+    several = len(site.placements) > 1 or len(site.lidars) > 2
     nothing = not any(each and each.poles for of_lidar in site.found for each in of_lidar)
     return fill(
         "found",
         none=fill("p", text="No pole was found in any cloud.") if nothing else "",
-        counts=_counts(subject) if len(site.placements) > 1 or len(site.lidars) > 2 else "",
-        pair=Html("") if subject.pair is None else _of_pair(subject, subject.pair),
+        counts=table(*listings.found(subject)) if several else "",
+        pair=EMPTY if subject.pair is None else _of_pair(subject, subject.pair),
         listed=join(_of_lidar(subject, k, of_lidar) for k, of_lidar in enumerate(site.found)),
     )
 
 
-def _counts(subject: Subject) -> Html:
-    rows = [
-        (lidar.name, *map(_count, of_lidar))
-        for lidar, of_lidar in zip(subject.site.lidars, subject.site.found, strict=True)
-    ]
-    header = ("LiDAR", *subject.placements)
-    return table("Poles found in each placement", header, rows, range(1, len(header)))
-
-
-def _count(each: FoundDoc | None) -> str:
-    if each is None:
-        return "not recorded"
-    said = counted(len(each.poles), "pole")
-    if each.rejected:
-        said += f", {len(each.rejected)} rejected"
-    return said if each.refusal is None else f"{said} ({each.refusal.code})"
-
-
 def _of_lidar(subject: Subject, k: int, of_lidar: Sequence[FoundDoc | None]) -> Html:
     """List the poles and the rejected clusters of one LiDAR, each with its reason."""
-    several = len(of_lidar) > 1
-    poles, rejected, refusals = [], [], []
-    for name, each in zip(subject.placements, of_lidar, strict=True):
-        if each is None:
-            continue
-        where = [name] if several else []
-        if each.refusal is not None:
-            refusals.append(f"Placement {name}: {each.refusal.message}.")
-        for i, pole in enumerate(each.poles):
-            poles.append([*where, *pole_row(subject.pole(k, i), pole)])
-        for i, cluster in enumerate(each.rejected):
-            at = [number(v, 2) for v in cluster.centre_m]
-            words = (rejected_mark(k, i), cluster.code, cluster.reason, cluster.points)
-            rejected.append([*where, *words, *at])
-    called, placement = subject.called(k), ["placement"] if several else []
-    tables = []
-    if poles:
-        caption = f"Poles in the frame of {called}"
-        tables.append(table(caption, (*placement, *POLE_COLUMNS), poles, (1,) if several else ()))
-    if rejected:
-        header = (*placement, "mark", "code", "reason", "points", "x, m", "y, m", "z, m")
-        words = range(1, header.index("points"))
-        listed = table(f"Rejected clusters of {called}", header, rejected, words)
-        tables.append(fill("rejected", body=listed))
+    found, rejected = listings.poles(subject, k), listings.rejected(subject, k)
+    refusals = [
+        f"Placement {name}: {each.refusal.message}."
+        for name, each in zip(subject.placements, of_lidar, strict=True)
+        if each is not None and each.refusal is not None
+    ]
+    poles = table(*found) if found.rows else EMPTY
+    clusters = fill("rejected", body=table(*rejected)) if rejected.rows else EMPTY
+    said = fill_each("said", refusals)
+    few = subject.pair is not None and len(rejected.rows) <= UNFOLDED_CLUSTERS
     refused = subject.site.status == "refused" and (refusals or subject.pair is not None)
-    few = subject.pair is not None and len(rejected) <= UNFOLDED_CLUSTERS
-    rejects = counted(len(rejected), "rejected cluster")
+    counts = counted(len(found.rows), "pole"), counted(len(rejected.rows), "rejected cluster")
     return folded(
-        f"{subject.site.lidars[k].name}: {counted(len(poles), 'pole')}, {rejects}",
-        join(
-            (fill_each("said", refusals), fill("stack", body=join(tables)) if tables else Html(""))
-        ),
+        f"{subject.site.lidars[k].name}: {', '.join(counts)}",
+        fill("stack", body=join((said, poles, clusters))) if said or poles or clusters else EMPTY,
         is_open=bool(refused or few),
     )
 
@@ -116,7 +64,7 @@ def _of_lidar(subject: Subject, k: int, of_lidar: Sequence[FoundDoc | None]) -> 
 def _of_pair(subject: Subject, pair: ResultDoc) -> Html:
     """Show how well the poles of a pair agree under its pose."""
     if pair.T_target_source is None:
-        return Html("")
+        return EMPTY
     millimetres, words = 1000 * pair.config.radius_m, radius_words(pair)
     return fill(
         "agreement",
@@ -131,7 +79,7 @@ def _of_pair(subject: Subject, pair: ResultDoc) -> Html:
 def _residuals(subject: Subject, pair: ResultDoc) -> Html:
     """Distance of each source pole from its target pole's line, under the transform."""
     if pair.chosen is None:
-        return Html("")
+        return EMPTY
     T, scan = np.array(pair.T_target_source), subject.scans[1][0]
     rows = []
     for i, j in pair.chosen.pairs:
@@ -151,7 +99,7 @@ def _residuals(subject: Subject, pair: ResultDoc) -> Html:
                 *(number(each if searched else None, 1, 1000) for each in figures),
             )
         )
-    header = ("pair", "angle, deg", "lateral offset, mm", "rms, mm", "largest, mm")
+    header = columns("pair; angle, deg; lateral offset, mm; rms, mm; largest, mm")
     return table("Source poles from the target poles' lines, with the transform", header, rows)
 
 
@@ -172,10 +120,8 @@ def run(subject: Subject) -> Html:
         )
         for item in site.inputs
     ]
-    header = (
-        *("LiDAR", *(["placement"] if several else []), "path", "points", "dropped"),
-        *("sensor", "threshold", "sha256"),
-    )
+    names = "path; points; dropped; sensor; threshold; sha256"
+    header = columns(f"LiDAR; {'placement; ' if several else ''}{names}")
     words = [k for k, name in enumerate(header) if name in ("placement", "path", "sensor")]
     notes = [
         f"{', '.join(row[: 1 + several])}: {note}"

@@ -11,13 +11,14 @@ from ..base.files import write_atomically
 from ..result import ResultDoc
 from ..result.site import SiteDoc
 from ..site.answer import SiteCalibration
+from . import listings
 from .certificate import certificate
-from .checks import loops, tests, without
 from .hypotheses import hypotheses
+from .listings import Listing
 from .map import site_map
-from .markup import share_styles
+from .markup import listed, share_styles
 from .missing import missing_poles
-from .page import Html, fill, fill_page, join
+from .page import EMPTY, Html, fill, fill_page, join
 from .pairs import pairs
 from .plan import plan_of
 from .poses import poses
@@ -108,7 +109,7 @@ def render_site(
         Where the document is of other LiDARs or placements than the calibration.
     """
     subject = of_site(document, calibration)
-    return _render(subject, notes, MAX_CLOUD_POINTS, document.name or "Site", Html(""))
+    return _render(subject, notes, MAX_CLOUD_POINTS, document.name or "Site", EMPTY)
 
 
 def _render(
@@ -125,9 +126,9 @@ def _render(
         # What was found comes first where it is all there is.
         *([found] if site.status == "refused" else []),
         pairs(site),
-        loops(site),
-        tests(site),
-        without(subject),
+        _checked("loops", listings.loops(site)),
+        _checked("tests", listings.tests(site)),
+        _checked("placements", listings.changes(subject)),
         poses(subject),
         *([] if site.status == "refused" else [found]),
         run(subject),
@@ -145,6 +146,11 @@ def _render(
     )
 
 
+def _checked(piece: str, listing: Listing) -> Html:
+    """Show what was checked; nothing where nothing was."""
+    return fill(piece, table=listed(listing)) if listing.rows else EMPTY
+
+
 def render_page(
     brand: str,
     heading: str,
@@ -155,7 +161,7 @@ def render_page(
     *,
     title: str = "",
     view: PageView | None = None,
-    sheet: Html = Html(""),
+    sheet: Html = EMPTY,
 ) -> str:
     """Lay out a page: its head, the verdict, links to every part that there is, and the parts.
 
@@ -196,7 +202,7 @@ def render_page(
 def viewer(subject: Subject, view: PageView | None) -> Html:
     """Write the view of the clouds, with a button for each LiDAR and each of several placements."""
     if view is None:
-        return Html("")
+        return EMPTY
     pair = subject.pair is not None
     lidars = join(
         fill(
@@ -220,7 +226,7 @@ def viewer(subject: Subject, view: PageView | None) -> Html:
 
 def _key(key: str) -> Html:
     """Name the key of a button; only nine of a kind have one."""
-    return fill("key", key=key) if len(key.removeprefix("Shift+")) == 1 else Html("")
+    return fill("key", key=key) if len(key.removeprefix("Shift+")) == 1 else EMPTY
 
 
 def write_report(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,6 +26,13 @@ LIDARS = ("target", "source")
 
 COLOURS = 8
 """So many LiDARs have a colour of their own; more begin again. Each has its name beside it."""
+
+NO_SITE: dict[str, Any] = {
+    **{name: [] for name in ("joint_order", "groups", "poles", "pairs", "loops", "tests")},
+    **{name: [] for name in ("surveyed_poles", "control_points")},
+    **{name: None for name in ("need", "joint_covariance")},
+}
+"""What two LiDARs have nothing of."""
 
 Scans = Sequence[Sequence[Scan | None]]
 
@@ -72,7 +80,7 @@ class Subject:
         return [self.placement(j) for j in range(len(self.site.placements))]
 
     def pole(self, lidar: int, k: int) -> str:
-        """Name the k-th pole that a LiDAR sees in a placement: ``S1`` of a pair, else its number."""
+        """Name the k-th pole that a LiDAR sees in a placement: ``S1`` of a pair, or its number."""
         return f"pole {k + 1}" if self.pair is None else pole_name(LIDARS[lidar], k)
 
     @property
@@ -110,12 +118,15 @@ def of_pair(
 ) -> Subject:
     """Take a pair as a site of two LiDARs in the frame of the target."""
     scans = [[each.target for each in placements], [each.source for each in placements]]
-    found = [[found_document(scan) for scan in of_lidar] for of_lidar in scans]
-    for of_lidar, listed in zip(found, (result.poles.target, result.poles.source), strict=True):
-        # The poles of the first placement are those that the result lists, whatever is shown.
-        first = of_lidar[0] if of_lidar and of_lidar[0] else FoundDoc(None, [], [], None)
-        of_lidar[:1] = [msgspec.structs.replace(first, poles=listed)]
     names, T = input_names(result), result.T_target_source
+    count = max((len(names) + 1) // 2, len(placements), len(result.placements), 1)
+    found: list[list[FoundDoc | None]] = []
+    for of_lidar, listed in zip(scans, (result.poles.target, result.poles.source), strict=True):
+        # The poles of the first placement are those that the result lists, whatever is shown.
+        searched = [found_document(scan) for scan in of_lidar]
+        first, *others = [*searched, *[None] * (count - len(of_lidar))]
+        first = first or FoundDoc(None, [], [], None)
+        found.append([msgspec.structs.replace(first, poles=listed), *others])
     sensors = [item.sensor for item in result.inputs[:2]] or ["auto", "auto"]
     target, source = (
         LidarDoc(name=name, sensor=sensor, serial=serial, up=None)
@@ -128,12 +139,9 @@ def of_pair(
         datum="",
         frame=Frame("LiDAR target"),
         reference=0,
-        placements=[
-            " ← ".join(names[2 * j : 2 * j + 2]) for j in range(max(len(names) // 2, len(found[0])))
-        ],
+        placements=[" ← ".join(names[2 * j : 2 * j + 2]) for j in range(count)],
         radius_m=result.config.radius_m,
         radius_sigma_m=0.0 if result.radius is None else result.radius.sigma,
-        need=None,
         lidars=[
             msgspec.structs.replace(
                 target, T_site_lidar=None if T is None else np.eye(4), covariance=np.zeros((6, 6))
@@ -149,26 +157,18 @@ def of_pair(
         ],
         covariance_order=result.covariance_order,
         covariance_frame=result.covariance_frame,
-        joint_order=[],
-        joint_covariance=None,
-        groups=[],
-        poles=[],
-        pairs=[],
-        loops=[],
-        tests=[],
         without=[
             WithoutPlacement(j, each.left_out_rotation_rad, each.left_out_translation_m, 1)
             for j, each in enumerate(result.placements)
             if len(result.placements) > 1
         ],
         found=found,
-        surveyed_poles=[],
-        control_points=[],
         inputs=[
             RecordingDoc(**msgspec.structs.asdict(item), lidar=k % 2, placement=k // 2)
             for k, item in enumerate(result.inputs)
         ],
         config=SiteConfig(),
+        **NO_SITE,
         version=result.version,
         created=result.created,
         seconds=result.seconds,

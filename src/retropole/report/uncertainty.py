@@ -11,9 +11,9 @@ from ..base.quantities import UNKNOWN, Unit, error, percent, value
 from ..base.uncertainty import Uncertainty
 from ..result import BudgetEntry, ResultDoc
 from ..result.site_parts import LidarDoc
-from .certainty import BUDGET_RANGE, error_parts
-from .markup import folded, number, plus_minus, table
-from .page import Html, fill, join
+from .certainty import BUDGET_RANGE, error_parts, number
+from .markup import folded, plus_minus, table
+from .page import EMPTY, Html, fill, join
 from .subject import LIDARS, Subject, colour_class
 
 STATES = tuple(
@@ -52,14 +52,14 @@ def uncertainty(subject: Subject, k: int) -> Html:
     tables = (
         range_table(lidar, parts, f"A point of {name} in the frame of {subject.frame}"),
         state_table(lidar, parts, f"Pose of {name}, axes of {subject.frame}"),
-        Html("") if pair is None else _residuals(pair),
+        EMPTY if pair is None else _residuals(pair),
     )
     return join(
         (
-            Html("") if pair is None else _weakest(pair),
-            Html("") if parts is None else fill("kinds"),
+            EMPTY if pair is None else _weakest(pair),
+            EMPTY if parts is None else fill("kinds"),
             fill("columns", body=join(tables)),
-            budget_table(lidar.budget) if lidar.budget else Html(""),
+            budget_table(lidar.budget) if lidar.budget else EMPTY,
             said,
             folded("Covariance matrix", join(listed)),
         )
@@ -74,7 +74,7 @@ def _weakest(pair: ResultDoc) -> Html:
     """Say in which direction the pose is least certain."""
     weakest = pair.weakest
     if weakest is None:
-        return Html("")
+        return EMPTY
     direction = ", ".join(number(value, 2) for value in weakest.direction)
     return fill(
         "weakest",
@@ -88,7 +88,7 @@ def range_table(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Htm
     """Say where a point lands, by its range."""
     stated = lidar.predicted_error or []
     if not stated:
-        return Html("")
+        return EMPTY
     apart = [tuple(map(error, each[2:])) for each in error_parts(stated, parts)]
     rows = [
         (f"{each.range_m:g} m", plus_minus(each.sigma_m), *more)
@@ -100,7 +100,7 @@ def range_table(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Htm
 def state_table(lidar: LidarDoc, parts: Uncertainty | None, caption: str) -> Html:
     """Say how certain each rotation and translation is."""
     if lidar.covariance is None:
-        return Html("")
+        return EMPTY
     matrices = [lidar.covariance, *([] if parts is None else [parts.random, parts.systematic])]
     rows = _named(STATES, list(zip(*map(_sigmas, matrices), strict=True)))
     return table(caption, ("state", "1 σ", *PARTS)[: 1 + len(matrices)], rows)
@@ -114,7 +114,7 @@ def _sigmas(matrix: Array) -> list[str]:
 def _residuals(pair: ResultDoc) -> Html:
     estimates = (("poles alone", pair.stages.poles), ("refined", pair.stages.refined))
     rows = [(name, number(each.rms, 1, 1000)) for name, each in estimates if each is not None]
-    return table("Pose estimates", ("estimate", "rms residual, mm"), rows) if rows else Html("")
+    return table("Pose estimates", ("estimate", "rms residual, mm"), rows) if rows else EMPTY
 
 
 def budget_table(budget: Sequence[BudgetEntry]) -> Html:
@@ -150,7 +150,7 @@ def _entries(caption: str, entries: Sequence[BudgetEntry], whose: bool) -> Html:
     bars = [(bar_class(entry.sensor), entry.share_at_30m) for entry in entries]
     lidar = ["LiDAR"] if whose else []
     header = ("source of error", *lidar, "1 σ", "estimated", f"share at {BUDGET_RANGE:g} m")
-    return table(caption, header, rows, (1,) if whose else (), bars) if rows else Html("")
+    return table(caption, header, rows, (1,) if whose else (), bars) if rows else EMPTY
 
 
 def bar_class(sensor: str | None) -> str:

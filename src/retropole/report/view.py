@@ -20,7 +20,7 @@ MAX_CLOUD_POINTS = 100_000
 """Points of each cloud in the page, about 0.9 MB."""
 
 MAX_PAIR_POINTS, MAX_SITE_POINTS = 600_000, 1_500_000
-"""Points of all clouds together: the page of a pair stays under 8 MB, that of a site under 20 MB."""
+"""Points of all clouds together: the page of a pair stays under 8 MB, of a site under 20 MB."""
 
 SEEN_SIGMA = 0.7
 """The ellipsoid is enlarged by a power of ten until its longest half axis is about so long, metres.
