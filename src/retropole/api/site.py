@@ -17,7 +17,7 @@ from ..base.files import read_document, write_together
 from ..base.quantities import error as in_words
 from ..base.relative import joint_of, relative
 from ..report import render_site
-from ..report.text import pose_rows
+from ..report.listings import pose_rows
 from ..result import ReasonDoc, encode, refusal_of
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document

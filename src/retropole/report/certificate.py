@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.quantities import UNKNOWN, counted, error, percent
+from ..base.quantities import UNKNOWN, counted, percent
 from ..result import BudgetEntry, ResultDoc
-from .certainty import BUDGET_RANGE, radius_words, scene_words
-from .markup import table
+from .certainty import radius_words, scene_words
+from .markup import listed, table
 from .page import EMPTY, Html, fill, join
 from .poses import pose_parts, transform_matrix
 from .subject import Subject
-from .uncertainty import range_table, state_table
+from .uncertainty import covariances, ranges, sources, states
 from .verdict import VERDICTS
 
 LISTED_SOURCES = 8
@@ -56,8 +56,8 @@ def certificate(subject: Subject, place: str = "") -> Html:
         lidars=join(lidars),
         matrix=transform_matrix(T),
         parts=pose_parts(T),
-        ranges=range_table(source, pair.uncertainty, "Where a source point lands, 1 σ"),
-        states=state_table(source, None, "The pose, target axes"),
+        ranges=listed(ranges(source, pair.uncertainty, "Where a source point lands, 1 σ")),
+        states=listed(states(covariances(source, None), "The pose, target axes")),
         budget=_budget(pair.budget or []),
         recordings=table("Recordings", ("input", "path", "SHA-256"), recordings, (1, 2)),
     )
@@ -102,13 +102,9 @@ def _poles(pair: ResultDoc) -> str:
 def _budget(budget: list[BudgetEntry]) -> Html:
     """List the largest sources of error, and what all others come to."""
     entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
-    rows = [
-        (e.name, e.sensor or UNKNOWN, error(e.sigma, e.unit), percent(e.share_at_30m))
-        for e in entries[:LISTED_SOURCES]
-    ]
+    caption, header, rows, words = sources("Uncertainty budget", entries[:LISTED_SOURCES])
     rest = entries[LISTED_SOURCES:]
     if rest:
         together = percent(sum(entry.share_at_30m for entry in rest))
-        rows.append((f"{len(rest)} smaller", UNKNOWN, UNKNOWN, together))
-    header = ("source of error", "LiDAR", "1 σ", f"share at {BUDGET_RANGE:g} m")
-    return table("Uncertainty budget", header, rows, (1,)) if rows else EMPTY
+        rows = [*rows, [f"{len(rest)} smaller", *[UNKNOWN] * (len(header) - 2), together]]
+    return table(caption, header, rows, words) if rows else EMPTY

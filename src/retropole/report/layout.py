@@ -37,7 +37,12 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     A name of the header may have several lines, one for each word where a screen is too narrow.
     """
     cells = [[str(cell) for cell in row] for row in rows]
-    for names in (header, [name.replace(" ", "\n") for name in header]):
+    longest = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    broken = [
+        name if len(name) <= most else name.replace(" ", "\n")
+        for name, most in zip(header, longest, strict=True)
+    ]
+    for names in (header, broken):
         heads = zip_longest(*(name.split("\n") for name in names), fillvalue="")
         whole = [*map(list, heads), *cells]
         widths = [max(len(row[k]) for row in whole) for k in range(len(header))]

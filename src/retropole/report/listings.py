@@ -136,18 +136,44 @@ def name_of(k: int, hypothesis: HypothesisDoc) -> str:
     return hypothesis_name(k) + (" · chosen" if hypothesis.chosen else "")
 
 
-def poses(subject: Subject) -> Listing:
-    """List the poses of all LiDARs, each with its certainty."""
-    asked = any(lidar.fitness is not None for lidar in subject.site.lidars)
+class PoseRow(NamedTuple):
+    """Where a LiDAR is, in words; `sigma` is that of a point 30 m away, metres, None for none."""
+
+    name: str
+    x: str
+    y: str
+    z: str
+    roll: str
+    pitch: str
+    yaw: str
+    sigma: float | None
+
+
+def pose_rows(site: SiteDoc) -> list[PoseRow]:
+    """Write each pose in the frame's own coordinates, degrees; none where refused."""
     rows = []
-    for lidar in subject.site.lidars:
-        T = np.array(lidar.T_site_lidar)
-        angles = numbers(np.degrees(se3.rpy_from_rotation(T[:3, :3])), 3)
+    for lidar in site.lidars:
+        if lidar.T_site_lidar is not None:
+            R, t = lidar.T_site_lidar[:3, :3], lidar.T_site_lidar[:3, 3]
+            x, y, z = numbers(t + site.frame.offset, 3)
+            roll, pitch, yaw = numbers(np.degrees(se3.rpy_from_rotation(R)), 2)
+            rows.append(PoseRow(lidar.name, x, y, z, roll, pitch, yaw, far_error(lidar)))
+    return rows
+
+
+def poses(site: SiteDoc) -> Listing:
+    """List where the LiDARs are in the frame's own coordinates, each with its certainty."""
+    asked = any(lidar.fitness is not None for lidar in site.lidars)
+    rows = []
+    for row, lidar in zip(pose_rows(site), site.lidars, strict=False):
+        sigma = np.sqrt(np.maximum(np.diag(np.asarray(lidar.covariance))[3:], 0.0)).tolist()
+        at = ", ".join(map(error, sigma)) if any(sigma) else UNKNOWN
         answer = [lidar.fitness.answer if lidar.fitness else UNKNOWN] if asked else []
-        at = numbers(T[:3, 3], 4)
-        rows.append([lidar.name, *at, *angles, error(far_error(lidar)), *answer])
-    names = "LiDAR; x, m; y, m; z, m; roll, deg; pitch, deg; yaw, deg; 1 σ at 30 m"
-    return Listing("Poses of all LiDARs", columns(names + "; good enough" * asked), rows)
+        far = f"± {error(row.sigma)}" if row.sigma else UNKNOWN
+        rows.append([*row[:7], far, at, *answer])
+    names = "LiDAR; x, m; y, m; z, m; roll, °; pitch, °; yaw, °; 1 σ at 30 m; 1 σ of x, y, z"
+    header = columns(names + "; good enough" * asked)
+    return Listing(f"Where the LiDARs are, {site.frame.name}", header, rows)
 
 
 def pairs(site: SiteDoc) -> Listing:

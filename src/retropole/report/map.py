@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.quantities import UNKNOWN, error, large, round_below
+from ..base.quantities import large, round_below
 from ..result.site import SiteDoc
 from .certainty import number
 from .markup import folded, table
@@ -40,7 +41,7 @@ def site_map(subject: Subject, plan: Plan) -> Html:
     site = subject.site
     if site.status == "refused" or subject.pair is not None:
         return EMPTY
-    return fill("map", figure=_figure(site, plan), places=_places(site), poles=_poles(site))
+    return fill("map", figure=_figure(site, plan), poles=_poles(site))
 
 
 def _figure(site: SiteDoc, plan: Plan) -> Html:
@@ -58,30 +59,17 @@ def _figure(site: SiteDoc, plan: Plan) -> Html:
     labels.keep_free(WIDTH - 35.0, 30.0, 35.0)
     factor, ellipses = _ellipses(site, R, to_picture(lidars), scale)
     metres = round_below(0.3 * (WIDTH - 2 * MARGIN) / scale)
-    marks = [
-        *ellipses,
-        *_pole_marks(pole_labels(site), to_picture, poles, labels),
-        *(
-            join(
-                (
-                    fill("control", x=x, y=y - 6),
-                    labels.place(short(each.name), x, y, 10.0, "soft", FONT - 2),
-                )
-            )
-            for each, (x, y) in zip(site.control_points, to_picture(points), strict=True)
-        ),
-        *(
-            join(
-                (
-                    fill("place", colour=colour_class(k), x=x, y=y, r=6),
-                    labels.place(short(each.name), x, y, 11.0, f"name {colour_class(k)}"),
-                )
-            )
-            for k, (each, (x, y)) in enumerate(zip(site.lidars, to_picture(lidars), strict=True))
-        ),
-        fill("scale", y=height - 14.0, above=height - 24.0, length=metres * scale, m=large(metres)),
-        _direction(plan),
-    ]
+    marks = [*ellipses, *_pole_marks(pole_labels(site), to_picture, poles, labels)]
+    for point, (x, y) in zip(site.control_points, to_picture(points), strict=True):
+        marks.append(fill("control", x=x, y=y - 6))
+        marks.append(labels.place(short(point.name), x, y, 10.0, "soft", FONT - 2))
+    for k, (x, y) in enumerate(to_picture(lidars)):
+        marks.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
+        name, style = short(site.lidars[k].name), f"name {colour_class(k)}"
+        marks.append(labels.place(name, x, y, 11.0, style))
+    scale_bar = {"length": metres * scale, "m": large(metres)}
+    marks.append(fill("scale", y=height - 14.0, above=height - 24.0, **scale_bar))
+    marks.append(_direction(plan))
     return fill(
         "map-figure",
         width=f"{WIDTH:g}",
@@ -91,11 +79,13 @@ def _figure(site: SiteDoc, plan: Plan) -> Html:
     )
 
 
+@dataclass(frozen=True, eq=False)
 class _ToPicture:
     """From the plan, metres, to the picture: y points up in the one and down in the other."""
 
-    def __init__(self, middle: Array, scale: float, height: float) -> None:
-        self.middle, self.scale, self.height = middle, scale, height
+    middle: Array
+    scale: float
+    height: float
 
     def __call__(self, points: Array) -> list[tuple[float, float]]:
         away = (np.asarray(points)[:, :2] - self.middle) * self.scale
@@ -161,33 +151,20 @@ def _direction(plan: Plan) -> Html:
 
 def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
     """Say what the picture shows, also for those who do not see it."""
-    up = f"Seen from above, taking for up {plan.words}."
-    north = f" {plan.north.capitalize()} is at the top." if plan.north else ""
-    ellipses = (
-        " No LiDAR has an ellipse: where it stands is without error."
-        if factor is None
-        else f" Ellipses: 1 σ of where each LiDAR stands, enlarged {large(factor)} times."
-    )
-    if any(not np.any(each.covariance) for each in site.lidars) and factor is not None:
-        fixed = next(each.name for each in site.lidars if not np.any(each.covariance))
-        ellipses += f" {fixed} has none: its frame is the site's."
-    poles = ""
+    said = [f"Seen from above, taking for up {plan.words}."]
+    if plan.north:
+        said.append(f"{plan.north.capitalize()} is at the top.")
+    fixed = [each.name for each in site.lidars if not np.any(each.covariance)]
+    if factor is None:
+        said.append("No LiDAR has an ellipse: where it stands is without error.")
+    else:
+        said.append(f"Ellipses: 1 σ of where each LiDAR stands, enlarged {large(factor)} times.")
+        said += [f"{name} has none: its frame is the site's." for name in fixed[:1]]
     if site.poles:
-        poles = " Rings: poles, 2.1 being the first of placement 2, with the way each leans."
-    points = " Triangles: control points." if site.control_points else ""
-    return f"{up}{north}{ellipses}{poles}{points}"
-
-
-def _places(site: SiteDoc) -> Html:
-    """List where each LiDAR stands in the frame's own coordinates, each with its 1 σ."""
-    rows = []
-    for lidar in site.lidars:
-        at = np.array(lidar.T_site_lidar)[:3, 3] + site.frame.offset
-        sigma = np.sqrt(np.maximum(np.diag(np.array(lidar.covariance))[3:], 0.0))
-        said = ", ".join(error(float(s)) for s in sigma) if sigma.any() else UNKNOWN
-        rows.append((lidar.name, *(number(v, 3) for v in at), said))
-    caption = f"Where the LiDARs stand, {site.frame.name}"
-    return table(caption, ("LiDAR", "x, m", "y, m", "z, m", "1 σ of x, y, z"), rows)
+        said.append("Rings: poles, 2.1 being the first of placement 2, with the way each leans.")
+    if site.control_points:
+        said.append("Triangles: control points.")
+    return " ".join(said)
 
 
 def _poles(site: SiteDoc) -> Html:

@@ -11,7 +11,7 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
-PIECE = re.compile(r'<template id="([\w-]+)">\n(.*?)\n</template>', re.DOTALL)
+PIECE = re.compile(r'<template id="([\w-]+)">\n?(.*?)\n?</template>', re.DOTALL)
 """A piece in `pieces.html`: its name, and the markup with its ``$places``."""
 
 

@@ -50,8 +50,8 @@ class PackedCloud(PackedPoints, frozen=True):
     ----------
     intensity
         Base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale; None where that says nothing.
-    on_poles, in_rejected
-        How many points are on poles, and in rejected clusters; they come first, in this order.
+    on_poles
+        How many points are on poles; they come first, then those in rejected clusters.
     shown, total, far
         How many points are packed, the cloud has, and are left out as too far.
     origin, centre, radius
@@ -60,7 +60,6 @@ class PackedCloud(PackedPoints, frozen=True):
 
     intensity: str | None
     on_poles: int
-    in_rejected: int
     shown: int
     total: int
     far: int
@@ -136,7 +135,6 @@ def pack_cloud(
         low=packed.low,
         size=packed.size,
         on_poles=len(poles),
-        in_rejected=len(rejected),
         shown=len(shown),
         total=len(cloud),
         far=len(cloud) - len(candidates),

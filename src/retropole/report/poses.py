@@ -37,7 +37,7 @@ def poses(subject: Subject) -> Html:
             fill("lidar", colour=colour_class(k), name=site.lidars[k].name, body=_pose(subject, k))
             for k in shown
         )
-        body = join((listed(listings.poses(subject)), fill("lidars", body=join(lidars))))
+        body = join((listed(listings.poses(site)), fill("lidars", body=join(lidars))))
     return fill(
         "poses",
         transform=subject.transform,

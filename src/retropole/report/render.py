@@ -73,14 +73,7 @@ def render_report(
     """
     if not placements:
         raise ValueError("a report shows at least one placement of the poles")
-    subject = of_pair(result, placements, serials)
-    names = input_names(result)[:2]
-    heading = fill(
-        "pair-heading",
-        target=names[0] if len(names) > 1 else LIDARS[0],
-        source=names[1] if len(names) > 1 else LIDARS[1],
-    )
-    return _render(subject, notes, max_points, heading, certificate(subject, site))
+    return _render(of_pair(result, placements, serials), notes, max_points, site)
 
 
 def render_site(
@@ -108,29 +101,35 @@ def render_site(
     ValueError
         Where the document is of other LiDARs or placements than the calibration.
     """
-    subject = of_site(document, calibration)
-    return _render(subject, notes, MAX_CLOUD_POINTS, document.name or "Site", EMPTY)
+    return _render(of_site(document, calibration), notes)
 
 
 def _render(
-    subject: Subject, notes: Sequence[str], max_points: int, heading: str, sheet: Html
+    subject: Subject,
+    notes: Sequence[str],
+    max_points: int = MAX_CLOUD_POINTS,
+    place: str = "",
 ) -> str:
     site, plan = subject.site, plan_of(subject.site)
-    view = page_view(subject, plan, max_points)
-    found = poles(subject)
+    view, found = page_view(subject, plan, max_points), poles(subject)
+    refused, heading = site.status == "refused", site.name or "Site"
+    if subject.pair is not None:
+        named = input_names(subject.pair)
+        target, source = named[:2] if len(named) > 1 else LIDARS
+        heading = fill("pair-heading", target=target, source=source)
     parts = [
         missing_poles(subject),
         site_map(subject, plan),
         viewer(subject, view),
         hypotheses(subject.pair),
         # What was found comes first where it is all there is.
-        *([found] if site.status == "refused" else []),
+        found if refused else EMPTY,
         pairs(site),
         _checked("loops", listings.loops(site)),
         _checked("tests", listings.tests(site)),
         _checked("placements", listings.changes(subject)),
         poses(subject),
-        *([] if site.status == "refused" else [found]),
+        EMPTY if refused else found,
         run(subject),
     ]
     return render_page(
@@ -142,7 +141,7 @@ def _render(
         parts,
         title=site.name or "Site",
         view=view,
-        sheet=sheet,
+        sheet=certificate(subject, place),
     )
 
 
@@ -183,20 +182,15 @@ def render_page(
     body = join(parts)
     links = join(fill("a", to=f"#{name}", text=Html(text)) for name, text in HEADING.findall(body))
     code = ("three.min.js", "page.js", "view.js", "app.js") if view else ("page.js", "app.js")
-    places = {
-        "title": fill("text", value=title or heading),
-        "brand": fill("text", value=brand),
-        "heading": fill("text", value=heading),
-        "created": fill("text", value=created),
-        "status": fill("text", value=status),
+    places: dict[str, object] = {
+        "title": title or heading,
+        **{"brand": brand, "heading": heading, "created": created, "status": status},
         "certificate": sheet,
-        "certificate_button": fill("certificate-button") if sheet else "",
-        "verdict": verdict,
-        "links": links,
-        "parts": body,
-        "data": embed_json(view),
+        "certificate_button": fill("certificate-button") if sheet else EMPTY,
+        **{"verdict": verdict, "links": links, "parts": body, "data": embed_json(view)},
     }
-    return fill_page("report.html", ("style.css",), code, places, share_styles())
+    escaped = {name: fill("text", value=value) for name, value in places.items()}
+    return fill_page("report.html", ("style.css",), code, escaped, share_styles())
 
 
 def viewer(subject: Subject, view: PageView | None) -> Html:
@@ -204,29 +198,24 @@ def viewer(subject: Subject, view: PageView | None) -> Html:
     if view is None:
         return EMPTY
     pair = subject.pair is not None
-    lidars = join(
-        fill(
-            "lidar-button",
-            k=k,
-            key=_key("ts"[k] if pair else str(k + 1)),
-            colour=colour_class(k),
-            name=lidar.name.capitalize() if pair else lidar.name,
-        )
-        for k, lidar in enumerate(view.lidars)
-    )
-    places = join(
-        fill("placement-button", j=j, key=_key(f"Shift+{j + 1}"), name=name)
+    lidars, keys = EMPTY, list("ts" if pair else "123456789") + [""] * len(view.lidars)
+    for k, lidar in enumerate(view.lidars):
+        key = fill("key", key=keys[k]) if keys[k] else EMPTY
+        name = lidar.name.capitalize() if pair else lidar.name
+        button = fill("lidar-button", k=k, key=key, colour=colour_class(k), name=name)
+        lidars = join((lidars, button))
+    places = [
+        fill("placement-button", j=j, key=fill("key", key=f"Shift+{j + 1}"), name=name)
         for j, name in enumerate(view.placements)
+    ]
+    return fill(
+        "viewer",
+        modes=fill("modes") if pair else EMPTY,
+        lidars=lidars,
+        placements=fill("placement-buttons", buttons=join(places)) if places[1:] else EMPTY,
+        keys=fill("keys-of-pair" if pair else "keys-of-site"),
+        shown=view.shown,
     )
-    group = fill("placement-buttons", buttons=places) if len(view.placements) > 1 else ""
-    modes = fill("modes") if pair else ""
-    keys = fill("keys-of-pair" if pair else "keys-of-site")
-    return fill("viewer", modes=modes, lidars=lidars, placements=group, keys=keys, shown=view.shown)
-
-
-def _key(key: str) -> Html:
-    """Name the key of a button; only nine of a kind have one."""
-    return fill("key", key=key) if len(key.removeprefix("Shift+")) == 1 else EMPTY
 
 
 def write_report(
@@ -244,14 +233,3 @@ def write_report(
         result, placements, notes=notes, max_points=max_points, site=site, serials=serials
     )
     write_atomically(path, page.encode("utf-8"))
-
-
-def write_site_report(
-    path: Path,
-    document: SiteDoc,
-    calibration: SiteCalibration | None = None,
-    *,
-    notes: Sequence[str] = (),
-) -> None:
-    """Write `render_site`'s page to a file, whole or not at all."""
-    write_atomically(path, render_site(document, calibration, notes=notes).encode("utf-8"))

@@ -124,8 +124,8 @@ def of_pair(
     for of_lidar, listed in zip(scans, (result.poles.target, result.poles.source), strict=True):
         # The poles of the first placement are those that the result lists, whatever is shown.
         searched = [found_document(scan) for scan in of_lidar]
-        first, *others = [*searched, *[None] * (count - len(of_lidar))]
-        first = first or FoundDoc(None, [], [], None)
+        first = (searched[0] if searched else None) or FoundDoc(None, [], [], None)
+        others = [*searched[1:], *[None] * (count - max(len(searched), 1))]
         found.append([msgspec.structs.replace(first, poles=listed), *others])
     sensors = [item.sensor for item in result.inputs[:2]] or ["auto", "auto"]
     target, source = (

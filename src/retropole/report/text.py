@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import printable, shortened
-from ..base.quantities import UNKNOWN, counted, error
+from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
 from ..result import DetectionDoc, InputDoc, ReasonDoc, ResultDoc
 from ..result.site import SiteDoc
 from . import listings
-from .certainty import far_error, fitness_words, statements
+from .certainty import fitness_words, statements
 from .hypotheses_text import describe_standing
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
@@ -26,32 +25,6 @@ ACTIONS = 2
 
 LONGEST_NAME = 20
 """Characters of a LiDAR's name in a table; the middle of a longer one is left out."""
-
-
-class PoseRow(NamedTuple):
-    """Where a LiDAR is, in words; `sigma` is that of a point 30 m away, metres, None for none."""
-
-    name: str
-    x: str
-    y: str
-    z: str
-    roll: str
-    pitch: str
-    yaw: str
-    sigma: float | None
-
-
-def pose_rows(document: SiteDoc) -> list[PoseRow]:
-    """Write each pose in the frame's own coordinates, degrees; none where refused."""
-    rows = []
-    for lidar in document.lidars:
-        if lidar.T_site_lidar is None:
-            continue
-        at = lidar.T_site_lidar[:3, 3] + document.frame.offset
-        angles = np.degrees(se3.rpy_from_rotation(lidar.T_site_lidar[:3, :3]))
-        x, y, z, roll, pitch, yaw = *numbers(at, 3), *numbers(angles, 2)
-        rows.append(PoseRow(lidar.name, x, y, z, roll, pitch, yaw, far_error(lidar)))
-    return rows
 
 
 def input_lines(name: str, document: InputDoc) -> list[str]:
@@ -144,7 +117,7 @@ def _describe(
         tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
     if verbose:
         reasons = reasons_whole(site.status, site.reasons)
-        poses, found = _poses(subject, len(site.lidars)), [*_found(subject), *_more(subject)]
+        poses, found = _poses(subject, len(site.lidars) + 2), [*_found(subject), *_more(subject)]
     else:
         room = LINES - len(head) - len(head_end) - len(said) - len(tail)
         # Header and at least three rows of what was found or where the LiDARs are.
@@ -163,16 +136,10 @@ def _poses(subject: Subject, room: int) -> list[str]:
         T = pair.T_target_source
         title = ["", "T_target_source (source points into the target frame)"]
         return [] if T is None else title + transform_lines(T)
-    rows = [
-        [
-            shortened(row.name, LONGEST_NAME),
-            *row[1:7],
-            f"± {error(row.sigma)}" if row.sigma else UNKNOWN,
-        ]
-        for row in pose_rows(site)
-    ]
-    listing = Listing("", columns("LiDAR; x m; y m; z m; roll°; pitch°; yaw°; 1 σ at 30 m"), rows)
-    lines = _lines(listing)
+    listing = listings.poses(site)
+    rows = [[shortened(str(name), LONGEST_NAME), *row] for name, *row in listing.rows]
+    listing = listing._replace(rows=rows)
+    lines = _lines(listing.only(*range(8)))
     if max(map(len, lines), default=0) > WIDTH:
         # Large coordinates leave no room for the angles.
         lines = _lines(listing.only(0, 1, 2, 3, 7))
