@@ -111,8 +111,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
         Whether the kinds of error and the radius are told as well.
     """
     site, pair = subject.site, subject.pair
-    answered = site.status != "refused"
-    if answered and pair is None:
+    if subject.answered and pair is None:
         yield f"frame: {site.frame.name}; datum: {site.datum}"
     worst = worst_lidar(site.lidars)
     if worst is not None:
@@ -130,7 +129,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
     if pair is not None:
         yield from _of_pair(pair, verbose)
     else:
-        yield from _of_site(site, answered)
+        yield from _of_site(site, subject.answered)
     moved = [each for each in site.without if each.translation is not None]
     if moved:
         most = max(moved, key=lambda each: each.translation or 0.0)

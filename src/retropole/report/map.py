@@ -39,7 +39,7 @@ CORNERS = 33
 def site_map(subject: Subject, plan: Plan) -> Html:
     """Draw a site from above and list where its LiDARs stand; nothing of two, or where refused."""
     site = subject.site
-    if site.status == "refused" or subject.pair is not None:
+    if subject.pair is not None or not subject.answered:
         return EMPTY
     return fill("map", figure=_figure(site, plan), poles=_poles(site))
 

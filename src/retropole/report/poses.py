@@ -25,9 +25,7 @@ UNFOLDED = ("ros2", "matrix", "quaternion")
 def poses(subject: Subject) -> Html:
     """Show every pose, its certainty, and lines to copy; of many a summary, and each unfolded."""
     site = subject.site
-    # The target of a pair is the frame itself.
-    shown = range(0 if subject.pair is None else 1, len(site.lidars))
-    if any(site.lidars[k].T_site_lidar is None for k in shown):
+    if not subject.answered:
         return EMPTY
     offset = site.frame.offset
     if subject.pair is not None:
@@ -35,7 +33,7 @@ def poses(subject: Subject) -> Html:
     else:
         lidars = (
             fill("lidar", colour=colour_class(k), name=site.lidars[k].name, body=_pose(subject, k))
-            for k in shown
+            for k in range(len(site.lidars))
         )
         body = join((listed(listings.poses(site)), fill("lidars", body=join(lidars))))
     return fill(

@@ -56,6 +56,11 @@ class Subject:
     scans: Scans = ()
 
     @property
+    def answered(self) -> bool:
+        """Whether every LiDAR has a pose."""
+        return all(each.T_site_lidar is not None for each in self.site.lidars)
+
+    @property
     def frame(self) -> str:
         """Whose frame the poses are in, as in *the frame of …*."""
         return "the site" if self.pair is None else "the target"

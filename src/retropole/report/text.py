@@ -101,7 +101,7 @@ def _describe(
     verbose: bool,
 ) -> str:
     site, pair = subject.site, subject.pair
-    answered = site.status != "refused"
+    answered = subject.answered
     head = [f"verdict: {site.status}"]
     # Where it is not yes, a reason says so.
     asked = [each.fitness.answer for each in site.lidars if each.fitness is not None]

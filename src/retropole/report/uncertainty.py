@@ -130,7 +130,10 @@ def _entries(caption: str, entries: Sequence[BudgetEntry]) -> Html:
     if not entries:
         return EMPTY
     bars = [
-        (colour_class(LIDARS.index(entry.sensor)) if entry.sensor else "both", entry.share_at_30m)
+        (
+            colour_class(LIDARS.index(entry.sensor)) if entry.sensor in LIDARS else "both",
+            entry.share_at_30m,
+        )
         for entry in entries
     ]
     return table(*sources(caption, entries), bars)

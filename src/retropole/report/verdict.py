@@ -83,7 +83,7 @@ def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> Html:
 def _next_steps(subject: Subject) -> Html:
     """Say what to do with an answer; what to do about a refusal is said with its reasons."""
     status = subject.site.status
-    if status == "refused" or subject.site.lidars[-1].T_site_lidar is None:
+    if not subject.answered:
         return EMPTY
     first = "Settle the warning first, as written above. " if status == "warn" else ""
     return fill("next-site" if subject.pair is None else "next-pair", first=first)

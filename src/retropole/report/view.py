@@ -179,7 +179,7 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
     places = [each.T[:3, 3] for each in lidars if each.T is not None]
     centre, radius = _look(places + [np.array(pole.a) for pole in poles])
     return PageView(
-        "pair" if pair is not None else "alone" if site.status == "refused" else "site",
+        "pair" if pair is not None else "site" if subject.answered else "alone",
         site.status,
         lidars,
         subject.placements,
