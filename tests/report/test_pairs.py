@@ -7,7 +7,8 @@ import re
 import msgspec
 import pytest
 
-from retropole.report.site.pairs import level_of, pair_words, pairs
+from retropole.report.listings import pair_words
+from retropole.report.pairs import level_of, pairs
 from tests.report.made_up import Page
 from tests.report.site.made_up import document_of, made_up_site
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from retropole.report.site.plan import plan_of
+from retropole.report.plan import plan_of
 from retropole.result.site import SiteDoc
 from tests.report.site.made_up import document_of, made_up_site
 

@@ -1,4 +1,4 @@
-"""The poses: every one can be read, copied and doubted; its error is told by state and by source."""
+"""The poses: every one can be read, copied and doubted, its error told by state and by source."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poles, residuals, checks, recordings and options are told as the result and the clouds have them."""
+"""Poles, checks, recordings and options are told as the result and the clouds have them."""
 
 from __future__ import annotations
 

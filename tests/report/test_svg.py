@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from retropole.report.site.svg import LONGEST_LABEL, Labels, short
+from retropole.report.svg import LONGEST_LABEL, Labels, short
 from tests.report.made_up import HOSTILE
 
 

@@ -1,4 +1,4 @@
-"""The verdict: every reason with what to do, how certain and checked the poses are, what is next."""
+"""The verdict: every reason with what to do, how sure the poses are, and what comes next."""
 
 from __future__ import annotations
 

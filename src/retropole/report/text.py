@@ -149,9 +149,9 @@ def _poses(subject: Subject, room: int) -> list[str]:
 def _found(subject: Subject) -> list[str]:
     """List the poles of a pair or its placements, or count the poles that each LiDAR sees."""
     site, pair = subject.site, subject.pair
-    if pair is not None and pair.placements:
-        return _lines(listings.changes(subject))
     if pair is not None:
+        if len(pair.placements) > 1:
+            return _lines(listings.changes(subject))
         rows = [row for k in range(2) for row in listings.poles(subject, k).rows]
         return _lines(Listing("", columns(POLE_COLUMNS), rows))
     # A run that was refused early has looked at no recording.
