@@ -52,24 +52,16 @@ class Circle:
 
 def cross_sections(subject: Subject) -> Html:
     """Draw the returns of both LiDARs of a pair on each of its poles, in the plane across it."""
-    pair, scans = subject.pair, [of_lidar[0] for of_lidar in subject.scans]
-    detections = [None if scan is None else scan.detection for scan in scans]
+    pair = subject.pair
+    target, source = (of_lidar[0] for of_lidar in subject.scans)
     if pair is None or pair.chosen is None or pair.T_target_source is None:
         return EMPTY
-    target, source = detections
-    if target is None or source is None:
+    if target is None or source is None or target.detection is None or source.detection is None:
         return EMPTY
-    T, radius = pair.T_target_source, pair.config.radius_m
-    figures = (
-        _figure(
-            pair_name((i, j)),
-            target.poles[i].xyz,
-            se3.apply(T, source.poles[j].xyz),
-            T[:3, 3],
-            radius,
-        )
-        for i, j in pair.chosen.pairs
-    )
+    T, figures = pair.T_target_source, []
+    for i, j in pair.chosen.pairs:
+        points = target.poles[i].xyz, se3.apply(T, source.poles[j].xyz)
+        figures.append(_figure(pair_name((i, j)), *points, T[:3, 3], pair.config.radius_m))
     return fill("sections", figures=join(figures))
 
 

@@ -15,8 +15,8 @@ from ..result.site_parts import FoundDoc
 from . import listings
 from .certainty import number, radius_words
 from .crosssections import cross_sections
-from .listings import columns, left_out_words
-from .markup import folded, table
+from .listings import Listing, columns, left_out_words
+from .markup import folded, listed, table
 from .page import EMPTY, Html, fill, fill_each, join
 from .subject import Subject, pair_name
 
@@ -36,7 +36,7 @@ def poles(subject: Subject) -> Html:
         none=fill("p", text="No pole was found in any cloud.") if nothing else "",
         counts=table(*listings.found(subject)) if several else "",
         pair=EMPTY if subject.pair is None else _of_pair(subject, subject.pair),
-        listed=join(_of_lidar(subject, k, of_lidar) for k, of_lidar in enumerate(site.found)),
+        lidars=join(_of_lidar(subject, k, of_lidar) for k, of_lidar in enumerate(site.found)),
     )
 
 
@@ -68,7 +68,7 @@ def _of_pair(subject: Subject, pair: ResultDoc) -> Html:
     millimetres, words = 1000 * pair.config.radius_m, radius_words(pair)
     return fill(
         "agreement",
-        residuals=_residuals(subject, pair),
+        residuals=listed(_residuals(subject, pair)),
         radius="" if words is None else fill("radius", words=words),
         given=f"{millimetres:g}",
         apart=f"{millimetres * math.pi / 2:.0f}",
@@ -76,31 +76,23 @@ def _of_pair(subject: Subject, pair: ResultDoc) -> Html:
     )
 
 
-def _residuals(subject: Subject, pair: ResultDoc) -> Html:
+def _residuals(subject: Subject, pair: ResultDoc) -> Listing:
     """Distance of each source pole from its target pole's line, under the transform."""
-    if pair.chosen is None:
-        return EMPTY
-    T, scan = np.array(pair.T_target_source), subject.scans[1][0]
-    rows = []
-    for i, j in pair.chosen.pairs:
+    T, scan, rows = np.array(pair.T_target_source), subject.scans[1][0], []
+    seen = () if scan is None else scan.poles
+    for i, j in pair.chosen.pairs if pair.chosen else ():
         a, b = pair.poles.target[i], pair.poles.source[j]
-        searched = scan is not None and scan.detection is not None
-        points = scan.poles[j].xyz if scan is not None and searched else np.array([b.point_m])
-        away = se3.apply(T, points) - a.point_m
+        away = se3.apply(T, seen[j].xyz if seen else np.array([b.point_m])) - a.point_m
         lateral = away - (away @ a.direction)[:, None] * a.direction
         distance = np.linalg.norm(lateral, axis=1)
         sine = float(np.linalg.norm(np.cross(T[:3, :3] @ b.direction, a.direction)))
-        figures = (float(np.sqrt(np.mean(distance**2))), float(distance.max()))
-        rows.append(
-            (
-                pair_name((i, j)),
-                number(math.degrees(math.asin(min(1.0, sine))), 2),
-                number(float(np.linalg.norm(lateral.mean(axis=0))), 1, 1000),
-                *(number(each if searched else None, 1, 1000) for each in figures),
-            )
-        )
+        angle = math.degrees(math.asin(min(1.0, sine)))
+        spread = (np.sqrt(np.mean(distance**2)), distance.max()) if seen else (None, None)
+        offsets = (np.linalg.norm(lateral.mean(axis=0)), *spread)
+        name = pair_name((i, j))
+        rows.append([name, number(angle, 2), *(number(each, 1, 1000) for each in offsets)])
     header = columns("pair; angle, deg; lateral offset, mm; rms, mm; largest, mm")
-    return table("Source poles from the target poles' lines, with the transform", header, rows)
+    return Listing("Source poles from the target poles' lines, with the pose", header, rows)
 
 
 def run(subject: Subject) -> Html:
@@ -128,14 +120,14 @@ def run(subject: Subject) -> Html:
         for row, item in zip(inputs, site.inputs, strict=True)
         for note in item.notes
     ]
-    times = [(step, number(seconds, 3)) for step, seconds in site.seconds.items()]
-    times.append(("sum", number(float(sum(site.seconds.values())), 3)))
-    listed = table("Inputs", header, inputs, (*words, len(header) - 1)) if inputs else ""
+    seconds = site.seconds | {"sum": sum(site.seconds.values())}
+    times = [(step, number(each, 3)) for step, each in seconds.items()]
+    inputs_table = table("Inputs", header, inputs, (*words, len(header) - 1)) if inputs else ""
     return fill(
         "run",
         version=site.version,
         created=site.created,
-        inputs=listed,
+        inputs=inputs_table,
         notes=fill_each("said", notes),
         options=table("Options", ("option", "value"), _options(subject), (1,)),
         times=table("Time", ("step", "seconds"), times),
