@@ -88,7 +88,7 @@ def test_a_name_that_no_frame_can_have_is_shown_and_not_copied() -> None:
 def test_a_covariance_is_told_by_its_states() -> None:
     page = of_result()
     assert "Least certain, at the poles: height along the poles: 6.0 mm" in page.text
-    for said in ("rotation about x0.013°0.0057°0.011°", "along z4.1 mm1.1 mm4.0 mm", "phi_x"):
+    for said in ("rotation about x (phi_x)0.013°0.0057°0.011°", "(delta_z)4.1 mm1.1 mm4.0 mm"):
         assert said in page.text
     assert "R_true = Exp(phi) R" in page.text
     assert "gives no covariance" in of_result(covariance=None).text
@@ -141,7 +141,7 @@ def test_words_of_a_budget_stay_words() -> None:
 def test_a_result_that_does_not_state_its_parts_shows_the_whole() -> None:
     older: ResultDoc = replace(RESULT, uncertainty=None, budget=None)
     page = of_result(uncertainty=None, budget=None)
-    assert "along z4.1 mm" in page.text
+    assert "(delta_z)4.1 mm" in page.text
     for word in ("systematic", "Error budget"):
         assert word not in page.text
     assert error_parts(older.predicted_error, older.uncertainty) == []

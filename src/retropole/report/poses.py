@@ -42,6 +42,7 @@ def poses(subject: Subject) -> Html:
         frame=subject.frame,
         into=subject.frame.removeprefix("the "),
         of="lidar" if subject.pair is None else "source",
+        whose="each LiDAR" if subject.pair is None else "the source",
         named=f"Frame: {site.frame.name}." if subject.pair is None else "",
         offset=fill("offset", at=", ".join(f"{v:.3f}" for v in offset)) if any(offset) else "",
         body=body,

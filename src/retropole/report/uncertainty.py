@@ -17,8 +17,9 @@ from .markup import folded, listed, plus_minus, table
 from .page import EMPTY, Html, fill, join
 from .subject import LIDARS, Subject, colour_class
 
-STATES = tuple(
-    f"{kind} {axis}" for kind in ("rotation about", "translation along") for axis in "xyz"
+STATES = (
+    *(f"rotation about {axis} (phi_{axis})" for axis in "xyz"),
+    *(f"translation along {axis} (delta_{axis})" for axis in "xyz"),
 )
 """The six directions of a covariance, in its order."""
 
