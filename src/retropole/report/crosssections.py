@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -65,18 +64,11 @@ def cross_sections(subject: Subject) -> Html:
     return fill("sections", figures=join(figures))
 
 
-class Across(NamedTuple):
-    """Centre (3,) of points along a line, and two unit vectors (2, 3) across it."""
-
-    centre: Array
-    axes: Array
-
-
-def across(points: Array) -> Across:
-    """Find the plane across the line that points (N, 3) lie along."""
+def across(points: Array) -> tuple[Array, Array]:
+    """Find the plane across the line that points (N, 3) lie along: centre (3,), axes (2, 3)."""
     centre = points.mean(axis=0)
     axes = np.linalg.svd(points - centre, full_matrices=False)[2]
-    return Across(centre, axes[1:])
+    return centre, axes[1:]
 
 
 @dataclass(frozen=True, eq=False)

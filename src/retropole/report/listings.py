@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,38 +54,40 @@ def numbers(values: Array, digits: int) -> list[str]:
 
 def poles(subject: Subject, k: int) -> Listing:
     """List the poles that a LiDAR sees, of several placements with the one of each."""
-    found = list(zip(subject.placements, subject.site.found[k], strict=True))
-    several = len(found) > 1
     rows = [
-        [*([place] if several else []), *pole_row(subject.pole(k, i), pole)]
-        for place, each in found
-        if each is not None
+        [*place, *pole_row(subject.pole(k, i), pole)]
+        for place, each in _recorded(subject, k)
         for i, pole in enumerate(each.poles)
     ]
-    header = columns(("placement; " if several else "") + POLE_COLUMNS)
-    return Listing(
-        f"Poles in the frame of {subject.called(k)}", header, rows, range(1, 1 + several)
-    )
+    return _of_placements(f"Poles in the frame of {subject.called(k)}", POLE_COLUMNS, rows, 1)
 
 
 def rejected(subject: Subject, k: int) -> Listing:
     """List the rejected clusters of a LiDAR, each with its mark in the view and its reason."""
-    found = list(zip(subject.placements, subject.site.found[k], strict=True))
-    several = len(found) > 1
     rows = [
         [
-            *([place] if several else []),
-            *(rejected_mark(k, i), cluster.code, cluster.reason, cluster.points),
+            *(*place, rejected_mark(k, i), cluster.code, cluster.reason, cluster.points),
             *numbers(cluster.centre_m, 2),
         ]
-        for place, each in found
-        if each is not None
+        for place, each in _recorded(subject, k)
         for i, cluster in enumerate(each.rejected)
     ]
     names = "mark; code; reason; points; x, m; y, m; z, m"
+    return _of_placements(f"Rejected clusters of {subject.called(k)}", names, rows, 3)
+
+
+def _recorded(subject: Subject, k: int) -> Iterator[tuple[list[str], FoundDoc]]:
+    """Give what was found in each recording of a LiDAR, with its placement where of several."""
+    placements = subject.placements
+    for place, each in zip(placements, subject.site.found[k], strict=True):
+        if each is not None:
+            yield [place] if len(placements) > 1 else [], each
+
+
+def _of_placements(caption: str, names: str, rows: Sequence[Sequence[object]], words: int) -> Listing:
+    several = bool(rows) and len(rows[0]) > len(columns(names))
     header = columns(("placement; " if several else "") + names)
-    caption = f"Rejected clusters of {subject.called(k)}"
-    return Listing(caption, header, rows, range(1, 3 + several))
+    return Listing(caption, header, rows, range(1, words + several))
 
 
 def rejected_mark(lidar: int, k: int) -> str:

@@ -102,28 +102,23 @@ def _copies(subject: Subject, k: int) -> Html:
     """Show a pose in every format, with a button that copies it and says aloud whose it is."""
     T = np.array(subject.site.lidars[k].T_site_lidar)
     names = [lidar.name for lidar in subject.site.lidars]
-    whose = f" of {names[k]}" if subject.pair is None else ""
-    parent = "site" if "site" not in names else "site_frame"
-    frames = (parent, names[k]) if subject.pair is None else FRAMES
-    fields = EMPTY
+    parent, fields = "site" if "site" not in names else "site_frame", EMPTY
     if subject.pair is not None:
-        fields = join(
-            fill("frame", lidar=lidar, frame=frame)
-            for lidar, frame in zip(LIDARS, FRAMES, strict=True)
-        )
+        named = zip(LIDARS, FRAMES, strict=True)
+        fields = join(fill("frame", lidar=lidar, frame=frame) for lidar, frame in named)
+        fields = fill("frames", body=fields)
     try:
-        lines = export_lines(T, *frames)
+        lines = export_lines(T, *(FRAMES if subject.pair else (parent, names[k])))
     except RetropoleError:
         # A name that no frame can have: another program reads the pose all the same.
         lines = export_lines(T, parent, f"lidar_{k}")
-    copies = {
-        key: fill("copy", key=key, title=FORMATS[key].title, whose=whose, text=text.strip())
-        for key, text in lines.items()
-    }
-    more = join(copy for key, copy in copies.items() if key not in UNFOLDED)
-    return fill(
-        "copies",
-        fields=fill("frames", body=fields) if fields else fields,
-        first=join(copy for key, copy in copies.items() if key in UNFOLDED),
-        more=folded("More formats", more),
+    whose = f" of {names[k]}" if subject.pair is None else ""
+    first, more = (
+        join(
+            fill("copy", key=key, title=FORMATS[key].title, whose=whose, text=text.strip())
+            for key, text in lines.items()
+            if (key in UNFOLDED) is wanted
+        )
+        for wanted in (True, False)
     )
+    return fill("copies", fields=fields, first=first, more=folded("More formats", more))

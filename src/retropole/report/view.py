@@ -45,15 +45,15 @@ class LineView(msgspec.Struct, frozen=True):
     """A pole of a placement: both ends (3,), metres, and its name."""
 
     placement: int
-    a: list[float]
-    b: list[float]
+    a: Array
+    b: Array
     label: str
 
 
 class MarkView(msgspec.Struct, frozen=True):
     """A marked place (3,), metres, and what is written beside it."""
 
-    at: list[float]
+    at: Array
     label: str
 
 
@@ -91,7 +91,7 @@ class EllipsoidView(msgspec.Struct, frozen=True):
         By how much the axes are enlarged.
     """
 
-    centre: list[float]
+    centre: Array
     axes: Array
     factor: float
 
@@ -121,7 +121,7 @@ class PageView(msgspec.Struct, frozen=True):
     poses: list[PoseView]
     ellipsoid: EllipsoidView | None
     places: list[MarkView]
-    centre: list[float]
+    centre: Array
     radius: float
     shown: str
 
@@ -177,7 +177,7 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
         for pole, label in zip(site.poles, pole_labels(site), strict=True)
     ]
     places = [each.T[:3, 3] for each in lidars if each.T is not None]
-    centre, radius = _look(places + [np.array(pole.a) for pole in poles])
+    centre, radius = _look(places + [pole.a for pole in poles])
     return PageView(
         "pair" if pair is not None else "site" if subject.answered else "alone",
         site.status,
@@ -188,7 +188,7 @@ def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) 
         poses,
         None if pair is None else _ellipsoid(pair),
         [] if pair is None else _places(pair),
-        centre.tolist(),
+        centre,
         radius,
         _shown(clouds),
     )
@@ -243,18 +243,18 @@ def _lines(subject: Subject, k: int, j: int, scan: Scan) -> list[LineView]:
 
 def _line(placement: int, point: Array, direction: Array, length: float, label: str) -> LineView:
     half = 0.5 * length * direction
-    return LineView(placement, (point - half).tolist(), (point + half).tolist(), label)
+    return LineView(placement, point - half, point + half, label)
 
 
 def _marks(scan: Scan) -> list[MarkView]:
     rejected = () if scan.detection is None else scan.detection.rejected
-    return [MarkView(cluster.centre.tolist(), str(k)) for k, cluster in enumerate(rejected)]
+    return [MarkView(cluster.centre, str(k)) for k, cluster in enumerate(rejected)]
 
 
 def _places(result: ResultDoc) -> list[MarkView]:
     """Places that alone decide a direction of the pose, each with the share that it holds."""
     return [
-        MarkView([float(r.values[f"{axis}_m"]) for axis in "xyz"], f"{r.values['share']:.0%}")
+        MarkView(np.array([r.values[f"{axis}_m"] for axis in "xyz"]), f"{r.values['share']:.0%}")
         for r in result.reasons
         if r.code == "one_place_decides"
     ]
@@ -280,8 +280,8 @@ def _ellipsoid(result: ResultDoc) -> EllipsoidView | None:
     if not sigma[-1] > 0:
         return None
     factor = 10.0 ** max(0, round(float(np.log10(SEEN_SIGMA / sigma[-1]))))
-    centre = result.T_target_source[:3, 3].tolist()
-    return EllipsoidView(centre, (vectors * sigma * factor).T, factor)
+    axes = (vectors * sigma * factor).T
+    return EllipsoidView(result.T_target_source[:3, 3], axes, factor)
 
 
 def _look(points: Sequence[Array]) -> tuple[Array, float]:

@@ -17,19 +17,10 @@
 
   setUpPage(() => repaint());
 
-  let onPaper = null;
-  addEventListener("beforeprint", () => {
-    // What is folded is on paper all the same: the poses are what it is printed for.
-    onPaper ||= { theme: root.dataset.theme, folded: all("details.lidar:not([open])") };
-    root.dataset.theme = "light";
-    for (const part of onPaper.folded) part.open = true;
-    if (scene) printView();
-  });
-  addEventListener("afterprint", () => {
-    if (!onPaper) return;
-    if (onPaper.theme) root.dataset.theme = onPaper.theme; else delete root.dataset.theme;
-    for (const part of onPaper.folded) part.open = false;
-    onPaper = null;
+  // What is folded is on paper all the same: the poses are what it is printed for.
+  let onPaper = false;
+  setUpPaper("details.lidar", () => { onPaper = true; if (scene) printView(); }, () => {
+    onPaper = false;
     if (scene) { resize(marks.clientWidth, marks.clientHeight, ratio()); repaint(); }
   });
 
