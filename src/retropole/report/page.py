@@ -11,8 +11,8 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
-PIECE = re.compile(r'<template id="([\w-]+)">\n?(.*?)\n?</template>', re.DOTALL)
-"""A piece in `pieces.html`: its name, and the markup with its ``$places``."""
+PIECE = re.compile(r"^<!-- ([\w-]+) -->", re.MULTILINE)
+"""What stands before each piece of `pieces.html`: its name."""
 
 
 class Html(str):
@@ -88,7 +88,9 @@ def _asset(name: str) -> str:
 
 @cache
 def _pieces() -> dict[str, Template]:
-    return {name: Template(markup) for name, markup in PIECE.findall(_asset("pieces.html"))}
+    _, *parts = PIECE.split(_asset("pieces.html"))
+    pieces = zip(parts[::2], parts[1::2], strict=True)
+    return {name: Template(markup.strip("\n")) for name, markup in pieces}
 
 
 def _source_of(text: str) -> str:
