@@ -7,10 +7,11 @@ import numpy as np
 from ..base.quantities import UNKNOWN, counted, percent
 from ..result import BudgetEntry, ResultDoc
 from .certainty import radius_words, scene_words
+from .listings import columns
 from .markup import listed, table
 from .page import EMPTY, Html, fill, join
 from .poses import pose_parts, transform_matrix
-from .subject import Subject
+from .subject import LIDARS, Subject
 from .uncertainty import covariances, ranges, sources, states
 from .verdict import VERDICTS
 
@@ -34,26 +35,17 @@ def certificate(subject: Subject, place: str = "") -> Html:
     T, source = np.array(pair.T_target_source), site.lidars[1]
     several = len(site.placements) > 1
     recordings = [
-        (
-            site.lidars[item.lidar].name + (f" {item.placement + 1}" if several else ""),
-            item.path,
-            item.sha256,
-        )
-        for item in site.inputs
+        (LIDARS[each.lidar] + f" {each.placement + 1}" * several, each.path, each.sha256)
+        for each in site.inputs
     ]
-    lidars = (
-        fill(
-            "certified",
-            name=lidar.name,
-            sensor=_given("" if lidar.sensor == "auto" else lidar.sensor),
-            serial=_given(lidar.serial),
-        )
-        for lidar in site.lidars
-    )
+    lidars = [
+        (each.name, _given("" if each.sensor == "auto" else each.sensor), _given(each.serial))
+        for each in site.lidars
+    ]
     return fill(
         "certificate",
         facts=_facts(pair, place),
-        lidars=join(lidars),
+        lidars=table("LiDARs", columns("LiDAR; sensor; serial number"), lidars, (1, 2)),
         matrix=transform_matrix(T),
         parts=pose_parts(T),
         ranges=listed(ranges(source, pair.uncertainty, "Where a source point lands, 1 σ")),

@@ -84,7 +84,9 @@ def _recorded(subject: Subject, k: int) -> Iterator[tuple[list[str], FoundDoc]]:
             yield [place] if len(placements) > 1 else [], each
 
 
-def _of_placements(caption: str, names: str, rows: Sequence[Sequence[object]], words: int) -> Listing:
+def _of_placements(
+    caption: str, names: str, rows: Sequence[Sequence[object]], words: int
+) -> Listing:
     several = bool(rows) and len(rows[0]) > len(columns(names))
     header = columns(("placement; " if several else "") + names)
     return Listing(caption, header, rows, range(1, words + several))

@@ -27,10 +27,20 @@ LIDARS = ("target", "source")
 COLOURS = 8
 """So many LiDARs have a colour of their own; more begin again. Each has its name beside it."""
 
+SHARED = (
+    *("status", "reasons", "covariance_order", "covariance_frame"),
+    *("version", "created", "seconds"),
+)
+"""Fields that the documents of a pair and of a site have alike."""
+
+STATED = ("covariance", "budget", "predicted_error", "fitness")
+"""Fields of a pair that are those of its source in a site."""
+
 NO_SITE: dict[str, Any] = {
     **{name: [] for name in ("joint_order", "groups", "poles", "pairs", "loops", "tests")},
     **{name: [] for name in ("surveyed_poles", "control_points")},
-    **{name: None for name in ("need", "joint_covariance")},
+    **{"need": None, "joint_covariance": None},
+    **{"datum": "", "reference": 0, "config": SiteConfig()},
 }
 """What two LiDARs have nothing of."""
 
@@ -132,36 +142,24 @@ def of_pair(
         first = (searched[0] if searched else None) or FoundDoc(None, [], [], None)
         others = [*searched[1:], *[None] * (count - max(len(searched), 1))]
         found.append([msgspec.structs.replace(first, poles=listed), *others])
-    sensors = [item.sensor for item in result.inputs[:2]] or ["auto", "auto"]
-    target, source = (
-        LidarDoc(name=name, sensor=sensor, serial=serial, up=None)
-        for name, sensor, serial in zip(LIDARS, sensors, serials, strict=True)
+    sensors = [*(item.sensor for item in result.inputs), "auto", "auto"]
+    stated = {name: getattr(result, name) for name in STATED}
+    poses = (
+        {"T_site_lidar": None if T is None else np.eye(4), "covariance": np.zeros((6, 6))},
+        {"T_site_lidar": T, **stated},
     )
     site = SiteDoc(
+        **{name: getattr(result, name) for name in SHARED},
+        **NO_SITE,
         name=" ← ".join(names[:2] if len(names) >= 2 else LIDARS),
-        status=result.status,
-        reasons=result.reasons,
-        datum="",
         frame=Frame("LiDAR target"),
-        reference=0,
         placements=[" ← ".join(names[2 * j : 2 * j + 2]) for j in range(count)],
         radius_m=result.config.radius_m,
         radius_sigma_m=0.0 if result.radius is None else result.radius.sigma,
         lidars=[
-            msgspec.structs.replace(
-                target, T_site_lidar=None if T is None else np.eye(4), covariance=np.zeros((6, 6))
-            ),
-            msgspec.structs.replace(
-                source,
-                T_site_lidar=T,
-                covariance=result.covariance,
-                budget=result.budget,
-                predicted_error=result.predicted_error,
-                fitness=result.fitness,
-            ),
+            LidarDoc(name=LIDARS[k], sensor=sensors[k], serial=serials[k], up=None, **poses[k])
+            for k in range(2)
         ],
-        covariance_order=result.covariance_order,
-        covariance_frame=result.covariance_frame,
         without=[
             WithoutPlacement(j, each.left_out_rotation_rad, each.left_out_translation_m, 1)
             for j, each in enumerate(result.placements)
@@ -172,11 +170,6 @@ def of_pair(
             RecordingDoc(**msgspec.structs.asdict(item), lidar=k % 2, placement=k // 2)
             for k, item in enumerate(result.inputs)
         ],
-        config=SiteConfig(),
-        **NO_SITE,
-        version=result.version,
-        created=result.created,
-        seconds=result.seconds,
     )
     return Subject(site, result, scans)
 
