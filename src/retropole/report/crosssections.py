@@ -13,7 +13,7 @@ from .page import EMPTY, Html, fill, join
 from .subject import LIDARS, Subject, colour_class, pair_name
 
 HALF_PICTURE = 110.0
-"""Half the side of a picture, in its own units."""
+"""Half the side of a picture, in its own units; `pieces.html` has the same."""
 
 MAX_CIRCLE_ITERATIONS = 500
 """Returns on a pole need about ten; a hundred where they scatter so that no surface is seen."""
@@ -144,8 +144,6 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
         words, kind = f"{words} (the fit of the circle did not converge)", " unconverged"
     return fill(
         "section",
-        half=f"{HALF_PICTURE:g}",
-        side=f"{2 * HALF_PICTURE:g}",
         name=name,
         words=words,
         returns=f"{len(target)} + {len(source)} returns",
@@ -153,9 +151,6 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
         rim=rim,
         kind=kind,
         radius=radius * scale,
-        left=8 - HALF_PICTURE,
-        bottom=HALF_PICTURE - 8,
-        above=HALF_PICTURE - 13,
         bar=bar * scale,
         cm=f"{100 * bar:g}",
     )

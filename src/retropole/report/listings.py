@@ -258,7 +258,7 @@ def changes(subject: Subject) -> Listing:
     ]
     poles = "" if pair is None else "poles, target + source; "
     header = columns(f"without placement; {poles}rotation, deg; translation, mm; of LiDAR")
-    caption = "Change of the poses without each placement"
+    caption = f"Change of the {'poses' if pair is None else 'pose'} without each placement"
     return Listing(caption, header, rows, (len(header) - 1,))
 
 

@@ -138,7 +138,7 @@ def _poses(subject: Subject, room: int) -> list[str]:
         return [] if T is None else title + transform_lines(T)
     listing = listings.poses(site)
     rows = [[shortened(str(name), LONGEST_NAME), *row] for name, *row in listing.rows]
-    listing = listing._replace(rows=rows)
+    listing = Listing("", listing.header, rows)
     lines = _lines(listing.only(*range(8)))
     if max(map(len, lines), default=0) > WIDTH:
         # Large coordinates leave no room for the angles.
@@ -191,8 +191,11 @@ def _more(subject: Subject) -> list[str]:
 
 
 def _lines(listing: Listing) -> list[str]:
-    """Lay out a table below a blank line; nothing where it has no rows."""
-    return ["", *table(listing.header, listing.rows).split("\n")] if listing.rows else []
+    """Lay out a table and its caption below a blank line; nothing where it has no rows."""
+    caption, header, rows, _ = listing
+    if not rows:
+        return []
+    return ["", *([caption] if caption else []), *table(header, rows).split("\n")]
 
 
 def _cut(lines: list[str], room: int) -> list[str]:
