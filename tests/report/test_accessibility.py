@@ -7,6 +7,7 @@ and the environment variable ``AXE_CORE`` names the file ``node_modules/axe-core
 from __future__ import annotations
 
 import os
+from itertools import product
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,7 +16,7 @@ import pytest
 from retropole.base.bounded import Status
 from retropole.report import render_report
 from tests.report.browser import Browser, needs_browser
-from tests.report.made_up import made_up
+from tests.report.pages import STATUSES, page_of
 from tests.report.test_missing import lacking
 
 AXE = Path(os.environ.get("AXE_CORE", ""))
@@ -38,9 +39,12 @@ AUDIT = """
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-@pytest.mark.parametrize("status", ["ok", "warn", "refused", "missing"])
+@pytest.mark.parametrize(
+    ("kind", "status"),
+    [*product(("pair", "site"), STATUSES), ("pair", "missing")],
+)
 def test_nothing_serious_is_found(
-    browser: Browser, tmp_path: Path, status: str, size: tuple[int, int], scheme: str
+    browser: Browser, tmp_path: Path, kind: str, status: str, size: tuple[int, int], scheme: str
 ) -> None:
     screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size == PHONE}
     media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
@@ -52,8 +56,7 @@ def test_nothing_serious_is_found(
             result, placement = lacking(4)
             html = render_report(result, [placement])
         else:
-            made = made_up(cast("Status", status), 500)
-            html = render_report(*made, notes=["A note on an input."])
+            html = page_of(kind, cast("Status", status), notes=("A note on an input.",))
         browser.open(tmp_path, html)
         browser.run("for (const d of document.querySelectorAll('details')) d.open = true")
         # The page's policy lets no other script in; the driver's own commands are no part of it.

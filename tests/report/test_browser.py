@@ -13,11 +13,13 @@ import pytest
 from retropole.base import se3
 from retropole.base.bounded import Status
 from retropole.base.datatypes import Placement, PointCloud, Scan
-from retropole.report import render_report
+from retropole.report import render_report, render_site
 from retropole.result import ReasonDoc
 from retropole.simulation import simulate_pair
 from tests.report.browser import Browser, Picture, needs_browser
 from tests.report.made_up import HOSTILE, made_up
+from tests.report.pages import of_each_kind, page_of
+from tests.report.site.made_up import document_of, made_up_site
 
 pytestmark = needs_browser
 
@@ -75,11 +77,12 @@ def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
 def test_layers_camera_and_theme(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     seen = browser.picture()
-    for layer in ("target", "source", "poles", "rejected", "ellipsoid", "intensity"):
-        button = browser.find(f'[data-layer="{layer}"]')
+    layers = ("poles", "names", "rejected", "ellipsoid", "intensity")
+    for part in ('lidar="0"', 'lidar="1"', *(f'layer="{layer}"' for layer in layers)):
+        button = browser.find(f"[data-{part}]")
         button.click()
         assert button.get_attribute("aria-pressed") == "false"
-        assert differing(browser.picture(), seen) > 1e-5, layer
+        assert differing(browser.picture(), seen) > 1e-5, part
         button.click()
     assert differing(browser.picture(), seen) < 0.001
     browser.press("\ue012\ue012\ue012+", "#marks")
@@ -170,11 +173,14 @@ def test_refused_shows_the_clouds_apart(browser: Browser, tmp_path: Path, empty:
 
 @pytest.mark.parametrize("width", [320, 390])
 @pytest.mark.parametrize("status", ["warn", "refused"])
-def test_fits_a_phone(browser: Browser, tmp_path: Path, width: int, status: Status) -> None:
+@of_each_kind
+def test_fits_a_phone(
+    browser: Browser, tmp_path: Path, kind: str, width: int, status: Status
+) -> None:
     size = {"width": width, "height": 844, "deviceScaleFactor": 2, "mobile": True}
     browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
-        browser.open(tmp_path, render_report(*made_up(status, count=500), notes=["x" * 200]))
+        browser.open(tmp_path, page_of(kind, status, notes=("x" * 200,)))
         assert browser.run("return document.documentElement.scrollWidth") <= width
     finally:
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
@@ -199,11 +205,13 @@ def test_switches_placements(browser: Browser, tmp_path: Path) -> None:
     second = Placement(lowered, Scan(placement.source.cloud))
     browser.open(tmp_path, render_report(result, [placement, second]))
     first = browser.picture()
-    choose = browser.find("#placement")
-    choose.send_keys("\ue015")
-    assert browser.root("placement") == "2"
-    assert differing(browser.picture(), first) > 0.005
-    choose.send_keys("\ue013")
+    for shown in ("11", "01"):
+        browser.press({"11": "\ue0082", "01": "\ue0081"}[shown])
+        assert browser.root("places") == shown
+        assert differing(browser.picture(), first) > 0.005
+    for place in browser.driver.find_elements("css selector", "[data-place]"):
+        place.click()
+    assert browser.root("places") == "10"
     assert differing(browser.picture(), first) < 0.001
 
 
@@ -240,3 +248,59 @@ def test_without_webgl_shows_the_top_view(tmp_path: Path) -> None:
         assert browser.logs() == ([], [])
     finally:
         browser.driver.quit()
+
+
+def test_keys_switch_lidars_and_placements(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, page_of("site", count=3000))
+    assert browser.root("view") == "webgl"
+    assert (browser.root("lidars"), browser.root("places")) == ("1111", "10")
+    all_on = browser.picture()
+    for key in "134":
+        browser.press(key)
+    assert browser.root("lidars") == "0100"
+    assert "mast-b; placement 1: morning" in browser.find("#state").text
+    alone = browser.picture()
+    assert np.abs(all_on - alone).max() > 50
+    # Its colour is seen, and that of the others is not.
+    assert (np.abs(alone - [0xD5, 0x5E, 0x00]).max(axis=-1) < 12).any()
+    browser.press("a")
+    browser.press("2", "#marks")
+    assert browser.root("lidars") == "1011"
+    browser.run(
+        "document.body.dispatchEvent(new KeyboardEvent('keydown',"
+        " {key: '\"', code: 'Digit2', shiftKey: true, bubbles: true}))"
+    )
+    assert browser.root("places") == "11"
+    browser.press("p")
+    assert browser.find('[data-layer="poles"]').get_attribute("aria-pressed") == "false"
+
+
+def test_a_refused_site_shows_one_lidar_at_a_time(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, page_of("site", "refused", 3000))
+    assert browser.root("lidars") == "1000"
+    browser.find('[data-lidar="2"]').click()
+    browser.find('[data-place="1"]').click()
+    assert (browser.root("lidars"), browser.root("places")) == ("0010", "01")
+    state = browser.find("#state").text
+    assert "no poses: gate alone, in its own frame" in state
+    assert "It recorded nothing there" in state
+    browser.press("1")
+    assert "nothing" not in browser.find("#state").text
+
+
+def test_a_page_without_clouds_works(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, render_site(document_of(made_up_site(lidars=2, count=20))))
+    browser.find("#theme").click()
+    assert browser.root("theme") == "dark"
+
+
+def test_paper_shows_every_pose_in_light_colours(browser: Browser, tmp_path: Path) -> None:
+    browser.open(tmp_path, page_of("site", count=300))
+    browser.find("#theme").click()
+    browser.run("dispatchEvent(new Event('beforeprint'))")
+    assert browser.root("theme") == "light"
+    assert browser.run("return document.querySelectorAll('details.lidar[open]').length") == 4
+    assert browser.run("return document.querySelector('#printed').hidden") is False
+    browser.run("dispatchEvent(new Event('afterprint'))")
+    assert browser.root("theme") == "dark"
+    assert browser.run("return document.querySelectorAll('details.lidar[open]').length") == 0

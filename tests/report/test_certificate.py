@@ -8,8 +8,18 @@ from msgspec.structs import replace
 from retropole.base.bounded import Status
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.report import render_report
-from retropole.report.certificate import LISTED_SOURCES, TO_FILL, certificate
+from retropole.report.certificate import LISTED_SOURCES
+from retropole.report.certificate import certificate as certificate_of
+from retropole.report.page import fill
+from retropole.report.subject import of_pair
+from retropole.result import ResultDoc
 from tests.report.made_up import HOSTILE, Page, made_up
+
+TO_FILL = fill("to-fill")
+
+
+def certificate(result: ResultDoc, place: str = "", serials: tuple[str, str] = ("", "")) -> str:
+    return certificate_of(of_pair(result, (), serials), place)
 
 
 def test_it_states_all_that_a_reader_would_ask_for() -> None:

@@ -7,8 +7,15 @@ import pytest
 
 from retropole.base.datatypes import Placement, Scan
 from retropole.report import crosssections
-from retropole.report.crosssections import across, cross_sections, fit_circle
+from retropole.report.crosssections import across, fit_circle
+from retropole.report.crosssections import cross_sections as cross_sections_of
+from retropole.report.subject import of_pair
+from retropole.result import ResultDoc
 from tests.report.made_up import Page, made_up
+
+
+def cross_sections(result: ResultDoc, placement: Placement) -> str:
+    return cross_sections_of(of_pair(result, [placement]))
 
 
 def test_circle_of_known_radius_is_found_from_one_side() -> None:

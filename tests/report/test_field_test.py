@@ -1,5 +1,6 @@
 """The field test in words: one screen, and a section of a page."""
 
+import re
 from itertools import combinations
 
 import pytest
@@ -61,7 +62,7 @@ def test_it_fits_a_screen(tests: tuple[FieldTest, ...]) -> None:
 def test_what_is_beyond_its_limit_is_shown_whatever_else_is_not() -> None:
     text = describe_field_test(document(made_up(12, off=0.05)))
     assert text.startswith("verdict: fail\n")
-    assert "+50.0      21.0  BEYOND" in text
+    assert re.search(r"\+50\.0 +21\.0 +BEYOND$", text, re.M)
     assert "1 difference of 66 beyond the limit" in text
     assert "50 more distances" in text
     assert "what to do: record again" in text
@@ -73,8 +74,8 @@ def test_the_worst_pair_of_a_site_comes_first() -> None:
     assert text.splitlines()[1].strip() == "2 of 3 pairs tested, 1 failed"
     first, second, third = text.splitlines()[3:6]
     assert first.strip().startswith("lidar 2")
-    assert second.endswith("pass")
-    assert third.endswith("refused: too_few_distances")
+    assert "  pass  " in second
+    assert "refused: too_few_distances" in third
 
 
 def test_the_section_escapes_names() -> None:

@@ -10,6 +10,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Match
 from retropole.base.errors import Refusal
 from retropole.matching.prior import agreeing_with_prior, rotation_prior
+from retropole.report.hypotheses import hypotheses
 from retropole.report.hypotheses_text import (
     axis_words,
     deciding,
@@ -17,7 +18,6 @@ from retropole.report.hypotheses_text import (
     relative_words,
     standing,
 )
-from retropole.report.sections import hypotheses
 from retropole.result import ResultDoc
 from tests.report.made_up import made_up
 

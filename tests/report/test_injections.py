@@ -3,67 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
-import msgspec
 import numpy as np
 import pytest
 
-from retropole.base.bounded import Status
-from retropole.base.datatypes import Detection, Placement, PointCloud, RejectedCluster, Scan
-from retropole.report import render_report
+from retropole.base.datatypes import Detection, PointCloud, RejectedCluster
+from retropole.report import render_report, render_site
 from retropole.report.viewer import Shown, Viewer, serve
-from retropole.result import ResultDoc
 from tests.report.browser import Browser, WebDriverWait, needs_browser
+from tests.report.hostile import hostile_pair, hostile_site
 from tests.report.injections import INJECTIONS, ONLY_TEXT, injection
-from tests.report.made_up import made_up
+from tests.report.pages import STATUSES, of_each_kind
 
 pytestmark = needs_browser
-
-
-def everywhere(value: Any, text: Callable[[], str]) -> Any:
-    """Put a text in place of every string of a document, names of values too."""
-    if isinstance(value, str):
-        return text()
-    if isinstance(value, msgspec.Struct):
-        fields = {name: everywhere(getattr(value, name), text) for name in value.__struct_fields__}
-        return msgspec.structs.replace(value, **fields)
-    if isinstance(value, dict):
-        return {text(): everywhere(each, text) for each in value.values()}
-    if isinstance(value, list | tuple):
-        return type(value)(everywhere(each, text) for each in value)
-    return value
-
-
-def hostile(start: int, status: Status) -> tuple[ResultDoc, list[Placement], list[str]]:
-    """Make up a run whose every string is another injection, the first with number `start`."""
-    given: list[str] = []
-
-    def text() -> str:
-        given.append(injection(start + len(given)))
-        # Names of values differ.
-        return given[-1] + " " * (len(given) // len(INJECTIONS))
-
-    result, placements = made_up(status, 200)
-    config = msgspec.structs.replace(result.config, target_topic="/a", source_topic="/b")
-    result = everywhere(msgspec.structs.replace(result, config=config), text)
-    if start % 3:
-        result = msgspec.structs.replace(result, status=status)
-
-    def scan(given: Scan) -> Scan:
-        detection = given.detection
-        assert detection is not None
-        rejected = tuple(
-            replace(r, code=cast("Any", text()), reason=text()) for r in detection.rejected
-        )
-        detection = replace(detection, rejected=rejected, threshold_source=text())
-        return replace(given, detection=detection)
-
-    hostile = [Placement(scan(p.target), scan(p.source)) for p in placements]
-    return result, [*hostile, *hostile], given
 
 
 def ran(browser: Browser) -> set[int]:
@@ -119,11 +74,22 @@ def test_each_injection_runs_where_it_is_taken_for_markup(browser: Browser, tmp_
     browser.logs()
 
 
-def check_report(browser: Browser, tmp_path: Path, start: int) -> set[str]:
-    statuses: tuple[Status, ...] = ("ok", "warn", "refused")
-    status = statuses[start // 3 % 3]
-    result, placements, given = hostile(start, status)
-    html = render_report(result, placements, notes=[injection(start + 7), injection(start + 23)])
+def check_report(browser: Browser, tmp_path: Path, kind: str, start: int) -> set[str]:
+    """Open a page of which every text is another injection, the first with number `start`."""
+    given: list[str] = []
+
+    def text() -> str:
+        given.append(injection(start + len(given)))
+        # Names of values and of LiDARs differ.
+        return given[-1] + " " * (len(given) // len(INJECTIONS))
+
+    status, notes = STATUSES[start // 3 % 3], [injection(start + 7), injection(start + 23)]
+    if kind == "pair":
+        pair = hostile_pair(status, text, keeps_status=start % 3 > 0)
+        html = render_report(*pair, notes=notes)
+    else:
+        site = hostile_site(status, text, keeps_status=start % 3 > 0)
+        html = render_site(*site, notes=notes)
     browser.open(tmp_path, html)
     press_all(browser)
     browser.run(
@@ -132,7 +98,7 @@ def check_report(browser: Browser, tmp_path: Path, start: int) -> set[str]:
              for (const text of arguments[0]) set(field, text, 'input');
            for (const e of document.querySelectorAll('select'))
              for (const option of [...e.options]) set(e, option.value, 'change');
-           for (const e of document.querySelectorAll('.panel, [data-mode]')) e.click();""",
+           for (const e of document.querySelectorAll('.panel, .toolbar button')) e.click();""",
         given,
     )
     browser.driver.execute_async_script("setTimeout(arguments[0], 100)")
@@ -155,15 +121,21 @@ def check_report(browser: Browser, tmp_path: Path, start: int) -> set[str]:
     return {text.rstrip(" ") for text in given}
 
 
-def test_no_text_of_a_document_runs_in_the_report(browser: Browser, tmp_path: Path) -> None:
-    given = check_report(browser, tmp_path, 1) | check_report(browser, tmp_path, 32)
+@of_each_kind
+def test_no_text_of_a_document_runs_in_the_report(
+    browser: Browser, tmp_path: Path, kind: str
+) -> None:
+    given = check_report(browser, tmp_path, kind, 1) | check_report(browser, tmp_path, kind, 32)
     assert given >= set(map(injection, range(len(INJECTIONS))))
 
 
 @pytest.mark.slow
-def test_no_text_runs_in_any_place_of_the_report(browser: Browser, tmp_path: Path) -> None:
+@of_each_kind
+def test_no_text_runs_in_any_place_of_the_report(
+    browser: Browser, tmp_path: Path, kind: str
+) -> None:
     for start in range(len(INJECTIONS)):
-        check_report(browser, tmp_path, start)
+        check_report(browser, tmp_path, kind, start)
 
 
 NAMES = [injection(k) for k in range(len(INJECTIONS))]

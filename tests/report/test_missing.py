@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import msgspec
@@ -14,7 +15,8 @@ from retropole.base.datatypes import Detection, Placement, RejectedCluster, Scan
 from retropole.base.reasons import Code
 from retropole.base.sensors import find_sensor
 from retropole.extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
-from retropole.report.missing import missing_poles
+from retropole.report.missing import missing_poles as missing_poles_of
+from retropole.report.subject import of_pair
 from retropole.result import ResultDoc
 from retropole.simulation.devices import TYPICAL
 from retropole.simulation.raycast import Cylinder
@@ -37,6 +39,10 @@ def lacking(
     origin = second.point - away * np.array([1.0, 0.0, 0.0])
     scan = replace(source, detection=detection, cloud=replace(source.cloud, origin=origin))
     return result, replace(placement, source=scan)
+
+
+def missing_poles(result: ResultDoc, placements: Sequence[Placement]) -> str:
+    return missing_poles_of(of_pair(result, placements))
 
 
 def text_of(result: ResultDoc, *placements: Placement) -> str:

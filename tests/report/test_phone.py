@@ -10,6 +10,7 @@ from retropole.base.bounded import Status
 from retropole.report import render_report
 from tests.report.browser import Browser, needs_browser
 from tests.report.made_up import made_up
+from tests.report.pages import of_each_kind, page_of, with_each_verdict
 
 pytestmark = needs_browser
 
@@ -72,9 +73,12 @@ def test_a_finger_scrolls_the_page_and_a_tap_hands_it_the_view(
     assert swipe(phone, 0, -200) > 100
 
 
-@pytest.mark.parametrize("status", ["ok", "warn", "refused"])
-def test_targets_are_as_large_as_a_finger(phone: Browser, tmp_path: Path, status: Status) -> None:
-    phone.open(tmp_path, render_report(*made_up(status, count=500)))
+@of_each_kind
+@with_each_verdict
+def test_targets_are_as_large_as_a_finger(
+    phone: Browser, tmp_path: Path, kind: str, status: Status
+) -> None:
+    phone.open(tmp_path, page_of(kind, status))
     small = phone.run(
         "for (const d of document.querySelectorAll('details')) d.open = true;"
         "return [...document.querySelectorAll('a, button, select, input, summary')]"

@@ -43,11 +43,15 @@ def test_unpacked_points_are_the_clouds_points() -> None:
 def test_points_on_poles_and_rejected_clusters_come_first_and_stay() -> None:
     scan = target_scan(3000)
     packed = pack_cloud(scan.cloud, scan.detection, max_points=300)
-    assert (packed.on_poles, packed.in_rejected, packed.shown) == (120, 40, 300)
+    assert (packed.on_poles, packed.shown) == (120, 300)
     on_poles = np.concatenate([pole.xyz for pole in scan.poles])
     assert np.allclose(unpacked(packed)[:120], on_poles, atol=2e-3)
+    assert scan.detection is not None
+    rejected = scan.cloud.xyz[scan.detection.rejected[0].index]
+    assert np.allclose(unpacked(packed)[120:160], rejected, atol=2e-3)
     packed = pack_cloud(scan.cloud, scan.detection, max_points=130)
-    assert (packed.on_poles, packed.in_rejected, packed.shown) == (120, 10, 130)
+    assert (packed.on_poles, packed.shown) == (120, 130)
+    assert np.allclose(unpacked(packed)[120:], rejected[:10], atol=2e-3)
 
 
 def test_points_are_drawn_in_proportion_to_their_range() -> None:

@@ -116,7 +116,7 @@ def test_the_certificate_is_the_first_sheet_and_one_alone(browser: Browser, tmp_
 def test_a_refused_run_prints_no_certificate(browser: Browser, tmp_path: Path) -> None:
     pages = printed(browser, tmp_path, render_report(*made_up("refused", 500)))
     assert "certificate" not in "".join(pages)
-    assert "Refused: no transform" in pages[0]
+    assert "Refused: no pose" in pages[0]
 
 
 @pytest.mark.parametrize("shape", [(390, 844), (1300, 500)])

@@ -14,7 +14,14 @@ from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.pipeline import calibrate
 from retropole.report.layout import LINES, WIDTH
-from retropole.report.text import describe_detection, describe_result, reason_lines, transform_lines
+from retropole.report.listings import pose_rows
+from retropole.report.text import (
+    describe_detection,
+    describe_result,
+    describe_site,
+    reason_lines,
+    transform_lines,
+)
 from retropole.result import (
     ErrorAtRange,
     InputDoc,
@@ -25,9 +32,12 @@ from retropole.result import (
     detection_document,
     result_document,
 )
+from retropole.result.site import SiteDoc
 from retropole.scene.scans import find_poles
 from retropole.simulation import simulate_pair
 from tests.report.made_up import made_up
+from tests.report.pages import of_each_kind, with_each_verdict
+from tests.report.site.made_up import document_of, made_up_site
 
 INPUTS = [InputDoc(f"{name}.pcd", "0" * 64, 100, 3, "auto", 120.0) for name in ("a", "b")]
 
@@ -59,9 +69,9 @@ def test_it_names_what_a_person_looks_for() -> None:
     words = ("T_target_source", "margin", "predicted error", "verdict: ", "r/result.json", "a.pcd")
     for word in words:
         assert word in text
-    assert len([line for line in text.splitlines() if re.match(r"  [a-h]( \*)? ", line)]) == len(
-        answer.hypotheses
-    )
+    assert len(
+        [line for line in text.splitlines() if re.match(r"  [a-h]( · chosen)?  +T", line)]
+    ) == len(answer.hypotheses)
 
 
 @pytest.mark.parametrize("code", reasons())
@@ -81,12 +91,30 @@ def test_an_unknown_code_is_written_with_its_message_alone() -> None:
     assert reason_lines(ReasonDoc("unheard_of", "why", {})) == ["  unheard_of: why"]
 
 
-@pytest.mark.parametrize("status", ["ok", "warn", "refused"])
-def test_a_result_begins_with_its_verdict(status: Status) -> None:
-    text = describe_result(made_up(status, 500).result, ["r/result.json"])
+WRITTEN = ("out/result.json", "out/report.html")
+FOLLOWING = {"next": "retropole export 'my out'", "later": "retropole check out\u202e"}
+
+
+def words_of(kind: str, status: Status = "ok", *, verbose: bool = False) -> str:
+    if kind == "pair":
+        return describe_result(made_up(status, 500).result, WRITTEN, FOLLOWING, verbose=verbose)
+    document = document_of(made_up_site(status))
+    return describe_site(document, WRITTEN, FOLLOWING, verbose=verbose)
+
+
+@of_each_kind
+@with_each_verdict
+def test_a_result_begins_with_its_verdict_and_ends_with_what_comes_next(
+    kind: str, status: Status
+) -> None:
+    text = words_of(kind, status)
     assert text.startswith(f"verdict: {status}\n")
     assert ("what to do: " in text) is (status != "ok")
-    assert ("T_target_source" in text) is (status != "refused")
+    assert ("1 sigma" in text) is (status != "refused")
+    assert "\nwritten: out/result.json, out/report.html" in text
+    following = ["next: retropole export 'my out'", "later: retropole check out\\u202e"]
+    assert (text.splitlines()[-2:] == following) is (status != "refused")
+    assert ("read on: documentation, reasons.html#ambiguous" in text) is (status == "refused")
 
 
 def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius() -> None:
@@ -109,18 +137,11 @@ def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius()
         assert word not in text
 
 
-def test_what_was_asked_for_is_answered_and_the_next_commands_stand_last() -> None:
+def test_what_was_asked_for_is_answered() -> None:
     words = "within 2 cm at 30 m: yes, 98 % sure"
     asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, words)
-    following = {"next": "retropole export 'my out'", "later": "retropole check out\u202e"}
-    lines = describe_result(
-        replace(made_up("ok", 500).result, fitness=asked), ["r"], following
-    ).splitlines()
-    assert lines[lines.index("verdict: ok") + 1] == f"  {words}"
-    assert lines[-2:] == ["next: retropole export 'my out'", "later: retropole check out\\u202e"]
-    refused = describe_result(made_up("refused", 500).result, ["r"], following)
-    assert "\nnext: " not in refused
-    assert "read on: documentation, reasons.html#ambiguous" in refused
+    text = describe_result(replace(made_up("ok", 500).result, fitness=asked), ["r"])
+    assert text.startswith(f"verdict: ok\n  {words}\n")
 
 
 def test_no_error_is_written_as_nothing() -> None:
@@ -132,8 +153,8 @@ def test_no_error_is_written_as_nothing() -> None:
 def test_placements_are_written_with_the_change_of_the_pose() -> None:
     listed = [PlacementDoc(2, 3, 0.001, 0.004), PlacementDoc(2, 2, None, None)]
     text = describe_result(replace(made_up(count=500).result, placements=listed), [])
-    assert re.search(r"^ +1 +2 \+ 3 +0\.057 +0\.0040$", text, re.M)
-    assert re.search(r"^ +2 +2 \+ 2 +unknown +unknown$", text, re.M)
+    assert re.search(r"^ +1: front.pcd ← rear.pcd +2 \+ 3 +0\.057 +4\.0 +source$", text, re.M)
+    assert re.search(r"^ +2 +2 \+ 2 +– +– +source$", text, re.M)
 
 
 def test_detections_say_why_a_cluster_is_rejected() -> None:
@@ -177,8 +198,71 @@ def test_a_result_is_a_screen_at_most_and_names_every_verdict(status: Status, ma
         assert (status == "ok") or "what to do" in text
         assert ("T_target_source" in text) is (each.T_target_source is not None)
         # What has no room is counted, and never dropped without a word.
-        assert poles == 0 or placements or "T0" in text or f"{poles} of the source" in text
-        assert text.count("  0.0040") == placements or counted(placements, "placement") in text
+        listed = (poles, 0) if placements < 2 else (0, placements)
+        seen = (text.count("\n  T"), text.count("  4.0"))
+        assert "more; -v lists them" in text or seen == listed
         whole = describe_result(each, [], verbose=True)
-        assert placements or whole.count("\n  T") == poles
+        assert placements > 1 or whole.count("\n  T") == poles
         assert all(reason.code in whole for reason in each.reasons)
+
+
+@with_each_verdict
+@pytest.mark.parametrize(("lidars", "placements"), [(2, 1), (3, 2), (8, 4)])
+def test_a_site_is_a_screen_at_most(status: Status, lidars: int, placements: int) -> None:
+    document = document_of(made_up_site(status, lidars=lidars, placements=placements))
+    words = describe_site(document, WRITTEN, FOLLOWING)
+    assert fits(words)
+    for lidar in document.lidars:
+        assert lidar.name in words
+    for reason in document.reasons:
+        assert f"  {reason.code}: " in words
+
+
+def fits(words: str) -> bool:
+    lines = words.split("\n")
+    return len(lines) <= LINES and max(map(len, lines)) <= WIDTH
+
+
+def many(document: SiteDoc, count: int) -> SiteDoc:
+    """Give a document many LiDARs of long names, and many reasons."""
+    first = document.lidars[1]
+    lidars = [replace(first, name=f"lidar-{k}" + 50 * "x") for k in range(count)]
+    reasons = [ReasonDoc("few_points", f"pole {k} " + 40 * "has few points ", {}) for k in range(9)]
+    found = count * document.found[:1]
+    return replace(document, lidars=lidars, reasons=reasons, found=found)
+
+
+@pytest.mark.parametrize("status", ["warn", "refused"])
+def test_many_lidars_and_reasons_fit_too(status: Status) -> None:
+    words = describe_site(many(document_of(made_up_site(status)), 60), WRITTEN)
+    assert fits(words)
+    assert "more; -v lists them" in words
+    assert "what to do about each: -v, or site-report.html" in words
+
+
+def test_large_coordinates_are_the_frames_own() -> None:
+    document = document_of(made_up_site(surveyed=True))
+    frame = replace(document.frame, offset=np.array([500_000.0, 5_700_000.0, 0.0]))
+    document = replace(document, frame=frame)
+    row = pose_rows(document)[0]
+    assert (row.x, row.y, row.z) == ("500000.000", "5700000.000", "0.000")
+    words = describe_site(document, WRITTEN)
+    assert "5700000.000" in words
+    assert fits(words)
+
+
+def test_verbose_lists_every_check_and_recording() -> None:
+    document = document_of(made_up_site("warn"))
+    words = describe_site(document, WRITTEN, verbose=True)
+    for test in document.tests:
+        assert test.name in words
+    assert words.count("/data/quay/") == len(document.inputs)
+    for said in ("mast-a – mast-b", "2: noon", "loop "):
+        assert said in words
+
+
+def test_names_steer_no_terminal() -> None:
+    document = document_of(made_up_site())
+    lidar = replace(document.lidars[0], name="\x1b[31mred")
+    document = replace(document, lidars=[lidar, *document.lidars[1:]])
+    assert "\x1b" not in describe_site(document, WRITTEN)

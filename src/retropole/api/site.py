@@ -13,8 +13,8 @@ from ..base.datatypes import Array, Scan
 from ..base.errors import Reason, UsageError
 from ..base.quantities import error as in_words
 from ..base.relative import RelativePose, joint_of, relative
-from ..report.site import render_site
-from ..report.site_text import pose_rows
+from ..report import render_site
+from ..report.listings import pose_rows
 from ..result import refusal_of
 from ..result.decoding import decode_site
 from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE

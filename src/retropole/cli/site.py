@@ -107,7 +107,7 @@ def calibrate(
       130  interrupted
     """
     from ..api.site import calibrate_site
-    from ..report.site_text import describe_site
+    from ..report.text import describe_site
 
     asked = "as the site file says"
     with older_set_aside(out, site=True), listening(quiet, asked, SITE_FILE) as listener:

@@ -72,7 +72,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     name = printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
     return fill_page(
         "fleet.html",
-        ("style.css", "site.css", "fleet.css"),
+        ("style.css", "fleet.css"),
         ("page.js", "fleet.js"),
         {
             "title": escape(name),

@@ -1,15 +1,39 @@
-"""How certain an answer is, in words that the console, the page and Python share."""
+"""How certain an answer is, in words that the terminal, the page and Python share."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from ..base.quantities import error, percent, value, value_and_error
-from ..base.uncertainty import predicted_error, source_words
+from ..base.quantities import UNKNOWN, error, percent, value, value_and_error
+from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
 from ..result import ResultDoc
+from ..result.site import LidarDoc, LoopDoc, SiteDoc, TestDoc
+from .subject import Subject
 
 BUDGET_RANGE = 30.0
 """Range at which the shares of the budget are stated, metres."""
+
+LIMIT_W = 3.29
+"""A sound observation is beyond this once in a thousand times (Baarda 1968)."""
+
+UNCHECKED = 0.01
+"""Less redundancy than this is none: nothing would show an error there."""
+
+NAMED = 3
+"""So many observations that stand out are named; the page lists them all."""
+
+
+Stated = ResultDoc | LidarDoc
+"""What states how certain a pose is: the result of a pair, or one LiDAR of a site."""
+
+
+def number(value: float | None, digits: int, scale: float = 1.0, unit: str = "") -> str:
+    """Write a number with fixed digits, without a negative zero; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    return f"{round(float(value) * scale, digits) + 0.0:.{digits}f}{unit}"
 
 
 class ErrorParts(NamedTuple):
@@ -21,9 +45,10 @@ class ErrorParts(NamedTuple):
     systematic: float
 
 
-def error_parts(result: ResultDoc) -> list[ErrorParts]:
+def error_parts(
+    stated: Sequence[ErrorAtRange] | None, parts: Uncertainty | None
+) -> list[ErrorParts]:
     """Part the predicted error at each range; empty where its parts are not stated."""
-    stated, parts = result.predicted_error, result.uncertainty
     if not stated or parts is None:
         return []
     ranges = tuple(each.range_m for each in stated)
@@ -36,13 +61,25 @@ def error_parts(result: ResultDoc) -> list[ErrorParts]:
     ]
 
 
-def largest_error(result: ResultDoc) -> str | None:
+def far_error(stated: Stated) -> float | None:
+    """Predicted error of a point at `BUDGET_RANGE`, 1 σ, metres; None where none is stated."""
+    errors = stated.predicted_error or []
+    return next((each.sigma_m for each in errors if each.range_m == BUDGET_RANGE), None)
+
+
+def worst_lidar(lidars: Sequence[LidarDoc]) -> LidarDoc | None:
+    """Find the LiDAR with the largest predicted error; None where none is stated."""
+    stated = [each for each in lidars if each.predicted_error]
+    return max(stated, key=lambda each: far_error(each) or 0.0, default=None)
+
+
+def largest_error(stated: Stated) -> str | None:
     """Name the largest source of error, and its share; None where no budget is stated."""
-    if not result.budget:
+    if not stated.budget:
         return None
-    entry = max(result.budget, key=lambda each: each.share_at_30m)
-    at = [each.sigma_m for each in result.predicted_error or [] if each.range_m == BUDGET_RANGE]
-    whole = "".join(f" of ± {error(sigma)}" for sigma in at)
+    entry = max(stated.budget, key=lambda each: each.share_at_30m)
+    sigma = far_error(stated)
+    whole = "" if sigma is None else f" of ± {error(sigma)}"
     share = f"{percent(entry.share_at_30m)} of the variance{whole} at {BUDGET_RANGE:g} m"
     return f"{source_words(entry.name, entry.sensor)}: {share}"
 
@@ -59,3 +96,135 @@ def radius_words(result: ResultDoc) -> str | None:
 def scene_words(result: ResultDoc) -> str | None:
     """Say how many places agree with the pose and deny it; None where the scene was not asked."""
     return None if result.confirmation is None else result.confirmation.words
+
+
+def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
+    """Say how certain an answer is and what checked it, a sentence each.
+
+    Parameters
+    ----------
+    subject
+        The answer, or the refusal.
+    verbose
+        Whether the kinds of error and the radius are told as well.
+    """
+    site, pair = subject.site, subject.pair
+    if subject.answered and pair is None:
+        yield f"frame: {site.frame.name}; datum: {site.datum}"
+    worst = worst_lidar(site.lidars)
+    if worst is not None:
+        errors = worst.predicted_error or []
+        at = ", ".join(f"± {error(each.sigma_m)} at {each.range_m:g} m" for each in errors)
+        yield f"predicted error, 1 sigma{'' if pair else f', {worst.name} being the worst'}: {at}"
+        parts = error_parts(errors, pair.uncertainty if pair and verbose else None)
+        for each in parts:
+            if each.range_m == BUDGET_RANGE:
+                kinds = f"random ± {error(each.random)}, systematic ± {error(each.systematic)}"
+                yield f"at {BUDGET_RANGE:g} m: {kinds}"
+        largest = largest_error(worst)
+        if largest is not None:
+            yield f"largest source of error, {largest}"
+    if pair is not None:
+        yield from _of_pair(pair, verbose)
+    else:
+        yield from _of_site(site, subject.answered)
+    moved = [each for each in site.without if each.translation is not None]
+    if moved:
+        most = max(moved, key=lambda each: each.translation or 0.0)
+        whose = "" if most.lidar is None else f" of {subject.called(most.lidar)}"
+        change = f"{error(most.translation)} and {error(most.rotation, 'rad')}{whose}"
+        without = subject.placement(most.placement)
+        yield f"without one placement: at most {change}, without placement {without}"
+
+
+def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
+    """Say what only a pair states: its weakest direction, the radius, what the scene says."""
+    if pair.weakest is not None:
+        yield f"least certain, 1 sigma: {pair.weakest.words}"
+    radius, scene = radius_words(pair), scene_words(pair)
+    if verbose and radius is not None:
+        yield f"radius {radius}"
+    if scene is not None:
+        yield f"what stands in the scene: {scene}"
+
+
+def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
+    """Say what pairs, loops and tests showed, or which LiDARs nothing links."""
+    if len(site.groups) > 1:
+        groups = (", ".join(site.lidars[k].name for k in group) for group in site.groups)
+        yield f"not linked with each other: {' | '.join(groups)}"
+    if not answered:
+        return
+    standing = [min(pair.standing, 2) for pair in site.pairs]
+    counts = (
+        (standing.count(1), "decided by themselves"),
+        (standing.count(2), "decided by others"),
+        (standing.count(0), "linked through others"),
+    )
+    if standing:
+        yield f"pairs: {', '.join(f'{n} {what}' for n, what in counts if n)}"
+    loops = [loop for loop in site.loops if loop.probability is not None]
+    if loops:
+        worst = min(loops, key=lambda loop: loop.probability or 0.0)
+        yield (
+            f"loops: {len(loops)}; the least likely, {around(site, worst)}, misses by "
+            f"{error(worst.translation)} and {error(worst.rotation, 'rad')}, "
+            f"probability {probability(worst.probability)}"
+        )
+    elif len(site.lidars) > 2:
+        yield "loops: none closed; no third LiDAR checks a pair"
+    tests = ranked_tests(site)
+    if not tests:
+        yield "tests: none; nothing checks these poses"
+        return
+    high = [each for each in tests if abs(each.w or 0.0) > LIMIT_W]
+    named = [f"{each.name} (w {abs(each.w or 0.0):.1f})" for each in (high or tests)[:NAMED]]
+    if high:
+        rest = f" and {len(high) - NAMED} more" if len(high) > NAMED else ""
+        yield f"tests: {len(tests)}; beyond w {LIMIT_W:g}: {', '.join(named)}{rest}"
+    else:
+        yield f"tests: {len(tests)}; none beyond w {LIMIT_W:g}, the largest: {named[0]}"
+    blind = unchecked(site)
+    if blind:
+        yield f"unchecked: {blind} of the tests would not show an error"
+
+
+def fitness_words(subject: Subject) -> str:
+    """Answer whether every pose is as accurate as was asked for; empty where nothing was."""
+    asked = [(each.name, each.fitness) for each in subject.site.lidars if each.fitness]
+    if not asked:
+        return ""
+    first = asked[0][1]
+    if subject.pair is not None:
+        return first.words
+    short = [
+        f"{name}: {fitness.words.partition(': ')[2] or fitness.words}"
+        for name, fitness in asked
+        if fitness.answer != "yes"
+    ]
+    need = f"within {100 * first.within_m:g} cm at {first.at_m:g} m"
+    return f"{need}: {'not every LiDAR; ' + '; '.join(short) if short else 'yes, every LiDAR'}"
+
+
+def ranked_tests(site: SiteDoc) -> list[TestDoc]:
+    """Give the tests that have a w, the largest first."""
+    tests = [each for each in site.tests if each.w is not None]
+    return sorted(tests, key=lambda each: -abs(each.w or 0.0))
+
+
+def unchecked(site: SiteDoc) -> int:
+    """Count the tests that would not show an error."""
+    return sum(each.redundancy is not None and each.redundancy < UNCHECKED for each in site.tests)
+
+
+def around(site: SiteDoc, loop: LoopDoc) -> str:
+    """Name the LiDARs around a loop, back to the first."""
+    names = (site.lidars[k].name for k in (*loop.lidars, *loop.lidars[:1]))
+    return " → ".join(names) or UNKNOWN
+
+
+def probability(p: float | None) -> str:
+    """Write a probability; what is very small as a bound."""
+    if p is None:
+        return UNKNOWN
+    return "< 0.1 %" if p < 0.001 else f"{100 * p:.1f} %" if p < 0.1 else percent(p)

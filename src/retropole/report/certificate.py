@@ -2,163 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from html import escape
-
 import numpy as np
 
-from ..base.quantities import counted, error, percent
+from ..base.quantities import UNKNOWN, counted, percent
 from ..result import BudgetEntry, ResultDoc
-from .certainty import BUDGET_RANGE, error_parts, radius_words, scene_words
-from .markup import MISSING, plus_minus, table
-from .names import LIDARS
-from .sections import VERDICTS, pose_parts, transform_matrix
+from .certainty import radius_words, scene_words
+from .listings import columns
+from .markup import listed, table
+from .page import EMPTY, Html, fill, join
+from .poses import pose_parts, transform_matrix
+from .subject import LIDARS, Subject
+from .uncertainty import covariances, ranges, sources, states
+from .verdict import VERDICTS
 
 LISTED_SOURCES = 8
 """So many sources of error are listed one by one, the largest first: the sheet stays one page."""
 
-TO_FILL = '<span class="fill"></span>'
-"""A line to write on, where nothing was given."""
 
-STATES = tuple(
-    f"{kind} {axis}" for kind in ("rotation about", "translation along") for axis in "xyz"
-)
-"""The six directions of the covariance, in its order."""
-
-
-def certificate(result: ResultDoc, site: str = "", serials: Sequence[str] = ("", "")) -> str:
-    """Write the certificate of an answer; a refused run has none.
+def certificate(subject: Subject, place: str = "") -> Html:
+    """Write the certificate of a pair; a refused run has none, nor has a site.
 
     Parameters
     ----------
-    result
-        The result document.
-    site
-        Where it was calibrated; a line to fill in where empty.
-    serials
-        Serial numbers of the target and the source LiDAR; likewise.
+    subject
+        What the page is of, with the serial numbers of its LiDARs; a line to fill in where empty.
+    place
+        Where it was calibrated; likewise.
     """
-    if result.T_target_source is None:
-        return ""
-    T = np.array(result.T_target_source)
-    return (
-        '<section class="certificate" aria-labelledby="certificate">'
-        '<h2 id="certificate">Calibration certificate</h2>'
-        f"{_facts(result, site)}{_lidars(result, serials)}"
-        f'<div class="columns">{transform_matrix(T)}{pose_parts(T)}</div>'
-        "<p><code>T_target_source</code> maps points of the source into the frame of the target, "
-        "metres.</p>"
-        f'<div class="columns">{_ranges(result)}{_states(result)}</div>'
-        f"{_budget(result)}{_inputs(result)}"
-        '<p class="sign"><span>Place and date</span><span>Name</span><span>Signature</span></p>'
-        "</section>"
-    )
-
-
-def _facts(result: ResultDoc, site: str) -> str:
-    warned = ", ".join(reason.code for reason in result.reasons)
-    title = VERDICTS.get(result.status, (result.status, ""))[0]
-    facts = [
-        ("Site", escape(site) or TO_FILL),
-        ("Calibrated", f"{escape(result.created)}, by retropole {escape(result.version)}"),
-        ("Verdict", f"<b>{escape(title + (f': {warned}' if warned else ''))}</b>"),
-        ("Tolerance", _tolerance(result)),
+    site, pair = subject.site, subject.pair
+    if pair is None or pair.T_target_source is None:
+        return EMPTY
+    T, source = np.array(pair.T_target_source), site.lidars[1]
+    several = len(site.placements) > 1
+    recordings = [
+        (LIDARS[each.lidar] + f" {each.placement + 1}" * several, each.path, each.sha256)
+        for each in site.inputs
     ]
-    said = (("Poles", _poles(result)), ("Scene", scene_words(result)))
-    facts += [(name, escape(words)) for name, words in said if words]
-    rows = "".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in facts)
-    return f'<dl class="facts">{rows}</dl>'
-
-
-def _tolerance(result: ResultDoc) -> str:
-    """Say how accurate it had to be, and whether it is; or leave room for it."""
-    asked = result.fitness
-    if asked is None:
-        return f"{TO_FILL} cm up to {TO_FILL} m"
-    return escape(asked.words[:1].upper() + asked.words[1:])
-
-
-def _poles(result: ResultDoc) -> str:
-    """Say how many poles were used, and of which radius."""
-    placements = len(result.inputs) // 2
-    pairs = (
-        ""
-        if result.chosen is None
-        else counted(len(result.chosen.pairs), "pair of poles", "pairs of poles")
+    lidars = [
+        (each.name, _given("" if each.sensor == "auto" else each.sensor), _given(each.serial))
+        for each in site.lidars
+    ]
+    return fill(
+        "certificate",
+        facts=_facts(pair, place),
+        lidars=table("LiDARs", columns("LiDAR; sensor; serial number"), lidars, (1, 2)),
+        matrix=transform_matrix(T),
+        parts=pose_parts(T),
+        ranges=listed(ranges(source, pair.uncertainty, "Where a source point lands, 1 σ")),
+        states=listed(states(covariances(source, None), "The pose, target axes")),
+        budget=_budget(pair.budget or []),
+        recordings=table("Recordings", ("input", "path", "SHA-256"), recordings, (1, 2)),
     )
-    placed = counted(placements, "placement") if placements > 1 else ""
-    radius = radius_words(result)
-    words = (pairs, placed, "" if radius is None else f"radius {radius} (1 σ)")
+
+
+def _given(text: str) -> str:
+    """Write what was given, or leave a line to write on."""
+    return text or fill("to-fill")
+
+
+def _facts(pair: ResultDoc, place: str) -> Html:
+    """Say where, when, how well and with what."""
+    warned = ", ".join(reason.code for reason in pair.reasons)
+    title = VERDICTS.get(pair.status, ("", pair.status))[1]
+    asked = pair.fitness
+    facts = (
+        ("Site", _given(place)),
+        ("Calibrated", f"{pair.created}, by retropole {pair.version}"),
+        ("Verdict", fill("bold", text=title + (f": {warned}" if warned else ""))),
+        (
+            "Tolerance",
+            f"{asked.words[:1].upper()}{asked.words[1:]}" if asked else fill("tolerance"),
+        ),
+        ("Poles", _poles(pair)),
+        ("Scene", scene_words(pair)),
+    )
+    return join(fill("fact", name=name, value=value) for name, value in facts if value)
+
+
+def _poles(pair: ResultDoc) -> str:
+    """Say how many poles were used, and of which radius."""
+    placements, radius = len(pair.inputs) // 2, radius_words(pair)
+    pairs = 0 if pair.chosen is None else len(pair.chosen.pairs)
+    words = (
+        counted(pairs, "pair of poles", "pairs of poles") if pairs else "",
+        counted(placements, "placement") if placements > 1 else "",
+        "" if radius is None else f"radius {radius} (1 σ)",
+    )
     return ", ".join(each for each in words if each)
 
 
-def _lidars(result: ResultDoc, serials: Sequence[str]) -> str:
-    models = [item.sensor for item in result.inputs[:2]]
-    rows = "".join(
-        f'<tr><th scope="row">{lidar}</th>'
-        f'<td class="text">{TO_FILL if model == "auto" else escape(model)}</td>'
-        f'<td class="text">{escape(serial) or TO_FILL}</td></tr>'
-        for lidar, model, serial in zip(LIDARS, models, serials, strict=False)
-    )
-    head = "".join(
-        f'<th scope="col"{kind}>{name}</th>'
-        for name, kind in (
-            ("LiDAR", ""),
-            ("sensor", ' class="text"'),
-            ("serial number", ' class="text"'),
-        )
-    )
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead>{rows}</table></div>'
-
-
-def _ranges(result: ResultDoc) -> str:
-    caption = "Where a source point lands, 1 σ"
-    parts = error_parts(result)
-    if parts:
-        rows = [
-            (f"{each.range_m:g} m", plus_minus(each.together), *map(error, each[2:]))
-            for each in parts
-        ]
-        return table(caption, ("at range", "1 σ", "random", "systematic"), rows)
-    stated = [(f"{e.range_m:g} m", plus_minus(e.sigma_m)) for e in result.predicted_error or []]
-    return table(caption, ("at range", "1 σ"), stated) if stated else ""
-
-
-def _states(result: ResultDoc) -> str:
-    if result.covariance is None:
-        return ""
-    sigma = np.sqrt(np.maximum(np.diag(np.array(result.covariance)), 0.0)).tolist()
-    rows = [
-        (name, error(s, "rad" if k < 3 else "m"))
-        for k, (name, s) in enumerate(zip(STATES, sigma, strict=True))
-    ]
-    return table("The pose, target axes", ("state", "1 σ"), rows)
-
-
-def _budget(result: ResultDoc) -> str:
+def _budget(budget: list[BudgetEntry]) -> Html:
     """List the largest sources of error, and what all others come to."""
-    if not result.budget:
-        return ""
-    entries = sorted(result.budget, key=lambda entry: -entry.share_at_30m)
-    rows = [_source(entry) for entry in entries[:LISTED_SOURCES]]
+    entries = sorted(budget, key=lambda entry: -entry.share_at_30m)
+    caption, header, rows, words = sources("Uncertainty budget", entries[:LISTED_SOURCES])
     rest = entries[LISTED_SOURCES:]
     if rest:
         together = percent(sum(entry.share_at_30m for entry in rest))
-        rows.append((f"{len(rest)} smaller", MISSING, MISSING, together))
-    header = ("source of error", "LiDAR", "1 σ", f"share at {BUDGET_RANGE:g} m")
-    return table("Uncertainty budget", header, rows, (1,))
-
-
-def _source(entry: BudgetEntry) -> tuple[str, str, str, str]:
-    sigma, share = error(entry.sigma, entry.unit), percent(entry.share_at_30m)
-    return entry.name, entry.sensor or MISSING, sigma, share
-
-
-def _inputs(result: ResultDoc) -> str:
-    several = len(result.inputs) > 2
-    rows = [
-        (f"{LIDARS[k % 2]} {k // 2 + 1}" if several else LIDARS[k % 2], item.path, item.sha256)
-        for k, item in enumerate(result.inputs)
-    ]
-    listed = table("Recordings", ("input", "path", "SHA-256"), rows, (1, 2))
-    return f'<div class="hash">{listed}</div>' if rows else ""
+        rows = [*rows, [f"{len(rest)} smaller", *[UNKNOWN] * (len(header) - 2), together]]
+    return table(caption, header, rows, words) if rows else EMPTY

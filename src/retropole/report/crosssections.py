@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
-from typing import NamedTuple
 
 import numpy as np
 
 from ..alignment.solver import Step, gauss_newton
 from ..base import se3
-from ..base.datatypes import Array, Placement
-from ..result import ResultDoc
-from .names import LIDARS, pair_name
+from ..base.datatypes import Array
+from .page import EMPTY, Html, fill, join
+from .subject import LIDARS, Subject, colour_class, pair_name
 
 HALF_PICTURE = 110.0
-"""Half the side of a picture, in its own units."""
+"""Half the side of a picture, in its own units; `pieces.html` has the same."""
 
 MAX_CIRCLE_ITERATIONS = 500
 """Returns on a pole need about ten; a hundred where they scatter so that no surface is seen."""
@@ -51,53 +49,26 @@ class Circle:
     converged: bool
 
 
-def cross_sections(result: ResultDoc, first: Placement) -> str:
-    """Draw the returns of both LiDARs on each pair of poles in the plane across the pole.
-
-    Parameters
-    ----------
-    result
-        The result document.
-    first
-        The first placement of the poles, whose poles the result lists.
-    """
-    target, source = first.target.detection, first.source.detection
-    chosen = result.chosen
-    if target is None or source is None or chosen is None or result.T_target_source is None:
-        return ""
-    T = np.array(result.T_target_source)
-    figures = [
-        _figure(
-            pair_name((i, j)),
-            target.poles[i].xyz,
-            se3.apply(T, source.poles[j].xyz),
-            T[:3, 3],
-            result.config.radius_m,
-        )
-        for i, j in chosen.pairs
-    ]
-    return (
-        '<h3>Returns, looking along each pole</h3><div class="sections">'
-        + "".join(figures)
-        + '</div><p class="note">Every return of both LiDARs with the transform, seen along the '
-        "pole. The circle is a pole of the given radius where it fits all returns best; the "
-        "strokes at the rim point to the LiDARs. Returns scatter towards and away from their own "
-        "LiDAR; two clusters beside each other would be an error of the transform.</p>"
-    )
+def cross_sections(subject: Subject) -> Html:
+    """Draw the returns of both LiDARs of a pair on each of its poles, in the plane across it."""
+    pair = subject.pair
+    target, source = (of_lidar[0] for of_lidar in subject.scans)
+    if pair is None or pair.chosen is None or pair.T_target_source is None:
+        return EMPTY
+    if target is None or source is None or target.detection is None or source.detection is None:
+        return EMPTY
+    T, figures = pair.T_target_source, []
+    for i, j in pair.chosen.pairs:
+        points = target.poles[i].xyz, se3.apply(T, source.poles[j].xyz)
+        figures.append(_figure(pair_name((i, j)), *points, T[:3, 3], pair.config.radius_m))
+    return fill("sections", figures=join(figures))
 
 
-class Across(NamedTuple):
-    """Centre (3,) of points along a line, and two unit vectors (2, 3) across it."""
-
-    centre: Array
-    axes: Array
-
-
-def across(points: Array) -> Across:
-    """Find the plane across the line that points (N, 3) lie along."""
+def across(points: Array) -> tuple[Array, Array]:
+    """Find the plane across the line that points (N, 3) lie along: centre (3,), axes (2, 3)."""
     centre = points.mean(axis=0)
     axes = np.linalg.svd(points - centre, full_matrices=False)[2]
-    return Across(centre, axes[1:])
+    return centre, axes[1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +113,7 @@ def fit_circle(flat: Array, radius: float, start: Array) -> Circle:
     return Circle(found.point, found.converged)
 
 
-def _figure(name: str, target: Array, source: Array, origin: Array, radius: float) -> str:
+def _figure(name: str, target: Array, source: Array, origin: Array, radius: float) -> Html:
     """Draw one pair: points (N, 3) and (M, 3), the source's origin (3,), in the target frame."""
     centre, axes = across(np.concatenate([target, source]))
     flat = [(points - centre) @ axes.T for points in (target, source)]
@@ -155,30 +126,31 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
     rms = float(np.sqrt(np.mean((distances - radius) ** 2)))
     half_width = float(max(3 * radius, np.quantile(distances, SHOWN_RETURNS)))
     scale = (HALF_PICTURE - 14) / half_width
-    dots = "".join(
-        f'<circle class="{lidar}" cx="{x:.1f}" cy="{y:.1f}" r="1.9"/>'
-        for lidar, points in zip(LIDARS, flat, strict=True)
+    colours = [colour_class(k) for k in range(len(LIDARS))]
+    dots = join(
+        fill("return", colour=colour, x=x, y=y)
+        for colour, points in zip(colours, flat, strict=True)
         for x, y in ((points - circle.centre) * scale * [1, -1])
         if max(abs(x), abs(y)) < HALF_PICTURE
     )
     inner, outer = HALF_PICTURE - 12, HALF_PICTURE - 2
-    rim = "".join(
-        f'<line class="{lidar}" x1="{x * inner:.1f}" y1="{-y * inner:.1f}" '
-        f'x2="{x * outer:.1f}" y2="{-y * outer:.1f}"/>'
-        for lidar, (x, y) in zip(LIDARS, towards, strict=True)
+    rim = join(
+        fill("rim", colour=colour, x1=x * inner, y1=-y * inner, x2=x * outer, y2=-y * outer)
+        for colour, (x, y) in zip(colours, towards, strict=True)
     )
     bar = 10.0 ** np.floor(np.log10(half_width))
-    words, kind = f"{1000 * rms:.1f} mm rms from the surface", "pole"
+    words, kind = f"{1000 * rms:.1f} mm rms from the surface", ""
     if not circle.converged:
-        words, kind = f"{words} (the fit of the circle did not converge)", "pole unconverged"
-    side = f"{2 * HALF_PICTURE:g}"
-    left, bottom = 8 - HALF_PICTURE, HALF_PICTURE - 8
-    return (
-        f'<figure><svg viewBox="{-HALF_PICTURE:g} {-HALF_PICTURE:g} {side} {side}" role="img" '
-        f'aria-label="{escape(f"{name}: {words}")}">{dots}'
-        f'<circle class="{kind}" r="{radius * scale:.1f}"/>'
-        f'{rim}<path class="bar" d="M{left:g} {bottom:g}h{bar * scale:.1f}"/>'
-        f'<text x="{left:g}" y="{bottom - 5:g}">{100 * bar:g} cm</text></svg>'
-        f"<figcaption><b>{escape(name)}</b> {words}, "
-        f"{len(target)} + {len(source)} returns</figcaption></figure>"
+        words, kind = f"{words} (the fit of the circle did not converge)", " unconverged"
+    return fill(
+        "section",
+        name=name,
+        words=words,
+        returns=f"{len(target)} + {len(source)} returns",
+        dots=dots,
+        rim=rim,
+        kind=kind,
+        radius=radius * scale,
+        bar=bar * scale,
+        cm=f"{100 * bar:g}",
     )

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from html import escape
+from collections.abc import Sequence
 
-from ..base.quantities import counted, percent
+from ..base.quantities import UNKNOWN, counted, percent
 from ..result.certification import FieldTestDoc, PairTestDoc
 from ..site.certification import DistanceTest, Verdict
 from ..site.repetition import SpreadTest
 from .layout import legible, wrapped
 from .layout import table as text_table
+from .listings import Listing, columns
 from .markup import table
-from .names import LIDARS
-from .page import fill_page
-from .sections import reason_item
+from .page import EMPTY, Html, fill, fill_each, join
+from .render import render_page
+from .subject import LIDARS
 from .text import reason_lines
+from .verdict import reason_item, verdict_box
 
 LISTED = 16
 """So many distances are printed, those nearest to their limits, and so many pairs of a site."""
@@ -26,60 +28,44 @@ VERDICTS: dict[Verdict, tuple[str, str, str]] = {
 }
 """Style, symbol and title of each verdict."""
 
-HEADER = ("distance", "target m", "source m", "difference mm", "limit mm", "")
+DISTANCES = "distance; target, m; source, m; difference, mm; limit, mm; within it"
 
 
 def describe_field_test(document: FieldTestDoc) -> str:
     """Write the test as a person reads it, on one screen."""
     document = legible(document)
     lines = [f"verdict: {document.status}"]
-    if len(document.pairs) == 1:
-        lines += _lines(document.pairs[0], document.alpha)
-        named = document.pairs[0].target, document.pairs[0].source
-        if document.status != "refused" and named == LIDARS:
-            lines += wrapped(_unnamed(document), "    ")
-    else:
-        lines += _pairs(document)
-    return "\n".join(lines)
-
-
-def _lines(pair: PairTestDoc, alpha: float) -> list[str]:
-    lines = [line for reason in pair.reasons for line in reason_lines(reason)]
-    if not pair.distances:
-        return lines
-    shown = sorted(_worst(pair)[:LISTED], key=_number)
-    lines.append(text_table(HEADER, [_row(each, pair) for each in shown]))
-    if len(pair.distances) > len(shown):
-        rest = counted(len(pair.distances) - len(shown), "more distance")
-        lines.append(f"  {rest}, farther from their limits; --json has all")
-    for sentence in sentences(pair, alpha):
-        lines += wrapped(f"  {sentence}", "    ")
-    return lines
+    if len(document.pairs) > 1:
+        listing = _pairs(document)
+        lines += [f"  {_tested(document)}", text_table(listing.header, listing.rows[:LISTED])]
+        if len(listing.rows) > LISTED:
+            lines.append(f"  {counted(len(listing.rows) - LISTED, 'more pair')}; --json has all")
+        return "\n".join(lines)
+    (pair,) = document.pairs
+    lines += [line for reason in pair.reasons for line in reason_lines(reason)]
+    if pair.distances:
+        worst = sorted(pair.distances, key=lambda each: -_ratio(each))[:LISTED]
+        listing = _distances(pair, sorted(worst, key=lambda each: (each.placement, each.poles)))
+        lines.append(text_table(listing.header, listing.rows))
+        if len(pair.distances) > LISTED:
+            rest = counted(len(pair.distances) - LISTED, "more distance")
+            lines.append(f"  {rest}, farther from their limits; --json has all")
+    said = [f"  {sentence}" for sentence in sentences(pair, document.alpha)]
+    if document.status != "refused" and (pair.target, pair.source) == LIDARS:
+        said.append(_unnamed(document))
+    return "\n".join([*lines, *(part for words in said for part in wrapped(words, "    "))])
 
 
 def _unnamed(document: FieldTestDoc) -> str:
     """Say whose sensor is not named; empty where both are."""
-    auto = [
-        lidar
-        for lidar, given in zip(LIDARS, document.inputs, strict=False)
-        if given.sensor == "auto"
-    ]
+    inputs = zip(LIDARS, document.inputs, strict=False)
+    auto = [lidar for lidar, given in inputs if given.sensor == "auto"]
     if not auto:
         return ""
     return (
         f"  the sensor of the {' and of the '.join(auto)} is not named: cautious sizes of its "
         "errors are assumed, which little exceeds"
     )
-
-
-def _pairs(document: FieldTestDoc) -> list[str]:
-    """One row for each pair of a site, what failed first."""
-    rows = _pair_rows(document)
-    lines = [f"  {_tested(document)}"]
-    lines.append(text_table(("LiDARs", "distances", "largest / limit", ""), rows[:LISTED]))
-    if len(rows) > LISTED:
-        lines.append(f"  {counted(len(rows) - LISTED, 'more pair')}; --json has all")
-    return lines
 
 
 def _tested(document: FieldTestDoc) -> str:
@@ -90,17 +76,36 @@ def _tested(document: FieldTestDoc) -> str:
     return f"{said}, {failed} failed" if tested else said
 
 
-def _pair_rows(document: FieldTestDoc) -> list[tuple[str, ...]]:
-    """Name each pair with its largest difference and its verdict."""
-    return [
+def _pairs(document: FieldTestDoc) -> Listing:
+    """List the pairs, each with its largest difference; what failed comes first."""
+    rows = [
         (
             f"{pair.target}, {pair.source}",
-            str(len(pair.distances)),
-            f"{_largest(pair):.2f}" if pair.distances else "–",
+            # Beside the name: on a phone the last columns are out of sight.
             pair.status if not pair.reasons else f"{pair.status}: {pair.reasons[0].code}",
+            len(pair.distances),
+            f"{_largest(pair):.2f}" if pair.distances else UNKNOWN,
         )
         for pair in _in_order(document)
     ]
+    header = columns("LiDARs; verdict; distances; largest / limit")
+    return Listing("Pairs, what failed first", header, rows, (1,))
+
+
+def _distances(pair: PairTestDoc, distances: Sequence[DistanceTest]) -> Listing:
+    """List distances as both LiDARs measure them."""
+    rows = [
+        (
+            (f"{each.placement + 1}: " if len(pair.poles) > 1 else "")
+            + f"T{each.poles[0]}–T{each.poles[1]}",
+            *(f"{each.target_m:.4f}", f"{each.source_m:.4f}"),
+            *(f"{1e3 * each.difference_m:+.1f}", f"{1e3 * each.limit_m:.1f}"),
+            "yes" if each.passed else "BEYOND",
+        )
+        for each in distances
+    ]
+    caption = f"Distances, {pair.target} and {pair.source}"
+    return Listing(caption, columns(DISTANCES), rows, (5,))
 
 
 def _in_order(document: FieldTestDoc) -> list[PairTestDoc]:
@@ -152,89 +157,41 @@ def _variances(test: SpreadTest) -> str:
 
 def render_field_test(document: FieldTestDoc) -> str:
     """Render the test as one HTML page that holds its style and code and works from a file."""
-    count = counted(len(document.pairs), "pair") + " of LiDARs"
-    return fill_page(
-        "field-test.html",
-        ("style.css",),
-        ("page.js", "field-test.js"),
-        {
-            "title": "Field test",
-            "status": escape(document.status),
-            "created": escape(f"{document.created} · {count}"),
-            "verdict": _verdict(document),
-            "parts": field_test_section(document) + _inputs(document),
-        },
-    )
-
-
-def _verdict(document: FieldTestDoc) -> str:
-    """Say pass, fail or refused first, and list the pairs where there are several."""
-    status = document.status
-    kind, symbol, title = VERDICTS[status]
-    pairs = ""
+    kind, symbol, title = VERDICTS[document.status]
+    pairs = EMPTY
     if len(document.pairs) > 1:
         title = f"{title.partition(':')[0]}: {_tested(document)}"
-        # The verdict beside the name: on a phone the last columns are out of sight.
-        header = ("LiDARs", "verdict", "distances", "largest difference / limit")
-        rows = [(name, said, *numbers) for name, *numbers, said in _pair_rows(document)]
-        pairs = table("Pairs, what failed first", header, rows, (1,))
-    return (
-        f'<section class="verdict {kind}" aria-labelledby="verdict">'
-        f'<div class="mark" aria-hidden="true">{symbol}</div><div>'
-        f'<h2 id="verdict">{escape(title)}</h2>'
-        "<p>Distances between poles, measured by each LiDAR for itself. No calibration is used: "
-        f"the test judges the LiDARs.</p>{pairs}</div></section>"
+        pairs = table(*_pairs(document))
+    return render_page(
+        "field test of LiDARs",
+        "Field test",
+        f"{document.created} · {counted(len(document.pairs), 'pair')} of LiDARs",
+        document.status,
+        verdict_box(kind, symbol, title, fill("field-test", pairs=pairs)),
+        [field_test_section(document), _inputs(document)],
     )
 
 
-def _inputs(document: FieldTestDoc) -> str:
+def _inputs(document: FieldTestDoc) -> Html:
     """List the recordings, with what tells them again."""
-    if not document.inputs:
-        return ""
     rows = [(each.path, each.sensor, each.points, each.sha256) for each in document.inputs]
     header = ("recording", "sensor", "points", "SHA-256")
-    return (
-        '<section aria-labelledby="recordings"><h2 id="recordings">Recordings</h2>'
-        f"{table('What was tested', header, rows, (1, 3))}</section>"
-    )
+    listed = table("What was tested", header, rows, (1, 3))
+    return fill("recordings", table=listed) if rows else EMPTY
 
 
-def field_test_section(document: FieldTestDoc) -> str:
+def field_test_section(document: FieldTestDoc) -> Html:
     """Write every pair as a section of an HTML page; whatever the document holds is escaped."""
-    parts = ['<section aria-labelledby="distances"><h2 id="distances">Distances</h2>']
+    parts = []
     for pair in _in_order(document):
-        name = f"{pair.target}, {pair.source}: {pair.status}"
-        parts.append(f"<h3>{escape(name)}</h3>")
-        if len(document.pairs) == 1:
-            parts += [f'<ul class="reasons">{reason_item(each)}</ul>' for each in pair.reasons]
-        else:
-            parts += [f"<p>{escape(each.message)}.</p>" for each in pair.reasons]
-        if pair.distances:
-            header = (*HEADER[:-1], "passed")
-            rows = [_row(each, pair, "yes") for each in pair.distances]
-            parts.append(table(f"Distances, {pair.target} and {pair.source}", header, rows, (5,)))
-        parts += [f"<p>{escape(words)}.</p>" for words in sentences(pair, document.alpha)]
-    return "".join((*parts, "</section>"))
-
-
-def _row(each: DistanceTest, pair: PairTestDoc, passed: str = "") -> tuple[str, ...]:
-    of = f"{each.placement + 1}: " if len(pair.poles) > 1 else ""
-    return (
-        f"{of}T{each.poles[0]}–T{each.poles[1]}",
-        f"{each.target_m:.4f}",
-        f"{each.source_m:.4f}",
-        f"{1e3 * each.difference_m:+.1f}",
-        f"{1e3 * each.limit_m:.1f}",
-        passed if each.passed else "BEYOND",
-    )
-
-
-def _number(each: DistanceTest) -> tuple[int, tuple[int, int]]:
-    return each.placement, each.poles
-
-
-def _worst(pair: PairTestDoc) -> list[DistanceTest]:
-    return sorted(pair.distances, key=lambda each: -_ratio(each))
+        reasons = fill_each("said", (f"{each.message}." for each in pair.reasons))
+        if len(document.pairs) == 1 and pair.reasons:
+            reasons = fill("reasons", items=join(map(reason_item, pair.reasons)))
+        listed = table(*_distances(pair, pair.distances)) if pair.distances else EMPTY
+        said = fill_each("said", (f"{words}." for words in sentences(pair, document.alpha)))
+        title = f"{pair.target}, {pair.source}: {pair.status}"
+        parts.append(fill("tested", title=title, reasons=reasons, table=listed, said=said))
+    return fill("distances", parts=join(parts))
 
 
 def _ratio(each: DistanceTest) -> float:

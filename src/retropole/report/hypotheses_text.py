@@ -12,7 +12,7 @@ from ..base.datatypes import Array
 from ..base.reasons import plain
 from ..matching.prior import MAX_SIGMAS, RotationPrior
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ResultDoc
-from .names import hypothesis_name
+from .subject import hypothesis_name
 
 OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
 """Reasons that leave the choice to a person."""

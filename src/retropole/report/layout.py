@@ -31,20 +31,27 @@ def legible(value: Any) -> Any:
     return type(value)(map(legible, value)) if isinstance(value, list | tuple) else value
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Lay out rows under a header, each column as wide as it needs, numbers to the right.
 
-    A name of the header may have several lines.
+    A name of the header may have several lines, one for each word where a screen is too narrow.
     """
-    heads = list(zip_longest(*(name.split("\n") for name in header), fillvalue=""))
-    widths = [max(len(row[k]) for row in [*heads, *rows]) for k in range(len(header))]
+    cells = [[str(cell) for cell in row] for row in rows]
+    longest = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    broken = [
+        name if len(name) <= most else name.replace(" ", "\n")
+        for name, most in zip(header, longest, strict=True)
+    ]
+    for names in (header, broken):
+        heads = zip_longest(*(name.split("\n") for name in names), fillvalue="")
+        whole = [*map(list, heads), *cells]
+        widths = [max(len(row[k]) for row in whole) for k in range(len(header))]
+        if sum(widths) + 2 * len(widths) <= WIDTH:
+            break
     lines = []
-    for row in [*heads, *rows]:
-        cells = [
-            cell.ljust(width) if k == 0 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  " + "  ".join(cells).rstrip())
+    for first, *others in whole:
+        right = (cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))
+        lines.append("  " + "  ".join([first.ljust(widths[0]), *right]).rstrip())
     return "\n".join(lines)
 
 

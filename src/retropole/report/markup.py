@@ -1,34 +1,29 @@
-"""Pieces of HTML that every part of the page is made of; whatever they are given is escaped."""
+"""Pieces of HTML that every part of a page is made of; whatever they are given is escaped."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Sequence
 from html import escape
 
 from ..base.quantities import UNKNOWN, error
 from ..base.reasons import unlinked
-
-MISSING = UNKNOWN
+from .listings import Listing
+from .page import EMPTY, Html, fill, join
 
 NO_BREAK = "\u00a0"
 
 CODE = re.compile(r"`([^`]+)`")
 EMPHASIS = re.compile(r"\*([^*\s][^*]*)\*")
 
-
-def number(value: float | None, digits: int, scale: float = 1.0, unit: str = "") -> str:
-    """Write a number with fixed digits, or a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return MISSING
-    return f"{value * scale:.{digits}f}{unit}"
+SHOWN = 12
+"""So many rows of a long table are shown at once, the worst first; the page unfolds the others."""
 
 
 def plus_minus(sigma_m: float | None) -> str:
     """Write a 1 σ as ``± 8.4 mm``, which no line break parts; a dash where there is none."""
     text = error(sigma_m)
-    return text if text == MISSING else f"± {text}".replace(" ", NO_BREAK)
+    return text if text == UNKNOWN else f"± {text}".replace(" ", NO_BREAK)
 
 
 def share_styles() -> str:
@@ -43,7 +38,7 @@ def table(
     text: Collection[int] = (),
     bars: Sequence[tuple[str, float]] = (),
     links: Sequence[str] = (),
-) -> str:
+) -> Html:
     """Lay out a table that scrolls sideways on narrow screens.
 
     Parameters
@@ -57,44 +52,51 @@ def table(
     links
         Of each row, where its heading leads; empty for nowhere.
     """
-    kind = ["" if k not in text else ' class="text"' for k in range(len(header))]
-    head = "".join(
-        f'<th scope="col"{c}>{escape(name)}</th>' for c, name in zip(kind, header, strict=True)
-    )
-    ends = [
-        f' class="share share-{round(100 * min(max(share, 0), 1))} {escape(name)}"'
-        for name, share in bars
-    ] or [kind[-1]] * len(rows)
-    headings = [escape(str(row[0])) for row in rows]
-    if links:
-        headings = [
-            f'<a href="{escape(link)}">{name}</a>' if link else name
-            for name, link in zip(headings, links, strict=True)
-        ]
-    body = "".join(
-        f'<tr><th scope="row">{heading}</th>'
-        + "".join(
-            f"<td{c}>{escape(str(cell))}</td>"
-            for c, cell in zip([*kind[1:-1], end], row[1:], strict=True)
+    kinds = [Html(' class="text"') if k in text else EMPTY for k in range(len(header))]
+    head = (fill("th", kind=kind, text=name) for kind, name in zip(kinds, header, strict=True))
+    lengths = [(name, round(100 * min(max(share, 0), 1))) for name, share in bars]
+    ends = [fill("share", name=name, length=length) for name, length in lengths]
+    body = [
+        fill(
+            "tr",
+            heading=fill("a", to=link, text=row[0]) if link else row[0],
+            cells=join(
+                fill("td", kind=kind, text=cell)
+                for kind, cell in zip([*kinds[1:-1], end], row[1:], strict=True)
+            ),
         )
-        + "</tr>"
-        for heading, row, end in zip(headings, rows, ends, strict=True)
-    )
-    name = escape(caption)
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{name}"><table>'
-        f"<caption>{name}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-        "</table></div>"
-    )
+        for row, end, link in zip(
+            rows, ends or [kinds[-1]] * len(rows), links or [""] * len(rows), strict=True
+        )
+    ]
+    return fill("table", caption=caption, head=join(head), body=join(body))
 
 
-def inline(markdown: str) -> str:
+def listed(listing: Listing) -> Html:
+    """Lay out a table; of a long one the first `SHOWN` rows, the rest folded away."""
+    caption, header, rows, words = listing
+    if len(rows) <= SHOWN:
+        return table(caption, header, rows, words) if rows else EMPTY
+    rest = table(f"{caption}: the rest", header, rows[SHOWN:], words)
+    more = folded(f"{len(rows) - SHOWN} more", rest)
+    return fill("stack", body=join((table(caption, header, rows[:SHOWN], words), more)))
+
+
+def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:
+    """Fold markup away under a summary; nothing where there is none."""
+    opened = Html(" open" if is_open else "")
+    return fill("details", opened=opened, summary=summary, body=body) if body else body
+
+
+def inline(markdown: str) -> Html:
     """Turn a line of Markdown into HTML: code and emphasis, links by their words."""
     # Escaped first: nothing in the text but these marks can become markup.
     text = escape(unlinked(markdown))
     # The odd parts are code, in which an asterisk is an asterisk.
     parts = CODE.split(text)
-    return "".join(
-        f"<code>{part}</code>" if k % 2 else EMPHASIS.sub(r"<em>\1</em>", part)
-        for k, part in enumerate(parts)
+    return Html(
+        "".join(
+            f"<code>{part}</code>" if k % 2 else EMPHASIS.sub(r"<em>\1</em>", part)
+            for k, part in enumerate(parts)
+        )
     )

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from html import escape
 from itertools import permutations
 
 import numpy as np
 
-from ..base.datatypes import Array, Placement, Pole, RejectedCluster, Scan
+from ..base.datatypes import Array, Pole, RejectedCluster, Scan
 from ..base.quantities import counted
 from ..base.reasons import explain
 from ..extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
-from ..result import ResultDoc
+from .listings import rejected_mark
 from .markup import inline
-from .names import LIDARS, pole_name
-
-REJECTED_SYMBOLS = {"target": "×", "source": "+"}
-"""How the view marks the rejected clusters of each LiDAR."""
+from .page import EMPTY, Html, fill, fill_each, join
+from .subject import LIDARS, Subject, pole_name
 
 SAME_DISTANCE = 0.3
 """A cluster may be the missing pole where it stands as far beside a found one as the other LiDAR's
@@ -35,45 +32,33 @@ NEAREST = 2.0
 """No pole is asked to stand nearer than this, metres: what would have to is too little to go by."""
 
 
-def missing_poles(result: ResultDoc, placements: Sequence[Placement]) -> str:
-    """Say of each LiDAR of a refused run that sees too few poles what it sees, and what is missing.
-
-    Parameters
-    ----------
-    result
-        The result document.
-    placements
-        What was recorded and found.
-    """
-    if result.status != "refused":
-        return ""
-    needed = result.config.poles or 2
+def missing_poles(subject: Subject) -> Html:
+    """Say of each LiDAR of a refused pair that sees too few poles what it sees, and what lacks."""
+    pair = subject.pair
+    if pair is None or pair.status != "refused":
+        return EMPTY
+    needed = pair.config.poles or 2
     parts = []
-    for k, placement in enumerate(placements, 1):
-        where = f" in placement {k}" if len(placements) > 1 else ""
-        scans = (placement.target, placement.source)
-        for lidar, scan, other in zip(LIDARS, scans, scans[::-1], strict=True):
-            if scan.detection is not None and len(scan.poles) < needed:
-                items = "".join(f"<li>{item}</li>" for item in _items(lidar, scan, other))
+    for j, both in enumerate(zip(*subject.scans, strict=True), 1):
+        where = f" in placement {j}" if len(subject.scans[0]) > 1 else ""
+        for k, lidar in enumerate(LIDARS):
+            scan, other = both[k], both[1 - k]
+            if scan is None or other is None or scan.detection is None:
+                continue
+            if len(scan.poles) < needed:
                 title = f"The {lidar} sees {len(scan.poles)} of {needed} poles{where}"
-                parts.append(f"<h3>{escape(title)}</h3><ul>{items}</ul>")
-    if not parts:
-        return ""
-    return (
-        '<section aria-labelledby="missing"><h2 id="missing">What is missing</h2>'
-        + "".join(parts)
-        + '<p class="note">Azimuths are from the x axis towards y, in the frame of each LiDAR. The '
-        "view marks the clusters.</p></section>"
-    )
+                items = fill_each("li", _items(k, scan, other))
+                parts.append(fill("lacking", title=title, items=items))
+    return fill("missing", parts=join(parts)) if parts else EMPTY
 
 
-def _items(lidar: str, scan: Scan, other: Scan) -> Iterator[str]:
+def _items(lidar: int, scan: Scan, other: Scan) -> Iterator[str]:
     """Name the poles that one LiDAR sees, then what else may be one."""
     assert scan.detection is not None
     origin = scan.cloud.origin
     for k, pole in enumerate(scan.poles):
-        yield escape(
-            f"Pole {pole_name(lidar, k)}, {_place(pole.point - origin)}: "
+        yield (
+            f"Pole {pole_name(LIDARS[lidar], k)}, {_place(pole.point - origin)}: "
             f"{counted(len(pole.index), 'return')} on {counted(pole.rings, 'ring')}."
         )
     rejected = list(enumerate(scan.detection.rejected))
@@ -83,7 +68,7 @@ def _items(lidar: str, scan: Scan, other: Scan) -> Iterator[str]:
         "outside of the field of view."
     )
     if not rejected:
-        yield escape(f"Nothing else is as bright as tape. If the pole is there, {unseen}")
+        yield f"Nothing else is as bright as tape. If the pole is there, {unseen}"
         return
     distances = _distances(other.poles)
     if not scan.poles or not distances:
@@ -92,9 +77,7 @@ def _items(lidar: str, scan: Scan, other: Scan) -> Iterator[str]:
         for k, cluster in little[:NAMED]:
             yield _candidate(lidar, k, cluster, scan)
         if len(rejected) > NAMED:
-            yield escape(
-                f"{counted(len(rejected) - NAMED, 'more bright cluster')}, listed under Poles."
-            )
+            yield f"{counted(len(rejected) - NAMED, 'more bright cluster')}, listed under Poles."
         return
     near = sorted(
         (abs(_beside(pole, cluster.centre) - distance), k, n)
@@ -105,40 +88,40 @@ def _items(lidar: str, scan: Scan, other: Scan) -> Iterator[str]:
     fitting = list(dict.fromkeys((k, n) for apart, k, n in near if apart <= SAME_DISTANCE))
     clusters = scan.detection.rejected
     for k, n in fitting[:NAMED]:
-        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m beside {pole_name(lidar, n)}"
-        yield _candidate(lidar, k, clusters[k], scan, f", {beside}")
+        beside = f"{_beside(scan.poles[n], clusters[k].centre):.1f} m beside"
+        name = pole_name(LIDARS[lidar], n)
+        yield _candidate(lidar, k, clusters[k], scan, f", {beside} {name}")
     told = " or ".join(dict.fromkeys(f"{distance:.1f}" for distance in distances))
     there = f"The other LiDAR sees poles {told} m beside each other"
     if fitting:
-        yield escape(f"{there}: what is named here fits that.")
+        yield f"{there}: what is named here fits that."
     else:
-        yield escape(
+        yield (
             f"{there}. None of the {len(rejected)} rejected clusters fits that. If the pole is "
             f"there, {unseen}"
         )
 
 
-def _candidate(lidar: str, k: int, cluster: RejectedCluster, scan: Scan, beside: str = "") -> str:
+def _candidate(lidar: int, k: int, cluster: RejectedCluster, scan: Scan, beside: str = "") -> Html:
     """Say of a rejected cluster where it is, and what it lacks of a pole."""
     away = cluster.centre - scan.cloud.origin
-    name = f"Cluster {REJECTED_SYMBOLS[lidar]} {k}, {_place(away)}{beside}"
-    lacks = _lacks(cluster, scan, float(np.linalg.norm(away)))
-    return f"{escape(name)}: {lacks}"
+    name = f"Cluster {rejected_mark(lidar, k)}, {_place(away)}{beside}"
+    return fill("candidate", name=name, lacks=_lacks(cluster, scan, float(np.linalg.norm(away))))
 
 
 def _lacks(cluster: RejectedCluster, scan: Scan, distance: float) -> str:
     """Say how much is missing, in numbers where there are; else the reason and its advice."""
     returns, ring = len(cluster.index), scan.cloud.ring
     if cluster.code == "too_few_points" and returns < MIN_POLE_POINTS:
-        count = f"{returns} return{'s' * (returns != 1)}, {MIN_POLE_POINTS} are needed"
-        return escape(f"{count}: {_nearer(distance, returns / MIN_POLE_POINTS)}")
+        count = f"{counted(returns, 'return')}, {MIN_POLE_POINTS} are needed"
+        return f"{count}: {_nearer(distance, returns / MIN_POLE_POINTS)}"
     rings = 0 if ring is None else len(np.unique(ring[cluster.index]))
     if cluster.code == "too_few_rows" and 0 < rings < MIN_POLE_RINGS:
-        count = f"on {rings} ring{'s' * (rings != 1)}, {MIN_POLE_RINGS} are needed"
-        return escape(f"{count}: {_nearer(distance, rings / MIN_POLE_RINGS)}")
+        count = f"on {counted(rings, 'ring')}, {MIN_POLE_RINGS} are needed"
+        return f"{count}: {_nearer(distance, rings / MIN_POLE_RINGS)}"
     known = explain(cluster.code) if cluster.code != "too_few_points" else None
-    advice = " ".join(inline(action) for action in known.advice) if known else ""
-    return f"{escape(cluster.reason)}. {advice}".strip()
+    advice = fill_each("sentence", map(inline, known.advice if known else ()))
+    return fill("lacks", reason=cluster.reason, advice=advice)
 
 
 def _nearer(distance: float, share: float) -> str:

@@ -1,12 +1,52 @@
-"""A page of its own: a template filled with text, style and code, which runs no other code."""
+"""Pages and their pieces: templates filled with text, style and code, which run no other code."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from html import escape
 from importlib.resources import files
 from string import Template
+
+PIECE = re.compile(r"^<!-- ([\w-]+) -->", re.MULTILINE)
+"""What stands before each piece of `pieces.html`: its name."""
+
+
+class Html(str):
+    """Text that is markup. All other text is escaped where a template takes it in."""
+
+    __slots__ = ()
+
+
+EMPTY = Html("")
+"""What a part of a page is that has nothing to say."""
+
+
+def join(parts: Iterable[Html]) -> Html:
+    """Put markup one behind the other."""
+    return Html("".join(parts))
+
+
+def fill(piece: str, /, **places: object) -> Html:
+    """Fill the places of a piece in `pieces.html`; what is no `Html` is escaped.
+
+    Numbers that are no integers are places in a picture, and have one digit behind the point.
+    """
+    return Html(_pieces()[piece].substitute({name: _markup(v) for name, v in places.items()}))
+
+
+def _markup(value: object) -> str:
+    if isinstance(value, Html):
+        return value
+    return f"{value:.1f}" if isinstance(value, float) else escape(str(value))
+
+
+def fill_each(piece: str, values: Iterable[object]) -> Html:
+    """Fill a piece with each of several values, as its ``$value``."""
+    return join(fill(piece, value=value) for value in values)
 
 
 def fill_page(
@@ -41,8 +81,16 @@ def fill_page(
     )
 
 
+@cache
 def _asset(name: str) -> str:
     return (files("retropole.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+@cache
+def _pieces() -> dict[str, Template]:
+    _, *parts = PIECE.split(_asset("pieces.html"))
+    pieces = zip(parts[::2], parts[1::2], strict=True)
+    return {name: Template(markup.strip("\n")) for name, markup in pieces}
 
 
 def _source_of(text: str) -> str:

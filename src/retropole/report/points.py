@@ -28,38 +28,38 @@ DEFAULT_RANGE = 10.0
 
 
 class PackedPoints(msgspec.Struct, frozen=True):
-    """Points for the page's own code: ``xyz``, ``low`` and ``size`` as in `PackedCloud`."""
+    """Points for the page's own code.
+
+    Attributes
+    ----------
+    xyz
+        Base64 of little-endian uint16 (n, 3); a point is ``low + size * xyz / 65535``, metres.
+    low, size
+        (3,) corner and extent of the points, metres.
+    """
 
     xyz: str
     low: list[float]
     size: list[float]
 
 
-class PackedCloud(msgspec.Struct, frozen=True):
+class PackedCloud(PackedPoints, frozen=True):
     """A cloud for the page's own code.
 
     Attributes
     ----------
-    xyz
-        Base64 of little-endian uint16 (n, 3); a point is ``low + size * xyz / 65535``, metres.
     intensity
         Base64 of uint8 (n,), 1 % to 99 % of the cloud's own scale; None where that says nothing.
-    low, size
-        (3,) corner and extent of the points, metres.
-    on_poles, in_rejected
-        How many points are on poles, and in rejected clusters; they come first, in this order.
+    on_poles
+        How many points are on poles; they come first, then those in rejected clusters.
     shown, total, far
         How many points are packed, the cloud has, and are left out as too far.
     origin, centre, radius
         (3,) where the beams start, and what to look at: (3,) its centre and its radius, metres.
     """
 
-    xyz: str
     intensity: str | None
-    low: list[float]
-    size: list[float]
     on_poles: int
-    in_rejected: int
     shown: int
     total: int
     far: int
@@ -135,7 +135,6 @@ def pack_cloud(
         low=packed.low,
         size=packed.size,
         on_poles=len(poles),
-        in_rejected=len(rejected),
         shown=len(shown),
         total=len(cloud),
         far=len(cloud) - len(candidates),

@@ -1,32 +1,34 @@
-"""Put a result and its clouds into one HTML file that needs no network."""
+"""Put a result and its clouds into one HTML file that needs no network: of a pair, or of a site."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from html import escape
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..base.datatypes import Placement
 from ..base.files import write_atomically
 from ..result import ResultDoc
-from . import evidence, sections
+from ..result.site import SiteDoc
+from ..site.answer import SiteCalibration
+from . import listings
 from .certificate import certificate
-from .markup import share_styles
+from .hypotheses import hypotheses
+from .listings import Listing
+from .map import site_map
+from .markup import listed, share_styles
 from .missing import missing_poles
-from .names import LIDARS, input_names
-from .page import fill_page
-from .uncertainty import uncertainty
-from .view_data import embed_json, page_view
+from .page import EMPTY, Html, fill, fill_page, join
+from .pairs import pairs
+from .plan import plan_of
+from .poses import poses
+from .recorded import poles, run
+from .subject import LIDARS, Subject, colour_class, input_names, of_pair, of_site
+from .verdict import verdict
+from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view
 
-MAX_PAGE_POINTS = 100_000
-"""Points of each cloud in the page, about 0.9 MB; of a single placement."""
-
-MAX_PAGE_POINTS_TOGETHER = 600_000
-"""Points of all clouds together where there are many placements: the page stays under 8 MB."""
-
-SCRIPTS = ("three.min.js", "page.js", "view.js", "app.js")
-
-CERTIFICATE_BUTTON = '<button type="button" id="print-certificate">Print certificate</button>'
+HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
+"""Of a part of the page: its id, and its title."""
 
 
 def render_report(
@@ -34,7 +36,7 @@ def render_report(
     placements: Sequence[Placement],
     *,
     notes: Sequence[str] = (),
-    max_points: int = MAX_PAGE_POINTS,
+    max_points: int = MAX_CLOUD_POINTS,
     site: str = "",
     serials: Sequence[str] = ("", ""),
 ) -> str:
@@ -71,37 +73,149 @@ def render_report(
     """
     if not placements:
         raise ValueError("a report shows at least one placement of the poles")
-    names = input_names(result)
-    target_name, source_name = names[:2] if len(names) >= 2 else LIDARS
-    budget = min(max_points, MAX_PAGE_POINTS_TOGETHER // (2 * len(placements)))
-    view = page_view(result, placements, names, budget)
-    several = f" (and {len(placements) - 1} more)" if len(placements) > 1 else ""
-    sheet = certificate(result, site, serials)
-    lacking = missing_poles(result, placements)
-    parts = {
-        "missing": lacking,
-        "hypotheses": sections.hypotheses(result),
-        "transform": sections.transform(result),
-        "poles": evidence.poles(result, placements[0]),
-        "uncertainty": uncertainty(result),
-        "placements": evidence.placements(result),
-        "run": evidence.provenance(result),
-    }
-    parts |= {
-        "title": escape(f"{target_name} ← {source_name}{several}"),
-        "several": escape(several),
-        "status": escape(result.status),
-        "target_name": escape(target_name),
-        "source_name": escape(source_name),
-        "created": escape(result.created),
+    return _render(of_pair(result, placements, serials), notes, max_points, site)
+
+
+def render_site(
+    document: SiteDoc, calibration: SiteCalibration | None = None, *, notes: Sequence[str] = ()
+) -> str:
+    """Render the result of a site as one HTML page.
+
+    Parameters
+    ----------
+    document
+        The result document.
+    calibration
+        What it is of: its clouds are shown. Without it, the page has no view of them.
+    notes
+        What a reader has to know before all else, for example that a recording was not found.
+
+    Returns
+    -------
+    str
+        The page. It holds its style, code and points, asks no other address for anything, and
+        works from a file.
+
+    Raises
+    ------
+    ValueError
+        Where the document is of other LiDARs or placements than the calibration.
+    """
+    return _render(of_site(document, calibration), notes)
+
+
+def _render(
+    subject: Subject,
+    notes: Sequence[str],
+    max_points: int = MAX_CLOUD_POINTS,
+    place: str = "",
+) -> str:
+    site, plan = subject.site, plan_of(subject.site)
+    view, found = page_view(subject, plan, max_points), poles(subject)
+    refused, heading = site.status == "refused", site.name or "Site"
+    if subject.pair is not None:
+        named = input_names(subject.pair)
+        target, source = named[:2] if len(named) > 1 else LIDARS
+        heading = fill("pair-heading", target=target, source=source)
+    parts = [
+        missing_poles(subject),
+        site_map(subject, plan),
+        viewer(subject, view),
+        hypotheses(subject.pair),
+        # What was found comes first where it is all there is.
+        found if refused else EMPTY,
+        pairs(site),
+        _checked("loops", listings.loops(site)),
+        _checked("tests", listings.tests(site)),
+        _checked("placements", listings.changes(subject)),
+        poses(subject),
+        EMPTY if refused else found,
+        run(subject),
+    ]
+    return render_page(
+        "calibration report",
+        heading,
+        f"{site.created} · {subject.size}",
+        site.status,
+        verdict(subject, notes),
+        parts,
+        title=site.name or "Site",
+        view=view,
+        sheet=certificate(subject, place),
+    )
+
+
+def _checked(piece: str, listing: Listing) -> Html:
+    """Show what was checked; nothing where nothing was."""
+    return fill(piece, table=listed(listing)) if listing.rows else EMPTY
+
+
+def render_page(
+    brand: str,
+    heading: str,
+    created: str,
+    status: str,
+    verdict: Html,
+    parts: Sequence[Html],
+    *,
+    title: str = "",
+    view: PageView | None = None,
+    sheet: Html = EMPTY,
+) -> str:
+    """Lay out a page: its head, the verdict, links to every part that there is, and the parts.
+
+    Parameters
+    ----------
+    brand, heading, created
+        What kind of page it is, what of, and when that was made.
+    status, verdict
+        Of what it is of.
+    parts
+        Sections under a heading each, empty where there is nothing to say.
+    title
+        Of the page in a browser; the heading where empty.
+    view
+        What the page's code draws.
+    sheet
+        A certificate, before all else on paper.
+    """
+    body = join(parts)
+    links = join(fill("a", to=f"#{name}", text=Html(text)) for name, text in HEADING.findall(body))
+    code = ("three.min.js", "page.js", "view.js", "app.js") if view else ("page.js", "app.js")
+    places: dict[str, object] = {
+        "title": title or heading,
+        **{"brand": brand, "heading": heading, "created": created, "status": status},
         "certificate": sheet,
-        "certificate_button": CERTIFICATE_BUTTON if sheet else "",
-        "verdict": sections.verdict(result, notes),
-        "links": _links(parts),
-        "shown": escape(view.placements[0].shown),
-        "data": embed_json(view),
+        "certificate_button": fill("certificate-button") if sheet else EMPTY,
+        **{"verdict": verdict, "links": links, "parts": body, "data": embed_json(view)},
     }
-    return fill_page("template.html", ("style.css",), SCRIPTS, parts, share_styles())
+    escaped = {name: fill("text", value=value) for name, value in places.items()}
+    return fill_page("report.html", ("style.css",), code, escaped, share_styles())
+
+
+def viewer(subject: Subject, view: PageView | None) -> Html:
+    """Write the view of the clouds, with a button for each LiDAR and each of several placements."""
+    if view is None:
+        return EMPTY
+    pair = subject.pair is not None
+    lidars, keys = EMPTY, list("ts" if pair else "123456789") + [""] * len(view.lidars)
+    for k, lidar in enumerate(view.lidars):
+        key = fill("key", key=keys[k]) if keys[k] else EMPTY
+        name = lidar.name.capitalize() if pair else lidar.name
+        button = fill("lidar-button", k=k, key=key, colour=colour_class(k), name=name)
+        lidars = join((lidars, button))
+    places = [
+        fill("placement-button", j=j, key=fill("key", key=f"Shift+{j + 1}"), name=name)
+        for j, name in enumerate(view.placements)
+    ]
+    return fill(
+        "viewer",
+        modes=fill("modes") if pair else EMPTY,
+        lidars=lidars,
+        placements=fill("placement-buttons", buttons=join(places)) if places[1:] else EMPTY,
+        keys=fill("keys-of-pair" if pair else "keys-of-site"),
+        shown=view.shown,
+    )
 
 
 def write_report(
@@ -110,7 +224,7 @@ def write_report(
     placements: Sequence[Placement],
     *,
     notes: Sequence[str] = (),
-    max_points: int = MAX_PAGE_POINTS,
+    max_points: int = MAX_CLOUD_POINTS,
     site: str = "",
     serials: Sequence[str] = ("", ""),
 ) -> None:
@@ -119,11 +233,3 @@ def write_report(
         result, placements, notes=notes, max_points=max_points, site=site, serials=serials
     )
     write_atomically(path, page.encode("utf-8"))
-
-
-def _links(parts: Mapping[str, str]) -> str:
-    """Link to every part of the page that there is."""
-    names = {"missing": "Missing poles", "view-title": "Clouds", "run": "This run"}
-    there = [part for part, html in parts.items() if html]
-    there.insert(1 if "missing" in there else 0, "view-title")
-    return "".join(f'<a href="#{part}">{names.get(part, part.capitalize())}</a>' for part in there)

@@ -1,4 +1,4 @@
-"""The result in words, for a terminal: pure functions from documents to text."""
+"""A result in words, for a terminal: pure functions from documents to text."""
 
 from __future__ import annotations
 
@@ -9,34 +9,22 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import printable, shortened
-from ..base.quantities import counted, error
+from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
-from ..result import (
-    DetectionDoc,
-    HypothesisDoc,
-    InputDoc,
-    PlacementDoc,
-    PoleDoc,
-    ReasonDoc,
-    ResultDoc,
-)
-from .certainty import BUDGET_RANGE, error_parts, largest_error, radius_words, scene_words
+from ..result import DetectionDoc, InputDoc, ReasonDoc, ResultDoc
+from ..result.site import SiteDoc
+from . import listings
+from .certainty import fitness_words, statements
 from .hypotheses_text import describe_standing
 from .layout import LINES, WIDTH, legible, table, wrapped
-from .names import LIDARS, hypothesis_name, pair_name, pole_name
+from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
+from .subject import Subject, of_pair
 
 ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
 
-
-def left_out_words(document: InputDoc) -> str:
-    """Say how many points and frames of too many were left out; nothing where none were."""
-    parts = [
-        counted(count, what)
-        for count, what in ((document.thinned, "point"), (document.frames_left_out, "frame"))
-        if count
-    ]
-    return f"{' and '.join(parts)} left out as too many" if parts else ""
+LONGEST_NAME = 20
+"""Characters of a LiDAR's name in a table; the middle of a longer one is left out."""
 
 
 def input_lines(name: str, document: InputDoc) -> list[str]:
@@ -53,68 +41,19 @@ def input_lines(name: str, document: InputDoc) -> list[str]:
     return [*wrapped(line, " " * (len(name) + 2)), *notes]
 
 
-def _pole_rows(names: Sequence[str], poles: Sequence[PoleDoc]) -> list[list[str]]:
-    return [
-        [
-            name,
-            *(f"{value:.3f}" for value in pole.point_m),
-            f"{pole.length_m:.2f}",
-            str(pole.points),
-            str(pole.rings),
-            f"{1000 * pole.rms_m:.1f}",
-        ]
-        for name, pole in zip(names, poles, strict=True)
-    ]
-
-
-_POLE_HEADER = ("pole", "x m", "y m", "z m", "length m", "points", "rings", "rms mm")
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "unknown" if value is None else f"{value:.{digits}f}"
-
-
-def _degrees(value: float | None) -> float | None:
-    return None if value is None else float(np.degrees(value))
-
-
-def _hypothesis_row(k: int, hypothesis: HypothesisDoc) -> list[str]:
-    return [
-        f"{hypothesis_name(k)}{' *' if hypothesis.chosen else ''}",
-        " ".join(map(pair_name, hypothesis.pairs)),
-        "yes" if hypothesis.exact else "no",
-        f"{1000 * hypothesis.pole_rms_m:.1f}",
-        _number(hypothesis.icp_rotation_rad, 4),
-        _number(hypothesis.icp_translation_m, 4),
-        f"{hypothesis.overlap:.3f}",
-        f"{hypothesis.free_space_violation:.3f}",
-        f"{hypothesis.score:.3f}",
-    ]
-
-
-_HYPOTHESIS_HEADER = (
-    "hypothesis",
-    "pairs",
-    "exact",
-    "rms mm",
-    "e_r rad",
-    "e_t m",
-    "overlap",
-    "free-space\nviolation",
-    "score",
-)
-
-
 def transform_lines(T: Array) -> list[str]:
     """Write a 4×4 transform as matrix, translation, quaternion and angles."""
-    x, y, z, w = se3.quaternion_xyzw(T[:3, :3])
-    roll, pitch, yaw = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
-    lines = ["  [" + " ".join(f"{value:12.8f}" for value in row) + "]" for row in T]
+    rows = ["  [" + " ".join(f"{value:12.8f}" for value in row) + "]" for row in T]
+    x, y, z = (f"{v:.4f}" for v in T[:3, 3])
+    q = "  ".join(
+        f"{n} {v:.8f}" for n, v in zip("xyzw", se3.quaternion_xyzw(T[:3, :3]), strict=True)
+    )
+    roll, pitch, yaw = (f"{v:.4f}" for v in np.degrees(se3.rpy_from_rotation(T[:3, :3])))
     return [
-        *lines,
-        f"  translation  x {T[0, 3]:.4f}  y {T[1, 3]:.4f}  z {T[2, 3]:.4f} m",
-        f"  quaternion   x {x:.8f}  y {y:.8f}  z {z:.8f}  w {w:.8f}",
-        f"  angles       roll {roll:.4f}  pitch {pitch:.4f}  yaw {yaw:.4f} deg",
+        *rows,
+        f"  translation  x {x}  y {y}  z {z} m",
+        f"  quaternion   {q}",
+        f"  angles       roll {roll}  pitch {pitch}  yaw {yaw} deg",
     ]
 
 
@@ -139,34 +78,132 @@ def describe_result(
         Whether the inputs, all poles, all hypotheses and the time of each step are written as well,
         on as many lines as it takes.
     """
-    result, written = legible(result), [printable(path) for path in written]
-    head = [f"verdict: {result.status}"]
-    # Where it is not yes, the reason says so.
-    if result.fitness is not None and result.fitness.answer == "yes":
-        head += wrapped(f"  {result.fitness.words}", "    ")
-    body = []
-    if result.T_target_source is not None:
-        body += ["", "T_target_source (source points into the target frame)"]
-        body += transform_lines(result.T_target_source)
-        body += _certainty_lines(result, verbose)
-    scene = scene_words(result)
-    if scene is not None:
-        body += wrapped(f"  what stands in the scene: {scene}", "    ")
-    told = describe_standing(result)
-    standing = [part for line in told for part in wrapped(line, "      ")]
-    tail = ["", "written: " + ", ".join(written)]
-    if result.T_target_source is not None:
+    result = legible(result)
+    return _describe(of_pair(result, ()), "report.html", written, following, verbose)
+
+
+def describe_site(
+    document: SiteDoc,
+    written: Sequence[str],
+    following: Mapping[str, str] | None = None,
+    *,
+    verbose: bool = False,
+) -> str:
+    """Write the result of a site as `describe_result` does that of a pair."""
+    return _describe(Subject(legible(document)), "site-report.html", written, following, verbose)
+
+
+def _describe(
+    subject: Subject,
+    report: str,
+    written: Sequence[str],
+    following: Mapping[str, str] | None,
+    verbose: bool,
+) -> str:
+    site, pair = subject.site, subject.pair
+    answered = subject.answered
+    head = [f"verdict: {site.status}"]
+    # Where it is not yes, a reason says so.
+    asked = [each.fitness.answer for each in site.lidars if each.fitness is not None]
+    if asked and set(asked) == {"yes"}:
+        head += wrapped(f"  {fitness_words(subject)}", "    ")
+    standing = [] if pair is None else describe_standing(pair)
+    head_end = [part for line in standing for part in wrapped(line, "      ")]
+    said = [
+        part for x in statements(subject, verbose=verbose) for part in wrapped(f"  {x}", "    ")
+    ]
+    tail = ["", "written: " + ", ".join(map(printable, written))]
+    if answered:
         tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
     if verbose:
-        reasons = reasons_whole(result.status, result.reasons)
-        found = [*_found_lines(result), *_verbose_lines(result)]
+        reasons = reasons_whole(site.status, site.reasons)
+        poses, found = _poses(subject, len(site.lidars) + 2), [*_found(subject), *_more(subject)]
     else:
-        found = _found_counts(result)
-        room = LINES - len(head) - len(standing) - len(body) - len(tail)
-        reasons = reasons_within(result.status, result.reasons, room - len(found))
-        every = _found_lines(result)
-        found = every if len(every) + len(reasons) <= room else found
-    return "\n".join([*head, *reasons, *standing, *body, *found, *tail])
+        room = LINES - len(head) - len(head_end) - len(said) - len(tail)
+        # Header and at least three rows of what was found or where the LiDARs are.
+        least = 13 if pair is not None and answered else min(len(site.lidars), 3) + 3
+        reasons = reasons_within(site.status, site.reasons, room - least, report)
+        poses = _poses(subject, room - len(reasons))
+        left = room - len(reasons) - len(poses)
+        found = _cut(_found(subject), left) if pair is not None or not answered else []
+    return "\n".join([*head, *reasons, *head_end, *poses, *said, *found, *tail])
+
+
+def _poses(subject: Subject, room: int) -> list[str]:
+    """Write the pose of a pair, or where the LiDARs are, as many as there is room for."""
+    site, pair = subject.site, subject.pair
+    if pair is not None:
+        T = pair.T_target_source
+        title = ["", "T_target_source (source points into the target frame)"]
+        return [] if T is None else title + transform_lines(T)
+    listing = listings.poses(site)
+    rows = [[shortened(str(name), LONGEST_NAME), *row] for name, *row in listing.rows]
+    listing = Listing("", listing.header, rows)
+    lines = _lines(listing.only(*range(8)))
+    if max(map(len, lines), default=0) > WIDTH:
+        # Large coordinates leave no room for the angles.
+        lines = _lines(listing.only(0, 1, 2, 3, 7))
+    return _cut(lines, room)
+
+
+def _found(subject: Subject) -> list[str]:
+    """List the poles of a pair or its placements, or count the poles that each LiDAR sees."""
+    site, pair = subject.site, subject.pair
+    if pair is not None:
+        if len(pair.placements) > 1:
+            return _lines(listings.changes(subject))
+        rows = [row for k in range(2) for row in listings.poles(subject, k).rows]
+        return _lines(Listing("", columns(POLE_COLUMNS), rows))
+    # A run that was refused early has looked at no recording.
+    counts = [
+        [
+            UNKNOWN if each is None or each.threshold is None else f"{len(each.poles)}"
+            for each in of_lidar
+        ]
+        for of_lidar in site.found
+    ]
+    names = [shortened(lidar.name, LONGEST_NAME) for lidar in site.lidars]
+    header = ["poles found", *(shortened(name, 12) for name in site.placements)]
+    lines = _lines(Listing("", header, [[n, *c] for n, c in zip(names, counts, strict=False)]))
+    looked = any(count != UNKNOWN for row in counts for count in row)
+    return lines if looked and max(map(len, lines)) <= WIDTH else []
+
+
+def _more(subject: Subject) -> list[str]:
+    """Write what a screen has no room for: every check, inputs, the time of each step."""
+    site, pair, lines = subject.site, subject.pair, []
+    if pair is not None:
+        lines += _lines(listings.hypotheses(pair))
+        lines += [] if pair.margin is None else [f"  margin over the next: {pair.margin:.3f}"]
+    else:
+        lines += _lines(listings.changes(subject))
+    lines += _lines(listings.pairs(site))
+    lines += _lines(listings.loops(site))
+    lines += _lines(listings.tests(site).only(0, 2, 5, 6, 7))
+    lines.append("")
+    for each in site.inputs:
+        several = f", {subject.placement(each.placement)}" if len(site.placements) > 1 else ""
+        lines += input_lines(site.lidars[each.lidar].name + several, each)
+    if site.seconds:
+        times = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in site.seconds.items())
+        lines += ["", *wrapped(f"time: {times}", "      ")]
+    return lines
+
+
+def _lines(listing: Listing) -> list[str]:
+    """Lay out a table and its caption below a blank line; nothing where it has no rows."""
+    caption, header, rows, _ = listing
+    if not rows:
+        return []
+    return ["", *([caption] if caption else []), *table(header, rows).split("\n")]
+
+
+def _cut(lines: list[str], room: int) -> list[str]:
+    """Keep as many lines of a table, its header first, as there is room for."""
+    if len(lines) <= room:
+        return lines
+    kept = lines[: max(room - 1, 2)]
+    return [*kept, f"  and {len(lines) - len(kept)} more; -v lists them"]
 
 
 def reasons_whole(status: str, reasons: Sequence[ReasonDoc], actions: int = ACTIONS) -> list[str]:
@@ -179,9 +216,7 @@ def reasons_whole(status: str, reasons: Sequence[ReasonDoc], actions: int = ACTI
     return lines
 
 
-def reasons_within(
-    status: str, reasons: Sequence[ReasonDoc], room: int, report: str = "report.html"
-) -> list[str]:
+def reasons_within(status: str, reasons: Sequence[ReasonDoc], room: int, report: str) -> list[str]:
     """Write every reason, with as much of what to do as there is room for."""
     for actions in range(ACTIONS, 0, -1):
         lines = reasons_whole(status, reasons, actions)
@@ -199,80 +234,6 @@ def reasons_within(
     return shown + lines
 
 
-def _found_lines(result: ResultDoc) -> list[str]:
-    """List the poles, or the placements where there are several."""
-    if result.placements:
-        rows = [_placement_row(k, each) for k, each in enumerate(result.placements, 1)]
-        lines = table(_PLACEMENT_HEADER, rows).split("\n")
-        return ["", "The poles' pose without each placement differs from it by", *lines]
-    rows = []
-    for lidar, poles in zip(LIDARS, (result.poles.target, result.poles.source), strict=True):
-        rows += _pole_rows([pole_name(lidar, k) for k in range(len(poles))], poles)
-    return ["", *table(_POLE_HEADER, rows).split("\n")] if rows else []
-
-
-def _found_counts(result: ResultDoc) -> list[str]:
-    """Count the poles, or the placements, where there is no room to list them."""
-    if result.placements:
-        return ["", f"{counted(len(result.placements), 'placement')}; -v lists them"]
-    target, source = len(result.poles.target), len(result.poles.source)
-    if not target + source:
-        return []
-    return ["", f"{counted(target, 'pole')} of the target, {source} of the source; -v lists them"]
-
-
-def _verbose_lines(result: ResultDoc) -> list[str]:
-    """Write what a screen has no room for: hypotheses, inputs, the time of each step."""
-    lines = []
-    if result.hypotheses:
-        rows = [_hypothesis_row(k, h) for k, h in enumerate(result.hypotheses)]
-        lines += ["", *table(_HYPOTHESIS_HEADER, rows).split("\n")]
-        if result.margin is not None:
-            lines.append(f"  margin over the next: {result.margin:.3f}")
-    lines.append("")
-    for k, document in enumerate(result.inputs):
-        several = f" {k // 2 + 1}" if len(result.inputs) > 2 else ""
-        lines += input_lines(LIDARS[k % 2] + several, document)
-    if result.seconds:
-        times = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.seconds.items())
-        lines += ["", *wrapped(f"time: {times}", "      ")]
-    return lines
-
-
-def _certainty_lines(result: ResultDoc, verbose: bool) -> list[str]:
-    """Say how certain the pose is, what makes it uncertain, and the radius of the poles."""
-    lines, largest, radius = [], largest_error(result), radius_words(result)
-    if result.predicted_error:
-        at = ", ".join(f"± {error(e.sigma_m)} at {e.range_m:g} m" for e in result.predicted_error)
-        lines.append(f"  predicted error, 1 sigma: {at}")
-    if verbose:
-        lines += [
-            f"  at {each.range_m:g} m: random ± {error(each.random)}, "
-            f"systematic ± {error(each.systematic)}"
-            for each in error_parts(result)
-            if each.range_m == BUDGET_RANGE
-        ]
-    if largest is not None:
-        lines.append(f"  largest source of error, {largest}")
-    if result.weakest is not None:
-        lines.append(f"  least certain, 1 sigma: {result.weakest.words}")
-    if verbose and radius is not None:
-        lines.append(f"  radius {radius}")
-    return [part for line in lines for part in wrapped(line, "    ")]
-
-
-_PLACEMENT_HEADER = ("placement", "poles", "rotation deg", "translation m")
-
-
-def _placement_row(k: int, placement: PlacementDoc) -> list[str]:
-    return [
-        f"{k}",
-        f"{placement.poles_target} + {placement.poles_source}",
-        _number(_degrees(placement.left_out_rotation_rad), 3),
-        _number(placement.left_out_translation_m, 4),
-    ]
-
-
 def reason_lines(reason: ReasonDoc, actions: int = ACTIONS) -> list[str]:
     """Write a reason, and below it as many actions of what to do about it as are known."""
     lines = wrapped(f"  {reason.code}: {reason.message}", "    ")
@@ -286,7 +247,6 @@ def reason_lines(reason: ReasonDoc, actions: int = ACTIONS) -> list[str]:
 def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
     """Write what was found in one cloud as a person reads it."""
     detection, written = legible(detection), [printable(path) for path in written]
-    names = [f"pole {k}" for k in range(len(detection.poles))]
     parts = [
         *input_lines("file", detection.input),
         f"  {counted(detection.retro_points, 'retro-reflective point')} "
@@ -295,14 +255,15 @@ def describe_detection(detection: DetectionDoc, written: Sequence[str]) -> str:
         counted(len(detection.poles), "pole"),
     ]
     if detection.poles:
-        parts.append(table(_POLE_HEADER, _pole_rows(names, detection.poles)))
+        rows = [pole_row(f"pole {k}", pole) for k, pole in enumerate(detection.poles)]
+        parts.append(table(columns(POLE_COLUMNS), rows))
     parts += ["", counted(len(detection.rejected), "rejected cluster")]
     if detection.rejected:
         rows = [
-            [cluster.code, *(f"{value:.2f}" for value in cluster.centre_m), str(cluster.points)]
+            [cluster.code, *numbers(cluster.centre_m, 2), str(cluster.points)]
             for cluster in detection.rejected
         ]
-        header, *lines = table(("why", "x m", "y m", "z m", "points"), rows).split("\n")
+        header, *lines = table(columns("why; x, m; y, m; z, m; points"), rows).split("\n")
         parts.append(header)
         for line, cluster in zip(lines, detection.rejected, strict=True):
             parts += [line, *wrapped(f"    {cluster.reason}", "    ")]

@@ -1,8 +1,9 @@
 "use strict";
+// The page of a pair, of a site, or of a field test, which has no view.
 (() => {
   const started = performance.now();
 
-  // --- copying, frame names and theme: they work even where the view does not ---
+  // --- copying, frame names, theme and paper: they work even where the view does not ---
 
   const exportTexts = new Map(all("[data-export]").map((pre) => [pre, pre.textContent]));
   function nameFrames() {
@@ -16,68 +17,106 @@
 
   setUpPage(() => repaint());
 
-  // --- the view ---
+  // What is folded is on paper all the same: the poses are what it is printed for.
+  let onPaper = false;
+  setUpPaper("details.lidar", () => { onPaper = true; if (scene) printView(); }, () => {
+    onPaper = false;
+    if (scene) { resize(marks.clientWidth, marks.clientHeight, ratio()); repaint(); }
+  });
 
+  root.dataset.started = String(Math.round(started));
   const scene = JSON.parse($("#data").textContent);
-  /** Make a placement's clouds, poles, rejected clusters and contradicting points those of the scene. */
-  function showPlacement(k) {
-    const placement = scene.placements[k];
-    placement.decoded ||= placement.clouds.map(decodeCloud);
-    placement.denying ||= Object.fromEntries(Object.entries(placement.contradicting).map(
-      ([pose, points]) => [pose, points.map(decodePoints)]));
-    Object.assign(scene, { clouds: placement.decoded, poles: placement.poles, rejected: placement.rejected,
-      contradicting: placement.denying });
-    root.dataset.placement = String(k + 1);
-    $("#shown").textContent = placement.shown;
-  }
-  showPlacement(0);
+  let repaint = () => {};
+  if (!scene) { root.dataset.usable = String(Math.round(performance.now())); return; }
+
+  // --- what is shown ---
+
+  const pair = scene.kind === "pair", alone = scene.kind === "alone";
+  const first = scene.clouds[0];
   const poses = new Map(scene.poses.map((pose) => [pose.id, pose]));
-  const layers = { target: true, source: true, poles: true, rejected: true, contradicting: true, ellipsoid: true, intensity: true };
-  const state = { mode: "apart", pose: scene.poses.length ? scene.poses[0].id : null, T: IDENTITY, size: 1.5 };
+  const layers = { poles: true, names: true, rejected: pair, contradicting: true, ellipsoid: true, intensity: true };
+  /** Without poses one LiDAR at a time is shown, in its own frame. */
+  const lidars = scene.lidars.map((_, k) => !alone || k === first.lidar);
+  const places = scene.placements.map((_, j) => j === first.placement);
+  const state = { mode: pair ? "apart" : "after", pose: scene.poses.length ? scene.poses[0].id : null, T: IDENTITY, size: 1.5 };
+
+  const isOn = (cloud) => lidars[cloud.lidar] && places[cloud.placement];
+  /** Clouds that were shown until now: a recording is decoded when it is shown for the first time. */
+  let held = [];
+  function hold() {
+    const before = held.length;
+    for (const cloud of scene.clouds) {
+      if (!places[cloud.placement] || (alone && !isOn(cloud))) continue;
+      cloud.decoded ||= decodeCloud(cloud.points);
+      cloud.denying ||= Object.fromEntries(Object.entries(cloud.contradicting).map(([pose, points]) => [pose, decodePoints(points)]));
+    }
+    held = scene.clouds.filter((cloud) => cloud.decoded);
+    return held.length !== before;
+  }
+  /** Where the camera looks in each of two panes: at the poles of each LiDAR, or at the whole site. */
+  function frames() {
+    const [x, y, z] = scene.centre;
+    if (scene.kind === "site") return [{ centre: scene.centre, origin: [x + scene.radius, y, z], radius: scene.radius }];
+    if (alone) return [(held.find(isOn) || held[0]).decoded];
+    return [0, 1].map((k) => held.find((cloud) => cloud.lidar === k).decoded);
+  }
+
+  hold();
   const [canvas, marks] = [$("#points"), $("#marks")];
   const webgl = canvas.getContext("webgl2", { antialias: false, alpha: false });
-  const view = webgl ? webglView(canvas, webgl, marks, scene.clouds) : topView(canvas, marks, scene.clouds);
+  const decoded = () => held.map((cloud) => cloud.decoded);
+  const view = webgl ? webglView(canvas, webgl, marks, decoded(), frames()) : topView(canvas, marks, decoded(), frames());
   if (!webgl) {
     $("#fallback").textContent = "This browser gives no WebGL: the clouds are shown from above.";
     $("#fallback").hidden = false;
   }
   root.dataset.view = view.kind;
 
-  let width = 0, height = 0, onPaper = null;
+  let width = 0, height = 0;
   let ratio = () => Math.min(devicePixelRatio || 1, 2);
 
+  const colourOf = (lidar) => colour(`--lidar-${scene.lidars[lidar].colour}`);
+  /** Pose of a LiDAR, with a pair's source where a hypothesis has it. */
+  const poseOf = (lidar, T) => (pair ? [IDENTITY, T][lidar] : scene.lidars[lidar].T || IDENTITY);
+
   function styleOf(plain) {
+    const css = (name) => `rgb(${colour(name)})`;
     return {
-      ground: colour("--view"), colours: [colour("--target"), colour("--source")],
-      text: `rgb(${colour("--text")})`, soft: `rgb(${colour("--soft")})`, faint: `rgb(${colour("--line")})`,
-      denied: `rgb(${colour("--denied")})`,
-      visible: [layers.target, layers.source], shade: layers.intensity ? 1 : 0,
-      size: plain ? 0.8 : state.size, dpr: ratio(), layers, plain,
+      ground: colour("--view"), colours: held.map((cloud) => colourOf(cloud.lidar)), ofLidar: scene.lidars.map((_, k) => colourOf(k)),
+      text: css("--text"), soft: css("--soft"), faint: css("--line"), denied: css("--denied"),
+      visible: held.map((cloud) => (plain ? places[cloud.placement] : isOn(cloud))), shade: layers.intensity ? 1 : 0,
+      size: plain ? 0.8 : state.size, dpr: ratio(), lidars: lidars.map((on) => plain || on), places, layers, plain,
     };
   }
 
+  /** A pane whose source stands as a pose has it, or which shows the clouds of some LiDARs alone. */
+  function pane(box, T, id, more) {
+    const sensors = scene.lidars.map((_, k) => poseOf(k, T));
+    return { ...box, frame: 0, id, sensors, poses: held.map((cloud) => sensors[cloud.lidar]), ...more };
+  }
   function panes() {
     if (state.mode !== "apart") {
-      return [{ x: 0, y: 0, w: width, h: height, frame: 0, poses: [IDENTITY, state.T],
-        contradicting: state.mode === "after" ? scene.contradicting[state.pose] : null,
-        ellipsoid: state.mode === "after" && state.pose === "result" }];
+      const after = pair && state.mode === "after";
+      return [pane({ x: 0, y: 0, w: width, h: height }, state.T, after ? state.pose : null, { ellipsoid: after && state.pose === "result" })];
     }
     const wide = width > height * 1.2;
     const [w, h] = wide ? [Math.floor(width / 2), height] : [width, Math.floor(height / 2)];
+    const only = (k) => ({
+      frame: k, title: `${scene.lidars[k].name}, in its own frame`,
+      sensors: [0, 1].map((n) => (n === k ? IDENTITY : null)), poses: held.map((cloud) => (cloud.lidar === k ? IDENTITY : null)),
+    });
     return [
-      { x: 0, y: 0, w, h, frame: 0, poses: [IDENTITY, null], title: "target, in its own frame" },
-      { x: wide ? w : 0, y: wide ? 0 : h, w: wide ? width - w : w, h: wide ? h : height - h,
-        frame: 1, poses: [null, IDENTITY], title: "source, in its own frame" },
+      pane({ x: 0, y: 0, w, h }, IDENTITY, null, only(0)),
+      pane({ x: wide ? w : 0, y: wide ? 0 : h, w: wide ? width - w : w, h: wide ? h : height - h }, IDENTITY, null, only(1)),
     ];
   }
 
   function paint() {
-    const style = styleOf(false), parts = panes();
+    const style = styleOf(false), parts = panes(), context = marks.getContext("2d");
     view.paint(parts, style, height);
-    const context = marks.getContext("2d");
     context.setTransform(style.dpr, 0, 0, style.dpr, 0, 0);
     context.clearRect(0, 0, width, height);
-    for (const pane of parts) drawMarks(context, pane, view.lens(pane), scene, style);
+    for (const part of parts) drawMarks(context, part, view.lens(part), scene, held, style);
     if (parts.length === 2) {
       const p = parts[1];
       context.fillStyle = style.faint;
@@ -87,33 +126,30 @@
 
   /** Draw every hypothesis in its panel, from where the main view looks. */
   function paintPanels() {
-    const source = $("#points"), style = styleOf(true), dpr = style.dpr;
     for (const panel of all(".panel")) {
       const target = panel.querySelector("canvas"), box = onPaper ? PAPER.panel : target.getBoundingClientRect();
       const w = Math.min(Math.floor(box.width), width), h = Math.min(Math.floor(box.height), height);
       if (!w || !h) continue;
-      const pane = { x: 0, y: 0, w, h, frame: 0, poses: [IDENTITY, poses.get(panel.dataset.pose).T],
-        contradicting: scene.contradicting[panel.dataset.pose] };
-      style.visible = [true, true];
-      style.layers = { poles: true, contradicting: layers.contradicting };
-      view.paint([pane], style, height);
+      const style = styleOf(true), dpr = style.dpr;
+      const part = pane({ x: 0, y: 0, w, h }, poses.get(panel.dataset.pose).T, panel.dataset.pose);
+      view.paint([part], style, height);
       target.width = w * dpr;
       target.height = h * dpr;
       const context = target.getContext("2d");
-      context.drawImage(source, 0, 0, w * dpr, h * dpr, 0, 0, w * dpr, h * dpr);
+      context.drawImage(canvas, 0, 0, w * dpr, h * dpr, 0, 0, w * dpr, h * dpr);
       context.setTransform(dpr, 0, 0, dpr, 0, 0);
-      drawMarks(context, pane, view.lens(pane), scene, style);
+      drawMarks(context, part, view.lens(part), scene, held, style);
     }
     paint();
   }
 
   let requested = false, later = 0;
-  function repaint(withPanels = true) {
+  repaint = (withPanels = true) => {
     if (!requested) { requested = true; requestAnimationFrame(() => { requested = false; paint(); }); }
-    if (withPanels) { clearTimeout(later); later = setTimeout(paintPanels, 150); }
-  }
+    if (withPanels && poses.size) { clearTimeout(later); later = setTimeout(paintPanels, 150); }
+  };
 
-  // --- poses: the source cloud moves smoothly from one to the next ---
+  // --- poses of a pair: the source cloud moves smoothly from one to the next ---
 
   const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
   let motion = 0;
@@ -141,28 +177,47 @@
     step();
   }
 
-  function describe() {
+  // --- what the reader chooses ---
+
+  function describePair() {
     if (state.mode === "apart") return "Apart: each cloud in its own frame.";
     if (state.mode === "before") return "Before: both clouds as recorded, as if they had one frame.";
-    const pose = poses.get(state.pose);
     const shown = state.pose === "result" && scene.ellipsoid && layers.ellipsoid
       ? ` Ellipsoid: 1 σ of the source's position, enlarged ${scene.ellipsoid.factor.toLocaleString("en")} times.` : "";
     const caution = scene.status === "refused" ? " This run was refused: no hypothesis is its result." : "";
-    const red = layers.contradicting && scene.contradicting[state.pose].some((points) => points.length)
-      ? " Red: stands where the other LiDAR looked through." : "";
-    return `After: source transformed by ${pose.id === "result" ? "the result" : pose.label}.${caution}${red}${shown}`;
+    const denied = held.some((cloud) => places[cloud.placement] && cloud.denying[state.pose].length);
+    const red = layers.contradicting && denied ? " Red: stands where the other LiDAR looked through." : "";
+    return `After: source transformed by ${state.pose === "result" ? "the result" : poses.get(state.pose).label}.${caution}${red}${shown}`;
+  }
+  function describe() {
+    const names = scene.lidars.filter((_, k) => lidars[k]).map((lidar) => lidar.name);
+    const chosen = scene.placements.filter((_, j) => places[j]);
+    const what = names.length === lidars.length ? `all ${names.length} LiDARs` : names.join(", ") || "no LiDAR";
+    const when = chosen.length ? `placement ${chosen.join(", ")}` : "no placement";
+    if (pair) return describePair() + (places.length > 1 ? ` Shown: ${when}.` : "");
+    if (!alone) return `Shown: ${what}; ${when}.`;
+    const none = scene.clouds.some(isOn) ? "" : " It recorded nothing there.";
+    return `Refused, so there are no poses: ${what} alone, in its own frame; ${when}.${none}`;
+  }
+  function press(name, isPressed) {
+    all(`button[data-${name}]`).forEach((b) => b.setAttribute("aria-pressed", String(isPressed(b.dataset[name]))));
   }
   function refresh() {
-    root.dataset.mode = state.mode;
-    root.dataset.pose = state.pose || "";
-    all("[data-mode]").forEach((b) => { if (b.tagName === "BUTTON") b.setAttribute("aria-pressed", String(b.dataset.mode === state.mode)); });
-    all("[data-layer]").forEach((b) => b.setAttribute("aria-pressed", String(layers[b.dataset.layer])));
-    all(".panel").forEach((b) => b.setAttribute("aria-pressed", String(state.mode === "after" && b.dataset.pose === state.pose)));
-    $("#pose").value = state.pose || "";
+    Object.assign(root.dataset, {
+      mode: state.mode, pose: state.pose || "", lidars: lidars.map(Number).join(""), places: places.map(Number).join(""),
+    });
+    press("mode", (mode) => mode === state.mode);
+    press("layer", (layer) => layers[layer]);
+    press("pose", (pose) => state.mode === "after" && pose === state.pose);
+    press("lidar", (k) => lidars[k]);
+    press("place", (j) => places[j]);
+    if (pair) $("#pose").value = state.pose || "";
+    if (hold() || alone) view.load(decoded(), frames());
+    if (alone) view.preset("oblique");
     $("#state").textContent = describe();
   }
   function setMode(mode) {
-    if (mode === "after" && !state.pose) return;
+    if (!pair || (mode === "after" && !state.pose)) return;
     state.mode = mode;
     refresh();
     moveTo(goal());
@@ -172,49 +227,55 @@
     state.pose = id;
     setMode("after");
   }
-  function toggle(layer) {
+  function toggleLayer(layer) {
     layers[layer] = !layers[layer];
     refresh();
     repaint(layer === "intensity" || layer === "contradicting");
   }
-
-  scene.placements.forEach((placement, k) => $("#placement").append(new Option(`${k + 1}: ${placement.files}`, k)));
-  $(".placement").hidden = scene.placements.length < 2;
-  $("#placement").addEventListener("change", (e) => {
-    showPlacement(Number(e.target.value));
-    view.load(scene.clouds);
+  function toggle(list, k) {
+    if (alone) list.forEach((_, n) => { list[n] = n === k; }); else list[k] = !list[k];
     refresh();
-    repaint();
-  });
-  for (const pose of scene.poses) $("#pose").append(new Option(pose.label, pose.id));
-  $(".pose").hidden = !scene.poses.length;
-  $('[data-mode="after"]').disabled = !scene.poses.length;
-  $('[data-layer="ellipsoid"]').hidden = !scene.ellipsoid;
-  $('[data-layer="rejected"]').hidden = !scene.placements.some((p) => p.rejected.flat().length);
-  $('[data-layer="contradicting"]').hidden = !scene.placements.some(
-    (p) => Object.values(p.contradicting).flat().some((points) => points.xyz));
-  $('[data-layer="poles"]').hidden = !scene.placements.some((p) => p.poles.flat().length);
-  $('[data-layer="intensity"]').hidden = !scene.clouds.some((c) => c.shown);
-  for (const name of ["top", "side"]) $(`[data-preset="${name}"]`).hidden = view.kind === "top";
-  all("button[data-mode]").forEach((b) => b.addEventListener("click", () => setMode(b.dataset.mode)));
-  all("[data-layer]").forEach((b) => b.addEventListener("click", () => toggle(b.dataset.layer)));
-  all("[data-preset]").forEach((b) => b.addEventListener("click", () => { view.preset(b.dataset.preset); repaint(); }));
-  all(".panel").forEach((b) => b.addEventListener("click", () => {
-    setPose(b.dataset.pose);
+    repaint(list === places);
+  }
+
+  const on = (name, act) => all(`button[data-${name}]`).forEach((b) => b.addEventListener("click", () => act(b.dataset[name])));
+  on("mode", setMode);
+  on("layer", toggleLayer);
+  on("lidar", (k) => toggle(lidars, Number(k)));
+  on("place", (j) => toggle(places, Number(j)));
+  on("preset", (name) => { view.preset(name); repaint(); });
+  on("pose", (pose) => {
+    setPose(pose);
     const box = $(".stage").getBoundingClientRect();
     if (box.bottom < 200 || box.top > innerHeight - 200) $(".viewer").scrollIntoView();
-  }));
-  $("#pose").addEventListener("change", (e) => setPose(e.target.value));
+  });
+  if (pair) {
+    for (const pose of scene.poses) $("#pose").append(new Option(pose.label, pose.id));
+    $("#pose").addEventListener("change", (e) => setPose(e.target.value));
+    $(".pose").hidden = !poses.size;
+    $('[data-mode="after"]').disabled = !poses.size;
+  }
+  const there = {
+    poles: scene.poles.length || scene.clouds.some((cloud) => cloud.poles.length),
+    rejected: scene.clouds.some((cloud) => cloud.rejected.length),
+    contradicting: scene.clouds.some((cloud) => Object.values(cloud.contradicting).some((points) => points.xyz)),
+    ellipsoid: scene.ellipsoid,
+    intensity: scene.clouds.some((cloud) => cloud.points.shown),
+  };
+  for (const [layer, any] of Object.entries(there)) $(`[data-layer="${layer}"]`).hidden = !any;
+  for (const name of ["top", "side"]) $(`[data-preset="${name}"]`).hidden = view.kind === "top";
   $("#size").addEventListener("input", (e) => { state.size = Number(e.target.value); repaint(false); });
 
   handOver(view, () => repaint());
-  const layerKeys = { t: "target", s: "source", p: "poles", r: "rejected", c: "contradicting", e: "ellipsoid", i: "intensity" };
   document.addEventListener("keydown", (e) => {
     if (e.ctrlKey || e.metaKey || e.altKey || e.target.closest("input, select, textarea, pre")) return;
-    if (e.key === "b") setMode(state.mode === "before" ? "after" : "before");
-    else if (e.key in layerKeys) toggle(layerKeys[e.key]);
-    else if (e.key === "0") setPose("result");
-    else if (/^[1-9]$/.test(e.key)) setPose(String.fromCharCode(96 + Number(e.key)));
+    // With Shift, a key gives the sign above its digit: its place on the keyboard says which it is.
+    const digit = /^(?:Digit|Numpad)([1-9])$/.exec(e.code);
+    const key = digit ? (e.shiftKey ? "Shift+" : "") + digit[1] : e.key;
+    if (key === "b") setMode(state.mode === "before" ? "after" : "before");
+    else if (key === "0") setPose("result");
+    else if (key === "a" && !alone) { lidars.fill(true); refresh(); repaint(); }
+    else all("[aria-keyshortcuts]").find((b) => b.getAttribute("aria-keyshortcuts") === key && !b.hidden)?.click();
   });
 
   view.onMove(() => repaint(false));
@@ -235,9 +296,7 @@
     marks.width = w * dpr;
     marks.height = h * dpr;
   }
-  addEventListener("beforeprint", () => {
-    onPaper ||= { theme: root.dataset.theme };
-    root.dataset.theme = "light";
+  function printView() {
     const picture = $("#printed"), screenRatio = ratio;
     ratio = () => PAPER.dpr;
     resize(PAPER.width, PAPER.height, PAPER.dpr);
@@ -246,17 +305,9 @@
     for (const layer of [canvas, marks]) picture.getContext("2d").drawImage(layer, 0, 0);
     picture.hidden = false;
     ratio = screenRatio;
-  });
-  addEventListener("afterprint", () => {
-    if (!onPaper) return;
-    if (onPaper.theme) root.dataset.theme = onPaper.theme; else delete root.dataset.theme;
-    onPaper = null;
-    resize(marks.clientWidth, marks.clientHeight, ratio());
-    repaint();
-  });
+  }
 
-  state.mode = poses.has("result") ? "after" : "apart";
+  state.mode = pair && !poses.has("result") ? "apart" : "after";
   state.T = goal();
-  root.dataset.started = String(Math.round(started));
   refresh();
 })();

@@ -54,6 +54,24 @@ function setUpPage(repaint) {
   nameTheme();
 }
 
+/** On paper, colours are light and what a selector finds is unfolded; `draw` and `redraw` are those of a view. */
+function setUpPaper(unfolded, draw = () => {}, redraw = () => {}) {
+  let before = null;
+  addEventListener("beforeprint", () => {
+    before ||= { theme: root.dataset.theme, folded: all(`${unfolded}:not([open])`) };
+    root.dataset.theme = "light";
+    for (const part of before.folded) part.open = true;
+    draw();
+  });
+  addEventListener("afterprint", () => {
+    if (!before) return;
+    for (const part of before.folded) part.open = false;
+    if (before.theme) root.dataset.theme = before.theme; else delete root.dataset.theme;
+    before = null;
+    redraw();
+  });
+}
+
 /** Let the view take the wheel, fingers and arrow keys, from when it has been clicked, tapped or focused. */
 function handOver(view, repaint) {
   const marks = $("#marks");

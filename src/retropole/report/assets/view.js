@@ -1,7 +1,8 @@
 "use strict";
 // Two painters of the same panes: WebGL through three.js, and a top view on a plain canvas.
 // A pane is a rectangle of the canvas with the clouds to draw in it, each under its pose.
-// Frame 0 is the target's, frame 1 the source's; poses are 4x4 row by row, points [x, y, z] in m.
+// Frame 0 is the site's or the target's, frame 1 the source's; each has a centre, an origin and a radius to look at.
+// Poses are 4x4 row by row, points [x, y, z] in m.
 
 const IDENTITY = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
 const NEAR = 0.05;
@@ -32,10 +33,11 @@ function decodePoints(packed) {
 }
 
 /** Rotation about z and translation from frame 0 to frame 1, so that both panes look past their sensor at the poles. */
-function frameChange(clouds) {
-  const [a, b] = clouds.map((c) => Math.atan2(c.centre[1] - c.origin[1], c.centre[0] - c.origin[0]));
+function frameChange(frames) {
+  if (frames.length < 2) return null;
+  const [a, b] = frames.map((c) => Math.atan2(c.centre[1] - c.origin[1], c.centre[0] - c.origin[0]));
   const angle = b - a, cos = Math.cos(angle), sin = Math.sin(angle);
-  const [p, q] = [clouds[0].centre, clouds[1].centre];
+  const [p, q] = frames.map((frame) => frame.centre);
   const point = (x) => {
     const d = [x[0] - p[0], x[1] - p[1], x[2] - p[2]];
     return [q[0] + cos * d[0] - sin * d[1], q[1] + sin * d[0] + cos * d[1], q[2] + d[2]];
@@ -44,9 +46,8 @@ function frameChange(clouds) {
 }
 
 /** Where the camera starts: behind the sensor, above, looking at the poles. */
-function presetOffset(name, clouds) {
-  const cloud = clouds[0], r = cloud.radius;
-  const toPoles = [cloud.centre[0] - cloud.origin[0], cloud.centre[1] - cloud.origin[1]];
+function presetOffset(name, { centre, origin, radius: r }) {
+  const toPoles = [centre[0] - origin[0], centre[1] - origin[1]];
   const far = Math.hypot(...toPoles);
   const [x, y] = far > 0.1 ? toPoles.map((v) => -v / far) : [-1, 0];
   if (name === "top") return [0.001 * x, 0.001 * y, 1.9 * r];
@@ -76,7 +77,7 @@ void main() {
 }`;
 
 /** Painter through WebGL; `pad` is the element that takes the pointer. */
-function webglView(canvas, context, pad, clouds) {
+function webglView(canvas, context, pad, clouds, frames) {
   const renderer = new THREE.WebGLRenderer({ canvas, context });
   renderer.autoClear = false;
   const camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, NEAR, 2000);
@@ -106,17 +107,17 @@ function webglView(canvas, context, pad, clouds) {
     return object;
   }
 
-  function load(next) {
+  function load(next, looked) {
     for (const object of points) {
       scene.remove(object);
       object.geometry.dispose();
       object.material.dispose();
     }
-    clouds = next;
-    change = frameChange(clouds);
+    [clouds, frames] = [next, looked];
+    change = frameChange(frames);
     points = clouds.map(makePoints);
   }
-  load(clouds);
+  load(clouds, frames);
 
   function place(object, cloud, T) {
     const [s, l] = [cloud.size, cloud.low], at = applyPose(T, l);
@@ -143,9 +144,9 @@ function webglView(canvas, context, pad, clouds) {
   }
 
   function preset(name) {
-    const offset = presetOffset(name, clouds);
-    controls.target.set(...clouds[0].centre);
-    camera.position.set(...clouds[0].centre.map((v, k) => v + offset[k]));
+    const offset = presetOffset(name, frames[0]);
+    controls.target.set(...frames[0].centre);
+    camera.position.set(...frames[0].centre.map((v, k) => v + offset[k]));
     controls.update();
   }
   preset("oblique");
@@ -210,21 +211,21 @@ function webglView(canvas, context, pad, clouds) {
 }
 
 /** Painter without WebGL: the clouds from above, on a 2-D canvas. */
-function topView(canvas, pad, clouds) {
+function topView(canvas, pad, clouds, frames) {
   const context = canvas.getContext("2d");
   const listeners = { move: [], settle: [] };
   const tell = (what) => listeners[what].forEach((f) => f());
   let centre, span, wheel = false, dpr = 1;
   let change, metres;
 
-  function load(next) {
-    clouds = next;
-    change = frameChange(clouds);
+  function load(next, looked) {
+    [clouds, frames] = [next, looked];
+    change = frameChange(frames);
     metres = clouds.map((c) => Float32Array.from(c.xyz, (v, k) => c.low[k % 3] + (c.size[k % 3] * v) / 65535));
   }
-  load(clouds);
+  load(clouds, frames);
 
-  function preset() { centre = clouds[0].centre.slice(); span = 2.2 * clouds[0].radius; tell("move"); }
+  function preset() { centre = frames[0].centre.slice(); span = 2.2 * frames[0].radius; tell("move"); }
   preset();
 
   let from = null;
@@ -365,102 +366,106 @@ function penFor(context, lens, ground) {
 }
 
 /** Draw what lies over the points: range circles, sensors, poles, marked points, rejected clusters, the ellipsoid. */
-function drawMarks(context, pane, lens, scene, style) {
+function drawMarks(context, pane, lens, scene, held, style) {
   const { halo, trace, line, spot, label } = penFor(context, lens, style.ground);
-  const css = (c) => `rgb(${c.join(",")})`;
+  const css = (lidar) => `rgb(${style.ofLidar[lidar].join(",")})`;
+  const { layers, plain } = style, named = layers.names && !plain, near = scene.kind !== "site";
+  const shown = held.map((cloud, n) => ({ cloud, T: pane.poses[n] })).filter(({ T }, n) => T && style.visible[n]);
+  const side = (lidar) => (lidar % 2 ? 1 : -1);
   context.save();
   context.beginPath();
   context.rect(pane.x, pane.y, pane.w, pane.h);
   context.clip();
   context.lineCap = "round";
 
-  const base = scene.clouds[pane.frame];
-  context.strokeStyle = style.faint;
-  context.lineWidth = 1;
-  for (const range of style.plain ? [] : [5, 10, 20, 40]) {
+  /** Draw a pole; of two LiDARs the first one's line is the wider, so that both are seen where they coincide. */
+  function drawPole(ends, text, colour, lidar) {
+    const first = scene.kind === "pair" && lidar === 0;
+    line(ends, colour, (first ? 7 : 3) * (plain ? 0.6 : 1), [], first ? 3 : 1);
+    const seen = ends.map(spot).filter(Boolean).sort((p, q) => p[1] - q[1])[0];
+    if (seen && named) label(text, [seen[0] + 8 * side(lidar), seen[1] - 10], colour, lidar % 2 ? "left" : "right", near ? 13 : 11, !near);
+  }
+
+  const base = held.find((cloud) => pane.poses[held.indexOf(cloud)]);
+  for (const range of plain || !near || !base ? [] : [5, 10, 20, 40]) {
+    const [x, y, z] = base.decoded.origin;
+    context.strokeStyle = style.faint;
+    context.lineWidth = 1;
     trace(Array.from({ length: 97 }, (_, k) => {
       const angle = (2 * Math.PI * k) / 96;
-      return [base.origin[0] + range * Math.cos(angle), base.origin[1] + range * Math.sin(angle), base.origin[2]];
+      return [x + range * Math.cos(angle), y + range * Math.sin(angle), z];
     }));
     context.stroke();
-    const at = spot([base.origin[0], base.origin[1] + range, base.origin[2]]);
+    const at = spot([x, y + range, z]);
     if (at) { context.font = "11px system-ui, sans-serif"; context.fillStyle = style.soft; context.textAlign = "center"; context.fillText(`${range} m`, at[0], at[1] - 5); }
   }
-  const ellipsoid = pane.ellipsoid && style.layers.ellipsoid ? scene.ellipsoid : null;
+  const ellipsoid = pane.ellipsoid && layers.ellipsoid ? scene.ellipsoid : null;
   const circles = !ellipsoid ? [] : [[0, 1], [1, 2], [2, 0]].map(([i, j]) => Array.from({ length: 49 }, (_, k) => {
     const a = (2 * Math.PI * k) / 48, { centre, axes } = ellipsoid;
     return centre.map((v, n) => v + Math.cos(a) * axes[i][n] + Math.sin(a) * axes[j][n]);
   }));
-  scene.clouds.forEach((cloud, k) => {
-    const T = pane.poses[k];
-    if (!T || !style.visible[k]) return;
-    const to = (p) => applyPose(T, p), o = cloud.origin, colour = css(style.colours[k]);
+  pane.sensors.forEach((T, k) => {
+    if (!T || !style.lidars[k]) return;
+    const cloud = held.find((each) => each.lidar === k), o = cloud ? cloud.decoded.origin : [0, 0, 0];
+    const to = (p) => applyPose(T, p), colour = css(k), inside = ellipsoid && k === 1;
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]].forEach((axis, n) => {
       const end = to(o.map((v, m) => v + axis[m]));
-      line([to(o), end], colour, style.plain ? 1 : 2, n === 2 ? [] : n === 1 ? [5, 4] : [1, 4], k === 1 && ellipsoid ? 0 : 3);
-      const at = style.plain ? null : spot(end);
+      line([to(o), end], colour, plain ? 1 : 2, n === 2 ? [] : n === 1 ? [5, 4] : [1, 4], inside ? 0 : 3);
+      const at = near && !plain ? spot(end) : null;
       if (at) label("xyz"[n], at, colour, "center", 11);
     });
-    const at = style.plain ? null : spot(to(o));
-    if (at && k === 1 && ellipsoid) {
-      for (const circle of circles) {
-        trace(circle);
-        context.globalAlpha = 0.16;
-        context.fillStyle = style.text;
-        context.fill();
-        context.globalAlpha = 1;
-        context.strokeStyle = style.text;
-        context.lineWidth = 1;
-        context.stroke();
-      }
-      const low = Math.max(...circles.flat().map(spot).filter(Boolean).map((p) => p[1]), at[1]);
-      label("source", [at[0], low + 12], colour, "center");
-      label(`1 σ × ${ellipsoid.factor.toLocaleString("en")}`, [at[0], low + 26], style.text, "center", 11);
-    } else if (at) label(["target", "source"][k], [at[0], at[1] + 14], colour, "center");
-    if (style.layers.poles) {
-      for (const pole of scene.poles[k]) {
-        const ends = [to(pole.a), to(pole.b)];
-        // The target's line is the wider one, so that both are seen where they coincide.
-        const width = (k === 0 ? 7 : 3) * (style.plain ? 0.6 : 1);
-        line(ends, colour, width, [], k === 0 ? 3 : 1);
-        const seen = ends.map(spot).filter(Boolean).sort((p, q) => p[1] - q[1])[0];
-        if (seen && !style.plain) label(pole.label, [seen[0] + (k === 0 ? -8 : 8), seen[1] - 10], colour, k === 0 ? "right" : "left", 13);
-      }
+    const at = plain ? null : spot(to(o));
+    if (!at) return;
+    for (const circle of inside ? circles : []) {
+      trace(circle);
+      context.globalAlpha = 0.16;
+      context.fillStyle = style.text;
+      context.fill();
+      context.globalAlpha = 1;
+      context.strokeStyle = style.text;
+      context.lineWidth = 1;
+      context.stroke();
     }
-    for (const place of k === 0 && !style.plain ? scene.places : []) {
-      // A place that alone decides a direction of the pose: a circle, and what share it holds.
-      const c = spot(to(place.at));
-      if (!c) continue;
-      for (const [width, stroke] of [[4, halo], [2, style.denied]]) {
-        context.beginPath();
-        context.arc(c[0], c[1], 11, 0, 2 * Math.PI);
-        context.lineWidth = width;
-        context.strokeStyle = stroke;
-        context.stroke();
-      }
-      label(`decides ${place.label}`, [c[0], c[1] - 16], style.denied, "center", 12);
-    }
-    if (style.layers.contradicting && pane.contradicting) {
-      const spots = pane.contradicting[k].map((p) => spot(to(p))).filter(Boolean);
-      for (const [side, fill] of style.plain ? [[2, style.denied]] : [[6, halo], [4, style.denied]]) {
-        context.fillStyle = fill;
-        for (const [x, y] of spots) context.fillRect(x - side / 2, y - side / 2, side, side);
-      }
-    }
-    if (style.layers.rejected && !style.plain) {
-      for (const cluster of scene.rejected[k]) {
-        const c = spot(to(cluster.at));
-        if (!c) continue;
-        const arms = k === 0 ? [[5, 5], [5, -5]] : [[7, 0], [0, 7]];  // × and +
-        for (const [width, stroke] of [[5, halo], [2.5, colour]]) {
-          context.beginPath();
-          for (const [x, y] of arms) { context.moveTo(c[0] - x, c[1] - y); context.lineTo(c[0] + x, c[1] + y); }
-          context.lineWidth = width; context.strokeStyle = stroke; context.stroke();
-        }
-        label(cluster.label, [c[0] + (k === 0 ? -9 : 9), c[1] - 8], colour, k === 0 ? "right" : "left", 11, true);
-      }
-    }
+    const low = inside ? Math.max(...circles.flat().map(spot).filter(Boolean).map((p) => p[1]), at[1]) : at[1] + 2;
+    if (layers.names) label(scene.lidars[k].name, [at[0], low + 12], colour, "center");
+    if (inside) label(`1 σ × ${ellipsoid.factor.toLocaleString("en")}`, [at[0], low + 26], style.text, "center", 11);
   });
+  for (const pole of layers.poles ? scene.poles : []) {
+    if (style.places[pole.placement]) drawPole([pole.a, pole.b], pole.label, style.text, 1);
+  }
+  for (const place of pane.sensors[0] && style.lidars[0] && !plain ? scene.places : []) {
+    // A place that alone decides a direction of the pose: a circle, and what share it holds.
+    const c = spot(place.at);
+    if (!c) continue;
+    for (const [width, stroke] of [[4, halo], [2, style.denied]]) {
+      context.beginPath();
+      context.arc(c[0], c[1], 11, 0, 2 * Math.PI);
+      context.lineWidth = width;
+      context.strokeStyle = stroke;
+      context.stroke();
+    }
+    label(`decides ${place.label}`, [c[0], c[1] - 16], style.denied, "center", 12);
+  }
+  for (const { cloud, T } of shown) {
+    const to = (p) => applyPose(T, p), lidar = cloud.lidar, colour = css(lidar);
+    for (const pole of layers.poles && !scene.poles.length ? cloud.poles : []) drawPole([to(pole.a), to(pole.b)], pole.label, colour, lidar);
+    const spots = (layers.contradicting && cloud.denying[pane.id] || []).map((p) => spot(to(p))).filter(Boolean);
+    for (const [size, fill] of plain ? [[2, style.denied]] : [[6, halo], [4, style.denied]]) {
+      context.fillStyle = fill;
+      for (const [x, y] of spots) context.fillRect(x - size / 2, y - size / 2, size, size);
+    }
+    for (const cluster of layers.rejected && !plain ? cloud.rejected : []) {
+      const c = spot(to(cluster.at));
+      if (!c) continue;
+      const arms = lidar % 2 ? [[7, 0], [0, 7]] : [[5, 5], [5, -5]];  // + and ×
+      for (const [width, stroke] of [[5, halo], [2.5, colour]]) {
+        context.beginPath();
+        for (const [x, y] of arms) { context.moveTo(c[0] - x, c[1] - y); context.lineTo(c[0] + x, c[1] + y); }
+        context.lineWidth = width; context.strokeStyle = stroke; context.stroke();
+      }
+      label(cluster.label, [c[0] + 9 * side(lidar), c[1] - 8], colour, lidar % 2 ? "left" : "right", 11, true);
+    }
+  }
   if (pane.title) label(pane.title, [pane.x + 12, pane.y + 18], style.text, "left", 13);
   context.restore();
 }

@@ -1,0 +1,183 @@
+"""The site seen from above: LiDARs with how certain they stand there, poles, control points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.datatypes import Array
+from ..base.quantities import large, round_below
+from ..result.site import SiteDoc
+from .certainty import number
+from .markup import folded, table
+from .page import EMPTY, Html, fill, join
+from .plan import Plan
+from .subject import Subject, colour_class, pole_labels
+from .svg import FONT, Labels, short
+
+WIDTH = 520.0
+"""Of the picture, in its own units."""
+
+HEIGHTS = 260.0, 560.0
+"""Least and greatest height of the picture."""
+
+MARGIN = 60.0
+"""Around all that stands there: room for names."""
+
+LEAST_SPAN = 2.0
+"""A site is drawn as at least so wide, metres."""
+
+SEEN_ELLIPSE = 34.0
+"""The largest half axis is at most so long in the picture."""
+
+CORNERS = 33
+"""Points of an ellipse."""
+
+
+def site_map(subject: Subject, plan: Plan) -> Html:
+    """Draw a site from above and list where its LiDARs stand; nothing of two, or where refused."""
+    site = subject.site
+    if subject.pair is not None or not subject.answered:
+        return EMPTY
+    return fill("map", figure=_figure(site, plan), poles=_poles(site))
+
+
+def _figure(site: SiteDoc, plan: Plan) -> Html:
+    R = plan.R_plan_site
+    lidars = np.array([np.array(each.T_site_lidar)[:3, 3] for each in site.lidars]) @ R.T
+    ends = [[p.point + s * p.length * p.direction for s in (-0.5, 0.5)] for p in site.poles]
+    poles = np.array(ends).reshape(-1, 2, 3) @ R.T
+    points = np.array([each.at for each in site.control_points]).reshape(-1, 3) @ R.T
+    scale, height, to_picture = _fit(np.concatenate([lidars, *poles, points])[:, :2])
+    labels = Labels(WIDTH, height)
+    for x, y in [*to_picture(lidars), *to_picture(points), *to_picture(poles.mean(axis=1))]:
+        labels.keep_free(x, y, 6.0)
+    # The corners of the scale bar and of north.
+    labels.keep_free(40.0, height - 10.0, 40.0)
+    labels.keep_free(WIDTH - 35.0, 30.0, 35.0)
+    factor, ellipses = _ellipses(site, R, to_picture(lidars), scale)
+    metres = round_below(0.3 * (WIDTH - 2 * MARGIN) / scale)
+    marks = [*ellipses, *_pole_marks(pole_labels(site), to_picture, poles, labels)]
+    for point, (x, y) in zip(site.control_points, to_picture(points), strict=True):
+        marks.append(fill("control", x=x, y=y - 6))
+        marks.append(labels.place(short(point.name), x, y, 10.0, "soft", FONT - 2))
+    for k, (x, y) in enumerate(to_picture(lidars)):
+        marks.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
+        name, style = short(site.lidars[k].name), f"name {colour_class(k)}"
+        marks.append(labels.place(name, x, y, 11.0, style))
+    scale_bar = {"length": metres * scale, "m": large(metres)}
+    marks.append(fill("scale", y=height - 14.0, above=height - 24.0, **scale_bar))
+    marks.append(_direction(plan))
+    return fill(
+        "map-figure",
+        width=f"{WIDTH:g}",
+        height=f"{height:.0f}",
+        marks=join(marks),
+        said=_caption(site, plan, factor),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _ToPicture:
+    """From the plan, metres, to the picture: y points up in the one and down in the other."""
+
+    middle: Array
+    scale: float
+    height: float
+
+    def __call__(self, points: Array) -> list[tuple[float, float]]:
+        away = (np.asarray(points)[:, :2] - self.middle) * self.scale
+        return [(WIDTH / 2 + float(x), self.height / 2 - float(y)) for x, y in away]
+
+
+def _fit(points: Array) -> tuple[float, float, _ToPicture]:
+    """Choose units per metre and the height of the picture so that all points are in it."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = np.maximum(high - low, LEAST_SPAN)
+    scale = float(min((WIDTH - 2 * MARGIN) / span[0], (HEIGHTS[1] - 2 * MARGIN) / span[1]))
+    height = float(np.clip(scale * span[1] + 2 * MARGIN, *HEIGHTS))
+    return scale, height, _ToPicture((low + high) / 2, scale, height)
+
+
+def _ellipses(
+    site: SiteDoc, R: Array, places: Sequence[tuple[float, float]], scale: float
+) -> tuple[float | None, list[Html]]:
+    """Draw 1 σ of where each LiDAR stands, enlarged, and say how many times."""
+    half_axes = []
+    for each in site.lidars:
+        values, vectors = np.linalg.eigh((R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2])
+        half_axes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
+    largest = max(float(np.linalg.norm(each, axis=0).max()) for each in half_axes)
+    if largest <= 0:
+        return None, []
+    factor = round_below(SEEN_ELLIPSE / (scale * largest))
+    angle = np.linspace(0, 2 * np.pi, CORNERS)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    drawn = []
+    for k, (axes, (x, y)) in enumerate(zip(half_axes, places, strict=True)):
+        corners = factor * scale * (axes @ circle)
+        line = " ".join(f"{x + a:.1f},{y - b:.1f}" for a, b in corners.T)
+        if axes.any():
+            drawn.append(fill("ellipse", colour=colour_class(k), points=line))
+    return factor, drawn
+
+
+def _pole_marks(
+    names: Sequence[str], to_picture: _ToPicture, ends: Array, labels: Labels
+) -> list[Html]:
+    """Draw each pole as the line that it covers from above, and a ring in its middle."""
+    marks = []
+    for name, pole in zip(names, ends, strict=True):
+        (x1, y1), (x2, y2) = to_picture(pole)
+        x, y = (x1 + x2) / 2, (y1 + y2) / 2
+        marks.append(fill("pole", x1=x1, y1=y1, x2=x2, y2=y2, x=x, y=y))
+        marks.append(labels.place(name, x, y, 8.0, "soft", FONT - 2))
+    return marks
+
+
+def _direction(plan: Plan) -> Html:
+    """Draw where north is, or else the level axes of the frame."""
+    x = WIDTH - 40.0
+    if plan.north is not None:
+        return fill("north", x=x)
+    ends = [(plan.R_plan_site @ axis)[:2] * [24, -24] for axis in np.eye(3)[:2]]
+    return join(
+        fill("axis", x=x - 6, dx=a, dy=b, at_x=x - 6 + 1.4 * a, at_y=55 + 1.4 * b, name=name)
+        for name, (a, b) in zip("xy", ends, strict=True)
+    )
+
+
+def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
+    """Say what the picture shows, also for those who do not see it."""
+    said = [f"Seen from above, taking for up {plan.words}."]
+    if plan.north:
+        said.append(f"{plan.north.capitalize()} is at the top.")
+    fixed = [each.name for each in site.lidars if not np.any(each.covariance)]
+    if factor is None:
+        said.append("No LiDAR has an ellipse: where it stands is without error.")
+    else:
+        said.append(f"Ellipses: 1 σ of where each LiDAR stands, enlarged {large(factor)} times.")
+        said += [f"{name} has none: its frame is the site's." for name in fixed[:1]]
+    if site.poles:
+        said.append("Rings: poles, 2.1 being the first of placement 2, with the way each leans.")
+    if site.control_points:
+        said.append("Triangles: control points.")
+    return " ".join(said)
+
+
+def _poles(site: SiteDoc) -> Html:
+    rows = [
+        (
+            label,
+            pole.name,
+            *(number(v, 3) for v in pole.point + site.frame.offset),
+            number(pole.length, 2),
+            ", ".join(site.lidars[k].name for k in pole.seen_by),
+        )
+        for label, pole in zip(pole_labels(site), site.poles, strict=True)
+    ]
+    header = ("pole", "name", "x, m", "y, m", "z, m", "length, m", "seen by")
+    listed = table("Poles, the middle of the tape", header, rows, (1, 6))
+    return folded(f"Poles: {len(rows)}", listed) if rows else EMPTY

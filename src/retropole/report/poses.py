@@ -1,0 +1,124 @@
+"""The pose of every LiDAR: to read, to copy, how certain it is, and what its error is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.errors import RetropoleError
+from ..export import FORMATS, export_lines
+from . import listings
+from .certainty import number
+from .markup import folded, listed
+from .page import EMPTY, Html, fill, join
+from .subject import LIDARS, Subject, colour_class
+from .uncertainty import uncertainty
+
+FRAMES = ("lidar_target", "lidar_source")
+"""Frames of a pair in the lines to copy, until the reader types other names into the page."""
+
+UNFOLDED = ("ros2", "matrix", "quaternion")
+"""Formats that are shown at once; the page unfolds the others."""
+
+
+def poses(subject: Subject) -> Html:
+    """Show every pose, its certainty, and lines to copy; of many a summary, and each unfolded."""
+    site = subject.site
+    if not subject.answered:
+        return EMPTY
+    offset = site.frame.offset
+    if subject.pair is not None:
+        body = _pose(subject, 1)
+    else:
+        lidars = (
+            fill("lidar", colour=colour_class(k), name=site.lidars[k].name, body=_pose(subject, k))
+            for k in range(len(site.lidars))
+        )
+        body = join((listed(listings.poses(site)), fill("lidars", body=join(lidars))))
+    return fill(
+        "poses",
+        transform=subject.transform,
+        frame=subject.frame,
+        into=subject.frame.removeprefix("the "),
+        of="lidar" if subject.pair is None else "source",
+        whose="each LiDAR" if subject.pair is None else "the source",
+        named=f"Frame: {site.frame.name}." if subject.pair is None else "",
+        offset=fill("offset", at=", ".join(f"{v:.3f}" for v in offset)) if any(offset) else "",
+        body=body,
+    )
+
+
+def _pose(subject: Subject, k: int) -> Html:
+    """Show one pose as matrix, translation, quaternion and angles, and all about it."""
+    lidar = subject.site.lidars[k]
+    T = np.array(lidar.T_site_lidar)
+    said = (
+        "" if lidar.sensor == "auto" else lidar.sensor,
+        f"serial number {lidar.serial}" if lidar.serial else "",
+        "" if lidar.fitness is None else lidar.fitness.words,
+    )
+    about = ", ".join(each for each in said if each)
+    name = subject.transform + (f" of {lidar.name}" if subject.pair is None else "")
+    return fill(
+        "pose",
+        about=fill("p", text=about) if about and subject.pair is None else "",
+        matrix=transform_matrix(T, name),
+        parts=pose_parts(T),
+        copies=_copies(subject, k),
+        uncertainty=uncertainty(subject, k),
+    )
+
+
+def transform_matrix(T: Array, name: str = "T_target_source") -> Html:
+    """Lay out a transform (4, 4) as a matrix under its name."""
+    rows = (join(fill("td", kind=EMPTY, text=f"{v:.6f}") for v in row) for row in T)
+    return fill("matrix", name=name, rows=join(fill("row", cells=cells) for cells in rows))
+
+
+def pose_parts(T: Array) -> Html:
+    """Write a transform (4, 4) as translation, quaternion and angles."""
+    angles = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
+    parts = (
+        ("translation", "x y z", T[:3, 3], 4, " m"),
+        ("quaternion", "x y z w", se3.quaternion_xyzw(T[:3, :3]), 6, ""),
+        ("angles", "roll pitch yaw", angles, 3, "°"),
+    )
+    named = (
+        fill(
+            "pose-part",
+            name=part,
+            values=join(
+                fill("named", name=name, value=number(value, digits, unit=unit))
+                for name, value in zip(names.split(), values, strict=True)
+            ),
+        )
+        for part, names, values, digits, unit in parts
+    )
+    return fill("pose-parts", body=join(named))
+
+
+def _copies(subject: Subject, k: int) -> Html:
+    """Show a pose in every format, with a button that copies it and says aloud whose it is."""
+    T = np.array(subject.site.lidars[k].T_site_lidar)
+    names = [lidar.name for lidar in subject.site.lidars]
+    parent, fields = "site" if "site" not in names else "site_frame", EMPTY
+    if subject.pair is not None:
+        named = zip(LIDARS, FRAMES, strict=True)
+        fields = join(fill("frame", lidar=lidar, frame=frame) for lidar, frame in named)
+        fields = fill("frames", body=fields)
+    try:
+        lines = export_lines(T, *(FRAMES if subject.pair else (parent, names[k])))
+    except RetropoleError:
+        # A name that no frame can have: another program reads the pose all the same.
+        lines = export_lines(T, parent, f"lidar_{k}")
+    whose = f" of {names[k]}" if subject.pair is None else ""
+    first, more = (
+        join(
+            fill("copy", key=key, title=FORMATS[key].title, whose=whose, text=text.strip())
+            for key, text in lines.items()
+            if (key in UNFOLDED) is wanted
+        )
+        for wanted in (True, False)
+    )
+    return fill("copies", fields=fields, first=first, more=folded("More formats", more))

@@ -1,0 +1,294 @@
+"""What the page's view draws: clouds, poles, poses and the ellipsoid, as the JSON of its code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import Array, Scan
+from ..result import PoleDoc, ResultDoc, plain, pole_documents
+from ..scene.consistency import contradicting_points, standing_in
+from .page import Html
+from .plan import Plan
+from .points import MAX_SHOWN_RANGE, PackedCloud, PackedPoints, pack_cloud, pack_points
+from .subject import COLOURS, Subject, hypothesis_name, pole_labels
+
+MAX_CLOUD_POINTS = 100_000
+"""Points of each cloud in the page, about 0.9 MB."""
+
+MAX_PAIR_POINTS, MAX_SITE_POINTS = 600_000, 1_500_000
+"""Points of all clouds together: the page of a pair stays under 8 MB, of a site under 20 MB."""
+
+SEEN_SIGMA = 0.7
+"""The ellipsoid is enlarged by a power of ten until its longest half axis is about so long, metres.
+"""
+
+MAX_CONTRADICTING = 2000
+"""Points of each cloud that are marked as contradicting a pose, of all placements together."""
+
+SHOWN_RADIUS = (4.0, 60.0)
+"""Least and largest radius of what the camera starts by looking at in a site, metres."""
+
+
+class LidarView(msgspec.Struct, frozen=True):
+    """A LiDAR: its name, the number of its colour, and its pose in the plan; null where refused."""
+
+    name: str
+    colour: int
+    T: Array | None
+
+
+class LineView(msgspec.Struct, frozen=True):
+    """A pole of a placement: both ends (3,), metres, and its name."""
+
+    placement: int
+    a: Array
+    b: Array
+    label: str
+
+
+class MarkView(msgspec.Struct, frozen=True):
+    """A marked place (3,), metres, and what is written beside it."""
+
+    at: Array
+    label: str
+
+
+class CloudView(msgspec.Struct, frozen=True):
+    """One recording: whose and of which placement, and what is in it, in its LiDAR's frame.
+
+    `contradicting` are the points that stand where the other LiDAR looked through, by the id of
+    the pose.
+    """
+
+    lidar: int
+    placement: int
+    points: PackedCloud
+    poles: list[LineView]
+    rejected: list[MarkView]
+    contradicting: dict[str, PackedPoints]
+
+
+class PoseView(msgspec.Struct, frozen=True):
+    """A pose of the source of a pair: ``result``, or a hypothesis by its letter."""
+
+    id: str
+    label: str
+    T: Array
+
+
+class EllipsoidView(msgspec.Struct, frozen=True):
+    """1 σ ellipsoid of the source's origin in the target frame.
+
+    Attributes
+    ----------
+    centre, axes
+        (3,) and (3, 3), its half axes row by row, enlarged; metres.
+    factor
+        By how much the axes are enlarged.
+    """
+
+    centre: Array
+    axes: Array
+    factor: float
+
+
+class PageView(msgspec.Struct, frozen=True):
+    """All that the page's own code is given.
+
+    Attributes
+    ----------
+    kind
+        ``pair``, ``site``, or ``alone`` where a site has no poses and each LiDAR is shown by
+        itself.
+    poles
+        Of the whole site, in the plan.
+    poses, ellipsoid, places
+        Of a pair; the places alone decide a direction of the pose, target frame.
+    centre, radius
+        Where the camera looks in a site, in the plan; metres.
+    """
+
+    kind: str
+    status: str
+    lidars: list[LidarView]
+    placements: list[str]
+    clouds: list[CloudView]
+    poles: list[LineView]
+    poses: list[PoseView]
+    ellipsoid: EllipsoidView | None
+    places: list[MarkView]
+    centre: Array
+    radius: float
+    shown: str
+
+
+def page_view(subject: Subject, plan: Plan, max_points: int = MAX_CLOUD_POINTS) -> PageView | None:
+    """Pack what the view shows; None where nothing was recorded.
+
+    Parameters
+    ----------
+    subject
+        What the page is of.
+    plan
+        How the site is turned: the view's z axis points up.
+    max_points
+        At most this many points of each cloud.
+    """
+    site, pair = subject.site, subject.pair
+    recorded = [
+        (k, j, scan)
+        for k, of_lidar in enumerate(subject.scans)
+        for j, scan in enumerate(of_lidar)
+        if scan is not None
+    ]
+    if not recorded:
+        return None
+    together = MAX_SITE_POINTS if pair is None else MAX_PAIR_POINTS
+    budget = min(max_points, together // len(recorded))
+    T_plan_site = se3.from_rt(plan.R_plan_site, np.zeros(3))
+    poses = [] if pair is None else _poses(pair)
+    marked = _contradicting(subject, poses)
+    clouds = [
+        CloudView(
+            k,
+            j,
+            pack_cloud(scan.cloud, scan.detection, max_points=budget),
+            _lines(subject, k, j, scan),
+            _marks(scan),
+            marked.get((k, j), {}),
+        )
+        for k, j, scan in recorded
+    ]
+    lidars = [
+        LidarView(
+            each.name,
+            k % COLOURS,
+            None if each.T_site_lidar is None else T_plan_site @ each.T_site_lidar,
+        )
+        for k, each in enumerate(site.lidars)
+    ]
+    R = plan.R_plan_site
+    poles = [
+        _line(pole.placement, R @ pole.point, R @ pole.direction, pole.length, label)
+        for pole, label in zip(site.poles, pole_labels(site), strict=True)
+    ]
+    places = [each.T[:3, 3] for each in lidars if each.T is not None]
+    centre, radius = _look(places + [pole.a for pole in poles])
+    return PageView(
+        "pair" if pair is not None else "site" if subject.answered else "alone",
+        site.status,
+        lidars,
+        subject.placements,
+        clouds,
+        poles,
+        poses,
+        None if pair is None else _ellipsoid(pair),
+        [] if pair is None else _places(pair),
+        centre,
+        radius,
+        _shown(clouds),
+    )
+
+
+def embed_json(value: object) -> Html:
+    """Write JSON that no content can lead out of its script element; not-a-number becomes null."""
+    text = msgspec.json.encode(value, enc_hook=plain).decode()
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return Html(text)
+
+
+def _contradicting(
+    subject: Subject, poses: Sequence[PoseView]
+) -> dict[tuple[int, int], dict[str, PackedPoints]]:
+    """Pack the points of each cloud of a pair that contradict each pose."""
+    if not poses:
+        return {}
+    # As the run draws them: the same points, where the recordings are the same.
+    rng, packed = np.random.default_rng(0), {}
+    limit = MAX_CONTRADICTING // len(subject.scans[0])
+    for j, both in enumerate(zip(*subject.scans, strict=True)):
+        target, source = (standing_in(scan.cloud, rng) for scan in both if scan is not None)
+        found = {pose.id: contradicting_points(target, source, pose.T) for pose in poses}
+        for k in range(2):
+            packed[k, j] = {
+                name: pack_points(points[k][:: 1 + len(points[k]) // limit])
+                for name, points in found.items()
+            }
+    return packed
+
+
+def _shown(clouds: Sequence[CloudView]) -> str:
+    shown, total, far = (
+        sum(getattr(each.points, name) for each in clouds) for name in ("shown", "total", "far")
+    )
+    text = f"{len(clouds)} clouds; the page holds {shown:,} of {total:,} points"
+    return text + (f", {far:,} beyond {MAX_SHOWN_RANGE:g} m left out" if far else "")
+
+
+def _lines(subject: Subject, k: int, j: int, scan: Scan) -> list[LineView]:
+    """Draw the poles of a recording; of a pair's first placement, those that its result lists."""
+    listed: Sequence[PoleDoc] = pole_documents(scan.poles)
+    if subject.pair is not None and j == 0:
+        listed = (subject.pair.poles.target, subject.pair.poles.source)[k]
+    return [
+        _line(j, pole.point_m, pole.direction, pole.length_m, subject.pole(k, i))
+        for i, pole in enumerate(listed)
+    ]
+
+
+def _line(placement: int, point: Array, direction: Array, length: float, label: str) -> LineView:
+    half = 0.5 * length * direction
+    return LineView(placement, point - half, point + half, label)
+
+
+def _marks(scan: Scan) -> list[MarkView]:
+    rejected = () if scan.detection is None else scan.detection.rejected
+    return [MarkView(cluster.centre, str(k)) for k, cluster in enumerate(rejected)]
+
+
+def _places(result: ResultDoc) -> list[MarkView]:
+    """Places that alone decide a direction of the pose, each with the share that it holds."""
+    return [
+        MarkView(np.array([r.values[f"{axis}_m"] for axis in "xyz"]), f"{r.values['share']:.0%}")
+        for r in result.reasons
+        if r.code == "one_place_decides"
+    ]
+
+
+def _poses(result: ResultDoc) -> list[PoseView]:
+    """Every pose the view can show: the result, and the hypotheses it was chosen from."""
+    poses = []
+    if result.T_target_source is not None:
+        poses.append(PoseView("result", "result", result.T_target_source))
+    for k, hypothesis in enumerate(result.hypotheses):
+        name = hypothesis_name(k)
+        label = f"hypothesis {name}" + (" (chosen, poles only)" if hypothesis.chosen else "")
+        poses.append(PoseView(name, label, hypothesis.T_target_source))
+    return poses
+
+
+def _ellipsoid(result: ResultDoc) -> EllipsoidView | None:
+    if result.covariance is None or result.T_target_source is None:
+        return None
+    values, vectors = np.linalg.eigh(result.covariance[3:, 3:])
+    sigma = np.sqrt(np.maximum(values, 0.0))
+    if not sigma[-1] > 0:
+        return None
+    factor = 10.0 ** max(0, round(float(np.log10(SEEN_SIGMA / sigma[-1]))))
+    axes = (vectors * sigma * factor).T
+    return EllipsoidView(result.T_target_source[:3, 3], axes, factor)
+
+
+def _look(points: Sequence[Array]) -> tuple[Array, float]:
+    """Choose where the camera looks: the middle of all that stands there, and how far around."""
+    if not points:
+        return np.zeros(3), SHOWN_RADIUS[0]
+    stacked = np.array(points)
+    centre = (stacked.min(axis=0) + stacked.max(axis=0)) / 2
+    reach = float(np.linalg.norm(stacked - centre, axis=1).max())
+    return centre, float(np.clip(1.5 * reach, *SHOWN_RADIUS))

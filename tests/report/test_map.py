@@ -1,0 +1,81 @@
+"""The map: LiDARs where they stand, to scale, with their uncertainty enlarged as it says."""
+
+from __future__ import annotations
+
+import re
+
+import msgspec
+import numpy as np
+import pytest
+
+from retropole.report.map import site_map
+from retropole.report.plan import Plan, plan_of
+from retropole.report.subject import Subject
+from tests.report.made_up import Page
+from tests.report.site.made_up import NAMES, document_of, made_up_site
+
+DOCUMENT = document_of(made_up_site(lidars=4, placements=2, count=10))
+MAP = site_map(Subject(DOCUMENT), plan_of(DOCUMENT))
+
+
+def places(html: str) -> np.ndarray:
+    found = re.findall(r'class="place [^"]*" cx="([-\d.]+)" cy="([-\d.]+)"', html)
+    return np.array(found, dtype=float)
+
+
+def test_lidars_stand_to_the_scale_that_is_drawn() -> None:
+    (bar,) = re.findall(r'class="bar" d="M[\d. ]+m0 -5v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
+    units_per_metre = float(bar[0]) / float(bar[1])
+    at = np.array([np.array(each.T_site_lidar)[:2, 3] for each in DOCUMENT.lidars])
+    drawn = places(MAP) * [1, -1]
+    for i in range(4):
+        for j in range(i):
+            apart = np.linalg.norm(drawn[i] - drawn[j]) / units_per_metre
+            assert apart == pytest.approx(np.linalg.norm(at[i] - at[j]), abs=0.05)
+
+
+def test_ellipses_are_enlarged_by_what_is_said() -> None:
+    (factor,) = re.findall(r"enlarged ([\d,]+) times", MAP)
+    (bar,) = re.findall(r'class="bar" d="M[\d. ]+m0 -5v5h([\d.]+)v-5"/><text[^>]*>(\d+) m', MAP)
+    scale = float(factor.replace(",", "")) * float(bar[0]) / float(bar[1])
+    drawn = re.findall(r'class="ellipse lidar-(\d)" points="([^"]*)"', MAP)
+    assert [k for k, _ in drawn] == ["1", "2", "3"]
+    for k, points in drawn:
+        corners = np.array([pair.split(",") for pair in points.split()], dtype=float)
+        half = np.linalg.norm(corners - places(MAP)[int(k)], axis=1)
+        covariance = np.array(DOCUMENT.lidars[int(k)].covariance)[3:5, 3:5]
+        sigma = np.sqrt(np.linalg.eigvalsh(covariance)) * scale
+        assert half.max() == pytest.approx(sigma[1], rel=0.02, abs=0.2)
+        assert half.min() == pytest.approx(sigma[0], rel=0.02, abs=0.2)
+
+
+def test_everything_is_named_and_said_in_words() -> None:
+    page = Page(MAP)
+    for name in NAMES[:4]:
+        assert name in page.text
+    assert "mast-a has none: its frame is the site's" in page.text
+    assert "N" not in re.findall(r"<text[^>]*>(.*?)</text>", MAP)
+
+
+def test_north_is_drawn_where_it_is_known() -> None:
+    surveyed = document_of(made_up_site(lidars=3, placements=2, count=10, surveyed=True))
+    html = site_map(Subject(surveyed), plan_of(surveyed))
+    assert "North is at the top" in html
+    assert 'class="north"' in html
+    assert "P1" in re.findall(r"<text[^>]*>(.*?)</text>", html)
+
+
+def test_one_lidar_upon_another_is_drawn_all_the_same() -> None:
+    same = [
+        msgspec.structs.replace(each, T_site_lidar=np.eye(4), covariance=np.zeros((6, 6)))
+        for each in DOCUMENT.lidars
+    ]
+    alone = msgspec.structs.replace(DOCUMENT, lidars=same, poles=[])
+    html = site_map(Subject(alone), Plan(np.eye(3), "z", None))
+    assert np.isfinite(places(html)).all()
+    assert "No LiDAR has an ellipse" in html
+
+
+def test_a_refused_site_has_no_map() -> None:
+    refused = document_of(made_up_site("refused", lidars=3, placements=2, count=10))
+    assert site_map(Subject(refused), plan_of(refused)) == ""

@@ -1,0 +1,158 @@
+"""The verdict: every reason with what to do, how sure the poses are, and what comes next."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace as replaced
+
+import pytest
+from msgspec.structs import replace
+
+from retropole.base.bounded import Status
+from retropole.base.reasons import plain, reasons
+from retropole.base.uncertainty import Confirmation
+from retropole.base.uncertainty.purpose import Fitness
+from retropole.report.certainty import probability, statements
+from retropole.report.markup import NO_BREAK
+from retropole.report.subject import Subject, of_pair
+from retropole.report.verdict import verdict
+from retropole.result import ReasonDoc, ResultDoc
+from retropole.result.site import SiteDoc
+from tests.report.made_up import Page, made_up
+from tests.report.pages import of_each_kind, subject_of
+from tests.report.site.made_up import document_of, made_up_site
+
+
+def with_reason(kind: str, reason: ReasonDoc, status: Status = "warn") -> Page:
+    subject = subject_of(kind, status)
+    return Page(verdict(replaced(subject, site=replace(subject.site, reasons=[reason]))))
+
+
+def of_pair_with(status: Status = "ok", **fields: object) -> Page:
+    result: ResultDoc = replace(made_up(status, 500).result, **fields)
+    return Page(verdict(of_pair(result, ())))
+
+
+def site(status: Status = "ok") -> SiteDoc:
+    return document_of(made_up_site(status, lidars=5, placements=2, count=10))
+
+
+def said_of(document: SiteDoc) -> str:
+    return Page(verdict(Subject(document))).text
+
+
+@of_each_kind
+@pytest.mark.parametrize("code", reasons())
+def test_a_reason_is_told_with_its_meaning_and_all_that_helps(kind: str, code: str) -> None:
+    page, known = with_reason(kind, ReasonDoc(code, "because of 7", {})), reasons()[code]
+    assert page.open == []
+    said = [plain(text) for text in (known.help, *known.advice)]
+    for words in (code, "because of 7", known.title, *said):
+        assert words in page.text
+    assert "](" not in page.text
+    assert "`" not in page.text
+
+
+@of_each_kind
+def test_an_unknown_code_is_shown_with_its_message_alone(kind: str) -> None:
+    reason = ReasonDoc("struck_by_lightning", "12 kA through the target", {})
+    page = with_reason(kind, reason, "refused")
+    assert "struck_by_lightning" in page.text
+    assert "12 kA through the target" in page.text
+    assert "What to do" not in page.text
+
+
+@of_each_kind
+def test_an_answer_says_what_to_do_next(kind: str) -> None:
+    said = {
+        "pair": ("retropole export .", "retropole check . TARGET SOURCE"),
+        "site": ("Look at the tests", "site-result.json"),
+    }
+    for status in ("ok", "warn"):
+        text = Page(verdict(subject_of(kind, status))).text
+        for words in ("What to do next", *said[kind]):
+            assert words in text
+        assert ("Settle the warning first" in text) is (status == "warn")
+    assert "What to do next" not in Page(verdict(subject_of(kind, "refused"))).text
+
+
+def test_says_how_certain_a_pair_is_and_in_which_direction() -> None:
+    text = of_pair_with().text.replace(NO_BREAK, " ")
+    for said in (
+        "least certain, 1 sigma: height along the poles: 6.0 mm",
+        "± 16 mm at 60 m",
+        "largest source of error, range offset of the source LiDAR: 58 % of the variance of "
+        "± 9.5 mm at 30 m",
+        "what stands in the scene: 412 places agree, 3 deny it (0.7 %)",
+        "margin over the next0.510",
+    ):
+        assert said in text
+
+
+def test_a_refusal_says_what_the_scene_said() -> None:
+    denied = Confirmation(agreeing=61, contradicting=202, better_at=2.0)
+    text = of_pair_with("refused", confirmation=denied).text
+    said = "61 places agree, 202 deny it (76.8 %); it fits better 2.0 m away"
+    assert f"what stands in the scene: {said}" in text
+    assert "what stands in the scene" not in of_pair_with("refused").text
+
+
+def test_the_verdict_answers_what_was_asked_for() -> None:
+    assert "sure" not in of_pair_with().text
+    asked = Fitness(0.02, 30.0, "yes", 0.98, 0.018, "within 2 cm <at> 30 m: yes, 98 % sure")
+    page = of_pair_with(fitness=asked)
+    assert page.open == []
+    assert "within 2 cm <at> 30 m: yes, 98 % sure." in page.text
+    assert "not every LiDAR; crane-high: not shown" in said_of(site())
+    good = site().lidars[1].fitness
+    lidars = [replace(each, fitness=good) for each in site().lidars]
+    assert "within 2 cm at 30 m: yes, every LiDAR." in said_of(replace(site(), lidars=lidars))
+
+
+def test_a_path_keeps_its_small_letter_at_the_start_of_a_message() -> None:
+    path = made_up("refused", 500).result.inputs[0].path
+    for message, kind in ((f"{path} has no intensity", "said"), ("few poles", "said sentence")):
+        result = replace(
+            made_up("refused", 500).result, reasons=[ReasonDoc("few_points", message, {})]
+        )
+        assert f'<p class="{kind}">{message}</p>' in verdict(of_pair(result, ()))
+
+
+def test_a_site_says_how_good_it_is_and_what_checked_it() -> None:
+    text = said_of(site())
+    for said in (
+        "Calibrated: 5 LiDARs in one frame",
+        "datum: LiDAR mast-a stands still",
+        "crane-high being the worst",
+        "none beyond w 3.29",
+        "loops: 3; the least likely, mast-a → crane-low → crane-high → mast-a",
+        "unchecked: 1 of the tests would not show an error",
+    ):
+        assert said in text
+    warned = said_of(site("warn"))
+    assert "beyond w 3.29: pole 2 of morning as mast-b sees it (w 6.3)" in warned
+    assert "largest |w|" in warned
+
+
+def test_a_refused_site_names_its_groups_and_no_figures() -> None:
+    text = said_of(site("refused"))
+    assert "Refused: no pose" in text
+    assert "mast-a, mast-b, gate, crane-low | crane-high" in text
+    assert "1 sigma" not in text
+
+
+def test_a_site_without_tests_says_that_nothing_checks_it() -> None:
+    bare = replace(site(), tests=[], loops=[])
+    said = list(statements(Subject(bare)))
+    assert "tests: none; nothing checks these poses" in said
+    assert "loops: none closed; no third LiDAR checks a pair" in said
+    refused = " ".join(statements(Subject(site("refused"))))
+    assert not re.search("tests|loops|pairs", refused)
+
+
+@pytest.mark.parametrize(
+    ("p", "words"),
+    [(None, "–"), (1e-9, "< 0.1 %"), (0.012, "1.2 %"), (0.6, "60 %"), (1.0, "100 %")],
+)
+def test_probabilities_are_written_as_they_matter(p: float | None, words: str) -> None:
+    assert probability(p) == words
