@@ -2,7 +2,7 @@
 
 Each simulated site is calibrated once, then recorded again by the same devices: as it was, rotated
 by 0.3° about a random axis, translated by 3 cm in a random direction, rotated by 40°, or with the
-LiDARs exchanged; with the poles where they were, elsewhere, and without. With `--data`, the same of
+LiDARs swapped; with the poles where they were, elsewhere, and without. With `--data`, the same of
 PandaSet's standing vehicle, from one recording to another of its own, with poles ray-cast into
 them, and of surroundings alone, and how long a check without poles takes on every pair of
 recordings that there is. Prints Markdown tables. Seeds below 1000 are for tuning, those from 1000
@@ -51,7 +51,7 @@ from semireal import PAIRS, Loaded, load
 
 SCENES = ("corridor", "street", "harbor")
 SMALL = ("unmoved", "rotated 0.3°", "translated 3 cm")
-GROSS = ("rotated 40°", "exchanged")
+GROSS = ("rotated 40°", "swapped")
 GROSS_EVERY = 4
 """Gross movements, which are never near the line, are tried on every so many sites."""
 
@@ -179,7 +179,7 @@ def simulated(job: Simulated) -> Iterator[Row]:
                     continue
             again = record_again(at, rng, moved=step(kind, rng), poles=poles != "gone")
             clouds = again.target, again.source
-            turned = clouds[::-1] if kind == "exchanged" else clouds
+            turned = clouds[::-1] if kind == "swapped" else clouds
             yield Row(where, job.seed, kind, poles, answered(site, turned))
 
 

@@ -49,7 +49,7 @@ from detection_cases import (
     staged,
 )
 from retropole.base.datatypes import DEFAULT_RADIUS, Detection, IntArray
-from retropole.extraction.doubtful import with_doubtful
+from retropole.extraction.candidates import with_candidates
 from retropole.extraction.poles import extract_poles
 from retropole.simulation import simulate_pair
 
@@ -147,15 +147,15 @@ def staged_scores(job: tuple[str, int]) -> list[tuple[str, bool, Score, Score]]:
     scores = []
     for c in staged(*job):
         sure = extract_poles(c.cloud, threshold=c.threshold)
-        wide = with_doubtful(c.cloud, sure, DEFAULT_RADIUS)
+        wide = with_candidates(c.cloud, sure, DEFAULT_RADIUS)
         both = score(c, sure), score(c, with_all(wide))
         scores.append((c.thing, c.cloud.ring is None, *both))
     return scores
 
 
 def with_all(detection: Detection) -> Detection:
-    """Count the doubtful poles among the poles."""
-    return replace(detection, poles=(*detection.poles, *detection.doubtful))
+    """Count the candidate poles among the poles."""
+    return replace(detection, poles=(*detection.poles, *detection.candidates))
 
 
 def staged_table(scores: Sequence[tuple[str, bool, Score, Score]]) -> str:

@@ -157,8 +157,8 @@ def run(nodes: int, seed: int, power: float, shared: float) -> Row:
         sum(int(k) in alone for k in lost),
         sorted(found.edges.chi2[detectable & ~named].tolist()),
         found.rounds,
-        found.settled,
-        int(found.doubtful.sum()),
+        found.icp_refined,
+        int(found.candidates.sum()),
         found.unit_variance,
         cpu,
         wall,
@@ -179,11 +179,11 @@ def main() -> None:
         print(
             f"{seed}: {row.nodes} LiDARs, {row.edges} edges; "
             f"{row.cpu:.1f} s CPU, {row.wall:.1f} s; "
-            f"{row.rounds} rounds{'' if row.settled else ' NOT SETTLED'}; "
+            f"{row.rounds} rounds{'' if row.icp_refined else ' NOT SETTLED'}; "
             f"coverage {100 * row.poses:.1f} % and {100 * row.relative:.1f} %; "
             f"wrong {row.wrong}, detectable {row.detectable}, left out {row.left_out}, "
             f"named {row.named}; sound ones lost {row.good_lost} ({row.lost_alone} without rival); "
-            f"doubtful poses {row.doubtful}; unit variance {row.unit_variance:.3f}",
+            f"doubtful poses {row.candidates}; unit variance {row.unit_variance:.3f}",
             flush=True,
         )
         if row.missed:

@@ -22,7 +22,7 @@ import numpy as np
 
 from retropole.base.datatypes import PointCloud
 from retropole.evaluation.rivals import ALL_METHODS, OURS
-from retropole.io.thinning import MAX_POINTS, thinned
+from retropole.io.downsampling import MAX_POINTS, thinned
 from retropole.simulation import SimulationError, simulate_pair
 from rivals import installed, peak_megabytes, quiet, timed
 

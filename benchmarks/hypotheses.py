@@ -31,7 +31,7 @@ is better, and the others are rotated by 180°."""
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scene; errors are nan where there is no answer."""
+    """The outcome of one scene; errors are nan where there is no answer."""
 
     scene: str
     seed: int

@@ -31,7 +31,7 @@ from retropole.pipeline import calibrate
 
 
 class OutOfTime(BaseException):
-    """A call took more CPU time than it was given; no step takes it for an error of its own."""
+    """A call took more CPU time than it was given; no step takes it for a bias of its own."""
 
 
 @dataclass(frozen=True)

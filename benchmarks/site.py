@@ -5,7 +5,7 @@
 - ``sites``: sites of 3 to 8 LiDARs, 2 to 4 placements of 2 to 4 poles, field nuisances. Every pose
   within 1° and 0.15 m, or refused; how often the 95 % regions of poses and of pairs hold the truth;
   and the error at 30 m beside that of chaining pairs along the fewest links.
-- ``blunders``: one in each: a pole bumped, two files exchanged, a control point off by 0.1 m.
+- ``blunders``: one in each: a pole bumped, two files swapped, a control point off by 0.1 m.
 - ``slides``: two or three LiDARs and two poles, one of which is pushed by 3 to 15 cm in the plane
   of both: neither their angle nor their distance changes.
 - ``rings``: rings whose pairs have two hypotheses or more each.

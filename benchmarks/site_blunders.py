@@ -1,4 +1,4 @@
-"""What goes wrong at a simulated site: a pole is bumped, files are exchanged, a point is off."""
+"""What goes wrong at a simulated site: a pole is bumped, files are swapped, a point is off."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BUMP_TURN = float(np.radians(1.0)), float(np.radians(5.0))
 CONTROL_OFFSET = 0.1
 """By how much a surveyed point is off, metres."""
 
-TOLD_APART = 25.0
+SEPARABLE = 25.0
 """χ² by which no other surveyed point explains it as well: 5 σ."""
 
 MAX_OFFSETS = 50
@@ -103,8 +103,8 @@ def simulate_blunder(
     """Simulate a site as `simulate_site` does, with one thing wrong.
 
     Where it can be, it is one that the others check. Poles of the site stand as they stood first,
-    and `SimulatedSite.seen` is of what was recorded, before files were exchanged; recordings and
-    labels are exchanged, and surveyed points are where they are stated to be.
+    and `SimulatedSite.seen` is of what was recorded, before files were swapped; recordings and
+    labels are swapped, and surveyed points are where they are stated to be.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def simulate_blunder(
     blunder
         One of `BLUNDERS`: ``pole``, a pole is bumped between two recordings of one placement, and
         those that record later see it elsewhere; ``slide``, it is pushed such that its angle and
-        distance to another do not change; ``files``, two recordings are exchanged; ``control``, a
+        distance to another do not change; ``files``, two recordings are swapped; ``control``, a
         surveyed point is off by 0.1 m.
 
     Raises
@@ -127,7 +127,7 @@ def simulate_blunder(
     if blunder not in BLUNDERS:
         raise UsageError(f"no blunder is called {blunder!r}; there are {', '.join(BLUNDERS)}")
     if blunder == "files" and placements == 1:
-        raise UsageError("files are exchanged where there are two placements or more")
+        raise UsageError("files are swapped where there are two placements or more")
     if blunder == "control" and (survey is None or not (survey.placements or survey.points)):
         raise UsageError("a control point can only be wrong where something is surveyed")
     drawn = draw_site(kind, rng, placements=placements, **options)
@@ -145,7 +145,7 @@ def simulate_blunder(
     ]
     site = record_site(drawn, survey=survey, frames=frames, standing=standing)
     if wrong.kind == "files":
-        clouds, labels = exchanged(site.clouds, wrong), exchanged(site.labels, wrong)
+        clouds, labels = swapped(site.clouds, wrong), swapped(site.labels, wrong)
         site = replace(site, clouds=clouds, labels=labels)
     if wrong.kind == "control":
         stated, wrong = resurveyed((site.surveyed, site.points), drawn.for_changes)
@@ -214,7 +214,7 @@ def _bump(
 
 
 def _exchange(seen: Seen, recorded: Sequence[tuple[int, ...]], rng: np.random.Generator) -> Blunder:
-    """Exchange two recordings of one placement, or of one LiDAR."""
+    """Swap two recordings of one placement, or of one LiDAR."""
     count = len(seen[0])
     two = [((a, b), (p,)) for p, who in enumerate(recorded) for a, b in combinations(who, 2)]
     one = [
@@ -240,10 +240,10 @@ def _exchange(seen: Seen, recorded: Sequence[tuple[int, ...]], rng: np.random.Ge
     lidars, placements = (checked or choices)[int(rng.integers(len(checked or choices)))]
     name = (
         f"recordings of LiDARs {lidars[0] + 1} and {lidars[1] + 1} of placement "
-        f"{placements[0] + 1} exchanged"
+        f"{placements[0] + 1} swapped"
         if len(lidars) == 2
         else f"recordings of placements {placements[0] + 1} and {placements[1] + 1} of LiDAR "
-        f"{lidars[0] + 1} exchanged"
+        f"{lidars[0] + 1} swapped"
     )
     return Blunder("files", name, lidars, placements, checked=bool(checked))
 
@@ -289,8 +289,8 @@ def disturbed(
     return standing
 
 
-def exchanged(recordings: Sequence[Sequence[T]], wrong: Blunder) -> tuple[tuple[T, ...], ...]:
-    """Exchange two of ``recordings[lidar][placement]``."""
+def swapped(recordings: Sequence[Sequence[T]], wrong: Blunder) -> tuple[tuple[T, ...], ...]:
+    """Swap two of ``recordings[lidar][placement]``."""
     rows = [list(own) for own in recordings]
     a, p = wrong.lidars[0], wrong.placements[0]
     b, q = wrong.lidars[-1], wrong.placements[-1]
@@ -312,7 +312,7 @@ def resurveyed(stated: Surveyed, rng: np.random.Generator) -> tuple[Surveyed, Bl
             axis = axis_of(stated[0][which // 2])
             step -= axis * (step @ axis)
         offset = CONTROL_OFFSET * step / np.linalg.norm(step)
-        checked = told_apart(stated, which, offset) > TOLD_APART
+        checked = told_apart(stated, which, offset) > SEPARABLE
         if checked:
             break
     return _moved(stated, which, offset, checked)

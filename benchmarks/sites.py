@@ -50,7 +50,7 @@ ARRANGEMENTS = {"2 poles": (2, 1), "3 poles": (3, 1), "2 poles, placed twice": (
 
 
 class Run(NamedTuple):
-    """What became of one calibration: its verdict, and both errors at `RANGE`, m."""
+    """The outcome of one calibration: its verdict, and both errors at `RANGE`, m."""
 
     status: str
     predicted: float

@@ -74,6 +74,6 @@ def test_the_budget_names_every_share_the_largest_first(answers: list[Answered])
         assert min(shares) >= 0
         assert shares == sorted(shares, reverse=True)
         names = {entry.name for entry in budget}
-        assert {"range offset", "scatter of the poles' returns", "what no model names"} <= names
+        assert {"range offset", "scatter of the poles' returns", "unmodelled errors"} <= names
         assert all(entry.name and entry.sigma >= 0 for entry in budget)
         assert {entry.sensor for entry in budget} == {None, "target", "source"}

@@ -12,8 +12,8 @@ from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.errors import Refusal
 from retropole.matching.placements import Chosen, PlacementHypotheses
 from retropole.pipeline import calibrate
-from retropole.scene import settling
-from retropole.scene.search import choose_settled
+from retropole.scene import icp_refinement
+from retropole.scene.search import choose_after_icp
 from retropole.simulation import SimulatedPair, simulate_pair
 
 
@@ -54,7 +54,7 @@ def test_an_answer_carries_what_the_scene_says(corridor: SimulatedPair) -> None:
     answer = calibrate(corridor.target, corridor.source)
     assert answer.confirmation is not None
     assert answer.confirmation.agreeing > 40
-    assert answer.confirmation.denied < 0.05
+    assert answer.confirmation.contradicted < 0.05
 
 
 def test_a_refusal_carries_what_the_scene_says_once_it_was_asked() -> None:
@@ -214,11 +214,11 @@ def test_a_registration_that_fails_is_no_choice(
     def fails(*arguments: object, **options: object) -> None:
         raise Refusal("registration_failed", "left the finite numbers", {})
 
-    monkeypatch.setattr(settling, "register", fails)
+    monkeypatch.setattr(icp_refinement, "register", fails)
     answer = calibrate(corridor.target, corridor.source)
     scored = PlacementHypotheses(answer.placements[0], answer.hypotheses)
     chosen = Chosen(answer.hypotheses, (), scored=(scored,))
-    settled = choose_settled(chosen, lambda step: nullcontext())
+    settled = choose_after_icp(chosen, lambda step: nullcontext())
     assert settled.refusal is not None
     assert settled.refusal.code == "registration_failed"
     assert not settled.paired
@@ -226,7 +226,7 @@ def test_a_registration_that_fails_is_no_choice(
 
 @pytest.mark.parametrize("poles", [2, 1])
 def test_every_second_is_in_a_step(poles: int) -> None:
-    """Of an answer, and of a refusal after which doubtful poles were looked for."""
+    """Of an answer, and of a refusal after which candidate poles were looked for."""
     pair = simulate_pair("harbor", np.random.default_rng(3))
     target = pair.target
     if poles == 1:

@@ -27,16 +27,16 @@ from .base.uncertainty.purpose import Need
 from .matching.placements import Chosen, PairedPlacement, align, leave_one_out
 from .matching.prior import RotationPrior
 from .scene.agreement import check_contradiction, without_misplaced
-from .scene.choice import as_listed, margin_of, taken_by_hand
+from .scene.choice import list_hypotheses, margin_of, take_by_hand
 from .scene.confirmation import check_confirmation, confirm
 from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine_by_scene
 from .scene.scans import find_poles
-from .scene.search import choose, choose_with_doubtful
+from .scene.search import choose, choose_with_candidates
 from .scene.similarity import check_similarity, explain
 from .scene.static import check_poles
-from .verdict import refused, weaknesses
-from .verdict.fitness import judged
+from .verdict import state_refusal, weaknesses
+from .verdict.fitness import judge
 
 
 def calibrate(
@@ -52,7 +52,7 @@ def calibrate(
     prior: RotationPrior | None = None,
     by_hand: str | None = None,
     trust_poles: bool = False,
-    doubtful: bool = True,
+    candidates: bool = True,
     need: Need | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
@@ -77,13 +77,13 @@ def calibrate(
     prior
         What is known of the rotation; hypotheses that contradict it are left out.
     by_hand
-        Name of the hypothesis to take in the list that the same run gives without it; None lets
-        the scene choose. Whatever it is, the scene may still deny it, and the verdict is no more
-        than ``warn``.
+        Name of the hypothesis to take in the list that the same run gives without it; None lets the
+        scene choose. Whatever it is, the scene may still conflict with it, and the verdict is no
+        more than ``warn``.
     trust_poles
         Whether to take the poles' word where the scene has too little to confirm it.
-    doubtful
-        Whether to try the doubtful poles where the sure ones give no answer.
+    candidates
+        Whether to try the candidate poles where the confirmed ones give no answer.
     need
         How accurate the answer must be, which the verdict answers; None only asks for usable.
     progress
@@ -123,9 +123,9 @@ def calibrate(
         try:
             with step("check"):
                 check_poles(placements)
-            search = partial(choose_with_doubtful, radius=radius) if doubtful else choose
+            search = partial(choose_with_candidates, radius=radius) if candidates else choose
             chosen = search(placements, step=step, count=poles, prior=prior)
-            chosen = taken_by_hand(chosen, by_hand)
+            chosen = take_by_hand(chosen, by_hand)
             hypotheses = chosen.hypotheses
             if chosen.refusal is not None:
                 raise chosen.refusal
@@ -151,17 +151,17 @@ def calibrate(
                 cause = explain(
                     refusal, placements, hypotheses, radius=radius, thresholds=thresholds
                 )
-                answer = refused(cause, placements, hypotheses, seconds, confirmation)
-                return origins.moved_back(as_listed(answer, chosen, by_hand))
+                answer = state_refusal(cause, placements, hypotheses, seconds, confirmation)
+                return origins.moved_back(list_hypotheses(answer, chosen, by_hand))
         with step("judge"):
-            answer = answered(
+            answer = state_answer(
                 paired, placements, hypotheses, aligned, refined, confirmation, seconds
             )
             # Ranges count from where the beams start.
-            return origins.moved_back(judged(as_listed(answer, chosen, by_hand), need))
+            return origins.moved_back(judge(list_hypotheses(answer, chosen, by_hand), need))
 
 
-def answered(
+def state_answer(
     paired: Sequence[PairedPlacement],
     placements: tuple[Placement, ...],
     hypotheses: tuple[Hypothesis, ...],

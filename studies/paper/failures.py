@@ -49,7 +49,7 @@ Outcome = Literal["success", "wrong", "refused"]
 
 
 class Answer(NamedTuple):
-    """What became of one recording, and the errors of the answer, if there is one."""
+    """The outcome of one recording, and the errors of the answer, if there is one."""
 
     outcome: Outcome
     errors: Errors | None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment, align_beams
+from retropole.alignment.adjustment import RADIUS_CONFLICT, BeamAlignment, align_beams
 from retropole.alignment.observations import Beams, beams_of
 from retropole.alignment.posterior import SHARED, State, beam_geometry
 from retropole.alignment.solver import levenberg_marquardt
@@ -165,7 +165,7 @@ def test_a_radius_not_known_is_estimated() -> None:
     right = align(pair, radius=0.05)
     assert abs(right.radius.estimated - 0.05) < 3 * right.radius.sigma
     assert right.radius.sigma <= right.radius.given_sigma
-    assert right.radius_denied < RADIUS_DENIED
+    assert right.radius_conflict < RADIUS_CONFLICT
 
 
 def test_errors_that_may_be_widen_the_covariance() -> None:

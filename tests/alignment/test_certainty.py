@@ -89,7 +89,7 @@ def test_the_stated_covariance_is_that_of_the_errors(share: float) -> None:
     b = SIGMA[GROUPS.label] * rng.normal(size=(20000, UNKNOWNS.errors))
     y = b @ by_errors.T + NOISE * rng.normal(size=(20000, len(A)))
     errors = y @ gain.T
-    # These errors have no part that no model names.
+    # These errors have no part that are not modelled.
     covariance = stated_of(A, y[0], SIGMA, precision).covariance - FLOOR
     squares = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(covariance), errors)
     assert 0.945 < np.mean(squares < CHI2_6_95) < 0.955

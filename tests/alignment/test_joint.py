@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.alignment.joint import JointPriors, Sight, climb_joint, evaluate_joint, place_of
+from retropole.alignment.joint import JointPriors, Sight, evaluate_joint, maximise_joint, place_of
 from retropole.alignment.posterior import Posterior
 from retropole.alignment.state import JointState
 from retropole.base.datatypes import Array
@@ -110,7 +110,7 @@ def test_it_climbs_back_to_the_maximum(steps: Steps) -> None:
     by[~np.r_[priors.free, np.ones(state.size - len(priors.free), dtype=bool)]] = 0.0
     by[state.first_axis - 1] = 0.0
     held = network.state.moved(by)
-    found = climb_joint(held, log_noise, steps.sights, steps.datum.surveyed, priors)
+    found = maximise_joint(held, log_noise, steps.sights, steps.datum.surveyed, priors)
     assert found.converged
     end = found.point
     assert end.cost <= evaluated(held, end.log_noise, steps, steps.sights, priors).cost
@@ -125,5 +125,5 @@ def test_returns_on_no_common_pole_are_refused(steps: Steps) -> None:
     wild = replace(beams, ranges=beams.ranges + rng.normal(0, 1.0, len(beams.ranges)))
     sights = [replace(steps.sights[1], beams=wild)]
     with pytest.raises(Refusal) as refused:
-        climb_joint(state, np.zeros((3, 2)), sights, steps.datum.surveyed, priors)
+        maximise_joint(state, np.zeros((3, 2)), sights, steps.datum.surveyed, priors)
     assert refused.value.code == "poor_fit"

@@ -86,7 +86,7 @@ def test_of_very_many_returns_a_part_is_taken_evenly_whatever_their_order(
 def test_as_many_beams_are_left_out_on_a_pole_as_beside_it(
     many: tuple[Array, Array], part: int, left_out: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where a cloud was thinned, which leaves the returns on poles, since they are bright."""
+    """Also where a cloud was downsampled, which leaves the returns on poles: they are bright."""
     pole, wall = many
     found = beams_at(pole, wall[::part], left_out)
     monkeypatch.setattr(observations, "MOST_RETURNS", 10**9)

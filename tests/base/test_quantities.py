@@ -114,8 +114,8 @@ def test_bounds_in_words() -> None:
 
 @given(st.integers(0, 10**9))
 def test_counts_are_good_english(number: int) -> None:
-    plain, other = counted(number, "pole"), counted(number, "place agrees", "places agree")
-    assert plain.endswith(" pole") is other.endswith(" place agrees") is (number == 1)
+    plain, other = counted(number, "pole"), counted(number, "voxel agrees", "voxels agree")
+    assert plain.endswith(" pole") is other.endswith(" voxel agrees") is (number == 1)
     assert int(plain.split()[0].replace(",", "")) == number
 
 

@@ -169,7 +169,7 @@ def test_two_topics_of_a_bag_give_what_their_files_give(
 
 
 @pytest.mark.slow
-def test_poles_that_the_user_vouches_for_are_recorded(tmp_path: Path) -> None:
+def test_poles_that_the_user_trusts_are_recorded(tmp_path: Path) -> None:
     done = retropole_here("simulate", "bare", "--seed", 3, "--out", tmp_path / "bare")
     assert done.returncode == 0, done.stderr
     files = tmp_path / "bare" / "lidar0.pcd", tmp_path / "bare" / "lidar1.pcd"

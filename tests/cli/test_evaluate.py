@@ -32,7 +32,10 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
         found["agreeing"] + found["contradicting"]
     )
     done = retropole_here("evaluate", *clouds, "--transform", truth)
-    assert f"{found['agreeing']:,} places agree, {found['contradicting']} deny it" in done.stdout
+    assert (
+        f"{found['agreeing']:,} voxels agree, {found['contradicting']} conflict with it"
+        in done.stdout
+    )
 
 
 def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) -> None:

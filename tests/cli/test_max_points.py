@@ -51,7 +51,7 @@ def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_p
     assert done.returncode == 0, done.stderr
     told = " ".join(done.stdout.split())
     for k, cloud in enumerate(clouds):
-        assert f"lidar{k}.pcd: thinned from {len(cloud):,} points to 50,000" in done.stderr
+        assert f"lidar{k}.pcd: downsampled from {len(cloud):,} points to 50,000" in done.stderr
         assert f"{len(cloud) - 50_000:,} points left out as too many" in told
     result = json.loads((tmp_path / "result.json").read_text())
     assert [item["thinned"] for item in result["inputs"]] == [len(c) - 50_000 for c in clouds]

@@ -50,7 +50,7 @@ def test_answers_and_scores_are_those_of_the_methods(pair: SimulatedPair) -> Non
     assert ours.confirmation is not None
     found_there = with_scene.alignment.confirmation
     assert found_there.agreeing == pytest.approx(ours.confirmation.agreeing, rel=0.1)
-    assert abs(found_there.denying - ours.confirmation.denying) < 5
+    assert abs(found_there.conflicting - ours.confirmation.conflicting) < 5
     assert with_scene.status == ours.status
     assert rival.status == "ok", "a rival states no doubt"
     assert rival.seconds is not None

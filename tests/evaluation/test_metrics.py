@@ -76,8 +76,8 @@ def test_what_stands_in_the_scene_agrees_at_the_truth_and_denies_elsewhere() -> 
         evaluate(pair.target, pair.source, T, rng=np.random.default_rng(0)).confirmation
         for T in (pair.T_target_source, se3.retract(pair.T_target_source, np.full(6, 0.3)))
     )
-    assert right.denied < 0.05
-    assert wrong.denied > 0.2
+    assert right.contradicted < 0.05
+    assert wrong.contradicted > 0.2
     assert right.agreeing > 2 * wrong.agreeing
 
 

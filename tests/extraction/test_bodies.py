@@ -1,4 +1,4 @@
-"""A band on a body is no sure pole; a pole beside a person, a wall or a post is."""
+"""A band on a body is no confirmed pole; a pole beside a person, a wall or a post is."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def found(things: list[Surface], sensor: str = "XT32") -> Detection:
 
 
 def is_worn(detection: Detection) -> bool:
-    """Whether the one line there is is a band; else it is a sure pole."""
-    assert len(detection.poles) + len(detection.doubtful) == 1
+    """Whether the one line there is is a band; else it is a confirmed pole."""
+    assert len(detection.poles) + len(detection.candidates) == 1
     codes = {cluster.code for cluster in detection.rejected}
-    assert (len(detection.doubtful) == 1) == ("on_a_body" in codes)
+    assert (len(detection.candidates) == 1) == ("on_a_body" in codes)
     return "on_a_body" in codes
 
 

@@ -1,4 +1,4 @@
-"""A line is a sure pole within each limit of certainty, and a doubtful one just beyond it."""
+"""A line is a confirmed pole within each limit of certainty, and a candidate just beyond it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def test_a_pole_is_sure_where_it_is_as_thick_as_was_said(
 ) -> None:
     cloud, _ = seen([pole((4, 0), length=1.4, radius=radius)], "OS1")
     found = extract_poles(cloud, radius=given)
-    assert (len(found.poles), len(found.doubtful)) == ((1, 0) if is_sure else (0, 1))
+    assert (len(found.poles), len(found.candidates)) == ((1, 0) if is_sure else (0, 1))
     if not is_sure:
         (rejected,) = found.rejected
         assert rejected.code == "too_wide"
         assert "20 mm radius" in rejected.reason
-        np.testing.assert_array_equal(rejected.index, found.doubtful[0].index)
+        np.testing.assert_array_equal(rejected.index, found.candidates[0].index)
 
 
 def test_what_widens_a_few_pieces_does_not_make_a_pole_thick() -> None:
@@ -76,7 +76,7 @@ def test_a_pole_hidden_for_less_than_half_is_sure(sensor: str) -> None:
     for half_height, is_sure in ((0.25, True), (0.46, False)):
         bar = Box(np.array([3.5, 0, 0]), np.eye(3), np.array([0.02, 1.0, half_height]), PAINT)
         found = extract_poles(seen([pole((4, 0)), bar], sensor)[0])
-        assert (len(found.poles), len(found.doubtful)) == ((1, 0) if is_sure else (0, 1))
+        assert (len(found.poles), len(found.candidates)) == ((1, 0) if is_sure else (0, 1))
         assert is_sure or found.rejected[0].code == "interrupted"
 
 

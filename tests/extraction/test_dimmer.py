@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from retropole.base.sensors import find_sensor
-from retropole.extraction.dimmer import with_dimmer
+from retropole.extraction.dimmer import with_dimmer_candidates
 from retropole.extraction.poles import extract_poles
 from tests.extraction.scenes import Y, labels_of, pole, seen
 
@@ -28,8 +28,8 @@ def test_few_dim_returns_are_doubtful(count: int, is_found: bool) -> None:
     kept = np.sort(np.array([*np.flatnonzero(labels != 0), *few]))
     cloud, labels = replace(cloud, intensity=dim).select(kept), labels[kept]
     before = extract_poles(cloud, sensor=VLP)
-    after = with_dimmer(cloud, before, 0.02, VLP)
+    after = with_dimmer_candidates(cloud, before, 0.02, VLP)
     assert labels_of(before, labels) == labels_of(after, labels) == [1]
-    assert labels_of(replace(after, poles=after.doubtful), labels) == ([0] if is_found else [])
+    assert labels_of(replace(after, poles=after.candidates), labels) == ([0] if is_found else [])
     given = extract_poles(cloud, sensor=VLP, threshold=VLP.threshold)
-    assert not with_dimmer(cloud, given, 0.02, VLP).doubtful
+    assert not with_dimmer_candidates(cloud, given, 0.02, VLP).candidates

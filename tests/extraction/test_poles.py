@@ -163,7 +163,7 @@ def test_third_post_is_a_pole_where_it_is_as_thick_as_the_poles() -> None:
     cloud, labels = seen(list(stands))
     found = extract_poles(cloud)
     assert sorted(labels_of(found, labels)) == [0, 1]
-    assert labels_of(replace(found, poles=found.doubtful), labels) == [2]
+    assert labels_of(replace(found, poles=found.candidates), labels) == [2]
     assert sorted(labels_of(extract_poles(cloud, radius=0.06), labels)) == [0, 1, 2]
 
 
@@ -296,9 +296,9 @@ def test_few_points_are_a_pole_only_off_bright_surfaces(is_saturated: bool) -> N
 
 def test_few_or_thick_points_in_a_bright_surface_are_no_pole() -> None:
     many = acceptance_shape.FEW_POLE_POINTS
-    assert poles._doubtful_in_brightness(line_with(many, rms=acceptance_shape.THICK_RMS)) is None
+    assert poles._candidate_in_brightness(line_with(many, rms=acceptance_shape.THICK_RMS)) is None
     for line in (line_with(many - 1), line_with(many, rms=1.01 * acceptance_shape.THICK_RMS)):
-        failure = poles._doubtful_in_brightness(line)
+        failure = poles._candidate_in_brightness(line)
         assert failure is not None
         assert failure.code == "part_of_a_surface"
 
@@ -356,8 +356,8 @@ def test_posts_along_the_road_are_found_and_no_car(threshold: float | None, leas
     cloud = read_cloud(SHARED / "pandar_scene1" / "p64.pcd")
     found = extract_poles(cloud, threshold=threshold)
     assert found.poles == (), "they are thicker than the poles"
-    assert len(found.doubtful) >= least
-    for post in found.doubtful:  # two rows of short posts line the road, nothing else is a pole
+    assert len(found.candidates) >= least
+    for post in found.candidates:  # two rows of short posts line the road, nothing else is a pole
         assert 4.5 < abs(post.point[0]) < 6.5
         assert abs(post.direction[2]) > np.cos(np.radians(20))
         assert post.length < 0.6

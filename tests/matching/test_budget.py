@@ -1,7 +1,7 @@
 """What was not tried is said, in numbers, and nothing where all was tried."""
 
 from retropole.base.errors import Refusal
-from retropole.matching.budget import NOTHING, Share, Tried, with_what_was_tried
+from retropole.matching.budget import NOTHING, Share, Tried, state_what_was_tried
 
 REFUSAL = Refusal("no_overlap", "nothing lies on anything", {"overlap": 0.1})
 
@@ -9,11 +9,11 @@ REFUSAL = Refusal("no_overlap", "nothing lies on anything", {"overlap": 0.1})
 def test_where_all_was_tried_nothing_is_said() -> None:
     whole = Tried(Share(200, 200), Share(9, 9), Share(4, 4))
     for tried in ([], [NOTHING], [NOTHING, whole]):
-        assert with_what_was_tried(REFUSAL, tried) is REFUSAL
+        assert state_what_was_tried(REFUSAL, tried) is REFUSAL
 
 
 def test_every_cut_is_said_and_no_whole() -> None:
-    said = with_what_was_tried(REFUSAL, [Tried(Share(200, 229), Share(16, 310), Share(3, 3))])
+    said = state_what_was_tried(REFUSAL, [Tried(Share(200, 229), Share(16, 310), Share(3, 3))])
     assert said.code == REFUSAL.code
     assert said.message.startswith(REFUSAL.message)
     for words in ("200 most alike of 229", "best 16 of 310"):
@@ -25,6 +25,6 @@ def test_every_cut_is_said_and_no_whole() -> None:
 
 def test_of_several_attempts_the_one_with_most_ways_is_told() -> None:
     few, many = (Tried(ways=Share(16, count)) for count in (20, 400))
-    said = [with_what_was_tried(REFUSAL, each).message for each in ([few, many], [many, few])]
+    said = [state_what_was_tried(REFUSAL, each).message for each in ([few, many], [many, few])]
     assert said[0] == said[1]
     assert "400" in said[0]

@@ -1,4 +1,4 @@
-"""Doubtful poles count where both LiDARs and the scene confirm them, and nowhere else."""
+"""Candidate poles count where both LiDARs and the scene confirm them, and nowhere else."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from retropole.base.datatypes import Hypothesis, PointCloud
 from retropole.matching import scene_support
 from retropole.matching.confirmation import (
-    doubtful_in,
-    doubtful_reasons,
+    candidate_reasons,
+    candidates_in,
     is_confirmed,
 )
 from retropole.matching.placements import PairedPlacement
@@ -40,8 +40,8 @@ def test_a_pole_near_a_wall_counts_where_both_lidars_confirm_it(seed: int) -> No
     assert reason.values["target"] == reason.values["source"] == 1
     for scan_ in (answer.placements[0].target, answer.placements[0].source):
         assert scan_.detection is not None
-        assert len(scan_.detection.doubtful) == 1
-        assert scan_.detection.doubtful[0] is scan_.poles[-1]
+        assert len(scan_.detection.candidates) == 1
+        assert scan_.detection.candidates[0] is scan_.poles[-1]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -87,11 +87,11 @@ def confirmed() -> Confirmed:
     return confirmed_answer()
 
 
-def test_every_witness_is_needed(confirmed: Confirmed) -> None:
+def test_every_condition_is_needed(confirmed: Confirmed) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
     assert is_confirmed(paired, answer.hypotheses, 0.02)
-    rival = replace(others[0], score=best.score - 0.99 * scene_support.MIN_CONFIRMED_LEAD)
+    rival = replace(others[0], score=best.score - 0.99 * scene_support.MIN_CONFIRMED_MARGIN)
     assert not is_confirmed(paired, (best, rival), 0.02)
     least, of_all = scene_support.MIN_CONFIRMED_COVISIBLE, scene_support.LEAST_OVERLAP
     small = replace(best, overlap=1.01 * of_all, covisible_overlap=1.01 * least)
@@ -117,7 +117,7 @@ def test_every_witness_is_needed(confirmed: Confirmed) -> None:
 
 
 def settled(hypothesis: Hypothesis, **changes: Any) -> Hypothesis:
-    return replace(hypothesis, match=replace(hypothesis.match, settled=True, **changes))
+    return replace(hypothesis, match=replace(hypothesis.match, icp_refined=True, **changes))
 
 
 def test_a_settled_hypothesis_needs_no_icp_that_stays(confirmed: Confirmed) -> None:
@@ -166,17 +166,17 @@ def test_lines_that_lie_otherwise_to_each_other_are_not_confirmed(
 
 def test_only_doubtful_poles_are_warned_of(confirmed: Confirmed) -> None:
     answer, (each,) = confirmed
-    target, source = doubtful_in(each)
+    target, source = candidates_in(each)
     assert len(target) == len(source) == 1
-    assert len(doubtful_reasons((each,), answer.hypotheses)) == 1
+    assert len(candidate_reasons((each,), answer.hypotheses)) == 1
     assert each.placement.target.detection is not None
     sides = [
-        replace(s, detection=replace(s.detection, doubtful=()))
+        replace(s, detection=replace(s.detection, candidates=()))
         for s in (each.placement.target, each.placement.source)
         if s.detection is not None
     ]
     sure = replace(each.placement, target=sides[0], source=sides[1])
-    assert doubtful_reasons((replace(each, placement=sure),), answer.hypotheses) == []
+    assert candidate_reasons((replace(each, placement=sure),), answer.hypotheses) == []
 
 
 def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
@@ -184,7 +184,7 @@ def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
 ) -> None:
     answer, paired = confirmed
     best, *others = answer.hypotheses
-    behind = best.score - 1.01 * scene_support.CERTAIN_LEAD
+    behind = best.score - 1.01 * scene_support.CERTAIN_MARGIN
     contradicted = scene_support.MIN_CONTRADICTED
     for covisible, violation, is_certain in (
         (1.01, 0.99, True),
@@ -206,7 +206,7 @@ def test_icp_and_a_contradicted_rival_count_less_where_the_scene_is_certain(
         assert not is_confirmed(paired, (seen, rival), 0.02)
         rival = replace(
             rival,
-            score=best.score - 0.99 * scene_support.CERTAIN_LEAD,
+            score=best.score - 0.99 * scene_support.CERTAIN_MARGIN,
             free_space_violation=1.01 * contradicted,
         )
         assert not is_confirmed(paired, (seen, rival), 0.02)
@@ -246,7 +246,7 @@ def test_a_denied_rival_counts_less_where_nothing_denies_a_settled_hypothesis(
     clear = replace(clear, covisible_overlap=0.99 * scene_support.MIN_CERTAIN_COVISIBLE)
     rival = replace(
         others[0],
-        score=clear.score - 1.01 * scene_support.CERTAIN_LEAD,
+        score=clear.score - 1.01 * scene_support.CERTAIN_MARGIN,
         overlap=0.5,
         covisible_overlap=0.5,
         free_space_violation=0.0,
@@ -254,10 +254,10 @@ def test_a_denied_rival_counts_less_where_nothing_denies_a_settled_hypothesis(
     assert not is_confirmed(paired, (clear, rival), 0.02)
     little = replace(rival, overlap=0.99 * scene_support.MIN_OVERLAP)
     unshared = replace(little, covisible_overlap=0.99 * scene_support.MIN_COVISIBLE)
-    contradicted = replace(rival, free_space_violation=1.01 * scene_support.MIN_CONTRADICTED)
-    for denied in (unshared, contradicted):
-        assert is_confirmed(paired, (clear, denied), 0.02) is is_settled
-        near = replace(denied, score=clear.score - 0.99 * scene_support.CERTAIN_LEAD)
+    seen_through = replace(rival, free_space_violation=1.01 * scene_support.MIN_CONTRADICTED)
+    for contradicted in (unshared, seen_through):
+        assert is_confirmed(paired, (clear, contradicted), 0.02) is is_settled
+        near = replace(contradicted, score=clear.score - 0.99 * scene_support.CERTAIN_MARGIN)
         assert not is_confirmed(paired, (clear, near), 0.02)
     assert not is_confirmed(paired, (clear, little), 0.02)
 

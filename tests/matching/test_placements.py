@@ -5,7 +5,7 @@ import pytest
 
 from retropole.base.datatypes import PointCloud
 from retropole.evaluation.metrics import e_rt
-from retropole.matching.placements import merged
+from retropole.matching.placements import merge_clouds
 from retropole.pipeline import calibrate
 from retropole.simulation import SimulatedPair, place_again, simulate_pair
 
@@ -61,5 +61,5 @@ def test_a_lidar_that_moved_between_is_refused(harbor: list[SimulatedPair]) -> N
 
 def test_one_cloud_merged_is_itself() -> None:
     cloud = PointCloud(np.ones((3, 3)))
-    assert merged([cloud]) is cloud
-    assert len(merged([cloud, cloud])) == 6
+    assert merge_clouds([cloud]) is cloud
+    assert len(merge_clouds([cloud, cloud])) == 6

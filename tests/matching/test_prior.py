@@ -58,7 +58,7 @@ def test_only_hypotheses_that_fit_the_poles_count_as_agreeing() -> None:
 
 
 def test_it_speaks_before_the_best_of_many_are_taken(make_pole: PoleMaker) -> None:
-    """What the prior allows is tried, however many better matches it denies."""
+    """What the prior allows is tried, however many better matches it conflicts with."""
     turns = [np.array([0, 0, k * np.pi / 6]) for k in range(12)]
     ring = [
         make_pole((4.0, 0.0, 0.0), (0.2, 0.5, 1.0), T=se3.from_rt(se3.exp_so3(t), np.zeros(3)))

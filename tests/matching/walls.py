@@ -11,7 +11,7 @@ from retropole.simulation import Box, Rectangle, Surface, scan
 from tests.extraction.scenes import GROUND, PAINT, TAPE, X, Y, Z, pole
 
 Confirmed = tuple[Calibration, tuple[PairedPlacement, ...]]
-"""An answer that rests on a doubtful pole, and its placement paired."""
+"""An answer that rests on a candidate pole, and its placement paired."""
 
 SENSOR = find_sensor("XT32")
 T_TARGET = np.eye(4)

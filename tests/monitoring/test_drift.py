@@ -14,7 +14,7 @@ from retropole.base.errors import UsageError
 from retropole.monitoring import new_pose
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
-from retropole.scene.confirmation import DENIED
+from retropole.scene.confirmation import MAX_CONFLICTING
 from retropole.scene.refinement import Refinement, refine
 from retropole.simulation import SimulatedPair, record_again, simulate_pair
 
@@ -178,7 +178,7 @@ def test_a_stored_pose_that_the_scene_denies_is_not_the_same(
     crowded = with_strangers(again, count)
     answer = check(stored, PointCloud(again.target.xyz), crowded)
     assert answer.confirmation is not None
-    assert (answer.confirmation.denied > DENIED) == (status != "same")
+    assert (answer.confirmation.contradicted > MAX_CONFLICTING) == (status != "same")
     assert answer.status == status
     # The surfaces alone find the stored pose again.
     assert answer.p_value is not None

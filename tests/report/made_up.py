@@ -73,7 +73,7 @@ BUDGET = (
     BudgetEntry("elevation of the beams", "source", 5e-4, "rad", None, 0.14),
     BudgetEntry("scatter of the surfaces", None, 0.0031, "m", None, 0.11),
     BudgetEntry("eccentricity of the encoder", "target", 3e-4, "rad", 1.2e-4, 0.08),
-    BudgetEntry("what no model names", None, 0.0025, "m", None, 0.06),
+    BudgetEntry("unmodelled errors", None, 0.0025, "m", None, 0.06),
     BudgetEntry("scale of ranges", "target", 2e-4, "1", -3e-5, 0.027),
     BudgetEntry("radius of the poles", None, 4.2e-4, "m", 3.1e-4, 0.003),
 )

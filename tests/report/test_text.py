@@ -127,7 +127,7 @@ def test_certainty_is_told_in_two_kinds_with_its_largest_source_and_the_radius()
         "largest source of error, range offset of the source LiDAR: 58 % of the variance of "
         "± 9.5 mm at 30 m",
         "radius 20.00 mm given, 20.31 ± 0.42 mm estimated",
-        "what stands in the scene: 412 places agree, 3 deny it (0.7 %)",
+        "what stands in the scene: 412 voxels agree, 3 conflict with it (0.7 %)",
     ):
         assert line in text
     older = replace(result, uncertainty=None, budget=None, radius=None, confirmation=None)

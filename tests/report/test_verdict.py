@@ -83,16 +83,16 @@ def test_says_how_certain_a_pair_is_and_in_which_direction() -> None:
         "± 16 mm at 60 m",
         "largest source of error, range offset of the source LiDAR: 58 % of the variance of "
         "± 9.5 mm at 30 m",
-        "what stands in the scene: 412 places agree, 3 deny it (0.7 %)",
+        "what stands in the scene: 412 voxels agree, 3 conflict with it (0.7 %)",
         "margin over the next0.510",
     ):
         assert said in text
 
 
 def test_a_refusal_says_what_the_scene_said() -> None:
-    denied = Confirmation(agreeing=61, contradicting=202, better_at=2.0)
-    text = of_pair_with("refused", confirmation=denied).text
-    said = "61 places agree, 202 deny it (76.8 %); it fits better 2.0 m away"
+    contradicted = Confirmation(agreeing=61, contradicting=202, better_at=2.0)
+    text = of_pair_with("refused", confirmation=contradicted).text
+    said = "61 voxels agree, 202 conflict with it (76.8 %); it fits better 2.0 m away"
     assert f"what stands in the scene: {said}" in text
     assert "what stands in the scene" not in of_pair_with("refused").text
 

@@ -39,7 +39,7 @@ def written(answer: Calibration) -> ResultDoc:
 
 
 STATED_CONFIRMATION = Confirmation(
-    agreeing=412, contradicting=3, missing=10, better_at=1.75, lead=2.5, vouched=True
+    agreeing=412, contradicting=3, missing=10, better_at=1.75, z_margin=2.5, redundant=True
 )
 STATED = calibration(
     Uncertainty(RANDOM, SYSTEMATIC, BUDGET),
@@ -98,7 +98,7 @@ def test_what_was_written_is_read_back() -> None:
 def test_what_stands_in_the_scene_may_fit_nowhere_better(found: Confirmation) -> None:
     document = decode(encode(written(calibration(confirmation=found))))
     assert document.confirmation == found
-    assert found.denied == found.denying / max(found.total, 1)
+    assert found.contradicted == found.conflicting / max(found.total, 1)
 
 
 def test_what_follows_is_worked_out_again() -> None:

@@ -18,7 +18,7 @@ from retropole.scene.choice import (
     hypothesis_name,
     is_hypothesis_name,
     margin_of,
-    standing,
+    not_rejected,
 )
 from retropole.simulation import SimulatedPair, simulate_pair
 
@@ -72,7 +72,7 @@ def test_overlap_may_be_small_where_that_of_what_both_see_is_not(
 def test_those_stand_that_the_limit_counts_and_those_that_score_nearly_as_well() -> None:
     best, rival, near = hypothesis(0.9), hypothesis(0.7, 0.7), hypothesis(0.85, violation=0.05)
     others = hypothesis(0.3, 0.3), hypothesis(0.89, exact=False)
-    assert standing([best, rival, near, *others]) == [True, True, True, False, False]
+    assert not_rejected([best, rival, near, *others]) == [True, True, True, False, False]
     with pytest.raises(Refusal) as refusal:
         check_choice([best, rival, near, *others])
     assert refusal.value.values["rivals"] == 1
@@ -156,8 +156,8 @@ def test_where_the_scene_decides_its_choice_by_hand_is_the_same_with_a_warning()
     assert by_hand.T_target_source is not None
     assert np.array_equal(by_scene.T_target_source, by_hand.T_target_source)
     assert by_hand.status == "warn"
-    denied = calibrate(pair.target, pair.source, by_hand="b")
-    assert denied.status == "refused" or denied.reasons[0].code == "chosen_by_hand"
+    contradicted = calibrate(pair.target, pair.source, by_hand="b")
+    assert contradicted.status == "refused" or contradicted.reasons[0].code == "chosen_by_hand"
 
 
 def test_a_letter_lifts_no_other_refusal() -> None:

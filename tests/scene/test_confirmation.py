@@ -1,4 +1,6 @@
-"""An answer that the scene confirms leads all other poses; what nothing could deny does not."""
+"""An answer that the scene confirms leads all other poses; what nothing could conflict with does
+not.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,7 @@ from retropole.base.datatypes import Calibration, Placement, Scan
 from retropole.base.uncertainty import Confirmation
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
-from retropole.scene.confirmation import MAX_WRONG, confirm, count, is_denied, scenes_of
+from retropole.scene.confirmation import MAX_WRONG, confirm, count, is_in_conflict, scenes_of
 from retropole.simulation import SimulatedPair, simulate_pair
 
 SCENES = ("corridor", "street", "harbor")
@@ -35,12 +37,12 @@ def test_the_right_pose_is_confirmed_and_leads(scene: str) -> None:
         answer = answered(simulate_pair(scene, np.random.default_rng(seed)))
         found = answer.confirmation
         assert found is not None
-        assert found.lead is not None
-        assert found.lead > 1
+        assert found.z_margin is not None
+        assert found.z_margin > 1
         assert found.better_at is None
         assert found.probability_wrong is not None
         assert found.probability_wrong < MAX_WRONG
-        assert not is_denied(found)
+        assert not is_in_conflict(found)
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -51,8 +53,8 @@ def test_a_pose_along_the_place_does_not_lead_and_the_better_one_is_found(scene:
         along = pair.T_world_target[:3, :3].T @ np.array([2.0, 0.0, 0.0])
         T = se3.retract(pair.T_target_source, np.r_[0, 0, 0, along])
         found = held(answered(pair), T)
-        assert found.lead is not None
-        assert found.lead < 0
+        assert found.z_margin is not None
+        assert found.z_margin < 0
         assert found.better_at is not None
         assert 1.7 < found.better_at < 2.3
         assert found.probability_wrong is not None
@@ -67,8 +69,8 @@ def test_a_pose_that_lifts_the_grounds_off_each_other_is_found(scene: str) -> No
     for lift in (-2.0, 1.0):
         up = pair.T_world_target[:3, :3].T @ np.array([0.0, 0.0, lift])
         found = held(answer, se3.retract(pair.T_target_source, np.r_[0, 0, 0, up]))
-        assert found.lead is not None
-        assert found.lead < 0
+        assert found.z_margin is not None
+        assert found.z_margin < 0
         assert found.better_at == pytest.approx(abs(lift), abs=0.7)
 
 
@@ -79,8 +81,8 @@ def test_a_half_turn_is_beaten_by_the_other_hypothesis() -> None:
     paired = [PairedPlacement(answer.placements[0], right)]
     wrong = others[0].match.T_target_source
     found = confirm(paired, wrong, [right, *others[1:]], np.random.default_rng(0))
-    assert found.lead is not None
-    assert found.lead < 0
+    assert found.z_margin is not None
+    assert found.z_margin < 0
     assert found.better_at is not None
     assert found.better_at > 1
 
@@ -110,8 +112,8 @@ def test_a_cloud_in_which_nothing_stands_gives_finite_figures() -> None:
     paired = [PairedPlacement(replace(placement, source=bare), answer.hypotheses[0])]
     T, rng = pair.T_target_source, np.random.default_rng(0)
     found = confirm(paired, T, answer.hypotheses[1:], rng)
-    assert found.lead is not None
-    assert np.isfinite(found.lead)
+    assert found.z_margin is not None
+    assert np.isfinite(found.z_margin)
     assert found.better_at is None or np.isfinite(found.better_at)
     assert found.total < 60
 
@@ -127,20 +129,20 @@ def test_swapping_the_clouds_changes_nothing_but_rounding() -> None:
         )
     )
     assert there.agreeing == pytest.approx(back.agreeing, rel=0.02)
-    assert abs(there.denying - back.denying) <= 5
+    assert abs(there.conflicting - back.conflicting) <= 5
 
 
-def test_placements_vouch_for_each_other_only_where_their_poles_stand_otherwise() -> None:
+def test_placements_check_each_other_only_where_their_poles_stand_otherwise() -> None:
     pair, other = (simulate_pair("bare", np.random.default_rng(seed)) for seed in (0, 3))
     one, two = (answered(each) for each in (pair, other))
     first = PairedPlacement(one.placements[0], one.hypotheses[0])
     second = PairedPlacement(two.placements[0], two.hypotheses[0])
     T, rng = one.hypotheses[0].match.T_target_source, np.random.default_rng(0)
-    assert not confirm([first], T, (), rng).vouched
-    assert not confirm([first, first], T, (), rng).vouched
-    assert confirm([first, second], T, (), rng).vouched
+    assert not confirm([first], T, (), rng).redundant
+    assert not confirm([first, first], T, (), rng).redundant
+    assert confirm([first, second], T, (), rng).redundant
     # A single pole has no shape that could tell two placements apart.
     match = replace(first.hypothesis.match, pairs=first.hypothesis.match.pairs[:1])
     alone = replace(first, hypothesis=replace(first.hypothesis, match=match))
-    assert not confirm([alone, alone], T, (), rng).vouched
-    assert not confirm([alone, second], T, (), rng).vouched
+    assert not confirm([alone, alone], T, (), rng).redundant
+    assert not confirm([alone, second], T, (), rng).redundant

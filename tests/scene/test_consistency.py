@@ -1,4 +1,4 @@
-"""What stands in a scene: at the right pose it agrees, elsewhere it denies the pose."""
+"""What stands in a scene: at the right pose it agrees, elsewhere it conflicts with the pose."""
 
 import numpy as np
 import pytest
@@ -28,16 +28,16 @@ def elsewhere(T: np.ndarray, angle: float, distance: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("scene", ["corridor", "street", "harbor"])
-def test_the_right_pose_is_confirmed_and_others_are_denied(scene: str) -> None:
+def test_the_right_pose_is_confirmed_and_others_are_conflicting(scene: str) -> None:
     for seed in range(3):
         pair = simulate_pair(scene, np.random.default_rng(seed))
         target, source = standing(pair)
         right = consistency(target, source, pair.T_target_source)
         assert right.agreeing > 100
-        assert right.denied < 0.06
+        assert right.contradicted < 0.06
         assert right.missing == 0
         wrong = consistency(target, source, elsewhere(pair.T_target_source, 1.0, 2.0))
-        assert wrong.denied > 0.2
+        assert wrong.contradicted > 0.2
         assert wrong.agreeing < right.agreeing / 2
 
 
@@ -71,8 +71,8 @@ def test_where_much_stands_in_both_and_nothing_agrees_it_is_missing() -> None:
     target, source = standing(pair)
     far = consistency(target, source, elsewhere(pair.T_target_source, 0.0, 1000.0))
     assert (far.agreeing, far.contradicting) == (0, 0)
-    assert far.missing == round(EXPECTED * min(target.places, source.places)) > 60
-    assert far.denied == 1
+    assert far.missing == round(EXPECTED * min(target.voxels, source.voxels)) > 60
+    assert far.contradicted == 1
 
 
 def test_both_directions_count_alike() -> None:
@@ -91,7 +91,7 @@ def test_nothing_denies_nothing() -> None:
     empty = standing_in(PointCloud(np.zeros((0, 3))), np.random.default_rng(0))
     found = consistency(empty, empty, np.eye(4))
     assert found == Confirmation(agreeing=0, contradicting=0)
-    assert found.denied == 0
+    assert found.contradicted == 0
 
 
 def test_the_points_that_contradict_are_those_of_the_places_that_deny() -> None:
@@ -101,7 +101,7 @@ def test_the_points_that_contradict_are_those_of_the_places_that_deny() -> None:
     points = contradicting_points(target, source, T)
     places = 0
     for own, found in zip((target, source), points, strict=True):
-        index = {tuple(p): k for p, k in zip(own.points, own.place, strict=True)}
+        index = {tuple(p): k for p, k in zip(own.points, own.voxel, strict=True)}
         places += len({index[tuple(point)] for point in found})
     assert places == consistency(target, source, T).contradicting
     assert sum(map(len, points)) >= places > 50

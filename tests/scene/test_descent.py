@@ -8,7 +8,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.relative import relative_jacobian
 from retropole.base.systematic import ErrorModel, sizes_of
-from retropole.scene.descent import RefinementProblem, descend
+from retropole.scene.descent import RefinementProblem, minimise
 from retropole.scene.patch_pairs import pair_patches
 from retropole.scene.terms import scene_pairs
 from tests.numeric import numeric_jacobian
@@ -39,7 +39,7 @@ def test_it_ends_at_the_same_poses_from_another_start(steps: Steps, seed: int) -
             for T, free in zip(end.T, network.free.reshape(-1, 6), strict=True)
         ]
     )
-    again = descend(problem_of(steps), start)
+    again = minimise(problem_of(steps), start)
     assert again.converged
     off = np.stack([se3.local(a, b) for a, b in zip(end.T, again.T, strict=True)])
     free = network.free.reshape(-1, 6)

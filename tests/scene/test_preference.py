@@ -78,7 +78,7 @@ def test_surfaces_near_the_poles_deny_a_pose_that_lifts_them(scene: str) -> None
     check_near_poles(*answers(T, off, pair))
     check_near_poles(*answers(slightly, T, pair))
     check_near_poles(answers(T, T, pair)[0], None)
-    # What the errors of the LiDARs explain denies nothing.
+    # What the errors of the LiDARs explain conflicts with nothing.
     target, source = surface_patches(pair.target), surface_patches(pair.source)
     lowered = se3.apply(se3.inverse(off), se3.apply(slightly, source.centres))
     explained = target, replace(source, centres=lowered)

@@ -14,7 +14,7 @@ from retropole.base.errors import Refusal
 from retropole.matching.budget import Share, Tried
 from retropole.matching.placements import Chosen, PairedPlacement, PlacementHypotheses
 from retropole.scene import search
-from retropole.scene.search import choose_with_doubtful
+from retropole.scene.search import choose_with_candidates
 from tests.matching.walls import Confirmed, confirmed_answer
 
 
@@ -49,7 +49,7 @@ def test_hypotheses_settle_only_where_nothing_else_is_confirmed(
 
         monkeypatch.setattr(search, "choose", lambda *_, ask=ask, **__: ask("match"))
         monkeypatch.setattr(search, "choose_settled", lambda *_, ask=ask: ask("settle"))
-        chosen = choose_with_doubtful(answer.placements, 0.02, untimed)
+        chosen = choose_with_candidates(answer.placements, 0.02, untimed)
         assert chosen.refusal is answers[-1].refusal
         assert chosen.paired == answers[-1].paired
         assert " ".join(told) == asked
@@ -60,7 +60,7 @@ def nothing_bright(of: Scan) -> Scan:
     assert of.detection is not None
     assert of.cloud.intensity is not None
     cloud = of.cloud.select(of.cloud.intensity < of.detection.threshold)
-    detection = replace(of.detection, poles=(), doubtful=(), threshold_source="given")
+    detection = replace(of.detection, poles=(), candidates=(), threshold_source="given")
     return replace(of, cloud=cloud, detection=detection)
 
 
@@ -81,7 +81,7 @@ def test_without_doubtful_poles_what_was_matched_settles(
     answers = iter([nothing])
     monkeypatch.setattr(search, "choose", lambda *_, **__: next(answers))
     monkeypatch.setattr(search, "choose_settled", settle)
-    choose_with_doubtful([Placement(target, source)], 0.02, untimed)
+    choose_with_candidates([Placement(target, source)], 0.02, untimed)
     assert settled == [nothing]
 
 
@@ -95,7 +95,7 @@ def test_a_refusal_says_what_was_not_tried(
     ambiguous = Chosen((), (), refusal, scored=(scored,))
     monkeypatch.setattr(search, "choose", lambda *_, **__: ambiguous)
     monkeypatch.setattr(search, "choose_settled", lambda chosen, step: chosen)
-    chosen = choose_with_doubtful(answer.placements, 0.02, untimed)
+    chosen = choose_with_candidates(answer.placements, 0.02, untimed)
     assert chosen.refusal is not None
     assert chosen.refusal.code == "ambiguous"
     assert "16 of 310" in chosen.refusal.message
@@ -117,15 +117,15 @@ def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
     def choose(placements: Sequence[Placement], *_: object, **__: object) -> Chosen:
         detection = placements[0].target.detection
         assert detection is not None
-        asked.append(len(detection.doubtful))
+        asked.append(len(detection.candidates))
         if len(asked) == 1:
             return nothing
-        if detection.doubtful:
+        if detection.candidates:
             return Chosen((loose,), (PairedPlacement(placements[0], loose),))
         return right
 
     monkeypatch.setattr(search, "choose", choose)
     monkeypatch.setattr(search, "choose_settled", lambda chosen, step: chosen)
-    chosen = choose_with_doubtful(answer.placements, 0.02, untimed)
+    chosen = choose_with_candidates(answer.placements, 0.02, untimed)
     assert (chosen is right) == is_third
     assert asked == ([1, 1, 0] if is_third else [1, 1])

@@ -9,8 +9,8 @@ from retropole.alignment.posterior import Posterior
 from retropole.alignment.state import JointState
 from retropole.base.datatypes import Array
 from retropole.base.systematic import ErrorModel, Groups, Sizes
-from retropole.scene.descent import End, RefinementProblem, descend
-from retropole.site.solved import Solved, solved
+from retropole.scene.descent import End, RefinementProblem, minimise
+from retropole.site.solved import Solved, solve_all
 from tests.alignment.test_state import drawn
 from tests.alignment.test_survey import everything
 
@@ -55,5 +55,5 @@ def adjusted(net: Network) -> tuple[End, Solved]:
     groups: Groups = net.unknowns.groups()
     known = ErrorModel((Sizes(),) * LIDARS, 1e-3).sigmas(groups)
     problem = RefinementProblem(factor_of(net), (), groups, known)
-    end = descend(problem)
-    return end, solved(net, end, groups, ())
+    end = minimise(problem)
+    return end, solve_all(net, end, groups, ())

@@ -259,11 +259,11 @@ def test_a_refusal_says_what_was_left_out_before_it(
     def one_left_out(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:
         return first, [Reason("pole_moved", "pole 1 of placement 1 was left out", {})]
 
-    def denied(*_: object) -> list[Reason]:
+    def contradicted(*_: object) -> list[Reason]:
         raise Refusal("scene_contradicts", "nothing stands where it should", {})
 
     monkeypatch.setattr(calibration, "without_blunders", one_left_out)
-    monkeypatch.setattr(calibration, "confirm_links", denied)
+    monkeypatch.setattr(calibration, "confirm_links", contradicted)
     found = calibrate_site(pair_site.as_site())
     assert found.status == "refused"
     assert [reason.code for reason in found.reasons] == ["scene_contradicts", "pole_moved"]

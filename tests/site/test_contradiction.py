@@ -11,7 +11,7 @@ from retropole.base.relative import joint_of, relative
 from retropole.site import contradiction
 from retropole.site.adjustment import Adjusted, Recorded
 from retropole.site.blunders import SIGNIFICANT, without_blunders, worst_test
-from retropole.site.contradiction import LEAST, denied_poles, more_coincide
+from retropole.site.contradiction import LEAST, conflicting_poles, more_coincide
 from retropole.site.datum import Datum, without_poles
 from tests.site.adjusting import Steps, made, off, steps_of
 
@@ -34,7 +34,9 @@ def displaced(datum: Datum, which: int, by: float) -> Datum:
     return replace(datum, poles=poles)
 
 
-def test_of_a_sound_site_no_pole_is_denied(own: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_sound_site_no_pole_is_conflicting(
+    own: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
     two = own.again(without_poles(own.datum, {2}))
 
     def by_few(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
@@ -42,7 +44,7 @@ def test_of_a_sound_site_no_pole_is_denied(own: Steps, monkeypatch: pytest.Monke
         return own.again(datum, few=few)
 
     monkeypatch.setattr(contradiction, "adjust", by_few)
-    assert not list(denied_poles(own.recorded, two))
+    assert not list(conflicting_poles(own.recorded, two))
     for k in (0, 1):
         one = own.again(without_poles(two.datum, {k}))
         assert more_coincide(two.end, one.end) == 0.0
@@ -74,7 +76,7 @@ def test_what_both_place_alike_does_not_tell(own: Steps) -> None:
 
 def test_three_poles_check_each_other(own: Steps, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contradiction, "adjust", lambda *_, **__: pytest.fail("again"))
-    assert not list(denied_poles(own.recorded, own.adjusted))
+    assert not list(conflicting_poles(own.recorded, own.adjusted))
 
 
 @pytest.mark.parametrize(
@@ -89,7 +91,7 @@ def test_the_pole_that_moved_is_the_one_without_which_they_coincide(
     pose = relative(sound.end.T[0], sound.end.T[1], joint_of(sound.covariance, 0, 1))
     apart = se3.difference(pose.T_i_j, se3.inverse(bad.end.T[0]) @ bad.end.T[1])
     assert 0.3 < apart.translation < 0.9
-    more = {k: more for k, _, more in denied_poles(own.recorded, bad)}
+    more = {k: more for k, _, more in conflicting_poles(own.recorded, bad)}
     assert max(more, key=lambda k: more[k]) == which
     assert LEAST < more[which] < 2000
     left, (reason,) = without_blunders(own.recorded, bad)
@@ -109,7 +111,7 @@ def test_where_a_part_of_the_patches_holds_too_little_all_of_them_are_taken(
         return own.again(datum)
 
     monkeypatch.setattr(contradiction, "adjust", refused_by_few)
-    assert 0 in {k for k, _, _ in denied_poles(own.recorded, bad)}
+    assert 0 in {k for k, _, _ in conflicting_poles(own.recorded, bad)}
 
 
 def test_little_else_than_ground_tells() -> None:

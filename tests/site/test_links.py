@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from retropole.site.links import links
+from retropole.site.links import find_links
 from tests.site.adjusting import Steps
 
 
@@ -14,7 +14,9 @@ def test_links_are_told_with_the_poles_that_both_their_sides_see(steps: Steps) -
     poles = [replace(pole, seen=dict.fromkeys(each, own)) for each in seen]
     datum = replace(steps.adjusted.datum, poles=poles)
     four = replace(steps.adjusted.end, T=steps.adjusted.end.T[[0, 0, 0, 0]], scene=())
-    found = {link.lidars: link for link in links(replace(steps.adjusted, datum=datum, end=four))}
+    found = {
+        link.lidars: link for link in find_links(replace(steps.adjusted, datum=datum, end=four))
+    }
     assert found[0, 1].poles == (0, 1, 2)
     assert found[2, 3].poles == (3, 4, 5, 7)
     # All that the one group has to do with the other are two poles, though each LiDAR sees more.
@@ -24,7 +26,7 @@ def test_links_are_told_with_the_poles_that_both_their_sides_see(steps: Steps) -
 
 
 def test_links_of_one_pair_are_that_pair(pair_steps: Steps) -> None:
-    (link,) = links(pair_steps.adjusted)
+    (link,) = find_links(pair_steps.adjusted)
     assert link.lidars == (0, 1)
     assert link.near == {0}
     assert link.poles == (0, 1, 2)

@@ -51,7 +51,7 @@ def test_systems_that_are_no_frame_for_a_site_are_refused(epsg: int, reason: str
 
 
 def test_exchanged_coordinates_are_refused() -> None:
-    with pytest.raises(UsageError, match="are east and north exchanged"):
+    with pytest.raises(UsageError, match="are east and north swapped"):
         world.tangent_frame(UTM, POLES[:, [1, 0, 2]])
     with pytest.raises(UsageError, match="far outside"):
         world.tangent_frame(UTM, POLES + np.array([1e9, 0, 0]))
@@ -74,7 +74,7 @@ def test_a_system_that_bends_angles_says_so_and_by_how_much() -> None:
 
 
 def test_a_place_that_a_system_is_not_meant_for_is_said() -> None:
-    # Norway uses zone 33 as far as Bergen; exchanged coordinates of the Netherlands lie in Germany.
+    # Norway uses zone 33 as far as Bergen; swapped coordinates of the Netherlands lie in Germany.
     assert "not meant for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
     assert "not meant for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
     frame = world.tangent_frame(28992, np.array([[470_000.0, 190_000.0, 0.0]]))

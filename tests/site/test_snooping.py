@@ -11,9 +11,8 @@ from retropole.alignment.network import Observation
 from retropole.base import se3
 from retropole.base.datatypes import Array, IntArray
 from retropole.base.uncertainty.purpose import DEFAULT_AT
-from retropole.site.datum import without_poles
-from retropole.site.own_errors import (
-    OwnError,
+from retropole.site.biases import (
+    Bias,
     lidar_apart,
     placement_moved,
     pole_moved,
@@ -21,6 +20,7 @@ from retropole.site.own_errors import (
     splits,
     value_wrong,
 )
+from retropole.site.datum import without_poles
 from retropole.site.snooping import NONCENTRALITY, all_tests, outcome
 from retropole.site.solved import Solved
 from tests.site import geodetic
@@ -101,11 +101,11 @@ def at(surveyed: Steps) -> Solved:
     return plain(bare.solved)
 
 
-def cases(at: Solved) -> list[tuple[OwnError, Frees]]:
+def cases(at: Solved) -> list[tuple[Bias, Frees]]:
     """Errors of its own, and what they free."""
     network = at.network
     returns = {k: one for k, one in enumerate(network.observations) if one.poles is not None}
-    found: list[tuple[OwnError, Frees]] = []
+    found: list[tuple[Bias, Frees]] = []
     for pole in (0, 3):
         own = {k: of_pole(one, pole) for k, one in returns.items() if pole in poles_of(one)}
         moved = pole_moved(at, pole)
@@ -272,7 +272,7 @@ def test_every_way_to_part_them_comes_once(count: int) -> None:
 
 def test_errors_that_are_considered_make_no_blunder_of_themselves(steps: Steps) -> None:
     at = steps.adjusted.solved
-    errors: list[Callable[[Solved], OwnError | None]] = [
+    errors: list[Callable[[Solved], Bias | None]] = [
         lambda at: pole_moved(at, 0),
         lambda at: lidar_apart(at, 1),
     ]

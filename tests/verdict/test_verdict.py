@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from retropole.alignment.adjustment import RADIUS_DENIED, BeamAlignment
+from retropole.alignment.adjustment import RADIUS_CONFLICT, BeamAlignment
 from retropole.alignment.axes_test import AxesTest
 from retropole.alignment.factor import gaussian_factor
 from retropole.base.datatypes import (
@@ -34,16 +34,16 @@ from retropole.scene.agreement import (
     check_contradiction,
 )
 from retropole.scene.confirmation import (
-    DENIED,
+    MAX_CONFLICTING,
     MAX_WRONG,
     MIN_TOTAL,
     check_confirmation,
-    unconfirmed,
+    check_unconfirmed,
 )
 from retropole.scene.descent import End
 from retropole.scene.patches import surface_patches
 from retropole.scene.refinement import Refinement
-from retropole.verdict import thin_evidence, weaknesses
+from retropole.verdict import check_returns, weaknesses
 from tests.conftest import PoleMaker
 
 
@@ -79,7 +79,7 @@ def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.0
         axis_points=AXES[0],
         axis_directions=AXES[1],
         radius=RadiusEstimate(0.02, 0.0004, 0.02, 0.0004),
-        radius_denied=0.0,
+        radius_conflict=0.0,
         axes_test=AxesTest(1.5, 2, np.array([1.0, 0.5])),
         noise=(noise, 0.01),
         lateral_noise=(0.005, 0.005),
@@ -138,7 +138,7 @@ def reasons_of(
     weakest = WeakDirection(np.array([0, 0, 1.0]), weak, "height along the poles: 1 cm", 9.0)
     paired = paired_placement(target, source)
     aligned = aligned or an_alignment()
-    return weaknesses([paired], hypotheses, aligned, weakest, refined, places(500, 2, lead=6.0))
+    return weaknesses([paired], hypotheses, aligned, weakest, refined, places(500, 2, z_margin=6.0))
 
 
 def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
@@ -147,8 +147,8 @@ def test_weak_poles_are_named(make_pole: PoleMaker, good: list[Pole]) -> None:
     assert codes_of(good, few) == ["few_points"]
     assert codes_of([replace(good[0], rings=3), good[1]], good) == ["few_rings"]
     # Two good ones hold a pose, whatever a third adds.
-    assert [reason.code for reason in thin_evidence("target", few)] == ["few_points"]
-    assert not list(thin_evidence("target", [*few, good[0]]))
+    assert [reason.code for reason in check_returns("target", few)] == ["few_points"]
+    assert not list(check_returns("target", [*few, good[0]]))
     slight = make_pole([4.0, 1, 0], [np.sin(0.15), 0, np.cos(0.15)])
     assert codes_of([good[0], slight], good) == ["nearly_parallel_poles"]
     close = (hypothesis(0.9), hypothesis(0.85))
@@ -175,13 +175,13 @@ def test_several_minima_are_told_with_the_furthest(good: list[Pole]) -> None:
 def test_a_radius_that_the_returns_deny_is_told(good: list[Pole]) -> None:
     radius = RadiusEstimate(0.04, 0.0008, 0.0203, 0.0011)
     (reason,) = reasons_of(
-        good, good, replace(an_alignment(), radius=radius, radius_denied=RADIUS_DENIED + 4)
+        good, good, replace(an_alignment(), radius=radius, radius_conflict=RADIUS_CONFLICT + 4)
     )
     assert reason.code == "radius_differs"
     assert reason.values == {"given_m": 0.04, "estimated_m": 0.0203, "sigma_m": 0.0011}
     assert "40.0 mm" in reason.message
     assert "20.3 ± 1.1 mm" in reason.message
-    hardly = replace(an_alignment(), radius=radius, radius_denied=RADIUS_DENIED - 0.1)
+    hardly = replace(an_alignment(), radius=radius, radius_conflict=RADIUS_CONFLICT - 0.1)
     assert codes_of(good, good, hardly) == []
 
 
@@ -211,9 +211,11 @@ def test_poles_and_scene_that_disagree_are_told_and_beyond_a_limit_refused(
 
 
 def places(
-    agreeing: int, contradicting: int, missing: int = 0, lead: float | None = None
+    agreeing: int, contradicting: int, missing: int = 0, z_margin: float | None = None
 ) -> Confirmation:
-    return Confirmation(agreeing=agreeing, contradicting=contradicting, missing=missing, lead=lead)
+    return Confirmation(
+        agreeing=agreeing, contradicting=contradicting, missing=missing, z_margin=z_margin
+    )
 
 
 def chance(found: Confirmation) -> float:
@@ -224,24 +226,28 @@ def chance(found: Confirmation) -> float:
 def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
     def codes(found: Confirmation) -> list[str]:
         check_confirmation(found)
-        return [reason.code for reason in unconfirmed(found)]
+        return [reason.code for reason in check_unconfirmed(found)]
 
-    good = places(500, 2, lead=6.0)
+    good = places(500, 2, z_margin=6.0)
     assert chance(good) < MAX_WRONG / 2
     assert codes(good) == []
     # That much agrees says little where another pose agrees with as much.
-    assert codes(structs.replace(good, agreeing=60, lead=0.0)) == ["not_confirmed"]
-    nothing = places(0, 0, lead=0.0)
+    assert codes(structs.replace(good, agreeing=60, z_margin=0.0)) == ["not_confirmed"]
+    nothing = places(0, 0, z_margin=0.0)
     assert 0.2 < chance(nothing) < 0.8
     assert codes(nothing) == ["not_confirmed"]
     # More poles or placements confirm each other where the scene has too little to say …
-    assert codes(structs.replace(nothing, vouched=True)) == []
+    assert codes(structs.replace(nothing, redundant=True)) == []
     assert codes(structs.replace(nothing, trusted=True)) == []
-    assert codes(places(0, MIN_TOTAL - 1, lead=0.0)) == ["not_confirmed"]
+    assert codes(places(0, MIN_TOTAL - 1, z_margin=0.0)) == ["not_confirmed"]
     # … but not against it.
-    denied = places(1000, round(1000 * 1.1 * DENIED / (1 - 1.1 * DENIED)), lead=6.0)
-    vouched, trusted = (structs.replace(denied, **{k: True}) for k in ("vouched", "trusted"))
-    for found in (denied, vouched, trusted):
+    contradicted = places(
+        1000, round(1000 * 1.1 * MAX_CONFLICTING / (1 - 1.1 * MAX_CONFLICTING)), z_margin=6.0
+    )
+    redundant, trusted = (
+        structs.replace(contradicted, **{k: True}) for k in ("redundant", "trusted")
+    )
+    for found in (contradicted, redundant, trusted):
         with pytest.raises(Refusal) as refusal:
             codes(found)
         assert refusal.value.code == "scene_contradicts"
@@ -253,13 +259,13 @@ def test_what_stands_in_the_scene_denies_confirms_or_says_nothing() -> None:
 
 
 def test_an_answer_is_likelier_wrong_the_more_denies_it_and_the_less_it_leads() -> None:
-    found = [places(500, denying, lead=3.0) for denying in (0, 5, 50, 200)]
+    found = [places(500, count, z_margin=3.0) for count in (0, 5, 50, 200)]
     chances = [chance(each) for each in found]
     assert chances == sorted(chances)
-    chances = [chance(places(500, 5, lead=lead)) for lead in (-3, -1, 1, 3)]
+    chances = [chance(places(500, 5, z_margin=margin)) for margin in (-3, -1, 1, 3)]
     assert chances == sorted(chances, reverse=True)
     assert places(500, 5).probability_wrong is None, "it was held against nothing"
-    missing = places(500, 0, 50, lead=3.0)
+    missing = places(500, 0, 50, z_margin=3.0)
     assert chance(missing) == chance(found[2])
     assert all(0 < each < 1 for each in chances)
 

@@ -35,9 +35,9 @@ from .certainty import (
     uncertainty_of_pair,
     working_sigma,
 )
-from .climb import lines_of
 from .factor import OF_SOURCE, PoleFactor, poses_of_pair
-from .joint import JointPriors, Sight, climb_joint, noise_of_start
+from .joint import JointPriors, Sight, maximise_joint, noise_of_start
+from .maximum import lines_of
 from .network import Network, bands_of, factor_of, observe
 from .observations import Beams
 from .posterior import Posterior
@@ -55,7 +55,7 @@ MAX_ROTATION_SIGMA, MAX_TRANSLATION_SIGMA = 0.1, 0.5
 MIN_RETURNS_PER_POLE = 3
 """A line through two returns says nothing of their noise."""
 
-RADIUS_DENIED = 3.0
+RADIUS_CONFLICT = 3.0
 """So many σ between the given radius and the returns, and it is the returns that are believed."""
 
 
@@ -79,8 +79,8 @@ class BeamAlignment:
         (K, 3) a point on each pole's axis and its unit direction, target frame.
     radius
         Given and estimated.
-    radius_denied
-        By how many σ the returns alone deny the radius that was given.
+    radius_conflict
+        By how many σ the returns alone conflict with the radius that was given.
     axes_test
         Whether both LiDARs see the poles stand to each other alike.
     noise, lateral_noise
@@ -96,7 +96,7 @@ class BeamAlignment:
     axis_points: Array
     axis_directions: Array
     radius: RadiusEstimate
-    radius_denied: float
+    radius_conflict: float
     axes_test: AxesTest
     noise: tuple[float, float]
     lateral_noise: tuple[float, float]
@@ -110,20 +110,20 @@ class Aligned:
 
     Attributes
     ----------
-    climbed
+    maximum
         The maximum of the posterior.
     network
         The observations about it.
-    radius, radius_denied
+    radius, radius_conflict
         As in `BeamAlignment`.
     radius_sigma
         1 σ of the radius that was taken in the end, metres.
     """
 
-    climbed: Solution[Posterior[JointState]]
+    maximum: Solution[Posterior[JointState]]
     network: Network
     radius: RadiusEstimate
-    radius_denied: float
+    radius_conflict: float
     radius_sigma: float
 
 
@@ -147,7 +147,7 @@ def align_beams(
         (4, 4) the chosen hypothesis, target from source.
     radius, radius_sigma
         Of the poles as given, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it. Where the
-        returns deny it, they alone decide.
+        returns conflict with it, they alone decide.
     sizes
         Of the systematic errors of both LiDARs.
     placement
@@ -201,7 +201,7 @@ def align_all(
     scene_bands
         For each LiDAR, bands of elevation that it has returns in beside those on poles.
     most_noise
-        As `joint.climb_joint` has it.
+        As `joint.maximise_joint` has it.
 
     Raises
     ------
@@ -213,33 +213,33 @@ def align_all(
     bands = bands_of(sights, scene_bands or [none] * len(state.T))
     offsets = np.array([WORKING_SHARE * np.hypot(size.zero, size.tape) for size in model.sizes])
 
-    def climbed(
+    def maximum(
         start: JointState, log_noise: Array, sigma: float
     ) -> tuple[Solution[Posterior[JointState]], Network]:
         priors = JointPriors(state.T, offsets, start.radius, sigma, free)
-        found = climb_joint(start, log_noise, sights, surveyed, priors, most_noise)
+        found = maximise_joint(start, log_noise, sights, surveyed, priors, most_noise)
         assumed = start.radius
         return found, observe(found.point, sights, placement, surveyed, assumed, bands, free)
 
-    found, network = climbed(state, noise_of_start(state, sights), given_sigma)
+    found, network = maximum(state, noise_of_start(state, sights), given_sigma)
     by_returns = radius_of_returns(network, model, radius)
-    denied = by_returns.sigmas_below(radius, given_sigma)
-    if denied <= RADIUS_DENIED:
+    contradicted = by_returns.sigmas_below(radius, given_sigma)
+    if contradicted <= RADIUS_CONFLICT:
         weights = np.array([given_sigma, by_returns.sigma]) ** -2.0
         both = float(weights @ [radius, by_returns.value] / weights.sum())
         estimate = RadiusEstimate(radius, given_sigma, both, float(weights.sum() ** -0.5))
-        return Aligned(found, network, estimate, denied, given_sigma)
+        return Aligned(found, network, estimate, contradicted, given_sigma)
     # What was given has no say any more: the climb finds the radius anew, as good as free, and that
     # takes its place.
     assumed = found.point.state.radius
-    found, network = climbed(found.point.state, found.point.log_noise, radius)
+    found, network = maximum(found.point.state, found.point.log_noise, radius)
     by_returns = radius_of_returns(network, model, assumed)
     # Poles that say nothing of it may want less than none.
     own = max(by_returns.value, 0.0)
     start = replace(found.point.state, radius=own)
-    found, network = climbed(start, found.point.log_noise, by_returns.sigma)
+    found, network = maximum(start, found.point.log_noise, by_returns.sigma)
     estimate = RadiusEstimate(radius, given_sigma, own, by_returns.sigma)
-    return Aligned(found, network, estimate, denied, by_returns.sigma)
+    return Aligned(found, network, estimate, contradicted, by_returns.sigma)
 
 
 def _check_counts(target: Beams, source: Beams) -> None:
@@ -270,7 +270,7 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
     Refusal
         ``degenerate_poles`` where the poles leave the pose all but free in some direction.
     """
-    end = found.climbed.point
+    end = found.maximum.point
     noise = np.exp(end.log_noise)
     factor = factor_of(found.network)
     unknowns, groups = factor.unknowns, factor.unknowns.groups()
@@ -311,10 +311,10 @@ def pose_of_pair(found: Aligned, model: ErrorModel) -> BeamAlignment:
         end.state.points,
         end.state.directions,
         found.radius,
-        found.radius_denied,
+        found.radius_conflict,
         compare_axes(found.network, prior_precision(groups, sigma), considered(groups, sigma)),
         (float(noise[0, 0]), float(noise[1, 0])),
         (float(noise[0, 1]), float(noise[1, 1])),
-        found.climbed.converged,
-        found.climbed.iterations,
+        found.maximum.converged,
+        found.maximum.iterations,
     )

@@ -1,4 +1,4 @@
-"""How sure a pose is: what the scatter says, what the instruments allow, and what no model names.
+"""How sure a pose is: what the scatter says, what the instruments allow, and unmodelled errors.
 
 The poses x and the errors b are estimated together, with information ``H`` (all of x and b, the
 prior ``B⁻¹`` of the errors among it). An error b moves the estimate by ``−[H⁻¹]_xb B⁻¹ b``: what
@@ -21,7 +21,7 @@ from ..base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
 from .factor import PoleFactor
 from .unknowns import POSE
 
-FLOOR = "what no model names"
+FLOOR = "unmodelled errors"
 """What the budget calls that: nothing makes it smaller."""
 
 POLES = "scatter of the poles' returns"
@@ -227,7 +227,7 @@ def root_of(square: Array) -> Array:
 
 
 def floors(T: Array, free: BoolArray) -> list[Part]:
-    """Say what no model names: half of its variance for each LiDAR of a pair.
+    """State the unmodelled errors: half of its variance for each LiDAR of a pair.
 
     It turns and shifts a LiDAR's own frame. That of a LiDAR whose frame is the datum moves all
     others against it.

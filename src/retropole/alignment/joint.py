@@ -14,7 +14,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray
 from ..base.systematic import MIN_ERROR_SIGMA
-from .climb import check_fit, maximise, start_noise
+from .maximum import check_fit, maximise, start_noise
 from .observations import Beams
 from .posterior import NOISE_STEP, SHARED, Posterior, evaluate_lidar
 from .solver import Solution
@@ -128,7 +128,7 @@ def noise_of_start(state: JointState, sights: Sequence[Sight]) -> Array:
     return noise
 
 
-def climb_joint(
+def maximise_joint(
     state: JointState,
     log_noise: Array,
     sights: Sequence[Sight],

@@ -19,7 +19,7 @@ is penalised smoothly in σ_m. A beam that went on to something behind the pole 
 
 The factor 1/2(r+w) says that all beams of which anything is known met the pole: a wider one must
 then share them out further. Where the beams beside the pole are recorded as well, it is known where
-beams went, and each counts with what became of it: p(g, m) without that factor, or P(passed). With
+beams went, and each counts by its outcome: p(g, m) without that factor, or P(passed). With
 both, the pole would be found too slim, by the more of its 1 σ the more returns there are.
 """
 

@@ -31,7 +31,8 @@ poses are as near the truth as with all returns, and the model, which knows no s
 not held to what it cannot explain."""
 
 FEW_RETURNS = 300
-"""Where a cloud was thinned, so many returns of a pole stay all the same: those of one sweep."""
+"""Where a cloud was downsampled, so many returns of a pole stay all the same: those of one
+sweep."""
 
 RMS_MARGIN = 2.0
 """Beams within so many times the pole's rms of its surface count as close: the axis is not known
@@ -141,7 +142,8 @@ def _shares(returns: int, cloud: PointCloud) -> tuple[float, float]:
     """Which share of a pole's returns, and of the beams that passed beside it, is worked on.
 
     Together they tell where the pole ends: as many of either must be left out. Where the cloud was
-    thinned (`io.thinning`), beams beside the pole are fewer already; its returns, bright, are not.
+    thinned (`io.downsampling`), beams beside the pole are fewer already; its returns, bright, are
+    not.
     """
     left = len(cloud) / (len(cloud) + cloud.thinned)
     share = max(min(left, MOST_RETURNS / returns), min(FEW_RETURNS / returns, 1.0))

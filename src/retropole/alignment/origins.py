@@ -124,7 +124,7 @@ def _detection(found: Detection, by: Array) -> Detection:
         found,
         poles=tuple(_pole(pole, by) for pole in found.poles),
         rejected=tuple(replace(each, centre=each.centre + by) for each in found.rejected),
-        doubtful=tuple(_pole(pole, by) for pole in found.doubtful),
+        candidates=tuple(_pole(pole, by) for pole in found.candidates),
     )
 
 

@@ -11,7 +11,7 @@ from ..base.uncertainty.purpose import DEFAULT_AT, Need
 from ..matching.prior import rotation_prior
 from ..pipeline import calibrate as find_pose
 from ..result import DEFAULT_CONFIG, RunConfig, result_document
-from ..verdict import refused
+from ..verdict import state_refusal
 from .inputs import (
     SILENT,
     CloudSource,
@@ -72,7 +72,7 @@ def calibrate(
     refine
         Whether the scene refines the pose that the poles give.
     trust_poles
-        Whether you vouch for two poles where the scene has too little to confirm them.
+        Whether you trust two poles where the scene has too little to confirm them.
     need, at
         How accurate the answer must be: no point up to `at` away, 30 m where it is None, lands
         further than `need` from its true place, metres. The verdict says whether that is 95 % sure.
@@ -83,8 +83,8 @@ def calibrate(
         and 1 σ of either.
     hypothesis
         Letter of the hypothesis to take, in the list that the same run gives without it: for where
-        you know the place and the scene does not decide. It is refused where the scene denies it;
-        the verdict is at best ``warn``.
+        you know the place and the scene does not decide. It is refused where the scene conflicts
+        with it; the verdict is at best ``warn``.
     target_topic, source_topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     max_points
@@ -149,7 +149,7 @@ def calibrate_with(
     if twice is not None:
         scans = [[Scan(each.cloud, each.sensor) for each in pair] for pair in pairs]
         unsearched = tuple(Placement(target, source) for target, source in scans)
-        calibration = refused(twice, unsearched, (), {})
+        calibration = state_refusal(twice, unsearched, (), {})
     else:
         calibration = find_pose(
             [pair.target.cloud for pair in pairs],

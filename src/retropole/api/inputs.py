@@ -22,10 +22,10 @@ from ..io import (
     ARRAY_SOURCE,
     ReadRecording,
     cloud_from_array,
+    downsample,
     only_returns,
     read_recording,
     sha256_of,
-    thinned,
 )
 from ..io.beam_origin import with_beam_origin
 from ..io.coordinates import Oddity, oddity_of
@@ -173,7 +173,7 @@ def read_input(
         else:
             given = np.asarray(given)
             cloud = cloud_from_array(given, role)
-        cloud = thinned(in_metres(cloud, unit), how.max_points)
+        cloud = downsample(in_metres(cloud, unit), how.max_points)
     taken = Input(given, cloud, sensor, how.threshold, read)
     listener.on_read(taken)
     return taken

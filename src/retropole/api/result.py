@@ -79,7 +79,7 @@ class CalibrationResult(Result[ResultDoc]):
 
     @property
     def confirmation(self) -> Confirmation | None:
-        """What stands in the scene says of the pose: how many places agree, and how many deny it.
+        """What stands in the scene says of the pose: how many voxels agree or conflict with it.
 
         None where the run was refused before the scene was asked, and of a result of a version
         that did not state it.

@@ -22,8 +22,8 @@ from ..base.se3 import FARTHEST
 from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
+from ..io.downsampling import MAX_POINTS
 from ..io.failures import naming
-from ..io.thinning import MAX_POINTS
 from ..io.units import Unit
 from ..result.options import Intensity, MaxPoints, Radius, RadiusSigma, Reading, frames_named
 

@@ -41,7 +41,7 @@ own origin has none."""
 
 LARGEST_SITE = 10_000.0
 """What is surveyed lies this near to its median, metres: a digit too many or left out, or east and
-north exchanged, puts a point further off."""
+north swapped, puts a point further off."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -160,7 +160,7 @@ class Detection:
         where it comes from: ``given``, ``VLP-16``, ``auto: …``.
     retro_points
         How many points passed it.
-    doubtful
+    candidates
         Lines that may be poles; their points are among the rejected.
     """
 
@@ -169,7 +169,7 @@ class Detection:
     threshold: float
     threshold_source: str
     retro_points: int
-    doubtful: tuple[Pole, ...] = ()
+    candidates: tuple[Pole, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,10 +181,10 @@ class Match:
     pairs
         ``((i, j), …)``: target pole ``i`` is source pole ``j``.
     T_target_source
-        (4, 4) least-squares pose under these pairs (eq. 1–2), unless `settled`.
+        (4, 4) least-squares pose under these pairs (eq. 1–2), unless `icp_refined`.
     pole_rms
         Root mean square distance of source points from target lines at that minimum, metres.
-    exact, converged, settled
+    exact, converged, icp_refined
         Whether the lines fit, one of the Klein group's four, or three or more poles; the solver
         came to rest; and the pose is where the scenes lie on each other, near the poles' own.
     information
@@ -197,7 +197,7 @@ class Match:
     exact: bool
     converged: bool
     information: Array
-    settled: bool = False
+    icp_refined: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,9 +273,9 @@ class Scan:
         return self.detection.poles if self.detection else ()
 
     @property
-    def doubtful(self) -> tuple[Pole, ...]:
+    def candidates(self) -> tuple[Pole, ...]:
         """Those found in it that are doubtful by themselves."""
-        return self.detection.doubtful if self.detection else ()
+        return self.detection.candidates if self.detection else ()
 
 
 @dataclass(frozen=True, eq=False)

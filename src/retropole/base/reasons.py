@@ -206,7 +206,7 @@ def prefixed(prefix: Prefix, code: str) -> Code:
 
 
 def remedy(source: str, unknown_lidar: str | None = None) -> str:
-    """Say what makes a source of error smaller; nothing helps against what no model names.
+    """Say what makes a source of error smaller; nothing helps against unmodelled errors.
 
     Parameters
     ----------

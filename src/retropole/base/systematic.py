@@ -14,7 +14,7 @@ true return lies at::
 and its beam is e^width times as wide as it is taken to be, which the edges of poles show alone.
 A constant error of the azimuth is a rotation of the LiDAR's own frame, which no scan can show. What
 the rings' own errors of it have in common is one too: it stays in, since with σ/√n for n rings it
-is as small as what no model names.
+is as small as unmodelled errors.
 """
 
 from __future__ import annotations

@@ -175,8 +175,8 @@ def _left_out(given: Input, asked: bool, advice: Advice) -> Iterator[str]:
         )
     if cloud.thinned:
         yield (
-            f"thinned from {len(cloud) + cloud.thinned:,} points to {len(cloud):,}, the brightest "
-            f"kept; {advice.to_keep} keeps more"
+            f"downsampled from {len(cloud) + cloud.thinned:,} to {len(cloud):,} points, the "
+            f"brightest kept; {advice.to_keep} keeps more"
         )
 
 

@@ -181,7 +181,7 @@ def in_words(found: Sequence[Compared]) -> str:
         if each.errors is not None:
             off = f"{np.degrees(each.errors.rotation):.3f}", f"{each.errors.translation:.4f}"
             errors.append([each.method, f"{each.errors.e_rt:.4f}", *off])
-    header = ("method", "verdict", "overlap", "RQE 1/m³", "agree", "deny", "time s")
+    header = ("method", "verdict", "overlap", "RQE 1/m³", "agree", "conflict", "time s")
     parts = [table(header, verdicts)]
     if errors:
         parts += ["", "Error against the truth"]

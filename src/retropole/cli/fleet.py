@@ -137,7 +137,7 @@ def calibrate(
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
-    """Show what became of a fleet as one HTML page, from the DATASET of 'fleet calibrate'.
+    """Show the outcome of a fleet as one HTML page, from the DATASET of 'fleet calibrate'.
 
     The page has a map of all sites, how many ended how and why, how large the predicted errors
     are, the worst twenty, and every error with its message. It works without a network.
@@ -168,7 +168,7 @@ def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
 
 
 def _in_words(summary: FleetSummary, *written: str) -> str:
-    """Say what became of a fleet: counts, the commonest codes, where it is."""
+    """Say the outcome of a fleet: counts, the commonest codes, where it is."""
     from ..base.errors import printable
     from ..base.quantities import counted
 

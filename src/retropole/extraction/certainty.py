@@ -1,6 +1,6 @@
-"""What makes a line that could be a pole a doubtful one: thick, interrupted, seen end on, or worn.
+"""What makes a line that could be a pole a candidate: thick, interrupted, seen end on, or worn.
 
-Such a line is no pole for what sure poles are used for, and is kept among the doubtful ones. See
+Such a line is no pole for what confirmed poles are used for, and is kept among the candidates. See
 docs/detection.md, Certain or doubtful.
 """
 
@@ -16,8 +16,8 @@ from .lines import HALF, RING_GAP, Line, distance_and_place
 from .surroundings import PIECES
 
 MAX_SURE_RMS = 0.03
-"""Largest scatter of the returns of a sure pole about their line, metres: 12 mm of a cylinder of 2
-cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
+"""Largest scatter of the returns of a confirmed pole about their line, metres: 12 mm of a cylinder
+of 2 cm radius and 27 mm of noise, nearly the ±3 cm that the manuals of VLP-16 and C16 state."""
 
 MAX_GAP_STEPS = 3.5
 """A gap no longer than so many steps from ring to ring is none: two rings missed, since a return
@@ -30,7 +30,7 @@ seen at 28°."""
 
 
 def doubt_of(cloud: PointCloud, line: Line, radius: float, knows_origin: bool) -> Failure | None:
-    """Say why a line that passes all other rules is no sure pole; None where it is.
+    """Say why a line that passes all other rules is no confirmed pole; None where it is.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Poles whose tape is too dim for the threshold: old, far, or met at its edges.
 
 By a low threshold much else is bright, so that what is found there is doubtful
-(docs/detection.md, Doubtful poles).
+(docs/detection.md, Candidate poles).
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 
 from ..base.datatypes import Detection, PointCloud, Pole
 from ..base.sensors import Sensor, Threshold, lower_thresholds
-from .doubtful import with_doubtful, without_repeats
+from .candidates import with_candidates, without_repeats
 from .poles import MAX_POLES, extract_poles, is_too_low
 
 
-def with_dimmer(
+def with_dimmer_candidates(
     cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None = None
 ) -> Detection:
     """Add the poles whose tape is too dim for the threshold, each at the highest that shows it.
@@ -38,7 +38,7 @@ def with_dimmer(
     Returns
     -------
     Detection
-        The same, with more `doubtful` ones, those it has first; at most `MAX_POLES`. Itself
+        The same, with more `candidates` ones, those it has first; at most `MAX_POLES`. Itself
         where its threshold was given.
     """
     assert cloud.intensity is not None
@@ -50,14 +50,14 @@ def with_dimmer(
             continue
         there = extract_poles(cloud, sensor=sensor, threshold=lower.value, radius=radius)
         found += _apart_from((*detection.poles, *found), there.poles, len(cloud))
-        less += with_doubtful(cloud, there, radius, sensor).doubtful
+        less += with_candidates(cloud, there, radius, sensor).candidates
     # Of one that is doubtful at the threshold too, a lower one shows more.
-    kept = _apart_from(found, detection.doubtful, len(cloud))
+    kept = _apart_from(found, detection.candidates, len(cloud))
     doubtful = without_repeats(kept, len(cloud)) + without_repeats(found, len(cloud))
     # Much is bright by a low threshold: of what is doubtful there, only what shares nothing.
     for pole in without_repeats(less, len(cloud)):
         doubtful += _apart_from((*detection.poles, *doubtful), (pole,), len(cloud))
-    return replace(detection, doubtful=tuple(doubtful[:MAX_POLES]))
+    return replace(detection, candidates=tuple(doubtful[:MAX_POLES]))
 
 
 def _apart_from(known: Sequence[Pole], poles: Sequence[Pole], count: int) -> list[Pole]:

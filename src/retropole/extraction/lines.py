@@ -34,7 +34,7 @@ ends, and the group has the failure of the first. Sensitivity at 4: 4 poles lost
 
 MIN_LINE_POINTS = 3
 """Two points always lie in line; the third is the first that supports it. So many rings hit a pole,
-and so many returns has a doubtful one. Sensitivity of the rings at 2: no effect; at 4: 1 pole
+and so many returns has a candidate. Sensitivity of the rings at 2: no effect; at 4: 1 pole
 lost."""
 
 TUBE = 0.10

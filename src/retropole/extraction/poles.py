@@ -69,7 +69,7 @@ MAX_BRIGHT = 20_000
 than their number. A cloud cropped to its poles has fewer points."""
 
 MAX_POLES = 8
-"""Poles taken out of one group at most, and doubtful ones that are kept of a cloud, those with the
+"""Poles taken out of one group at most, and candidates that are kept of a cloud, those with the
 most returns; what is left then is rejected with a reason that says so. Sensitivity from 8 to 17: no
 effect."""
 
@@ -102,7 +102,7 @@ def extract_poles(
     Returns
     -------
     Detection
-        Poles with the most returns first; none at all is an answer. Its `doubtful` ones pass all
+        Poles with the most returns first; none at all is an answer. Its `candidates` ones pass all
         rules but those of `certainty`; `doubtful.with_doubtful` adds others.
 
     Raises
@@ -264,7 +264,7 @@ def _best_line(
                 line = whole
             failure = surroundings_failure(cloud, near, free, line)
         if failure is None and is_saturated:
-            failure = _doubtful_in_brightness(line)
+            failure = _candidate_in_brightness(line)
         if failure is not None:
             first = first or (line, failure)
         elif best is None or (len(line.index), -line.rms) > (len(best.index), -best.rms):
@@ -289,7 +289,7 @@ def _of_the_cluster(cloud: PointCloud, left: IntArray, line: Line, failure: Fail
     return Failure(failure.code, f"{size}; of {len(line.index)} of them in line: {failure.reason}")
 
 
-def _doubtful_in_brightness(line: Line) -> Failure | None:
+def _candidate_in_brightness(line: Line) -> Failure | None:
     """Where a bright surface is most of the cluster, only a slim line of many points is a pole."""
     if line.rms <= line.with_beams(THICK_RMS) and len(line.index) >= FEW_POLE_POINTS:
         return None

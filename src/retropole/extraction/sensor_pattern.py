@@ -82,8 +82,8 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
     `check_sensor` refuses it.
 
     Its rings are those of another sensor, or without rings it shows more than the sensor sees. No
-    proof that the name is wrong: a cloud that was thinned ring by ring, turned or moved may look
-    the same.
+    proof that the name is wrong: a cloud that was downsampled ring by ring, turned or moved may
+    look the same.
 
     Parameters
     ----------

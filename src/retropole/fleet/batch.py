@@ -23,7 +23,7 @@ Doing = Callable[[Iterator[Task]], Iterator[Outcome]]
 
 @dataclass(frozen=True)
 class FleetSummary:
-    """What became of a fleet.
+    """The outcome of a fleet.
 
     Attributes
     ----------

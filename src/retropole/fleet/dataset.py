@@ -62,7 +62,7 @@ class LidarEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of one site; equal inputs give an equal row."""
+    """The outcome of one site; equal inputs give an equal row."""
 
     id: str
     kind: Kind

@@ -255,7 +255,7 @@ def _given(client: Any, task: Task) -> Any:
 
 
 def _outcome(future: Any, task: Task, attempts: int) -> Outcome | None:
-    """Take what became of a task; None where it is to be given out again."""
+    """Take the outcome of a task; None where it is to be given out again."""
     from distributed import CancelledError, KilledWorker
     from distributed.comm.core import CommClosedError
 

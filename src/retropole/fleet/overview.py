@@ -1,4 +1,4 @@
-"""What became of a fleet, taken from its dataset: little of each site, so that thousands fit."""
+"""The outcome of a fleet, taken from its dataset: little of each site, so that thousands fit."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class _Took(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Overview:
-    """What became of a fleet.
+    """The outcome of a fleet.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Overview:
 
 
 def overview_of(out: str) -> Overview:
-    """Read what became of a fleet, one partition after the other.
+    """Read the outcome of a fleet, one partition after the other.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Put what became of a fleet into one HTML file that needs no network."""
+"""Put the outcome of a fleet into one HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ERRORS = {
 
 
 def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: "") -> str:
-    """Render what became of a fleet as one HTML page.
+    """Render the outcome of a fleet as one HTML page.
 
     Parameters
     ----------

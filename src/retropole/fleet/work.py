@@ -90,7 +90,7 @@ class Hashed(msgspec.Struct, frozen=True, tag=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, tag=True):
-    """What became of a task; `row` is None where the row that there is still holds.
+    """The outcome of a task; `row` is None where the row that there is still holds.
 
     `check` holds the columns of a check's row, as the history has them.
     """
@@ -175,7 +175,7 @@ def failed(
 
 
 def _row(site: FleetSite, hashed: Hashed | None, **columns: Any) -> Row:
-    """Make a row of what became of a site, with what all rows have."""
+    """Make a row of the outcome of a site, with what all rows have."""
     return Row(
         id=site.id,
         kind=site.kind,

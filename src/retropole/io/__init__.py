@@ -16,6 +16,9 @@ from .arrays import read_npy, read_npz, read_text
 from .bag_files import BAGS as BAGS
 from .bag_files import is_rosbag2
 from .binary_records import read_bin
+from .downsampling import MAX_POINTS as MAX_POINTS
+from .downsampling import downsample as downsample
+from .downsampling import read_within
 from .failures import readable
 from .fields import only_returns as only_returns
 from .las import read_las
@@ -32,9 +35,6 @@ from .recordings import Topic as Topic
 from .recordings import chosen_frames as chosen_frames
 from .recordings import joined as joined
 from .ros import bag_topics, open_bag
-from .thinning import MAX_POINTS as MAX_POINTS
-from .thinning import read_within
-from .thinning import thinned as thinned
 from .units import Unit, in_metres, unit_named
 
 READERS: dict[str, Callable[[Path], PointCloud]] = {
@@ -143,7 +143,7 @@ def read_cloud(
     max_points
         How many points to keep of more; None keeps all. Of many frames, every second is left out
         as often as it takes; of few, or of one, the brightest points are kept and the others
-        thinned evenly.
+        downsampled evenly.
     unit
         Of the file's coordinates: ``m``, ``cm`` or ``mm``.
 

@@ -48,7 +48,7 @@ WORDS = {
 VERBS = {"pairs": "laid", "ways": "tried", "fitting": "registered"}
 
 
-def with_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
+def state_what_was_tried(refusal: Refusal, tried: Iterable[Tried]) -> Refusal:
     """Say of a refusal what was left out to bound the time, where something was.
 
     Parameters

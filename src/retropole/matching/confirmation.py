@@ -1,8 +1,8 @@
-"""Doubtful poles count only where the other LiDAR and the scene confirm them.
+"""Candidate poles count only where the other LiDAR and the scene confirm them.
 
-A doubtful pole alone says nothing. Two lines that one LiDAR sees at the same angle and distance as
+A candidate pole alone says nothing. Two lines that one LiDAR sees at the same angle and distance as
 the other, laid on each other by a pose under which the two scenes coincide, and by no other pose
-nearly as well: that does not happen by chance (docs/detection.md, Doubtful poles).
+nearly as well: that does not happen by chance (docs/detection.md, Candidate poles).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..base.errors import Reason
 from ..extraction.beams import RMS_PER_RADIUS, beam_scatter, beams_by
 from .line_pairs import direction_sigma, line_pair
 from .placements import PairedPlacement
-from .scene_support import lead_needed, scene_agrees
+from .scene_support import margin_needed, scene_agrees
 
 FACING_SIDES, CONFIRMED_NOISE = float(np.pi / 2), 0.01
 """Residual of the poles under the pose, at most: the lines of facing sides lie π r/2 apart, returns
@@ -34,11 +34,11 @@ register to: two lines have two measures of their own, the angle and the distanc
 some agree in both. Of a third pole's four numbers none is left free."""
 
 
-def counts_doubtful(placement: Placement) -> bool:
-    """Whether doubtful poles are among those of a placement."""
+def counts_candidates(placement: Placement) -> bool:
+    """Whether candidate poles are among those of a placement."""
     found = [scan.detection for scan in (placement.target, placement.source)]
     return any(
-        any(pole is own for own in each.doubtful)
+        any(pole is own for own in each.candidates)
         for each in found
         if each is not None
         for pole in each.poles
@@ -48,7 +48,7 @@ def counts_doubtful(placement: Placement) -> bool:
 def is_confirmed(
     paired: Sequence[PairedPlacement], hypotheses: Sequence[Hypothesis], radius: float
 ) -> bool:
-    """Whether both LiDARs and the scene confirm a choice that rests on doubtful poles.
+    """Whether both LiDARs and the scene confirm a choice that rests on candidate poles.
 
     Parameters
     ----------
@@ -61,10 +61,10 @@ def is_confirmed(
     """
     best, *others = hypotheses
     return (
-        all(best.score - other.score >= lead_needed(best, other) for other in others)
+        all(best.score - other.score >= margin_needed(best, other) for other in others)
         and scene_agrees(best)
         and all(
-            each.hypothesis.match.exact and (_several_settled(each) or _two_agree(each, radius))
+            each.hypothesis.match.exact and (_several_refined(each) or _two_agree(each, radius))
             for each in paired
         )
     )
@@ -77,9 +77,9 @@ def _two_agree(each: PairedPlacement, radius: float) -> bool:
     return bool(is_near and _lines_agree(each))
 
 
-def _several_settled(each: PairedPlacement) -> bool:
+def _several_refined(each: PairedPlacement) -> bool:
     match = each.hypothesis.match
-    return match.settled and len(match.pairs) >= CONFIRMED_COUNT
+    return match.icp_refined and len(match.pairs) >= CONFIRMED_COUNT
 
 
 def _beam_scatter(each: PairedPlacement, radius: float) -> float:
@@ -114,7 +114,7 @@ def _lines_agree(each: PairedPlacement) -> bool:
     return True
 
 
-def doubtful_in(each: PairedPlacement) -> tuple[list[Pole], list[Pole]]:
+def candidates_in(each: PairedPlacement) -> tuple[list[Pole], list[Pole]]:
     """The paired poles of the target and of the source that are doubtful."""
     sides = (
         (each.placement.target, each.target_poles),
@@ -124,20 +124,20 @@ def doubtful_in(each: PairedPlacement) -> tuple[list[Pole], list[Pole]]:
         [
             pole
             for pole in poles
-            if scan.detection is not None and any(pole is own for own in scan.detection.doubtful)
+            if scan.detection is not None and any(pole is own for own in scan.detection.candidates)
         ]
         for scan, poles in sides
     )
     return target, source
 
 
-def doubtful_reasons(
+def candidate_reasons(
     paired: Sequence[PairedPlacement], hypotheses: Sequence[Hypothesis]
 ) -> list[Reason]:
-    """Warn where an answer rests on doubtful poles; nothing where all paired poles are sure."""
+    """Warn where an answer rests on candidate poles; nothing where all are confirmed."""
     target, source = 0, 0
     for each in paired:
-        of_target, of_source = doubtful_in(each)
+        of_target, of_source = candidates_in(each)
         target, source = target + len(of_target), source + len(of_source)
     if target + source == 0:
         return []

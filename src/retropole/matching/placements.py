@@ -98,7 +98,7 @@ class Chosen:
     scored: tuple[PlacementHypotheses, ...] = ()
 
 
-def recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
+def find_recurring(scored: Sequence[PlacementHypotheses]) -> list[Choice]:
     """Find the poses that recur in all placements, the best score first.
 
     Raises
@@ -212,7 +212,7 @@ def leave_one_out(
     return tuple(found)
 
 
-def merged(clouds: Sequence[PointCloud]) -> PointCloud:
+def merge_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
     """Put the clouds of one LiDAR together, for what stands still in all of them."""
     if len(clouds) == 1:
         return clouds[0]

@@ -1,7 +1,7 @@
 """What the scene must say for a choice of poles of which some are doubtful.
 
-Sure poles leave the scene to tell a few poses apart; doubtful ones need it as a witness of its own
-(docs/detection.md, Doubtful poles).
+Confirmed poles leave the scene to tell a few poses apart; candidates need it as evidence of its
+own (docs/detection.md, Candidate poles).
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ import numpy as np
 from ..base.datatypes import Hypothesis
 
 MIN_CONFIRMED_OVERLAP = 0.4
-"""Share of the points that must find a neighbour; sure poles need 0.25."""
+"""Share of the points that must find a neighbour; confirmed poles need 0.25."""
 
 MIN_CONFIRMED_COVISIBLE = 0.45
-"""Or so much of the points that both LiDARs could see; sure poles need 0.35."""
+"""Or so much of the points that both LiDARs could see; confirmed poles need 0.35."""
 
 MAX_CONFIRMED_VIOLATION = 0.05
 """Largest share of the points that stand where the other LiDAR looked through."""
 
-MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE = 0.3, 0.7
+MIN_CONFIRMED_MARGIN, MIN_MARGIN_SHARE = 0.3, 0.7
 """By so much the score leads that of every other hypothesis, the inexact ones included; or by so
 much of itself, where the overlap is small."""
 
-CERTAIN_LEAD, MIN_CONTRADICTED = 0.15, 0.03
+CERTAIN_MARGIN, MIN_CONTRADICTED = 0.15, 0.03
 """By so much a certain hypothesis leads, in score, one with so much that stands where the other
 LiDAR looked through; …"""
 
@@ -42,12 +42,12 @@ and so little contradicts it. Wrong hypotheses contradicted 1.3 % and more; of n
 hard scenes (seeds below 1000) that need it, 0.6 % at most did."""
 
 
-def lead_needed(best: Hypothesis, other: Hypothesis) -> float:
+def margin_needed(best: Hypothesis, other: Hypothesis) -> float:
     """By how much the score of a choice must lead another's."""
     is_contradicted = other.free_space_violation >= MIN_CONTRADICTED
     if _is_certain(best) and (is_contradicted or not _overlaps(other)):
-        return CERTAIN_LEAD
-    return min(MIN_CONFIRMED_LEAD, MIN_LEAD_SHARE * best.score)
+        return CERTAIN_MARGIN
+    return min(MIN_CONFIRMED_MARGIN, MIN_MARGIN_SHARE * best.score)
 
 
 def scene_agrees(best: Hypothesis) -> bool:
@@ -57,7 +57,7 @@ def scene_agrees(best: Hypothesis) -> bool:
     return (
         (overlaps or (is_certain and _overlaps(best)))
         and best.free_space_violation <= MAX_CONFIRMED_VIOLATION
-        and (best.match.settled or is_certain or _icp_stays(best))
+        and (best.match.icp_refined or is_certain or _icp_stays(best))
     )
 
 
@@ -66,21 +66,23 @@ def _is_certain(best: Hypothesis) -> bool:
     see coincides, and next to nothing contradicts.
     """
     coincides = (best.covisible_overlap or 0.0) >= MIN_CERTAIN_COVISIBLE
-    return (best.match.settled or coincides) and best.free_space_violation <= MAX_CERTAIN_VIOLATION
+    return (
+        best.match.icp_refined or coincides
+    ) and best.free_space_violation <= MAX_CERTAIN_VIOLATION
 
 
 def _overlaps(
     hypothesis: Hypothesis, least: float = MIN_OVERLAP, covisible: float = MIN_COVISIBLE
 ) -> bool:
     """Whether so much of all overlaps, or of what both LiDARs could see and `LEAST_OVERLAP` of all;
-    as much as is asked of sure poles where nothing else is said.
+    as much as is asked of confirmed poles where nothing else is said.
     """
     is_covisible = (hypothesis.covisible_overlap or 0.0) >= covisible
     return hypothesis.overlap >= least or (is_covisible and hypothesis.overlap >= LEAST_OVERLAP)
 
 
 def _icp_stays(best: Hypothesis) -> bool:
-    """Whether ICP stays; a settled hypothesis is where a sharper registration ended."""
+    """Whether ICP stays; an ICP-refined hypothesis is where a sharper registration ended."""
     if best.icp_rotation is None or best.icp_translation is None:
         return False
     return best.icp_rotation <= MAX_ICP_ROTATION and best.icp_translation <= MAX_ICP_TRANSLATION

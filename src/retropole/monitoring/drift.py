@@ -22,7 +22,7 @@ from ..base.sensors import Sensor
 from ..base.systematic import ErrorModel, sizes_of
 from ..base.uncertainty import Confirmation, Uncertainty
 from ..pipeline import calibrate
-from ..scene.confirmation import DENIED, count, is_denied, scenes_of
+from ..scene.confirmation import MAX_CONFLICTING, count, is_in_conflict, scenes_of
 from ..scene.preference import preferences
 from .certainty import FALSE_ALARM
 from .movement import CheckResult, Method, compare_poses
@@ -93,10 +93,10 @@ def check(
     calibrate_again = partial(
         calibrate, radius=radius, radius_sigma=radius_sigma, sensors=sensors, thresholds=thresholds
     )
-    # Surfaces about the stored pose tell more than doubtful poles, in a thirtieth of the time.
-    by_sure_poles = partial(calibrate_again, doubtful=False)
-    answer = _answered(question, by_sure_poles(target, source), by_sure_poles)
-    if not _is_astray(answer):
+    # Surfaces about the stored pose tell more than candidate poles, in a thirtieth of the time.
+    by_confirmed_poles = partial(calibrate_again, candidates=False)
+    answer = _answered(question, by_confirmed_poles(target, source), by_confirmed_poles)
+    if not _is_off(answer):
         return answer
     again = calibrate_again(target, source)
     # What the surfaces say without an answer of the poles was just found.
@@ -130,7 +130,7 @@ def _answered(
     return _held_against_scene(replace(answer, confirmation=found), found)
 
 
-def _is_astray(answer: CheckResult) -> bool:
+def _is_off(answer: CheckResult) -> bool:
     """Whether nothing fits about the stored pose: a LiDAR stands elsewhere, if not swapped.
 
     Then poles alone may say where.
@@ -138,7 +138,7 @@ def _is_astray(answer: CheckResult) -> bool:
     codes = [reason.code for reason in answer.reasons]
     if answer.status != "cannot_tell" or "swapped" in codes or answer.confirmation is None:
         return False
-    return answer.T_target_source is None or is_denied(answer.confirmation)
+    return answer.T_target_source is None or is_in_conflict(answer.confirmation)
 
 
 def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
@@ -152,7 +152,7 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
         if doubt is None:
             return answer
         found = by_scene(stored, clouds, model)
-        if not (doubt.seen or _is_denied_by(found, new.pose)):
+        if not (doubt.seen or _is_contradicted_by(found, new.pose)):
             return answer
         reasons = (Reason("poles_not_trusted", doubt.reason.message, doubt.reason.values),)
     found = found or by_scene(stored, clouds, model)
@@ -167,23 +167,23 @@ def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
 
 
 def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult:
-    """Take back that nothing moved where what stands in the scene denies the stored pose."""
-    if answer.status != "same" or not is_denied(found):
+    """Take back that nothing moved where the scene conflicts with the stored pose."""
+    if answer.status != "same" or not is_in_conflict(found):
         return answer
-    denied = Reason(
+    contradicted = Reason(
         "scene_denies_stored",
-        f"{found.denying} of {found.total} places off the ground deny the stored pose "
-        f"({found.denied:.0%}; {DENIED:.0%} are allowed): they stand where the other LiDAR looked "
-        "through, or should agree and do not. Were both clouds recorded at the same time, by the "
-        "LiDARs of the stored result?",
+        f"{found.conflicting} of {found.total} voxels off the ground conflict with the stored pose "
+        f"({found.contradicted:.0%}; {MAX_CONFLICTING:.0%} are allowed): they stand where the "
+        "other LiDAR looked through, or should agree and do not. Were both clouds recorded at the "
+        "same time, by the LiDARs of the stored result?",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
             "missing": found.missing,
-            "allowed": DENIED,
+            "allowed": MAX_CONFLICTING,
         },
     )
-    return answer.untold(denied)
+    return answer.untold(contradicted)
 
 
 def _compared(
@@ -224,8 +224,8 @@ def _doubt(stored: PoseEstimate, clouds: Clouds, answer: CheckResult) -> _Doubt 
     return _Doubt(reason, by_beyond >= PREFERRED or by_new <= -PREFERRED)
 
 
-def _is_denied_by(found: NewPose, pose: PoseEstimate) -> bool:
-    """Whether the surfaces alone, found from about the stored pose, deny a pose of the poles.
+def _is_contradicted_by(found: NewPose, pose: PoseEstimate) -> bool:
+    """Whether the surfaces alone, from about the stored pose, conflict with a pose of the poles.
 
     Poles that were carried alike between the recordings draw the surfaces along, into a minimum
     that is none without them. What the search alone would hold is no denial.

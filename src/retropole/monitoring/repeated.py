@@ -41,7 +41,7 @@ def step_covariance(stored: Uncertainty, new: Uncertainty) -> Array:
 def kept(stored: Array, new: Array) -> Array:
     """Part of the systematic errors (6, 6) of two poses that does not cancel in their difference.
 
-    What no model names need not repeat: it is added for both recordings.
+    Unmodelled errors need not repeat: they are added for both recordings.
     """
     both = np.asarray(stored + new)
     if not (stored.any() and new.any()):

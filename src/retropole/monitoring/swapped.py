@@ -16,7 +16,7 @@ from ..base.errors import Reason, Refusal
 from ..base.sensors import Sensor
 from ..base.uncertainty import Confirmation
 from ..extraction.sensor_pattern import check_sensor
-from ..scene.confirmation import DENIED, MIN_TOTAL, count, is_denied
+from ..scene.confirmation import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict
 from ..scene.consistency import Standing
 
 NEAR_ROTATION, NEAR_TRANSLATION = float(np.radians(2.0)), 0.2
@@ -24,7 +24,7 @@ NEAR_ROTATION, NEAR_TRANSLATION = float(np.radians(2.0)), 0.2
 range over which `drift` searches about the stored pose."""
 
 MORE = 3.0
-"""So many times more places agree with the stored pose reversed than with the stored one. In six
+"""So many times more voxels agree with the stored pose reversed than with the stored one. In six
 simulated scenes, swapped, it was 10 and more."""
 
 APART = 3.0
@@ -74,18 +74,18 @@ def swapped_clouds(
     there = count(scenes, reverse)
     agrees = (
         there.total >= MIN_TOTAL
-        and not is_denied(there)
-        and found.denied > DENIED
+        and not is_in_conflict(there)
+        and found.contradicted > MAX_CONFLICTING
         and there.agreeing >= MORE * found.agreeing
     )
     if T_found is not None:
-        # Poles that give another pose say more than places that happen to agree.
+        # Poles that give another pose say more than voxels that happen to agree.
         rotation, translation = _apart(T_found, reverse)
         agrees = rotation < NEAR_ROTATION and translation < NEAR_TRANSLATION
     if not agrees:
         return None
     return swap(
-        f"under the stored pose reversed {there.agreeing} of {there.total} places off the ground "
+        f"under the stored pose reversed {there.agreeing} of {there.total} voxels off the ground "
         f"agree, under the stored pose {found.agreeing} of {found.total}",
         {
             "told_by": "scene",

@@ -94,7 +94,7 @@ def radius_words(result: ResultDoc) -> str | None:
 
 
 def scene_words(result: ResultDoc) -> str | None:
-    """Say how many places agree with the pose and deny it; None where the scene was not asked."""
+    """Say how many voxels agree or conflict with the pose; None where the scene was not asked."""
     return None if result.confirmation is None else result.confirmation.words
 
 

@@ -15,7 +15,7 @@ from ..base.bounded import Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
-from ..io.thinning import LEAST_POINTS, MAX_POINTS
+from ..io.downsampling import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
 
 UNITS = get_args(Unit)
@@ -111,7 +111,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Text | None,
         told(
             "Take the hypothesis of this letter in the list that the same run prints "
-            "without: warn at best, and refused where the scene denies it."
+            "without: warn at best, and refused where the scene conflicts with it."
         ),
     ] = None
     poles: Annotated[
@@ -120,7 +120,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     refine: Annotated[bool, told("Use the poles only.")] = True
     trust_poles: Annotated[
-        bool, told("Vouch for two poles where the scene has too little to confirm them.")
+        bool, told("Trust two poles where the scene has too little to confirm them.")
     ] = False
     need_m: Annotated[
         NeededError | None,

@@ -28,7 +28,7 @@ from ..base.bounded import (
 from ..base.datatypes import Array, Scan
 from ..base.uncertainty import BudgetEntry, ErrorAtRange
 from ..base.uncertainty.purpose import Fitness, Need
-from ..io.thinning import MAX_POINTS
+from ..io.downsampling import MAX_POINTS
 from ..io.units import Unit
 from ..site.answer import (
     MOST_LIDARS,

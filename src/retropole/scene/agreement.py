@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..alignment.adjustment import RADIUS_DENIED, BeamAlignment
+from ..alignment.adjustment import RADIUS_CONFLICT, BeamAlignment
 from ..base.errors import Reason, Refusal
 from ..base.quantities import error, value, value_and_error
 from ..base.uncertainty import RadiusEstimate
@@ -144,13 +144,13 @@ def check_contradiction(refined: Refinement | None) -> None:
     )
 
 
-def check_radius(radius: RadiusEstimate, denied: float) -> Iterator[Reason]:
-    """Warn where the returns deny the radius that was given, by so many σ."""
-    if denied > RADIUS_DENIED:
+def check_radius(radius: RadiusEstimate, contradicted: float) -> Iterator[Reason]:
+    """Warn where the returns conflict with the radius that was given, by so many σ."""
+    if contradicted > RADIUS_CONFLICT:
         yield Reason(
             "radius_differs",
-            f"the returns deny the given radius, {value(radius.given, radius.sigma)}, by "
-            f"{denied:.0f} σ and have "
+            f"the returns conflict with the given radius, {value(radius.given, radius.sigma)}, by "
+            f"{contradicted:.0f} σ and have "
             f"{value_and_error(radius.estimated, radius.sigma)}: is --radius a diameter? The "
             "answer uses what the returns have",
             {"given_m": radius.given, "estimated_m": radius.estimated, "sigma_m": radius.sigma},

@@ -16,14 +16,14 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, Calibration, Hypothesis, Placement
 from ..base.errors import Reason, Refusal, UsageError
-from ..matching.confirmation import counts_doubtful
+from ..matching.confirmation import counts_candidates
 from ..matching.placements import (
     Choice,
     Chosen,
     PairedPlacement,
     PlacementHypotheses,
+    find_recurring,
     rank_joint_hypotheses,
-    recurring,
 )
 from .consistency import ground_normal
 from .static import check_static
@@ -77,7 +77,7 @@ def choose_best(scored: Sequence[PlacementHypotheses]) -> Chosen:
     hypotheses: tuple[Hypothesis, ...] = scored[0].hypotheses
     choices: Sequence[Choice] = ()
     try:
-        choices = recurring(scored)
+        choices = find_recurring(scored)
         hypotheses = rank_joint_hypotheses(choices, scored)
         check_choice(hypotheses)
         check_paired(choices[0].paired)
@@ -87,7 +87,7 @@ def choose_best(scored: Sequence[PlacementHypotheses]) -> Chosen:
 
 
 def check_choice(hypotheses: Sequence[Hypothesis]) -> None:
-    """Refuse where the scene does not decide between the hypotheses, or denies them all.
+    """Refuse where the scene does not decide between the hypotheses, or conflicts with them all.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def check_paired(paired: Sequence[PairedPlacement]) -> None:
         check_static("source", each.placement.source.cloud, each.source_poles)
 
 
-def standing(hypotheses: Sequence[Hypothesis]) -> list[bool]:
+def not_rejected(hypotheses: Sequence[Hypothesis]) -> list[bool]:
     """Say of each hypothesis, the best first, whether the scene leaves it standing.
 
     These are the best, its rivals, and those that fit exactly and score nearly as well.
@@ -198,7 +198,7 @@ def standing(hypotheses: Sequence[Hypothesis]) -> list[bool]:
     ]
 
 
-def taken_by_hand(chosen: Chosen, name: str | None) -> Chosen:
+def take_by_hand(chosen: Chosen, name: str | None) -> Chosen:
     """Take the hypothesis that a person names instead of the best one.
 
     The letter is that of the list which the same run gives without one. Of the refusals only
@@ -223,8 +223,8 @@ def taken_by_hand(chosen: Chosen, name: str | None) -> Chosen:
     """
     if name is None or (chosen.refusal is not None and chosen.refusal.code != "ambiguous"):
         return chosen
-    # Doubtful poles count for the one hypothesis that the scene confirms, and for no other.
-    doubtful = any(counts_doubtful(each.placement) for each in chosen.paired)
+    # Candidate poles count for the one hypothesis that the scene confirms, and for no other.
+    doubtful = any(counts_candidates(each.placement) for each in chosen.paired)
     names = [hypothesis_name(k) for k in range(1 if doubtful else len(chosen.choices))]
     if name not in names:
         raise UsageError(
@@ -234,7 +234,9 @@ def taken_by_hand(chosen: Chosen, name: str | None) -> Chosen:
     k = names.index(name)
     choice = chosen.choices[k]
     try:
-        check_overlap(choice.joint, f"hypothesis {name}", "the scene denies what --hypothesis says")
+        check_overlap(
+            choice.joint, f"hypothesis {name}", "the scene conflicts with what --hypothesis says"
+        )
         check_paired(choice.paired)
     except Refusal as refusal:
         return replace(chosen, paired=(), refusal=refusal)
@@ -244,7 +246,7 @@ def taken_by_hand(chosen: Chosen, name: str | None) -> Chosen:
     )
 
 
-def as_listed(answer: Calibration, chosen: Chosen, by_hand: str | None) -> Calibration:
+def list_hypotheses(answer: Calibration, chosen: Chosen, by_hand: str | None) -> Calibration:
     """List the hypotheses as they are named, and say of an answer that it was chosen by hand.
 
     Parameters
@@ -259,7 +261,7 @@ def as_listed(answer: Calibration, chosen: Chosen, by_hand: str | None) -> Calib
     if answer.hypotheses:
         first, *others = answer.hypotheses
         listed = (*others[: chosen.place], first, *others[chosen.place :])
-        stand = standing(listed)
+        stand = not_rejected(listed)
         listed = tuple(replace(h, stands=s) for h, s in zip(listed, stand, strict=True))
         answer = replace(answer, hypotheses=listed, chosen=chosen.place)
         if sum(stand) > 1:

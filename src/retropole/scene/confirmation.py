@@ -1,10 +1,11 @@
-"""Whether what stands in the scene confirms a pose, and how much of it could have denied it.
+"""Whether what stands in the scene confirms a pose, and how much of it could have contradicted it.
 
-That nothing denies a pose says little where nothing could: in a corridor of plain walls a pose may
-slide along them. So the same places are counted at other poses: the best shifts along the ground
-and off it, small turns about the vertical, and the other ways of laying the poles on each other.
-The pose must lead them all. Two measures, the share of the places that deny the pose and its lead,
-make one figure: the probability that the answer is wrong.
+That nothing conflicts with a pose says little where nothing could: in a corridor of plain walls a
+pose may slide along them. So the same voxels are counted at other poses: the best shifts along the
+ground and off it, small turns about the vertical, and the other ways of laying the poles on each
+other. The pose must be better than all of them. Two measures, the share of the voxels that conflict
+with the pose and by how many σ it is better, make one figure: how many of such answers are wrong in
+simulation.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from ..matching.placements import PairedPlacement
 from .consistency import Standing, consistency, standing_in
 from .shifts import NEAR, best_lifts, best_shifts
 
-DENIED, MIN_TOTAL = 0.2, 60
-"""From this share on, of at least so many places, the scene denies a pose. At the right pose of 200
-hard scenes (benchmarks/hard_scenes.py, seeds below 200) the share was 0.8 % in the median and 5.7 %
-at most."""
+MAX_CONFLICTING, MIN_TOTAL = 0.2, 60
+"""From this share on, of at least so many voxels, the scene conflicts with a pose. At the right
+pose of 200 hard scenes (benchmarks/hard_scenes.py, seeds below 200) the share was 0.8 % in the
+median and 5.7 % at most."""
 
 BETTER = 1.05
-"""By this factor more places agree where the scene fits better: by 1.09 and more for poles carried
+"""By this factor more voxels agree where the scene fits better: by 1.09 and more for poles carried
 by 1 to 5 m along a corridor, a street or a harbor (benchmarks/deception.py, seeds 10 to 25)."""
 
 TURN = np.radians(15.0)
@@ -41,10 +42,10 @@ MAX_RIVALS = 3
 """So many other hypotheses are, too."""
 
 MAX_WRONG = 0.03
-"""An answer is confirmed up to this probability that it is wrong. At seeds 100 to 129 of
-benchmarks/deception.py a mirrored street states 4 %, the least of all wrong answers that are not
-refused; of the 184 right ones off bare ground 19 state more than 3 %, most of them with 50 %
-outliers."""
+"""An answer is confirmed up to this share of wrong ones among simulated answers like it. At seeds
+100 to 129 of benchmarks/deception.py a mirrored street states 4 %, the least of all wrong answers
+that are not refused; of the 184 right ones off bare ground 19 state more than 3 %, most of them
+with 50 % outliers."""
 
 
 def confirm(
@@ -68,26 +69,29 @@ def confirm(
     rng
         Chooses the planes that are tried for the ground.
     trusted
-        Whether the user vouches for the poles.
+        Whether the user trusts the poles.
     """
     scenes = scenes_of([each.placement for each in paired], rng)
     here = count(scenes, T)
     rivals = [other.match.T_target_source for other in others if other.match.exact]
     poses = [*_displaced(scenes, T), *rivals[:MAX_RIVALS]]
-    leads, better = [], []
-    thinned = [(target.thinned(), source.thinned()) for target, source in scenes]
-    own = count(thinned, T)
+    margins, better = [], []
+    fewer = [(target.downsampled(), source.downsampled()) for target, source in scenes]
+    own = count(fewer, T)
     for pose in poses:
-        found = count(thinned, pose)
-        leads.append(_lead(own, found))
-        if found.agreeing >= BETTER * max(own.agreeing, 1) and found.denied <= own.denied:
-            better.append((leads[-1], pose))
+        found = count(fewer, pose)
+        margins.append(_z_margin(own, found))
+        if (
+            found.agreeing >= BETTER * max(own.agreeing, 1)
+            and found.contradicted <= own.contradicted
+        ):
+            better.append((margins[-1], pose))
     points = np.concatenate([source.points for _, source in scenes])
     return replace(
         here,
-        lead=min(leads, default=0.0),
+        z_margin=min(margins, default=0.0),
         better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
-        vouched=_vouched(paired),
+        redundant=_are_redundant(paired),
         trusted=trusted,
     )
 
@@ -95,7 +99,7 @@ def confirm(
 def scenes_of(
     placements: Sequence[Placement], rng: np.random.Generator
 ) -> list[tuple[Standing, Standing]]:
-    """Prepare both clouds of every placement; the poles themselves are no witnesses."""
+    """Prepare both clouds of every placement; the poles themselves are left out."""
     return [
         (
             standing_in(placement.target.cloud, rng, placement.target.poles),
@@ -106,7 +110,7 @@ def scenes_of(
 
 
 def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation:
-    """Count the places of all scenes that agree with a pose (4, 4), and those that deny it."""
+    """Count the voxels of all scenes that agree with a pose (4, 4), or conflict with it."""
     each = [consistency(*scene, T) for scene in scenes]
     return Confirmation(
         agreeing=sum(one.agreeing for one in each),
@@ -119,7 +123,7 @@ def _displaced(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterato
     """Poses beside a pose: the best shifts along the ground and off it, and turns about its normal.
 
     Off the ground only where the pose lifts the grounds off each other, and more coincides there:
-    grounds that lie on each other deny all lifts, and are not among the points.
+    grounds that lie on each other conflict with all lifts, and are not among the points.
     """
     for target, source in scenes:
         clouds = target.points, source.points, target.up, T
@@ -135,9 +139,9 @@ def _displaced(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterato
         yield se3.from_rt(R, middle - R @ middle) @ T
 
 
-def _lead(here: Confirmation, there: Confirmation) -> float:
-    """By how many σ more places agree, and fewer deny, at one pose than at another."""
-    net = (here.agreeing - here.denying) - (there.agreeing - there.denying)
+def _z_margin(here: Confirmation, there: Confirmation) -> float:
+    """By how many σ more voxels agree, and fewer conflict with, at one pose than at another."""
+    net = (here.agreeing - here.conflicting) - (there.agreeing - there.conflicting)
     return float(net / np.sqrt(here.total + there.total + 1))
 
 
@@ -147,8 +151,8 @@ def _apart(T: Array, other: Array, points: Array) -> float:
     return float(np.median(np.linalg.norm(se3.apply(T, points) - se3.apply(other, points), axis=1)))
 
 
-def _vouched(paired: Sequence[PairedPlacement]) -> bool:
-    """Whether the poles vouch for themselves: three of them, or two placements that differ.
+def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
+    """Whether the poles check each other: three of them, or two placements that differ.
 
     Files of two placements on one stand, mixed up, tell the same lie twice.
     """
@@ -166,13 +170,13 @@ def _vouched(paired: Sequence[PairedPlacement]) -> bool:
     )
 
 
-def is_denied(found: Confirmation) -> bool:
-    """Whether so many places deny a pose that nothing else vouches for it."""
-    return found.total >= MIN_TOTAL and found.denied > DENIED
+def is_in_conflict(found: Confirmation) -> bool:
+    """Whether so many voxels conflict with a pose that nothing else makes up for it."""
+    return found.total >= MIN_TOTAL and found.contradicted > MAX_CONFLICTING
 
 
 def check_confirmation(found: Confirmation) -> None:
-    """Refuse a pose that what stands in the scene denies.
+    """Refuse a pose that what stands in the scene conflicts with.
 
     Raises
     ------
@@ -180,46 +184,47 @@ def check_confirmation(found: Confirmation) -> None:
         ``scene_contradicts``.
     """
     is_better_elsewhere = found.better_at is not None
-    if not (is_denied(found) or (is_better_elsewhere and found.total >= MIN_TOTAL)):
+    if not (is_in_conflict(found) or (is_better_elsewhere and found.total >= MIN_TOTAL)):
         return
     elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
     raise Refusal(
         "scene_contradicts",
         "under the pose that the poles give, "
-        f"{counted(found.agreeing, 'place off the ground agrees', 'places off the ground agree')}, "
+        f"{counted(found.agreeing, 'voxel off the ground agrees', 'voxels off the ground agree')}, "
         f"{counted(found.contradicting, 'stands', 'stand')} where the other LiDAR looked "
         f"through, and {found.missing} "
-        f"more should agree ({found.denied:.0%} deny it; {DENIED:.0%} are allowed){elsewhere}: did "
-        "a pole move between the recordings, or are they of two placements?",
+        f"more should agree ({found.contradicted:.0%} conflict with it; {MAX_CONFLICTING:.0%} are "
+        f"allowed){elsewhere}: did a pole move between the recordings, or are they of two "
+        "placements?",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
             "missing": found.missing,
-            "contradicted": found.denied,
-            "allowed": DENIED,
+            "contradicted": found.contradicted,
+            "allowed": MAX_CONFLICTING,
             **({} if found.better_at is None else {"better_at_m": found.better_at}),
         },
     )
 
 
-def unconfirmed(found: Confirmation) -> Iterator[Reason]:
-    """Warn where the scene does not confirm the pose, and nobody vouches for the poles."""
+def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
+    """Warn where the scene does not confirm the pose, and nobody trusts the poles."""
     wrong = found.probability_wrong
     if found.trusted or wrong is None or wrong <= MAX_WRONG:
         return
     yield Reason(
         "not_confirmed",
-        f"{counted(found.agreeing, 'place off the ground agrees', 'places off the ground agree')} "
-        f"with this pose, {counted(found.denying, 'denies', 'deny')} it, "
-        f"and it leads others by {found.lead:.1f} σ: the answer is wrong with a probability of "
-        f"{100 * wrong:.1f} % ({100 * MAX_WRONG:.0f} % are allowed), where "
-        "poles may have been moved. Two poles cannot vouch for themselves: add a third pole or a "
-        "second placement, or stand boxes or a car in view of both LiDARs",
+        f"{counted(found.agreeing, 'voxel off the ground agrees', 'voxels off the ground agree')} "
+        f"with this pose, {counted(found.conflicting, 'conflicts with', 'conflict with')} it, "
+        f"and it is better than others by {found.z_margin:.1f} σ. Of simulated answers like it, "
+        f"where a third of the recordings deceive, {100 * wrong:.1f} % are wrong "
+        f"({100 * MAX_WRONG:.0f} % are allowed). Two poles cannot check each other: add a third "
+        "pole or a second placement, or stand boxes or a car in view of both LiDARs",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
             "missing": found.missing,
-            "lead": found.lead or 0.0,
+            "lead": found.z_margin or 0.0,
             "probability_wrong": wrong,
             "allowed": MAX_WRONG,
         },

@@ -1,9 +1,9 @@
-"""Whether what stands in a scene agrees with a pose: depth consistency, place by place.
+"""Whether what stands in a scene agrees with a pose: depth consistency, voxel by voxel.
 
-Flat ground agrees with any pose that keeps it level, so it is left out. A place is a cube of the
+Flat ground agrees with any pose that keeps it level, so it is left out. A voxel is a cube of the
 rest. Under the pose, a point of it agrees where the other cloud has a point as near as the depth
 tolerance; it stands in the way where the other LiDAR looked through it; else it is hidden, or out
-of view, and says nothing. A place counts as one witness however many points it has.
+of view, and says nothing. A voxel counts once however many points it has.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
 from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image, tree_of
 
-VOXEL, PLACE_SIDE = 0.2, 1.0
+VOXEL, VOXEL_SIDE = 0.2, 1.0
 """Clouds are compared at one point per cube of the first side, counted in cubes of the second,
 metres."""
 
 DEPTH_TOLERANCE, RELATIVE_TOLERANCE = 0.15, 0.02
 """Depths agree within this, metres, and this part of the range, together not more than the side of
-a place."""
+a voxel."""
 
 PER_PLACE = 2
-"""Points of a place that speak for it where many poses are compared."""
+"""Points of a voxel that speak for it where many poses are compared."""
 
 EXPECTED = 0.3
-"""Where so many places stand in both clouds, at least this share of the fewer should agree. At the
+"""Where so many voxels stand in both clouds, at least this share of the fewer should agree. At the
 reference of 16 real pairs (benchmarks/semireal.py) 0.67 and more did, in 100 simulated recordings
 that were answered right 0.8 and more, in 8 wrong ones 0.02 at most (benchmarks/deception.py, seeds
 100 to 115)."""
@@ -63,7 +63,7 @@ class Standing:
     ----------
     points
         (S, 3) off the ground and off the own vehicle, own frame, metres.
-    place
+    voxel
         (S,) number of the cube that each lies in.
     tree
         Of the whole downsampled cloud.
@@ -74,25 +74,25 @@ class Standing:
     """
 
     points: Array
-    place: IntArray
+    voxel: IntArray
     tree: cKDTree
     image: RangeImage
     ground: Array
     up: Array
 
     @property
-    def places(self) -> int:
+    def voxels(self) -> int:
         """How many cubes hold anything."""
-        return len(np.unique(self.place))
+        return len(np.unique(self.voxel))
 
-    def thinned(self) -> Standing:
+    def downsampled(self) -> Standing:
         """Keep `PER_PLACE` points of each cube, or one more, spread over it."""
-        order = np.argsort(self.place, kind="stable")
-        _, first, size = np.unique(self.place[order], return_index=True, return_counts=True)
+        order = np.argsort(self.voxel, kind="stable")
+        _, first, size = np.unique(self.voxel[order], return_index=True, return_counts=True)
         rank = np.arange(len(order)) - np.repeat(first, size)
         step = np.repeat(np.maximum(size // PER_PLACE, 1), size)
         kept = order[rank % step == 0]
-        return replace(self, points=self.points[kept], place=self.place[kept])
+        return replace(self, points=self.points[kept], voxel=self.voxel[kept])
 
 
 def standing_in(
@@ -108,8 +108,8 @@ def standing_in(
     standing = points[(ranges > OWN_VEHICLE) & ~on_ground]
     for pole in poles:
         standing = standing[~_is_near(standing, pole)]
-    place = labels_of(np.floor(standing / PLACE_SIDE)) if len(standing) else np.zeros(0, np.int64)
-    return Standing(standing, place, tree_of(points), range_image(cloud), ground, up)
+    voxel = labels_of(np.floor(standing / VOXEL_SIDE)) if len(standing) else np.zeros(0, np.int64)
+    return Standing(standing, voxel, tree_of(points), range_image(cloud), ground, up)
 
 
 def ground_normal(cloud: PointCloud, rng: np.random.Generator) -> Array:
@@ -163,17 +163,17 @@ def _ground(
 
 
 def consistency(target: Standing, source: Standing, T: Array) -> Confirmation:
-    """Count the places of both clouds that agree with a pose (4, 4), target from source."""
+    """Count the voxels of both clouds that agree with a pose (4, 4), target from source."""
     there = _votes(target, source, T)
     back = _votes(source, target, se3.inverse(T))
     agreeing = there[0] + back[0]
-    expected = EXPECTED * min(target.places, source.places)
+    expected = EXPECTED * min(target.voxels, source.voxels)
     missing = max(round(expected) - agreeing, 0)
     return Confirmation(agreeing=agreeing, contradicting=there[1] + back[1], missing=missing)
 
 
 def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[Array, Array]:
-    """Find the points that stand where the other LiDAR looked through, in places that deny a pose.
+    """Find the points that stand where the other LiDAR looked through, in conflicting voxels.
 
     Parameters
     ----------
@@ -190,12 +190,12 @@ def contradicting_points(target: Standing, source: Standing, T: Array) -> tuple[
     found = []
     for seer, other, pose in ((source, target, se3.inverse(T)), (target, source, T)):
         in_the_way, yes, no = _judged(seer, other, pose)
-        found.append(other.points[in_the_way & (no > yes)[other.place]])
+        found.append(other.points[in_the_way & (no > yes)[other.voxel]])
     return found[0], found[1]
 
 
 class _Judged(NamedTuple):
-    """Which points stand in the way, and how many of each place agree and stand in the way."""
+    """Which points stand in the way, and how many of each voxel agree and stand in the way."""
 
     in_the_way: BoolArray
     yes: IntArray
@@ -207,18 +207,18 @@ def _judged(seer: Standing, other: Standing, T: Array) -> _Judged:
     moved = se3.apply(T, other.points)
     rays = moved - seer.image.origin
     ranges = se3.lengths(rays)
-    tolerance = np.minimum(DEPTH_TOLERANCE + RELATIVE_TOLERANCE * ranges, PLACE_SIDE)
-    agrees = seer.tree.query(moved, distance_upper_bound=PLACE_SIDE)[0] < tolerance
+    tolerance = np.minimum(DEPTH_TOLERANCE + RELATIVE_TOLERANCE * ranges, VOXEL_SIDE)
+    agrees = seer.tree.query(moved, distance_upper_bound=VOXEL_SIDE)[0] < tolerance
     cells = cells_of(rays)
     nearest = seer.image.nearest
     in_the_way = ~agrees & nearest.seen[cells] & (nearest.ranges[cells] > ranges + tolerance)
-    count = int(other.place.max()) + 1 if len(other.place) else 0
-    yes = np.bincount(other.place[agrees], minlength=count)
-    no = np.bincount(other.place[in_the_way], minlength=count)
+    count = int(other.voxel.max()) + 1 if len(other.voxel) else 0
+    yes = np.bincount(other.voxel[agrees], minlength=count)
+    no = np.bincount(other.voxel[in_the_way], minlength=count)
     return _Judged(in_the_way, yes, no)
 
 
 def _votes(seer: Standing, other: Standing, T: Array) -> tuple[int, int]:
-    """How many places of the other cloud agree with what the seer saw, and how many deny it."""
+    """How many voxels of the other cloud agree with what the seer saw, and how many do not."""
     _, yes, no = _judged(seer, other, T)
     return int(np.count_nonzero((yes > 0) & (yes >= no))), int(np.count_nonzero(no > yes))

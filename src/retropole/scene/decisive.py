@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
-from .descent import End, RefinementProblem, settle
+from .descent import End, RefinementProblem, converge
 from .patch_pairs import part_of
 from .places import Places, places_of_poses
 
@@ -78,7 +78,7 @@ def without_decisive(
             return
         kept = scene.sets.clusters != pairs.places[c]
         rest = replace(problem, scenes=(replace(scene, sets=part_of(scene.sets, kept)),))
-        found = settle(rest, end, covariance)
+        found = converge(rest, end, covariance)
         if found.scene:
             own = pairs.cluster == c
             at = np.average(pairs.at[own], axis=0, weights=term.weights[own])

@@ -113,7 +113,7 @@ def support_of(end: End) -> float:
     )
 
 
-def descend(problem: RefinementProblem, T: Array | None = None, *, few: bool = False) -> End:
+def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = False) -> End:
     """Descend as far as the poles (and a survey) leave the poses open.
 
     Parameters
@@ -128,7 +128,7 @@ def descend(problem: RefinementProblem, T: Array | None = None, *, few: bool = F
     start = problem.factor.T if T is None else T
     searched = _solve(problem, start, (), problem.known).search
     near = approach(problem, start, searched)
-    return near if few else settle(problem, near, searched)
+    return near if few else converge(problem, near, searched)
 
 
 def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
@@ -149,7 +149,7 @@ def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
     return _descend(problem, [each.sets for each in problem.scenes], begin, covariance, FEW_STEP)
 
 
-def settle(problem: RefinementProblem, near: End, covariance: Array) -> End:
+def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
     """Descend with all patches from where an approach ended, to a standstill."""
     return _descend(problem, [each.sets for each in problem.scenes], near, covariance, STEP)
 

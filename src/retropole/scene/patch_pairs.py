@@ -140,7 +140,7 @@ def prepare_patches(target: Patches, source: Patches, layout: Layout) -> PatchSe
     )
 
 
-def thinned(sets: PatchSets, every: int, first: int = 0) -> PatchSets:
+def every_nth_patch(sets: PatchSets, every: int, first: int = 0) -> PatchSets:
     """Give the same with every n-th patch of the source only, from the first on."""
     return part_of(sets, slice(first, None, every))
 

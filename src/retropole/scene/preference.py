@@ -28,10 +28,10 @@ NEAR_POLES = 10.0
 most certain there."""
 
 MAX_WORSE, SURELY = 0.05, 2.0
-"""Surfaces near the poles deny a refined pose where they lie further apart under it than under that
-of the poles: by this mean difference of their losses, and so many times its own 1 σ. In 45 honest
-recordings of the simulator's field (six scenes, seeds 0 to 7) the mean difference was 0.0007 at
-most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
+"""Surfaces near the poles conflict with a refined pose where they lie further apart under it than
+under that of the poles: by this mean difference of their losses, and so many times its own 1 σ. In
+45 honest recordings of the simulator's field (six scenes, seeds 0 to 7) the mean difference was
+0.0007 at most; a tilt by 0.6° and a lift by 6 cm make 0.1 to 0.25, and 2.8 σ or more."""
 
 
 def check_near_poles(aligned: BeamAlignment | None, refined: Refinement | None) -> None:

@@ -27,9 +27,9 @@ from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
 from ..base.systematic import DEVICE_KINDS, ErrorModel, sizes_of
 from ..base.uncertainty import Uncertainty
-from ..matching.placements import PairedPlacement, merged
+from ..matching.placements import PairedPlacement, merge_clouds
 from .decisive import Decisive, without_decisive
-from .descent import End, RefinementProblem, approach, settle, support_of
+from .descent import End, RefinementProblem, approach, converge, support_of
 from .patch_pairs import without_errors
 from .patches import Patches, surface_patches
 from .places import parts_of
@@ -61,7 +61,7 @@ MAX_SCALE_SIGMA = 0.1
 UNSURE = 0.01
 """Part of their information that poles keep when the scene is asked nearly alone: ten times their
 1 σ. Of 48 recordings between which a pole was moved by 15 cm three were answered, 11 cm and more
-off, two of them with a χ² below 17; asked so, the scene denies the poles."""
+off, two of them with a χ² below 17; asked so, the scene conflicts with the poles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +120,8 @@ def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
     sizes = sizes_of(targets[0].sensor), sizes_of(sources[0].sensor)
     return refine(
-        merged([scan.cloud for scan in targets]),
-        merged([scan.cloud for scan in sources]),
+        merge_clouds([scan.cloud for scan in targets]),
+        merge_clouds([scan.cloud for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
         model=ErrorModel(sizes, aligned.radius.given_sigma),
@@ -210,15 +210,15 @@ def refine_pair(
     if not near.scene:
         return None
     starts = [near, *approaches_from_afar(problem, near, poles, lever)]
-    settled = _settled(problem, starts, covariance)
-    if not settled:
+    ends = _converged(problem, starts, covariance)
+    if not ends:
         return None
-    best = max(settled, key=support_of)
+    best = max(ends, key=support_of)
     mahalanobis_sq = _denial(problem, best, poles)
     if mahalanobis_sq > DOUBT:
-        starts = approaches_of_parts(problem, first, settled, covariance)
-        settled += _settled(problem, starts, covariance)
-        best = max(settled, key=support_of)
+        starts = approaches_of_parts(problem, first, ends, covariance)
+        ends += _converged(problem, starts, covariance)
+        best = max(ends, key=support_of)
         mahalanobis_sq = _denial(problem, best, poles, within=True)
     highest = best
     disagree = mahalanobis_sq > DISAGREE
@@ -227,7 +227,7 @@ def refine_pair(
         # less.
         share = POSE / mahalanobis_sq
         problem = replace(problem, factor=problem.factor.weakened(share))
-        best = _settled_anew(problem, best, covariance / share) or best
+        best = _converged_anew(problem, best, covariance / share) or best
         moved = distance_sq(poles.covariance, poles.T_target_source, best.T[1])
         mahalanobis_sq = max(mahalanobis_sq, moved)
     parts = parts_of(problem, best)
@@ -241,7 +241,8 @@ def refine_pair(
     if disagree:
         # Which of both is not known: what is stated reaches from one to the other, and as far
         # beyond as the poles alone are unsure. Of 17 poses drawn from the poles' uncertainty under
-        # a scene that denied them none was within what the scene and the line between them state.
+        # a scene that contradicted them none was within what the scene and the line between them
+        # state.
         e = se3.local(poles.T_target_source, best.T[1])
         others.append(("poles and scene disagree", np.outer(e, e) + poles.covariance))
     parts += tuple(part_of(name, of_source(root_of(more))) for name, more in others)
@@ -250,7 +251,7 @@ def refine_pair(
     T = best.T[1]
     minima = [
         se3.local(highest.T[1], one.T[1])
-        for one in settled
+        for one in ends
         if distance_sq(own, highest.T[1], one.T[1]) > SEVERAL
     ]
     rms = float(np.sqrt(np.average(term.pairs.residuals**2, weights=term.weights)))
@@ -273,9 +274,9 @@ def refine_pair(
     )
 
 
-def _settled(problem: RefinementProblem, starts: Sequence[End], covariance: Array) -> list[End]:
+def _converged(problem: RefinementProblem, starts: Sequence[End], covariance: Array) -> list[End]:
     """Settle each, and leave out what comes to nothing."""
-    ends = [settle(problem, each, covariance) for each in starts]
+    ends = [converge(problem, each, covariance) for each in starts]
     return [each for each in ends if each.scene]
 
 
@@ -301,14 +302,14 @@ def _denial(
     return max(apart, distance_sq(poles.covariance + far.search[POSE:, POSE:], T, far.T[1]))
 
 
-def _settled_anew(problem: RefinementProblem, best: End, covariance: Array) -> End | None:
+def _converged_anew(problem: RefinementProblem, best: End, covariance: Array) -> End | None:
     """Settle under poles that count for less, with as wide a search and without.
 
     A wider search may leave a good minimum for one with less support.
     """
     again = approach(problem, best.T, covariance)
     starts = [best, again] if again.scene and elsewhere(again, [best]) else [best]
-    return max(_settled(problem, starts, covariance), key=support_of, default=None)
+    return max(_converged(problem, starts, covariance), key=support_of, default=None)
 
 
 def _scale_wanted(end: End, problem: RefinementProblem) -> tuple[float, float] | None:

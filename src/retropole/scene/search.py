@@ -1,6 +1,6 @@
 """Search for the pose that the poles allow and the scene confirms: match, score, choose.
 
-By the sure poles first; where they give nothing, by the doubtful ones too.
+By the confirmed poles first; where they give nothing, by the candidates too.
 """
 
 from __future__ import annotations
@@ -11,27 +11,27 @@ from dataclasses import replace
 from ..base.datatypes import Placement, Pole, Scan
 from ..base.errors import Refusal
 from ..base.timing import Step
-from ..extraction.dimmer import with_dimmer
-from ..extraction.doubtful import with_doubtful
+from ..extraction.candidates import with_candidates
+from ..extraction.dimmer import with_dimmer_candidates
 from ..matching import correspondence
-from ..matching.budget import Share, Tried, with_what_was_tried
-from ..matching.confirmation import CONFIRMED_COUNT, counts_doubtful, is_confirmed
+from ..matching.budget import Share, Tried, state_what_was_tried
+from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
-from . import disambiguation, settling
+from . import disambiguation, icp_refinement
 from .choice import choose_best
 
 RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
     "prior_contradicted",
 }
-"""Refusals after which doubtful poles are tried: other poles may give what these did not."""
+"""Refusals after which candidate poles are tried: other poles may give what these did not."""
 
-ENOUGH_SURE = 2
-"""With so many sure poles in a cloud its threshold is right, and lower ones are not tried."""
+ENOUGH_CONFIRMED = 2
+"""With so many confirmed poles in a cloud its threshold is right, and lower ones are not tried."""
 
 
-def choose_with_doubtful(
+def choose_with_candidates(
     placements: Sequence[Placement],
     radius: float,
     step: Step,
@@ -39,7 +39,7 @@ def choose_with_doubtful(
     count: int | None = None,
     prior: RotationPrior | None = None,
 ) -> Chosen:
-    """Choose by the sure poles; where they give nothing, by the doubtful ones too.
+    """Choose by the confirmed poles; where they give nothing, by the candidates too.
 
     Where these are not confirmed either, the hypotheses first settle on the scene.
 
@@ -57,7 +57,7 @@ def choose_with_doubtful(
     Returns
     -------
     Chosen
-        With the first refusal where the doubtful poles are not confirmed, and with what was not
+        With the first refusal where the candidate poles are not confirmed, and with what was not
         tried.
     """
     first = choose(placements, step, count=count, prior=prior)
@@ -73,13 +73,13 @@ def choose_with_doubtful(
                 ):
                     return attempt
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
-    return replace(first, refusal=with_what_was_tried(first.refusal, tried))
+    return replace(first, refusal=state_what_was_tried(first.refusal, tried))
 
 
 def _looks(
     placements: Sequence[Placement], radius: float, step: Step
 ) -> Iterator[Sequence[Placement]]:
-    """Look for doubtful poles, and then for dimmer ones, where that finds more."""
+    """Look for candidate poles, and then for dimmer ones, where that finds more."""
     returns = -1
     for is_dimmer in (False, True):
         with step("doubtful"):
@@ -90,7 +90,7 @@ def _looks(
                 )
                 for each in placements
             ]
-        before, returns = returns, _doubtful_returns(placements)
+        before, returns = returns, _candidate_returns(placements)
         if returns != before:
             yield placements
 
@@ -102,18 +102,18 @@ def _attempts(
     count: int | None,
     prior: RotationPrior | None,
 ) -> Iterator[Chosen]:
-    """Choose by the doubtful poles too, in one way after the other."""
-    # Without any doubtful pole the sure ones may still settle.
+    """Choose by the candidate poles too, in one way after the other."""
+    # Without any candidate pole the confirmed ones may still settle.
     wider = first
-    if _doubtful_returns(placements):
+    if _candidate_returns(placements):
         wider = choose(_with_all(placements), step, count=count, prior=prior)
     yield wider
-    settled = choose_settled(wider, step)
+    settled = choose_after_icp(wider, step)
     yield settled
     # A third line that fits by chance turns the pose of two poles, and keeps it from settling.
     for fewer in _without_one(placements, settled.paired):
         chosen = choose(_with_all(fewer), step, count=count, prior=prior)
-        yield choose_settled(chosen, step)
+        yield choose_after_icp(chosen, step)
 
 
 def choose(
@@ -133,13 +133,13 @@ def choose(
         return Chosen((), (), refusal)
 
 
-def choose_settled(chosen: Chosen, step: Step) -> Chosen:
+def choose_after_icp(chosen: Chosen, step: Step) -> Chosen:
     """Let the scene move the hypotheses of a choice, if it has any, and choose once more."""
     if not chosen.scored:
         return chosen
     try:
         with step("settle"):
-            settled = [settle(each) for each in chosen.scored]
+            settled = [refine_by_icp(each) for each in chosen.scored]
             return choose_best([score_hypotheses(each) for each in settled])
     except Refusal as refusal:
         return Chosen((), (), refusal)
@@ -150,7 +150,7 @@ def match_poles(
 ) -> PlacementMatches:
     """Find the ways of laying the source poles on the target poles that the prior allows."""
     found, laid = correspondence.every_match(
-        placement.target.poles, placement.source.poles, count, part=counts_doubtful(placement)
+        placement.target.poles, placement.source.poles, count, part=counts_candidates(placement)
     )
     allowed = agreeing_with_prior(found, prior)
     best = allowed[: correspondence.MAX_HYPOTHESES]
@@ -164,19 +164,21 @@ def score_hypotheses(matched: PlacementMatches) -> PlacementHypotheses:
     return PlacementHypotheses(matched.placement, hypotheses, matched.tried)
 
 
-def settle(scored: PlacementHypotheses) -> PlacementMatches:
+def refine_by_icp(scored: PlacementHypotheses) -> PlacementMatches:
     """Let the scene move the hypotheses of a placement as far as their poles allow."""
     target, source = scored.placement.target, scored.placement.source
-    matches = settling.settle(target.cloud, source.cloud, scored.hypotheses, source.poles)
+    matches = icp_refinement.refine_by_icp(
+        target.cloud, source.cloud, scored.hypotheses, source.poles
+    )
     exact = sum(each.match.exact for each in scored.hypotheses)
-    fitting = Share(min(exact, settling.SETTLED_AT_MOST), exact)
+    fitting = Share(min(exact, icp_refinement.MOST_REFINED), exact)
     return PlacementMatches(scored.placement, matches, scored.tried._replace(fitting=fitting))
 
 
 def _without_one(
     placements: Sequence[Placement], paired: Sequence[PairedPlacement]
 ) -> Iterator[Sequence[Placement]]:
-    """A placement without one pair's doubtful poles; of several none, where no chance recurs."""
+    """A placement without one pair's candidate poles; of several none, where no chance recurs."""
     if len(paired) != 1 or len(paired[0].hypothesis.match.pairs) < CONFIRMED_COUNT:
         return
     for pair in zip(paired[0].target_poles, paired[0].source_poles, strict=True):
@@ -187,37 +189,37 @@ def _without_one(
 
 
 def _without(scan: Scan, pole: Pole) -> Scan:
-    """A scan without one of its doubtful poles; itself where it is none of them."""
-    left = tuple(own for own in scan.doubtful if own is not pole)
-    if scan.detection is None or len(left) == len(scan.doubtful):
+    """A scan without one of its candidate poles; itself where it is none of them."""
+    left = tuple(own for own in scan.candidates if own is not pole)
+    if scan.detection is None or len(left) == len(scan.candidates):
         return scan
-    return replace(scan, detection=replace(scan.detection, doubtful=left))
+    return replace(scan, detection=replace(scan.detection, candidates=left))
 
 
 def _searched(scan: Scan, radius: float, is_dimmer: bool) -> Scan:
-    """A scan with its doubtful poles; the `is_dimmer` ones only where few are sure."""
-    if scan.detection is None or (is_dimmer and len(scan.poles) >= ENOUGH_SURE):
+    """A scan with its candidate poles; the `is_dimmer` ones only where few are sure."""
+    if scan.detection is None or (is_dimmer and len(scan.poles) >= ENOUGH_CONFIRMED):
         return scan
-    look = with_dimmer if is_dimmer else with_doubtful
+    look = with_dimmer_candidates if is_dimmer else with_candidates
     return replace(scan, detection=look(scan.cloud, scan.detection, radius, scan.sensor))
 
 
-def _doubtful_returns(placements: Sequence[Placement]) -> int:
-    """How many returns the doubtful poles of all clouds have: a lower threshold shows more."""
+def _candidate_returns(placements: Sequence[Placement]) -> int:
+    """How many returns the candidate poles of all clouds have: a lower threshold shows more."""
     return sum(
-        len(pole.index) for each in placements for scan in each.scans for pole in scan.doubtful
+        len(pole.index) for each in placements for scan in each.scans for pole in scan.candidates
     )
 
 
-def counting_doubtful(scan: Scan) -> Scan:
-    """Count the doubtful poles of a scan among its poles, after the sure ones."""
+def count_candidates(scan: Scan) -> Scan:
+    """Count the candidate poles of a scan among its poles, after the confirmed ones."""
     if scan.detection is None:
         return scan
-    return replace(scan, detection=replace(scan.detection, poles=(*scan.poles, *scan.doubtful)))
+    return replace(scan, detection=replace(scan.detection, poles=(*scan.poles, *scan.candidates)))
 
 
 def _with_all(placements: Sequence[Placement]) -> list[Placement]:
     return [
-        Placement(counting_doubtful(each.target), counting_doubtful(each.source))
+        Placement(count_candidates(each.target), count_candidates(each.source))
         for each in placements
     ]

@@ -1,8 +1,8 @@
 """Where else a scene would fit: what stands in both clouds, correlated over shifts.
 
 Poles that were carried along a corridor or a street leave walls on walls: hardly anything is
-denied. What stands between the walls then lies beside itself, and fits better where it was. All
-shifts are compared at once, as the cross-correlation of the occupied cells, layer by layer.
+contradicted. What stands between the walls then lies beside itself, and fits better where it was.
+All shifts are compared at once, as the cross-correlation of the occupied cells, layer by layer.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def best_shifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift
 def best_lifts(target: Array, source: Array, up: Array, T: Array) -> list[Shift]:
     """Find the shifts along the ground's normal at which most points lie in cells of the target.
 
-    Poles that were exchanged may lift a pose by metres: walls agree with it all the same, and the
+    Poles that were swapped may lift a pose by metres: walls agree with it all the same, and the
     ground is left out of the points. Arguments and result are those of `best_shifts`.
     """
     if not len(target) or not len(source):

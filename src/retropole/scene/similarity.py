@@ -31,7 +31,7 @@ EXPLAINED = {
 """Refusals that a mirrored or scaled cloud may cause."""
 
 SCALE_SIGMAS = 3.0
-"""An answer's scale is denied where it is off by more than `LEAST_CHANGE` and so many σ."""
+"""An answer's scale is contradicted where it is off by more than `LEAST_CHANGE` and so many σ."""
 
 UNITS = {
     "feet": 0.3048,
@@ -205,7 +205,7 @@ def _refusal(found: Found, rigid: Found | None, placement: Placement) -> Refusal
         **({} if rigid is None else {"rigid_agreeing": rigid.agreed.agreeing}),
         **({} if rigid is None else {"rigid_contradicting": rigid.agreed.contradicting}),
     }
-    shown = f"{agreed.agreeing} of {agreed.total} places off the ground then agree"
+    shown = f"{agreed.agreeing} of {agreed.total} voxels off the ground then agree"
     if rigid is not None:
         shown += f", {rigid.agreed.agreeing} of {rigid.agreed.total} under the best rigid motion"
     if not found.change.mirrored:

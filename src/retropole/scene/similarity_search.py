@@ -29,16 +29,17 @@ fits, a row of 13 takes 20 s for each (seed 14 of a harbor, beside a profiler)."
 
 CLEARLY_BETTER, AS_MANY = 1.15, 0.95
 """By the first factor more points lie on the other cloud's surfaces than under any rigid motion,
-in a mirrored cloud times that by which more places agree, neither being fewer. In a scaled one
-places are no fewer than by the last: 2 % of scale are within the tolerance of the depth. Of three
+in a mirrored cloud times that by which more voxels agree, neither being fewer. In a scaled one
+voxels are no fewer than by the last: 2 % of scale are within the tolerance of the depth. Of three
 mirrored clouds that were answered off bare ground (benchmarks/deception.py, seeds below 120) the
 product was 1.18 in a street of plain fronts, and 1.7 and more in the others."""
 
-MAX_DENIED = 0.1
-"""What fits is confirmed where no larger share of the places denies it, of `MIN_TOTAL` or more."""
+MAX_CONFLICTING = 0.1
+"""What fits is confirmed where no larger share of the voxels conflicts with it, of `MIN_TOTAL` or
+more."""
 
-WORSE_DENIED = 0.01
-"""By no more the share of the places that deny it is above that of a rigid motion."""
+MORE_CONFLICTING = 0.01
+"""By no more the share of the voxels that conflict with it is above that of a rigid motion."""
 
 LEAST_CHANGE = 0.01
 """A factor is named where it differs from 1 by more: LiDARs' ranges err by far less."""
@@ -235,13 +236,13 @@ def _standing(cloud: PointCloud) -> Standing:
 
 
 def _is_confirmed(agreed: Confirmation) -> bool:
-    """Whether as much agrees, and as little denies, as in an answer that the scene confirms."""
-    return agreed.total >= MIN_TOTAL and agreed.denied <= MAX_DENIED
+    """Whether as much agrees, and as little conflicts, as in an answer that the scene confirms."""
+    return agreed.total >= MIN_TOTAL and agreed.contradicted <= MAX_CONFLICTING
 
 
 def _is_better(found: Found, rigid: Found) -> bool:
     """Whether a change explains the scene clearly better than a rigid motion."""
-    if found.agreed.denied > rigid.agreed.denied + WORSE_DENIED:
+    if found.agreed.contradicted > rigid.agreed.contradicted + MORE_CONFLICTING:
         return False
     by_support = found.support / max(rigid.support, 1.0)
     by_agreeing = found.agreed.agreeing / max(rigid.agreed.agreeing, 1)

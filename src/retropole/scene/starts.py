@@ -14,7 +14,7 @@ from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PoseEstimate
 from .descent import End, RefinementProblem, approach
-from .patch_pairs import MIN_CORRESPONDENCE_DISTANCE, POSE_SIGMAS, thinned
+from .patch_pairs import MIN_CORRESPONDENCE_DISTANCE, POSE_SIGMAS, every_nth_patch
 from .terms import FEW
 
 SEVERAL = chi2_limit(POSE)
@@ -64,7 +64,7 @@ def approaches_of_parts(
     (scene,) = problem.scenes
     kept: list[End] = []
     for k in range(1, FEW):
-        part = replace(problem, scenes=(replace(scene, few=thinned(scene.sets, FEW, k)),))
+        part = replace(problem, scenes=(replace(scene, few=every_nth_patch(scene.sets, FEW, k)),))
         end = approach(part, T, covariance)
         if end.scene and elsewhere(end, [*known, *kept]):
             kept.append(end)

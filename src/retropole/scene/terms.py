@@ -17,9 +17,9 @@ from .patch_pairs import (
     MIN_PATCHES,
     PatchPairs,
     PatchSets,
+    every_nth_patch,
     pair_patches,
     prepare_patches,
-    thinned,
 )
 from .patches import Patches
 from .weights import weigh
@@ -57,7 +57,7 @@ def scene_pairs(patches: Sequence[Patches | None], lidars: Sequence[int]) -> lis
         sets = prepare_patches(
             first, second, Layout((np.unique(first.bands), np.unique(second.bands)))
         )
-        found.append(ScenePair((i, j), sets, thinned(sets, FEW)))
+        found.append(ScenePair((i, j), sets, every_nth_patch(sets, FEW)))
     return found
 
 

@@ -198,7 +198,7 @@ def view_of(cloud: PointCloud, voxel: float, sample: int | None = None) -> View:
         In its own frame.
     voxel
         It is downsampled to one point per cube of this side, metres, so that the dense ground near
-        the LiDAR does not outvote the rest.
+        the LiDAR does not outnumber the rest.
     sample
         Every n-th point is compared, so that no more are; None compares all.
     """

@@ -26,20 +26,20 @@ from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
 from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, sizes_of
-from ..scene.descent import End, RefinementProblem, descend
+from ..scene.descent import End, RefinementProblem, minimise
 from ..scene.patches import Patches
 from ..scene.places import parts_of
 from ..scene.refinement import Refinement, refine_pair
 from ..scene.terms import ScenePair
 from .answer import Test
-from .astray import astray
-from .axes import climb_from_lines
+from .axes import maximise_from_lines
 from .datum import Datum, without_poles
 from .description import Site
+from .outliers import find_outlying
 from .scans import SiteScans
 from .shared import sights_of
 from .snooping import all_tests
-from .solved import Solved, solved
+from .solved import Solved, solve_all
 
 POLES_AND_SURVEY = f"{POLES} and of the survey"
 """What the budget calls their scatter."""
@@ -145,13 +145,13 @@ def adjust(recorded: Recorded, datum: Datum, *, few: bool = False) -> Adjusted:
     factor, groups = factor_of(aligned.network), aligned.network.unknowns.groups()
     known = ErrorModel(recorded.sizes, aligned.radius_sigma).sigmas(groups)
     problem = RefinementProblem(factor, tuple(recorded.scenes), groups, known)
-    end = descend(problem, few=few)
+    end = minimise(problem, few=few)
     parts = parts_of(problem, end, POLES_AND_SURVEY)
     check_held(site, joint_covariance(parts), is_surveyed=bool(site.poles or site.points))
     return _tested(recorded, datum, aligned, problem, end, parts)
 
 
-def searched_as_pair(recorded: Recorded, adjusted: Adjusted) -> Adjusted:
+def search_as_pair(recorded: Recorded, adjusted: Adjusted) -> Adjusted:
     """Search the pose of two LiDARs from several starts, and state it as that of a pair.
 
     Where there are more, or the first one's frame is not that of the site, others and the survey
@@ -190,12 +190,12 @@ def _tested(
     parts: tuple[Part, ...],
 ) -> Adjusted:
     """Test every observation at the answer."""
-    at = solved(aligned.network, end, problem.groups, parts)
+    at = solve_all(aligned.network, end, problem.groups, parts)
     sights = sights_of(recorded.scans, datum.poles)
-    astray_at = astray(aligned.climbed.point, aligned.network, sights)
+    astray_at = find_outlying(aligned.maximum.point, aligned.network, sights)
     beside = {(i, k): chi2 for i, k, chi2 in astray_at}
     tests = tuple(all_tests(at, recorded.site, datum.poles, beside))
-    converged = aligned.climbed.converged and end.converged
+    converged = aligned.maximum.converged and end.converged
     covariance = joint_covariance(parts)
     return Adjusted(datum, aligned, problem, end, parts, covariance, at, tests, converged)
 
@@ -227,7 +227,7 @@ def _most_noise(sights: Sequence[Sight], site: Site) -> Array:
     """(L, 2) most noise of each LiDAR's returns, by how they lie about axes of its own, metres."""
     most = np.full((len(site.lidars), 2), np.inf)
     for sight in sights:
-        _, own = climb_from_lines(sight.beams, site.radius)
+        _, own = maximise_from_lines(sight.beams, site.radius)
         most[sight.lidar] = np.maximum(MORE_NOISE * own, LEAST_BOUND)
     return most
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..alignment.adjustment import RADIUS_TOLERANCE
 from ..alignment.certainty import prior_precision
-from ..alignment.climb import lines_of, maximise, start_noise
 from ..alignment.expansion import expand_lidar, semidefinite
 from ..alignment.joint import JointPriors, Sight, evaluate_joint
+from ..alignment.maximum import lines_of, maximise, start_noise
 from ..alignment.observations import Beams, beams_of
 from ..alignment.posterior import SHARED, Posterior, State
 from ..alignment.state import JointState
@@ -27,7 +27,7 @@ from ..base.sensors import Sensor
 from ..base.systematic import ErrorModel, Layout, band_of, sizes_of
 
 FLOOR_POINT, FLOOR_LEAN = 0.002, 0.001
-"""1 σ of an axis across itself and of its direction that no model names, metres and rad: glow
+"""1 σ of an axis across itself and of its direction that are not modelled, metres and rad: glow
 around tape, edges of the beam, poles that are not straight. Of simulated LiDARs with field errors,
 67 pairs of one sweep (seeds 0 to 71) and 40 of five (0 to 47), 9 % and 8 % failed the test of
 `certification` without it, and 3 % and none with it, where 5 % are meant to."""
@@ -81,7 +81,7 @@ def find_axes(
         Of the poles, and its 1 σ, metres: at least `RADIUS_TOLERANCE` of it.
     """
     beams = beams_of(seen, sensor)
-    state, noise = climb_from_lines(beams, radius)
+    state, noise = maximise_from_lines(beams, radius)
     view = find_view(state, 1, beams, noise)
     # As the source of a pair whose target has no returns.
     nobody: IntArray = np.zeros(0, dtype=np.int64)
@@ -114,7 +114,7 @@ def find_axes(
     )
 
 
-def climb_from_lines(
+def maximise_from_lines(
     beams: Beams, radius: float, log_noise: Array | None = None
 ) -> tuple[State, Array]:
     """Climb as `climb_alone` does from lines fitted to the returns.
@@ -130,10 +130,10 @@ def climb_from_lines(
     """
     start = State(np.eye(4), np.zeros(2), radius, *lines_of(beams, radius))
     by_lines = np.full(2, start_noise(start, 1, beams))
-    return climb_alone(start, beams, by_lines if log_noise is None else log_noise)
+    return maximise_alone(start, beams, by_lines if log_noise is None else log_noise)
 
 
-def climb_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Array]:
+def maximise_alone(state: State, beams: Beams, log_noise: Array) -> tuple[State, Array]:
     """Let axes go to where one LiDAR's returns have them, and their noise with them.
 
     Parameters

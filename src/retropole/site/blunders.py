@@ -15,16 +15,16 @@ from ..scene.agreement import MAX_AXES_CHI2
 from ..scene.starts import distance_sq
 from .adjustment import Adjusted, Recorded, adjust, without_observations
 from .answer import Test
-from .contradiction import LEAST, denied_poles, least_denied, more_coincide
+from .contradiction import LEAST, conflicting_poles, least_conflicting, more_coincide
 from .datum import Datum, without_poles, without_survey
 from .description import Site
-from .links import links
+from .links import find_links
 from .shared import SharedPole
 
 SIGNIFICANT, POOR, PER_FREEDOM = 6.5, 5.0, MAX_AXES_CHI2
 """Normalised residual (w) from which an observation is a blunder, and from which it is told that it
 fits poorly, with so much χ² for each degree of freedom: with many degrees of freedom small errors
-that no model names add up. The last is what a pair's poles are allowed (`scene.agreement`). Of 11
+that are not modelled add up. The last is what a pair's poles are allowed (`scene.agreement`). Of 11
 sound sites the largest w was 5.9 (benchmarks/site.py sites, seeds 0 to 12); of 20 with a pole that
 was bumped by 3 cm or 1° and more 16 came to more than 6.5, 2 to more than 5, and 2 were refused
 before (blunders, seeds 0 to 59)."""
@@ -36,7 +36,7 @@ MOST_TRIED = 5
 """So many suspects are tried by turns, the worst first."""
 
 
-TOLD_APART = 9.2
+SEPARABLE = 9.2
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
 than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
 
@@ -93,11 +93,13 @@ def without_blunders(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, lis
     reasons: list[Reason] = []
     for _ in range(MOST_BLUNDERS):
         if worst_test(now.tests) is None:
-            denied = sorted(denied_poles(recorded, now), key=lambda each: -each[2])
-            if not denied:
+            contradicted = sorted(conflicting_poles(recorded, now), key=lambda each: -each[2])
+            if not contradicted:
                 return now, reasons
-            pole, rest, more = denied[least_denied([rest.end for _, rest, _ in denied])]
-            reasons.append(_denied(site, now.datum.poles[pole], more))
+            pole, rest, more = contradicted[
+                least_conflicting([rest.end for _, rest, _ in contradicted])
+            ]
+            reasons.append(_conflicting(site, now.datum.poles[pole], more))
             now = rest
             continue
         tried: list[tuple[float, Adjusted, Suspect]] = []
@@ -131,7 +133,7 @@ def without_blunders(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, lis
 
 def _is_checked(adjusted: Adjusted) -> bool:
     """Whether the poles of every link check each other."""
-    return all(link.is_checked for link in links(adjusted))
+    return all(link.is_checked for link in find_links(adjusted))
 
 
 def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjusted, Suspect]:
@@ -149,11 +151,11 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
     """
     least = min(chi2 for chi2, _, _ in tried)
     if least > 0.0:
-        near = [each for each in tried if each[0] <= least + TOLD_APART]
+        near = [each for each in tried if each[0] <= least + SEPARABLE]
         _, rest, suspect = max(near, key=lambda each: each[2].chi2)
         return rest, suspect
     fitting = [(rest, suspect) for chi2, rest, suspect in tried if not chi2]
-    rest, suspect = fitting[least_denied([rest.end for rest, _ in fitting])]
+    rest, suspect = fitting[least_conflicting([rest.end for rest, _ in fitting])]
     for other, rival in fitting:
         if (
             rival.reason.code == suspect.reason.code == "pole_moved"
@@ -198,7 +200,7 @@ def _check_points(clean: Sequence[Suspect]) -> None:
     others = {
         str(each.point)
         for each in points
-        if each.point != best.point and each.chi2 > best.chi2 - TOLD_APART
+        if each.point != best.point and each.chi2 > best.chi2 - SEPARABLE
     }
     if others:
         raise Refusal(
@@ -229,7 +231,7 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
     # Two poles alone fit each other as badly, whichever moved; where they fit each other and not
     # the surroundings, only the tests of LiDARs and recordings show it.
     no_pole = not any(key[0] == "pole" for key in found)
-    for link in links(now):
+    for link in find_links(now):
         if not link.is_checked and (no_pole or any(("pole", k) in found for k in link.poles)):
             for k in link.poles:
                 own = [test for test in now.tests if test.kind == "pole" and test.pole == k]
@@ -287,7 +289,7 @@ def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:
     )
 
 
-def _denied(site: Site, pole: SharedPole, more: float) -> Reason:
+def _conflicting(site: Site, pole: SharedPole, more: float) -> Reason:
     seen = ", ".join(site.lidars[i].name for i in sorted(pole.seen))
     return Reason(
         "pole_moved",

@@ -16,18 +16,18 @@ from ..base.uncertainty import predicted_error
 from ..scene.agreement import check_contradiction
 from ..scene.preference import check_near_poles
 from ..scene.terms import scene_pairs
-from .adjustment import Adjusted, Recorded, adjust, searched_as_pair
+from .adjustment import Adjusted, Recorded, adjust, search_as_pair
 from .answer import LidarPose, PairCheck, SiteCalibration, SitePole
 from .blunders import without_blunders, worst_test
+from .candidates import link_by_candidates, with_own_candidates
 from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
 from .description import Site
-from .doubtful import link_by_doubtful, with_own_doubtful
-from .exchanged import check_exchanged, check_places
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
 from .shared import same_poles, shared_poles
+from .swapped import check_places, check_swapped
 from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
 from .without import without_placements
 
@@ -64,17 +64,17 @@ def calibrate_site(
                 views = views_of(scans)
                 check_places(site, views)
                 pairs = find_pairs(scans, views)
-                scans, pairs = link_by_doubtful(scans, pairs, site.radius)
+                scans, pairs = link_by_candidates(scans, pairs, site.radius)
                 groups = linked_groups(count, pairs)
             with step("choose"):
                 at = [poles_of(scans, lidar) for lidar in range(count)]
                 choices = choose_poses(groups[0], pairs, at, groups[0][0])
                 if choices.rivals:
-                    scans, pairs, choices = decided_by_doubtful(
+                    scans, pairs, choices = decide_by_candidates(
                         scans, views, pairs, groups[0], choices, site.radius
                     )
                     at = [poles_of(scans, lidar) for lidar in range(count)]
-                check_exchanged(site, scans, views, pairs, choices.best, at)
+                check_swapped(site, scans, views, pairs, choices.best, at)
                 check_linked(site, scans, groups, pairs)
                 check_decided(site, choices, pairs, at)
             with step("adjust"):
@@ -91,19 +91,19 @@ def calibrate_site(
                     adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
             with step("test"):
                 adjusted, blunders = without_blunders(recorded, adjusted)
-                adjusted = searched_as_pair(recorded, adjusted)
+                adjusted = search_as_pair(recorded, adjusted)
             with step("confirm"):
                 check_contradiction(adjusted.refined)
                 check_near_poles(adjusted.poles, adjusted.refined)
                 unconfirmed = list(confirm_links(site, scans, adjusted, pairs))
         except Refusal as refusal:
-            return refused(site, scans, pairs, groups, refusal, blunders, seconds)
+            return state_refusal(site, scans, pairs, groups, refusal, blunders, seconds)
         with step("state"):
-            found = [*unusable(site, scans), *blunders, *unconfirmed]
-            return answered(site, scans, pairs, groups, adjusted, found, seconds)
+            found = [*list_unusable(site, scans), *blunders, *unconfirmed]
+            return state_answer(site, scans, pairs, groups, adjusted, found, seconds)
 
 
-def decided_by_doubtful(
+def decide_by_candidates(
     scans: SiteScans,
     views: Views,
     pairs: tuple[Pair, ...],
@@ -111,8 +111,8 @@ def decided_by_doubtful(
     choices: Choices,
     radius: float,
 ) -> tuple[SiteScans, tuple[Pair, ...], Choices]:
-    """Count doubtful poles, too, where with them one choice alone goes together."""
-    more = with_own_doubtful(scans, radius)
+    """Count candidate poles, too, where with them one choice alone goes together."""
+    more = with_own_candidates(scans, radius)
     found = find_pairs(more, views)
     at = [poles_of(more, lidar) for lidar in range(len(more.by_lidar))]
     again = choose_poses(group, found, at, group[0])
@@ -121,7 +121,7 @@ def decided_by_doubtful(
     return more, found, again
 
 
-def answered(
+def state_answer(
     site: Site,
     scans: SiteScans,
     pairs: Sequence[Pair],
@@ -154,7 +154,7 @@ def answered(
     )
 
 
-def refused(
+def state_refusal(
     site: Site,
     scans: SiteScans,
     pairs: Sequence[Pair],
@@ -167,7 +167,7 @@ def refused(
     reason = Reason(refusal.code, refusal.message, refusal.values)
     return SiteCalibration(
         status="refused",
-        reasons=(reason, *unusable(site, scans, refusal), *blunders),
+        reasons=(reason, *list_unusable(site, scans, refusal), *blunders),
         site=site,
         datum="",
         scans=scans.by_lidar,
@@ -183,7 +183,7 @@ def refused(
     )
 
 
-def unusable(site: Site, scans: SiteScans, told: Refusal | None = None) -> Iterator[Reason]:
+def list_unusable(site: Site, scans: SiteScans, told: Refusal | None = None) -> Iterator[Reason]:
     """Say which recordings could not be used, but for the one whose fault is `told`."""
     for (lidar, placement), refusal in scans.faults:
         if told is not None and refusal.message == told.message:

@@ -22,7 +22,7 @@ from ..scene.patch_pairs import pair_patches
 from ..scene.terms import FEW, SceneTerm
 from .adjustment import Adjusted, Recorded, adjust
 from .datum import without_poles
-from .links import links
+from .links import find_links
 
 CLOSE = 0.02
 """Patches that lie so far apart count by half, metres: twice what the range offset of a LiDAR is
@@ -87,8 +87,8 @@ def _coinciding(
     return count
 
 
-def least_denied(ends: Sequence[End]) -> int:
-    """Find the answer that the surroundings deny least beside the others; of equals the first."""
+def least_conflicting(ends: Sequence[End]) -> int:
+    """Find the answer that the surroundings conflict with least; of equals the first."""
     against = [
         max((more_coincide(one, other) for other in ends if other is not one), default=0.0)
         for one in ends
@@ -97,7 +97,9 @@ def least_denied(ends: Sequence[End]) -> int:
     return int(np.argmin(np.floor(against)))
 
 
-def denied_poles(recorded: Recorded, adjusted: Adjusted) -> Iterator[tuple[int, Adjusted, float]]:
+def conflicting_poles(
+    recorded: Recorded, adjusted: Adjusted
+) -> Iterator[tuple[int, Adjusted, float]]:
     """Find the poles without which far more of the surroundings coincides.
 
     Only where two poles alone link some LiDARs to all others: more check each other.
@@ -112,7 +114,7 @@ def denied_poles(recorded: Recorded, adjusted: Adjusted) -> Iterator[tuple[int, 
     int, Adjusted, float
         Index of the pole, everything adjusted without it, and how many more patches coincide.
     """
-    weak = [link for link in links(adjusted) if len(link.poles) == 2]
+    weak = [link for link in find_links(adjusted) if len(link.poles) == 2]
     for k in sorted({k for link in weak for k in link.poles}):
         across = [link.near for link in weak if k in link.poles]
         # A part of the patches is enough to see that nothing moved, but may hold too little.

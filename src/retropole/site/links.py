@@ -36,7 +36,7 @@ class Link:
         return len(self.poles) > 2
 
 
-def links(adjusted: Adjusted) -> Iterator[Link]:
+def find_links(adjusted: Adjusted) -> Iterator[Link]:
     """Find the pairs that link all LiDARs by most poles, and of those by most patches of the scene.
 
     They are a spanning tree, so that each parts the LiDARs into two sides.

@@ -128,7 +128,7 @@ def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[
 def _fit(
     T: Array, site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
 ) -> _Fit | None:
-    """How much of the survey fits under a pose; None where it fixes no frame or denies the pose."""
+    """How much of the survey fits under a pose; None where it fixes no frame or does not fit."""
     gaps: list[float] = []
     lines = points = 0
     for each in site.poles:

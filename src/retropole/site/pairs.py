@@ -20,7 +20,7 @@ from ..scene.choice import MIN_OVERLAP, RIVAL_FREE_SPACE_VIOLATION, RIVAL_OVERLA
 from ..scene.visibility import OVERLAP_DISTANCE, View, compare_views
 from .scans import SiteScans, Views
 
-DENIED = 0.06
+MAX_CONFLICTING = 0.06
 """Share of the points beyond the best's own that speaks against a hypothesis, from which no loop is
 closed with it. On bare ground the right one, 0.3° off, had up to 0.046 more than one that lays the
 scenes beside each other, in eight of 130 rings (benchmarks/site.py rings, seeds 0 to 129)."""
@@ -243,10 +243,12 @@ def _stands(each: Hypothesis, best: Hypothesis) -> bool:
     """
     if best.overlap < LEAST_TOLD:
         return _is_possible(each, best)
-    undenied = each.free_space_violation <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
-    return undenied and each.overlap >= RIVAL_OVERLAP * best.overlap
+    uncontradicted = (
+        each.free_space_violation <= best.free_space_violation + RIVAL_FREE_SPACE_VIOLATION
+    )
+    return uncontradicted and each.overlap >= RIVAL_OVERLAP * best.overlap
 
 
 def _is_possible(each: Hypothesis, best: Hypothesis) -> bool:
-    undenied = each.free_space_violation <= best.free_space_violation + DENIED
-    return undenied and each.score >= best.score - MIN_OVERLAP
+    uncontradicted = each.free_space_violation <= best.free_space_violation + MAX_CONFLICTING
+    return uncontradicted and each.score >= best.score - MIN_OVERLAP

@@ -18,7 +18,7 @@ from .geodesy import Ellipsoid, mean_radius
 
 BEYOND_AREA = np.radians(20.0)
 """How far outside its area of use a projected system is taken: Norway uses the zone from 12° to 18°
-up to 31°. Exchanged east and north of UTM lie farther off."""
+up to 31°. Swapped east and north of UTM lie farther off."""
 
 
 CONFORMAL = 1e-5
@@ -201,12 +201,12 @@ def _in_area(system: Projected, at: Array, beyond: float) -> NDArray[np.bool_]:
 
 
 def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
-    """Refuse what lies far outside of where a system is used, as exchanged coordinates do."""
+    """Refuse what lies far outside of where a system is used, as swapped coordinates do."""
     inside = _in_area(system, at, BEYOND_AREA)
     if not (inside.all() and np.isfinite(coordinates).all()):
         k = int(np.argmin(inside & np.isfinite(coordinates).all(axis=1)))
         degrees = ", ".join(f"{angle:.3f}" for angle in np.degrees(at[k, :2]))
         raise UsageError(
             f"{coordinates[k, 0]:.3f} east, {coordinates[k, 1]:.3f} north lie at {degrees} deg, "
-            f"far outside of where {system.name} is used; are east and north exchanged?"
+            f"far outside of where {system.name} is used; are east and north swapped?"
         )

@@ -20,7 +20,7 @@ from ..alignment.posterior import SHARED
 from ..alignment.views import find_view
 from ..base.bounded import Count, Share, Size
 from ..base.datatypes import Array, Pole, Scan
-from .axes import OwnAxes, climb_alone
+from .axes import OwnAxes, maximise_alone
 from .distances import Targets, distances_of
 
 MIN_SWEEPS, MAX_SWEEPS = 3, 12
@@ -144,7 +144,7 @@ def _of_placement(
             continue
         cloud = scan.cloud.select(frames == number)
         beams = beams_of([(pole, cloud) for pole in part], scan.sensor)
-        state, noise = climb_alone(start, beams, np.log(axes.noise))
+        state, noise = maximise_alone(start, beams, np.log(axes.noise))
         view = find_view(state, 1, beams, noise)
         state = state.moved(np.r_[np.zeros(SHARED), view.shift.reshape(-1)])
         lengths, by_axes = distances_of(state, [own])

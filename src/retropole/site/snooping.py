@@ -1,6 +1,6 @@
 """Every observation tested against all others: which one does not fit, and what would go unseen.
 
-Data snooping (Baarda 1968): an observation gets an error of its own beside all unknowns. How much
+Data snooping (Baarda 1968): an observation gets a bias of its own beside all unknowns. How much
 the fit would improve is its test (score test, Rao 1948), a χ² with as many degrees of freedom as
 the error has; how well the others determine that error is its redundancy, and tells the least
 error that the test finds.
@@ -19,9 +19,8 @@ from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from ..base.uncertainty.purpose import DEFAULT_AT
 from .answer import Test
-from .description import Site
-from .own_errors import (
-    OwnError,
+from .biases import (
+    Bias,
     lidar_apart,
     placement_moved,
     pole_moved,
@@ -29,6 +28,7 @@ from .own_errors import (
     splits,
     value_wrong,
 )
+from .description import Site
 from .shared import SharedPole
 from .solved import Solved
 
@@ -41,7 +41,7 @@ LEAST_CHECKED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How an error of its own was tested; see `answer.Test`."""
+    """How a bias of its own was tested; see `answer.Test`."""
 
     chi2: float
     w: float
@@ -56,8 +56,8 @@ def normalised(chi2: float, freedom: int, among: int = 1) -> float:
     return float(np.sqrt(2.0) * erfcinv(p)) if p > 0 else float(np.sqrt(chi2))
 
 
-def outcome(at: Solved, error: OwnError, unit: float) -> Outcome:
-    """Test an error of its own against all other observations.
+def outcome(at: Solved, error: Bias, unit: float) -> Outcome:
+    """Test a bias of its own against all other observations.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def _test(
     lidar: int | None,
     placement: int | None,
     pole: int | None,
-    error: OwnError,
+    error: Bias,
     found: Outcome,
 ) -> Test:
     return Test(

@@ -63,7 +63,7 @@ class Solved:
         return np.asarray(one.gradient - one.information @ away)
 
 
-def solved(network: Network, end: End, groups: Groups, parts: Sequence[Part]) -> Solved:
+def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part]) -> Solved:
     """Solve for all unknowns, axes and control points too, at the answer.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What makes the answer of a site weak that is good enough to give, and what denies it."""
+"""What makes the answer of a site weak that is good enough to give, and what conflicts with it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ..matching.placements import PairedPlacement
 from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
 from ..scene.choice import ambiguous
 from ..scene.confirmation import MAX_WRONG, check_confirmation, confirm
-from ..verdict import doubtful_sensor, nearly_parallel, noisy_poles, thin_evidence
+from ..verdict import check_angles, check_noise, check_returns, check_sensor
 from .adjustment import Adjusted
 from .answer import LidarPose, LoopClosure, Test
 from .blunders import POOR, place_of, worst_test
 from .choice import Choices, where_they_differ
 from .description import Site
-from .links import links
+from .links import find_links
 from .pairs import Pair
 from .scans import SiteScans
 
@@ -78,7 +78,7 @@ def check_decided(
     Refusal
         ``ambiguous_loop``; of two LiDARs ``ambiguous`` or ``no_overlap``.
     """
-    # More poles than two, other placements and a survey vouch for themselves.
+    # More poles than two, other placements and a survey are redundant.
     is_pair = len(site.lidars) == 2 and not (site.poles or site.points)
     no_overlap = pairs[0].no_overlap
     if is_pair and no_overlap and max(each.evidence for each in pairs[0].possible) <= 1:
@@ -132,7 +132,7 @@ def confirm_links(
     ------
     Reason
         ``not_confirmed`` where two poles alone link some LiDARs to all others, and the scene does
-        not vouch for the link.
+        not confirm the link.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def confirm_links(
         ``scene_contradicts``.
     """
     by_lidars = {pair.lidars: pair for pair in pairs}
-    for link in links(adjusted):
+    for link in find_links(adjusted):
         key = link.lidars
         found = _confirmation(scans, adjusted, by_lidars[key])
         names = f"{site.lidars[key[0]].name} and {site.lidars[key[1]].name}"
@@ -152,8 +152,9 @@ def confirm_links(
         if wrong is not None and wrong > MAX_WRONG and not link.is_checked:
             yield Reason(
                 "not_confirmed",
-                f"two poles alone link {names}, and their surroundings do not tell (wrong with "
-                f"{100 * wrong:.0f} %): add a pole or a placement that both see",
+                f"two poles alone link {names}, and their surroundings do not tell (of simulated "
+                f"answers like it {100 * wrong:.0f} % are wrong): add a pole or a placement that "
+                "both see",
                 {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
             )
 
@@ -206,7 +207,7 @@ def weaknesses(
 ) -> Iterator[Reason]:
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
     yield from _by_lidars(site, scans, adjusted)
-    yield from check_radius(adjusted.aligned.radius, adjusted.aligned.radius_denied)
+    yield from check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
     yield from check_agreement(adjusted.refined)
     yield from check_minima(adjusted.refined)
     yield from check_decisive(adjusted.refined)
@@ -225,18 +226,18 @@ def weaknesses(
 def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
     """Say what makes the poles of single LiDARs, and of two that they link, weak."""
     poles = adjusted.datum.poles
-    noise = np.exp(adjusted.aligned.climbed.point.log_noise[:, 0])
+    noise = np.exp(adjusted.aligned.maximum.point.log_noise[:, 0])
     for i, lidar in enumerate(site.lidars):
         for scan in scans.used(i)[:1]:
-            yield from doubtful_sensor(lidar.name, scan)
+            yield from check_sensor(lidar.name, scan)
         seen = [pole.seen[i] for pole in poles if i in pole.seen]
         if seen:
-            yield from thin_evidence(lidar.name, seen)
-            yield from noisy_poles(lidar.name, lidar.sensor, float(noise[i]))
-    for link in links(adjusted):
+            yield from check_returns(lidar.name, seen)
+            yield from check_noise(lidar.name, lidar.sensor, float(noise[i]))
+    for link in find_links(adjusted):
         names = f"{site.lidars[link.lidars[0]].name} and {site.lidars[link.lidars[1]].name}"
         if len(link.poles) > 1:
-            yield from nearly_parallel([poles[k].direction for k in link.poles], names)
+            yield from check_angles([poles[k].direction for k in link.poles], names)
     yield from _doubtful(site, scans, adjusted)
 
 
@@ -248,7 +249,7 @@ def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reas
             pole
             for scan in scans.used(i)
             if scan.detection is not None
-            for pole in scan.detection.doubtful
+            for pole in scan.detection.candidates
         ]
         seen = [pole.seen[i] for pole in adjusted.datum.poles if i in pole.seen]
         count = sum(any(pole is each for each in own) for pole in seen)

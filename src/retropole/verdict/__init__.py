@@ -13,13 +13,13 @@ from ..base.errors import Reason, Refusal
 from ..base.sensors import Sensor
 from ..base.uncertainty import Confirmation, WeakDirection
 from ..extraction.sensor_pattern import sensor_doubt
-from ..matching.confirmation import doubtful_reasons
+from ..matching.confirmation import candidate_reasons
 from ..matching.correspondence import widest_angle
 from ..matching.extension import left_out
 from ..matching.placements import PairedPlacement
 from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
 from ..scene.choice import WARN_MARGIN, margin_of
-from ..scene.confirmation import unconfirmed
+from ..scene.confirmation import check_unconfirmed
 from ..scene.refinement import Refinement
 from ..scene.times import other_times
 
@@ -70,20 +70,20 @@ def weaknesses(
         How far what stands in the scene agrees with the answer.
     """
     return [
-        *unconfirmed(confirmation),
+        *check_unconfirmed(confirmation),
         *other_times([each.placement for each in paired]),
-        *doubtful_reasons(paired, hypotheses),
+        *candidate_reasons(paired, hypotheses),
         *_left_out(paired),
         *_weak_choice(hypotheses),
-        *doubtful_sensor("target", paired[0].placement.target),
-        *doubtful_sensor("source", paired[0].placement.source),
-        *nearly_parallel([pole.direction for each in paired for pole in each.target_poles]),
-        *thin_evidence("target", [pole for each in paired for pole in each.target_poles]),
-        *thin_evidence("source", [pole for each in paired for pole in each.source_poles]),
-        *noisy_poles("target", paired[0].placement.target.sensor, aligned.noise[0]),
-        *noisy_poles("source", paired[0].placement.source.sensor, aligned.noise[1]),
+        *check_sensor("target", paired[0].placement.target),
+        *check_sensor("source", paired[0].placement.source),
+        *check_angles([pole.direction for each in paired for pole in each.target_poles]),
+        *check_returns("target", [pole for each in paired for pole in each.target_poles]),
+        *check_returns("source", [pole for each in paired for pole in each.source_poles]),
+        *check_noise("target", paired[0].placement.target.sensor, aligned.noise[0]),
+        *check_noise("source", paired[0].placement.source.sensor, aligned.noise[1]),
         *_weak_pose(aligned, weakest),
-        *check_radius(aligned.radius, aligned.radius_denied),
+        *check_radius(aligned.radius, aligned.radius_conflict),
         *check_agreement(refined),
         *check_minima(refined),
         *check_decisive(refined),
@@ -117,14 +117,14 @@ def _left_out(paired: Sequence[PairedPlacement]) -> Iterator[Reason]:
             )
 
 
-def doubtful_sensor(lidar: str, scan: Scan) -> Iterator[Reason]:
+def check_sensor(lidar: str, scan: Scan) -> Iterator[Reason]:
     """Say that a LiDAR's cloud shows more than the sensor that was named can see."""
     doubt = sensor_doubt(scan.cloud, scan.sensor)
     if doubt and scan.sensor is not None:
         yield Reason("sensor_doubtful", doubt, {"lidar": lidar, "sensor": scan.sensor.name})
 
 
-def nearly_parallel(directions: Sequence[Array], lidars: str = "") -> Iterator[Reason]:
+def check_angles(directions: Sequence[Array], lidars: str = "") -> Iterator[Reason]:
     """Say that poles (3,) each are nearly parallel that link two LiDARs, of a site by name."""
     angle = widest_angle(directions)
     if angle < WEAK_ANGLE:
@@ -138,7 +138,7 @@ def nearly_parallel(directions: Sequence[Array], lidars: str = "") -> Iterator[R
         )
 
 
-def thin_evidence(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
+def check_returns(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
     """Say that a LiDAR has little to tell of its poles; two hold a pose: the second best counts."""
     points, rings = (
         sorted(of_poles)[-2:][0]
@@ -160,7 +160,7 @@ def thin_evidence(lidar: str, poles: Sequence[Pole]) -> Iterator[Reason]:
         )
 
 
-def noisy_poles(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Reason]:
+def check_noise(lidar: str, sensor: Sensor | None, noise: float) -> Iterator[Reason]:
     """Say that a LiDAR's returns on the poles scatter more than its manufacturer's figure allows.
 
     Parameters
@@ -223,7 +223,7 @@ def _not_converged(aligned: BeamAlignment, refined: Refinement | None) -> Iterat
         )
 
 
-def refused(
+def state_refusal(
     refusal: Refusal,
     placements: tuple[Placement, ...],
     hypotheses: tuple[Hypothesis, ...],

@@ -27,7 +27,7 @@ MOST = 0.5
 """Sources of error are named, two at most, until they make this share of the variance."""
 
 
-def judged(answer: Calibration, need: Need | None) -> Calibration:
+def judge(answer: Calibration, need: Need | None) -> Calibration:
     """Answer whether a pose is as accurate as it must be, and warn where that is not shown.
 
     Parameters

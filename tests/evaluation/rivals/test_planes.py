@@ -119,7 +119,8 @@ def test_corridors_are_found_or_refused_but_never_wrong() -> None:
 @pytest.mark.parametrize("swapped", [False, True])
 def test_the_example_pair_of_the_method_itself(swapped: bool) -> None:
     """Its reference, eps_opt.csv, holds two matrices: the reference's own, and data to reference;
-    it is good to 0.8° and 8 cm."""
+    it is good to 0.8° and 8 cm.
+    """
     T = np.loadtxt(DATA / "eps_opt.csv", delimiter=",")[4:]
     target, source = (read_cloud(DATA / f"{name}_filter.pcd") for name in ("ref", "data"))
     if swapped:

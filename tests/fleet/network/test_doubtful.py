@@ -6,7 +6,7 @@ import pytest
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.fleet.network.graph import ControlPoints, Graph, KnownPoses, find_components
-from retropole.fleet.network.snooping import agrees, hanging, inseparable, outvoted, relaid
+from retropole.fleet.network.snooping import against_consensus, agrees, hanging, inseparable, relaid
 from tests.fleet.network.networks import network_of, spoiled
 
 ENDS = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 1], [4, 5]])
@@ -45,15 +45,17 @@ def test_two_that_agree_outvote_one() -> None:
     def always(*_: int) -> bool:
         return True
 
-    assert outvoted({4: (1,), 5: (1, 2)}, set(), always) == {1: [4, 5]}
-    assert outvoted({4: (1,), 5: (1, 2)}, {1}, always) == {}
-    assert outvoted({4: (1,), 5: (2,)}, set(), always) == {}
+    assert against_consensus({4: (1,), 5: (1, 2)}, set(), always) == {1: [4, 5]}
+    assert against_consensus({4: (1,), 5: (1, 2)}, {1}, always) == {}
+    assert against_consensus({4: (1,), 5: (2,)}, set(), always) == {}
 
 
 def test_those_that_contradict_each_other_outvote_none() -> None:
     alone: dict[int, tuple[int, ...]] = {4: (1,), 5: (1,), 6: (1,)}
-    assert outvoted(alone, set(), lambda *_: False) == {}
-    assert outvoted(alone, set(), lambda _, one, other: {one, other} == {4, 6}) == {1: [4, 6]}
+    assert against_consensus(alone, set(), lambda *_: False) == {}
+    assert against_consensus(alone, set(), lambda _, one, other: {one, other} == {4, 6}) == {
+        1: [4, 6]
+    }
 
 
 STAR = np.array([[0, 1], [1, 2], [2, 3], [4, 1], [2, 4], [3, 4]])

@@ -22,27 +22,27 @@ RANGES = (1.0, 10.0, 30.0, 60.0)
 LEVER = 10.0
 """Distance at which a rotation is counted beside a translation in the condition number, metres."""
 
-MAX_LEAD = 4.0
-"""A larger lead says no more: its σ takes places for independent, which neighbours are not."""
+MAX_Z_MARGIN = 4.0
+"""A larger margin says no more: its σ takes voxels for independent, which neighbours are not."""
 
-CLEAR_LEAD = 1.5
-"""Up to this many σ a lead may be chance, and tells less for each σ than beyond."""
+CLEAR_Z_MARGIN = 1.5
+"""Up to this many σ a margin may be chance, and tells less for each σ than beyond."""
 
-PRIOR, PER_SHARE, PER_LEAD, PER_CLEAR_LEAD = -0.07, 0.42, -0.57, -2.1
-"""Of the log odds that an answer is wrong: for the share of the places that deny it (its
-logarithm), for its lead up to `CLEAR_LEAD`, and for what is beyond. A logistic regression of 366
-answers with two poles, 112 of them wrong (benchmarks/deception.py, seeds 100 to 129, before any was
-refused for its scene); with one slope for every lead, answers that led by 0.1 σ were confirmed, and
-18 of 258 right ones of seeds 300 to 334 were not, with two 9. So it holds where as many recordings
-deceive as there; docs/accuracy.md shows how well, on other seeds."""
+PRIOR, PER_SHARE, PER_Z_MARGIN, PER_CLEAR_Z_MARGIN = -0.07, 0.42, -0.57, -2.1
+"""Of the log odds that an answer is wrong: for the share of the voxels that conflict with it (its
+logarithm), for its z-margin up to `CLEAR_Z_MARGIN`, and for the rest. A logistic regression of 366
+answers with two poles, 112 of them wrong (benchmarks/deception.py, seeds 100 to 129, before any
+was refused for its scene); with one slope for all, answers that were 0.1 σ better were confirmed,
+and 18 of 258 right ones of seeds 300 to 334 were not, with two 9. So it holds where as many
+recordings deceive as there; docs/accuracy.md shows how well, on other seeds."""
 
-VOUCHED = -4.0
-"""The same for poles that vouch for themselves: of the answers with three or four poles in 1,000
+REDUNDANT = -4.0
+"""The same for poles that are redundant: of the answers with three or four poles in 1,000
 hard scenes (benchmarks/hard_scenes.py) none was wrong. A lie then takes poles carried as one."""
 
 FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
-"""1 σ about and along each axis that no model names, rad and m: bent housings, temperature, grounds
-that are not flat, time between the recordings."""
+"""1 σ about and along each axis that are not modelled, rad and m: bent housings, temperature,
+grounds that are not flat, time between the recordings."""
 
 SYMMETRIC = 1e-6
 """A covariance that was read is symmetric and positive up to this part: seven printed digits."""
@@ -62,7 +62,7 @@ class BudgetEntry(msgspec.Struct, frozen=True):
         Whose error it is; None where it is no single LiDAR's.
     sigma, unit
         1 σ of the error itself, and its unit: ``m``, ``rad`` or ``1``; not of the pose. Of what is
-        no single quantity (scatter, surfaces, what no model names), of a point 30 m away, metres.
+        no single quantity (scatter, surfaces, unmodelled errors), of a point 30 m away, metres.
     estimated
         The error as this data has it, in the same unit, of which the answer is already free; None
         where it is not estimated or is not one number.
@@ -151,83 +151,84 @@ class Confirmation(
     msgspec.Struct,
     frozen=True,
     kw_only=True,
-    rename={"denied": "contradicted", "better_at": "better_at_m"},
+    rename={"better_at": "better_at_m", "z_margin": "lead", "redundant": "vouched"},
 ):
     """What stands in the scene says of a pose (docs/certainty.md, What stands in the scene).
 
     Attributes
     ----------
     agreeing, contradicting
-        Places off the ground, of both clouds, that agree with the pose, and that stand where the
+        Voxels off the ground, of both clouds, that agree with the pose, and that stand where the
         other LiDAR looked through.
-    denied
-        Share of the places that deny the pose; 0 where there is none. It follows from the others.
+    contradicted
+        Share of the voxels that conflict with the pose; 0 where there is none. It follows from the
+        others.
     missing
-        Places that should agree besides, by how much stands in both clouds.
+        Voxels that should agree besides, by how much stands in both clouds.
     better_at
         How far away a pose lies under which the scene fits better, metres; None if none does.
-    lead
+    z_margin
         By how many σ the pose agrees better than the best of others beside it; None where it was
         not held against any.
-    vouched
-        Whether a third pole, or a placement of another shape, vouches for the poles.
+    redundant
+        Whether a third pole, or a placement of another shape, checks the poles.
     trusted
         Whether the user does.
     probability_wrong
         Probability that the answer is off by more than 1° or 0.3 m, where poles may lie; None
-        without a lead. It follows from the others.
+        without a margin. It follows from the others.
     """
 
     agreeing: Count
     contradicting: Count
-    denied: Share = 0.0
+    contradicted: Share = 0.0
     missing: Count = 0
     better_at: Size | None = None
-    lead: Number | None = None
-    vouched: bool = False
+    z_margin: Number | None = None
+    redundant: bool = False
     trusted: bool = False
     probability_wrong: Share | None = None
 
     def __post_init__(self) -> None:
         """Work out what follows: a document states it too, and is not trusted with it."""
-        force_setattr(self, "denied", self.denying / max(self.total, 1))
+        force_setattr(self, "contradicted", self.conflicting / max(self.total, 1))
         force_setattr(self, "probability_wrong", self._probability_wrong())
 
     @property
-    def denying(self) -> int:
-        """Places that deny the pose, one way or the other."""
+    def conflicting(self) -> int:
+        """Voxels that conflict with the pose, one way or the other."""
         return self.contradicting + self.missing
 
     @property
     def total(self) -> int:
-        """Places that say anything."""
-        return self.agreeing + self.denying
+        """Voxels that say anything."""
+        return self.agreeing + self.conflicting
 
     def _probability_wrong(self) -> float | None:
-        if self.lead is None:
+        if self.z_margin is None:
             return None
-        share = np.log((self.denying + 1) / (self.total + 2))
-        lead = np.clip(self.lead, -MAX_LEAD, CLEAR_LEAD)
-        beyond = np.clip(self.lead, CLEAR_LEAD, MAX_LEAD) - CLEAR_LEAD
-        odds = PRIOR + PER_SHARE * share + PER_LEAD * lead + PER_CLEAR_LEAD * beyond
-        odds += VOUCHED * self.vouched
+        share = np.log((self.conflicting + 1) / (self.total + 2))
+        margin = np.clip(self.z_margin, -MAX_Z_MARGIN, CLEAR_Z_MARGIN)
+        beyond = np.clip(self.z_margin, CLEAR_Z_MARGIN, MAX_Z_MARGIN) - CLEAR_Z_MARGIN
+        odds = PRIOR + PER_SHARE * share + PER_Z_MARGIN * margin + PER_CLEAR_Z_MARGIN * beyond
+        odds += REDUNDANT * self.redundant
         return float(1 / (1 + np.exp(-odds)))
 
     @property
     def words(self) -> str:
-        """The figures for a person: ``412 places agree, 3 deny it (0.7 %); wrong with …``."""
-        said = counted(self.agreeing, "place agrees", "places agree")
-        said += f", {counted(self.denying, 'denies', 'deny')} it"
+        """The figures for a person: ``412 voxels agree, 3 conflict with it (0.7 %); …``."""
+        said = counted(self.agreeing, "voxel agrees", "voxels agree")
+        said += f", {counted(self.conflicting, 'conflicts with', 'conflict with')} it"
         if self.total:
-            said += f" ({100 * self.denied:.1f} %)"
+            said += f" ({100 * self.contradicted:.1f} %)"
         if self.better_at is not None:
             said += f"; it fits better {self.better_at:.1f} m away"
         wrong = self.probability_wrong
         if wrong is None:
             return said
         # Fewer than a thousand answers set it: it is not known better than to a thousandth.
-        probability = f"of {100 * wrong:.1f} %" if wrong >= 0.001 else "below 0.1 %"
-        return f"{said}; wrong with a probability {probability}"
+        share = f"{100 * wrong:.1f} %" if wrong >= 0.001 else "less than 0.1 %"
+        return f"{said}; {share} of simulated answers like it are wrong, a third made to deceive"
 
 
 def source_words(name: str, sensor: str | None) -> str:
@@ -261,7 +262,7 @@ def covariance_fault(C: Array, *, is_part: bool = False) -> str | None:
 
 
 def floor() -> Array:
-    """(6, 6) of what no model names: no pose is stated surer than this."""
+    """(6, 6) of unmodelled errors: no pose is stated surer than this."""
     return np.diag(np.r_[np.full(3, FLOOR_ROTATION), np.full(3, FLOOR_TRANSLATION)] ** 2)
 
 

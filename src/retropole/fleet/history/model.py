@@ -50,7 +50,7 @@ LEVEL_FACTOR = 1.5
 """How much wider than stated the stored pose's error may be, in σ."""
 
 UNNAMED = floor()
-"""(6, 6) of what no model names."""
+"""(6, 6) of unmodelled errors."""
 
 IDENTITY = np.eye(6)
 
@@ -192,7 +192,7 @@ def some(changes: Changes, keep: BoolArray) -> Changes:
 def first_state(first: Observed, share: float | Array) -> State:
     """Give what is known before the first check: the stored pose may err by what is stated.
 
-    Of what varies slowly the variance is the floor of what no model names, and a share of a check's
+    Of what varies slowly the variance is the floor of unmodelled errors, and a share of a check's
     random part; of several shares (R,) it is that of as many filters.
     """
     shares = np.asarray(share)[..., None, None]

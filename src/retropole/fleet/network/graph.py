@@ -1,6 +1,6 @@
 """What a network is made of: poses to find, relative poses between them, and what was surveyed.
 
-Nodes that hang together are a component, whose datum is control, or the first node held.
+Nodes that are connected are a component, whose datum is control, or the first node held.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ LEAST_LEVER = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """Nodes that hang together.
+    """Nodes that are connected.
 
     Attributes
     ----------

@@ -74,7 +74,7 @@ class NetworkAdjustment:
     left_out
         What does not fit and was not adjusted, by kind and number.
     components
-        Nodes that hang together, and the datum of each component.
+        Nodes that are connected, and the datum of each component.
     doubtful
         (N,) poses that are tied to their datum by what may be wrong in the stead of what was left
         out: they may be elsewhere by as much as that misses.

@@ -79,7 +79,7 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
     return found
 
 
-def outvoted(
+def against_consensus(
     alone: dict[int, tuple[int, ...]], tried: set[int], agree: Callable[[int, int, int], bool]
 ) -> dict[int, list[int]]:
     """Find active observations that two or more which were left out agree to be wrong instead.
@@ -222,7 +222,7 @@ of the χ² that chance allows: the tests of nearer ones tell better which of tw
 wrong. With 1 instead, 2 more of 147 detectable errors went unnamed (benchmarks/fleet_network.py,
 seed 0)."""
 
-TOLD_APART = 9.2
+SEPARABLE = 9.2
 """Of two edges either of which explains what does not fit, that whose χ² is less by no more than
 this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
 
@@ -298,7 +298,7 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
         # Two that are out and agree are more than the one that they contradict. Two that do not
         # are wrong themselves: put back, they would bend all that is around them.
         alone = inseparable(graph, active, tests.freedom)
-        out = outvoted(alone, tried, partial(agrees, graph, active, T))
+        out = against_consensus(alone, tried, partial(agrees, graph, active, T))
         if rounds == MOST_ROUNDS or (not out and until == SETTLED):
             break
         until = until if out else SETTLED
@@ -337,13 +337,13 @@ def _as_likely(
     """Observations that share a pose with one that is taken out, and are as likely to be wrong."""
     if not len(taken_out):
         return {}
-    candidates = np.flatnonzero(active & (chi2 > chi2[taken_out].min() - TOLD_APART))
+    candidates = np.flatnonzero(active & (chi2 > chi2[taken_out].min() - SEPARABLE))
     ends = np.stack(graph.ends, axis=1)
     found = {}
     for k in taken_out.tolist():
         near = np.isin(ends[candidates], ends[k][ends[k] < graph.nodes]).any(axis=1)
         others = candidates[near & (candidates != k)]
-        others = others[chi2[others] > chi2[k] - TOLD_APART]
+        others = others[chi2[others] > chi2[k] - SEPARABLE]
         if len(others):
             found[k] = tuple(others.tolist())
     return found

@@ -12,9 +12,9 @@ from retropole.base import se3
 from retropole.base.datatypes import Array, Hypothesis, Match, Pole, Scan
 from retropole.matching.correspondence import match_poles
 from retropole.matching.extension import EXACT_RMS
-from retropole.scene import settling
+from retropole.scene import icp_refinement
+from retropole.scene.icp_refinement import MOST_REFINED, refine_by_icp, rms_after
 from retropole.scene.scans import find_poles
-from retropole.scene.settling import SETTLED_AT_MOST, rms_after, settle
 from retropole.simulation import simulate_pair
 
 OFF = np.array([0.03, -0.02, 0.04, 0.15, -0.1, 0.1])
@@ -44,7 +44,7 @@ def recorded() -> Recorded:
 
 def settled(of: Recorded, *matches: Match) -> list[Match]:
     hypotheses = [Hypothesis(match, None, None, 0.5, 0.0, 0.5) for match in matches]
-    return settle(of.target.cloud, of.source.cloud, hypotheses, of.source.poles)
+    return refine_by_icp(of.target.cloud, of.source.cloud, hypotheses, of.source.poles)
 
 
 def turned(match: Match, T: Array, certainty: float) -> Match:
@@ -55,7 +55,7 @@ def turned(match: Match, T: Array, certainty: float) -> Match:
 
 def test_a_hypothesis_settles_where_its_poles_allow_it(recorded: Recorded) -> None:
     (found,) = settled(recorded, turned(recorded.right, recorded.truth, 0.02))
-    assert found.settled
+    assert found.icp_refined
     apart = se3.difference(recorded.truth, found.T_target_source)
     assert apart.rotation < np.radians(0.3)
     assert apart.translation < 0.05
@@ -66,7 +66,7 @@ def test_what_is_out_of_reach_hardly_counts(
 ) -> None:
     match = turned(recorded.right, recorded.truth, 0.02)
     (found,) = settled(recorded, match)
-    monkeypatch.setattr(settling, "SETTLING_REACH", np.inf)
+    monkeypatch.setattr(icp_refinement, "ICP_REACH", np.inf)
     (by_all,) = settled(recorded, match)
     apart = se3.difference(found.T_target_source, by_all.T_target_source)
     # A registration ends where a step is shorter than this.
@@ -95,10 +95,10 @@ def test_hypotheses_that_end_in_one_pose_are_one(recorded: Recorded) -> None:
 
 def test_inexact_matches_and_the_worst_stay_as_they_are(recorded: Recorded) -> None:
     weak = turned(recorded.right, recorded.truth, 0.02)
-    inexact = [replace(weak, exact=False) for _ in range(SETTLED_AT_MOST)]
+    inexact = [replace(weak, exact=False) for _ in range(MOST_REFINED)]
     found = settled(recorded, *inexact, weak)
-    assert not any(match.settled for match in found)
-    assert len(found) == SETTLED_AT_MOST + 1
+    assert not any(match.icp_refined for match in found)
+    assert len(found) == MOST_REFINED + 1
 
 
 def test_the_residual_after_a_step_is_that_of_the_returns(recorded: Recorded) -> None:

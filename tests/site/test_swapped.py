@@ -9,18 +9,18 @@ from retropole.base.errors import Refusal
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site
-from retropole.site.exchanged import (
+from retropole.site.scans import Views
+from retropole.site.swapped import (
     _share_poles,
     _swapped,
-    check_exchanged,
     check_places,
+    check_swapped,
     support_of,
 )
-from retropole.site.scans import Views
 from tests.site.adjusting import Steps, made, made_wrong, with_lidar
 
 
-def exchanged(site: Site, one: tuple[int, int], other: tuple[int, int]) -> Site:
+def swapped(site: Site, one: tuple[int, int], other: tuple[int, int]) -> Site:
     clouds = [list(lidar.clouds) for lidar in site.lidars]
     (i, p), (j, q) = one, other
     clouds[i][p], clouds[j][q] = clouds[j][q], clouds[i][p]
@@ -30,7 +30,7 @@ def exchanged(site: Site, one: tuple[int, int], other: tuple[int, int]) -> Site:
 
 
 def test_two_lidars_files_of_one_placement_are_named(simulated: SimulatedSite) -> None:
-    found = calibrate_site(exchanged(simulated.as_site(), (0, 1), (2, 1)))
+    found = calibrate_site(swapped(simulated.as_site(), (0, 1), (2, 1)))
     assert found.status == "refused"
     (reason,) = found.reasons
     assert reason.code == "recordings_exchanged"
@@ -41,7 +41,7 @@ def test_two_lidars_files_of_one_placement_are_named(simulated: SimulatedSite) -
 
 @pytest.mark.slow
 def test_one_lidars_files_of_two_placements_are_named(simulated: SimulatedSite) -> None:
-    found = calibrate_site(exchanged(simulated.as_site(), (1, 0), (1, 1)))
+    found = calibrate_site(swapped(simulated.as_site(), (1, 0), (1, 1)))
     assert found.status == "refused"
     (reason,) = found.reasons
     assert reason.code == "recordings_exchanged"
@@ -70,10 +70,10 @@ def test_a_lidar_that_moved_is_named(simulated: SimulatedSite) -> None:
     assert found.reasons[0].values["lidar"] == "posts-2"
 
 
-def test_sound_recordings_are_not_denied(steps: Steps) -> None:
+def test_sound_recordings_are_not_conflicting(steps: Steps) -> None:
     check_places(steps.site, steps.views)
     best = steps.choices.best
-    check_exchanged(steps.site, steps.scans, steps.views, steps.pairs, best, steps.at)
+    check_swapped(steps.site, steps.scans, steps.views, steps.pairs, best, steps.at)
     support = support_of(best, steps.scans, steps.pairs, steps.at)
     assert support.met == support.possible
     assert set(support.possible) == {(i, p) for i in range(3) for p in range(2)}

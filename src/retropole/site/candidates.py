@@ -1,4 +1,5 @@
-"""LiDARs that their sure poles link to no other: doubtful poles may, where the scene confirms them.
+"""LiDARs that their confirmed poles link to no other: candidate poles may, where the scene confirms
+them.
 
 As for a pair alone (`matching.confirmation`): two lines that both LiDARs see at one angle and
 distance, under a pose at which the scenes coincide and at no other.
@@ -11,9 +12,9 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 from ..base.datatypes import Placement, Pole, Scan
-from ..extraction.doubtful import with_doubtful
+from ..extraction.candidates import with_candidates
 from ..matching.placements import Chosen
-from ..scene.search import ENOUGH_SURE, choose_with_doubtful, counting_doubtful
+from ..scene.search import ENOUGH_CONFIRMED, choose_with_candidates, count_candidates
 from .choice import linked_groups
 from .pairs import Pair, PairHypothesis
 from .scans import SiteScans
@@ -22,10 +23,10 @@ MOST_TRIED = 12
 """So many pairs are tried at most: each takes as long as half of a pair's calibration."""
 
 
-def link_by_doubtful(
+def link_by_candidates(
     scans: SiteScans, pairs: Sequence[Pair], radius: float
 ) -> tuple[SiteScans, tuple[Pair, ...]]:
-    """Link groups of LiDARs by doubtful poles, until all are linked or nothing more is found.
+    """Link groups of LiDARs by candidate poles, until all are linked or nothing more is found.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ def link_by_doubtful(
     Returns
     -------
     SiteScans, tuple of Pair
-        With the doubtful poles that are confirmed among the poles, and the pairs that they link.
+        With the candidate poles that are confirmed among the poles, and the pairs that they link.
     """
     found = {pair.lidars: pair for pair in pairs}
     tried = 0
@@ -54,29 +55,29 @@ def link_by_doubtful(
     return scans, tuple(found.values())
 
 
-def with_own_doubtful(scans: SiteScans, radius: float) -> SiteScans:
-    """Count the doubtful poles of recordings with fewer than two sure ones.
+def with_own_candidates(scans: SiteScans, radius: float) -> SiteScans:
+    """Count the candidate poles of recordings with fewer than two confirmed ones.
 
     They are no evidence by themselves: only a loop that closes with them, and with no other choice,
     confirms them.
     """
     rows = tuple(
-        tuple(None if scan is None else _with_own_doubtful(scan, radius) for scan in row)
+        tuple(None if scan is None else _with_own_candidates(scan, radius) for scan in row)
         for row in scans.by_lidar
     )
     return replace(scans, by_lidar=rows)
 
 
-def _with_own_doubtful(scan: Scan, radius: float) -> Scan:
-    if scan.detection is None or len(scan.poles) >= ENOUGH_SURE:
+def _with_own_candidates(scan: Scan, radius: float) -> Scan:
+    if scan.detection is None or len(scan.poles) >= ENOUGH_CONFIRMED:
         return scan
-    found = with_doubtful(scan.cloud, scan.detection, radius, scan.sensor)
-    return counting_doubtful(replace(scan, detection=found))
+    found = with_candidates(scan.cloud, scan.detection, radius, scan.sensor)
+    return count_candidates(replace(scan, detection=found))
 
 
 def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[int, int]]:
-    """Pairs of LiDARs of different groups: those first whose recordings have most poles, sure and
-    doubtful. Where one of them has two sure ones, a lower threshold may show those of the other.
+    """Pairs of LiDARs of different groups: those first whose recordings have most poles of either
+    kind. Where one has two confirmed ones, a lower threshold may show those of the other.
     """
     groups = linked_groups(len(scans.by_lidar), pairs)
     of = {i: k for k, group in enumerate(groups) for i in group}
@@ -85,7 +86,7 @@ def _between_groups(scans: SiteScans, pairs: Sequence[Pair]) -> Iterator[tuple[i
         i, j = pair.lidars
         if of[i] != of[j]:
             both = list(_both(scans, i, j))
-            sure = any(max(len(a.poles), len(b.poles)) >= ENOUGH_SURE for a, b in both)
+            sure = any(max(len(a.poles), len(b.poles)) >= ENOUGH_CONFIRMED for a, b in both)
             most = max((min(_candidates(a), _candidates(b)) for a, b in both), default=0)
             if most or sure:
                 counts[i, j] = most
@@ -107,13 +108,13 @@ def _candidates(scan: Scan) -> int:
 def _linked(
     scans: SiteScans, lidars: tuple[int, int], radius: float
 ) -> tuple[SiteScans, Pair] | None:
-    """Link two LiDARs, placement by placement; None where no doubtful poles are confirmed."""
+    """Link two LiDARs, placement by placement; None where no candidate poles are confirmed."""
     i, j = lidars
     for p, (target, source) in enumerate(zip(scans.by_lidar[i], scans.by_lidar[j], strict=True)):
         if target is None or source is None:
             continue
         placement = Placement(target, source)
-        chosen = choose_with_doubtful([placement], radius, lambda step: nullcontext())
+        chosen = choose_with_candidates([placement], radius, lambda step: nullcontext())
         if chosen.refusal is None:
             return _with_poles(scans, lidars, p, chosen), _pair(lidars, p, chosen)
     return None
@@ -150,5 +151,5 @@ def _counting(scan: Scan, poles: Sequence[Pole]) -> Scan:
     assert scan.detection is not None
     new = [pole for pole in poles if not any(pole is own for own in scan.poles)]
     found = scan.detection
-    counted = replace(found, poles=(*found.poles, *new), doubtful=(*found.doubtful, *new))
+    counted = replace(found, poles=(*found.poles, *new), candidates=(*found.candidates, *new))
     return replace(scan, detection=counted)

@@ -1,4 +1,6 @@
-"""Clouds with more points than there is memory for are thinned: evenly, and the same every time."""
+"""Clouds with more points than there is memory for are downsampled: evenly, and the same every
+time.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ LEAST_POINTS = 1000
 """No fewer are asked for: they show no pole."""
 
 FEWEST_FRAMES = 20
-"""Of more frames, every second is left out before any is thinned: whole frames keep the pattern of
-the beams, and so many tell what moved."""
+"""Of more frames, every second is left out before any is downsampled: whole frames keep the pattern
+of the beams, and so many tell what moved."""
 
 BRIGHT_SHARE = 0.01
 """Part of the points that are left which the brightest may be: 15,000 of them. Returns on
@@ -31,7 +33,7 @@ GOLDEN = (5**0.5 - 1) / 2
 """Its multiples, modulo 1, keep no step with the number of rings, which neighbours differ by."""
 
 
-def thinned(cloud: PointCloud, most: int) -> PointCloud:
+def downsample(cloud: PointCloud, most: int) -> PointCloud:
     """Keep `most` points of a cloud: the brightest, since returns on poles are few, and the others
     evenly in their order.
 
@@ -52,7 +54,8 @@ def thinned(cloud: PointCloud, most: int) -> PointCloud:
     kept = np.zeros(len(cloud), bool)
     brightest = int(BRIGHT_SHARE * most)
     if cloud.intensity is not None and brightest:
-        # Where more are equally bright, as where all saturate, they are thinned like the others.
+        # Where more are equally bright, as where all saturate, they are downsampled like the
+        # others.
         kept = cloud.intensity > np.partition(cloud.intensity, -brightest - 1)[-brightest - 1]
     others = np.flatnonzero(~kept)
     count = most - (len(cloud) - len(others))
@@ -77,8 +80,8 @@ def read_within(
 ) -> tuple[range, list[Frame]]:
     """Read frames with no more than `most` points together, and never hold many more.
 
-    Of many frames, every second is left out as often as it takes; of few, each is thinned to its
-    share.
+    Of many frames, every second is left out as often as it takes; of few, each is downsampled to
+    its share.
 
     Parameters
     ----------
@@ -102,7 +105,7 @@ def read_within(
                 kept = [frame for frame in kept if frame.number in numbers]
             else:
                 share = max(most // len(numbers), 1)
-                kept = [replace(frame, cloud=thinned(frame.cloud, share)) for frame in kept]
+                kept = [replace(frame, cloud=downsample(frame.cloud, share)) for frame in kept]
         if len(kept) == len(numbers):
             return numbers, kept
         _tell(progress, recording, len(kept), len(numbers))

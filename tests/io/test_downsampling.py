@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from retropole.base.datatypes import PER_POINT, PointCloud
-from retropole.io import joined, read_cloud, read_recording, thinned, write_pcd
+from retropole.io import downsample, joined, read_cloud, read_recording, write_pcd
+from retropole.io.downsampling import BRIGHT_SHARE, FEWEST_FRAMES, read_within
 from retropole.io.recordings import Frame, Recording
-from retropole.io.thinning import BRIGHT_SHARE, FEWEST_FRAMES, read_within
 from tests.io.files import required
 
 RINGS = 16
@@ -36,18 +36,18 @@ def recording_of(sizes: list[int]) -> Recording:
 
 def test_below_the_limit_a_cloud_is_itself() -> None:
     cloud = cloud_of(1000)
-    assert thinned(cloud, 1000) is cloud
-    assert thinned(cloud, 10**9) is cloud
+    assert downsample(cloud, 1000) is cloud
+    assert downsample(cloud, 10**9) is cloud
 
 
 @pytest.mark.parametrize("part", [0.999, 0.5, 0.1, 0.003])
 def test_as_many_points_are_kept_as_asked(part: float) -> None:
     cloud = cloud_of(100_003)
     most = int(part * len(cloud))
-    kept = thinned(cloud, most)
+    kept = downsample(cloud, most)
     assert len(kept) == most
     assert kept.thinned == len(cloud) - most
-    again = thinned(cloud, most)
+    again = downsample(cloud, most)
     for name in ("xyz", *PER_POINT):
         np.testing.assert_array_equal(getattr(kept, name), getattr(again, name))
     # Every value stays with its point, and the points in their order.
@@ -63,7 +63,7 @@ def test_the_points_on_poles_are_kept_and_the_others_evenly() -> None:
     poles = np.random.default_rng(1).choice(len(cloud), 300, replace=False)
     dim[poles] = 255.0
     cloud = PointCloud(cloud.xyz, intensity=dim, ring=cloud.ring, time=cloud.time)
-    kept = thinned(cloud, 40_000)
+    kept = downsample(cloud, 40_000)
     assert np.count_nonzero(required(kept.intensity) == 255.0) == 300
     # A step of 4 over 16 rings must not leave a quarter of them.
     counts = np.bincount(required(kept.ring), minlength=RINGS)
@@ -76,11 +76,13 @@ def test_the_points_on_poles_are_kept_and_the_others_evenly() -> None:
 
 def test_where_all_is_bright_all_is_thinned() -> None:
     cloud = PointCloud(np.ones((50_000, 3)), intensity=np.full(50_000, 255.0))
-    assert len(thinned(cloud, 1000)) == 1000
-    assert len(thinned(PointCloud(np.ones((50_000, 3))), 1000)) == 1000
+    assert len(downsample(cloud, 1000)) == 1000
+    assert len(downsample(PointCloud(np.ones((50_000, 3))), 1000)) == 1000
     bright = int(BRIGHT_SHARE * 1000)
     rising = PointCloud(np.ones((50_000, 3)), intensity=np.arange(50_000.0))
-    assert np.count_nonzero(required(thinned(rising, 1000).intensity) >= 50_000 - bright) == bright
+    assert (
+        np.count_nonzero(required(downsample(rising, 1000).intensity) >= 50_000 - bright) == bright
+    )
 
 
 def test_frames_that_fit_are_read_as_ever() -> None:

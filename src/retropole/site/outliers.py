@@ -10,17 +10,17 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..alignment.climb import MIN_INLIER_SHARE
 from ..alignment.joint import Sight
+from ..alignment.maximum import MIN_INLIER_SHARE
 from ..alignment.network import Network
 from ..alignment.posterior import Posterior, State, evaluate_lidar
 from ..alignment.state import JointState
 from ..base import se3
 from ..base.datatypes import Array
-from .axes import climb_from_lines
+from .axes import maximise_from_lines
 
 
-def astray(
+def find_outlying(
     end: Posterior[JointState], network: Network, sights: Sequence[Sight]
 ) -> Iterator[tuple[int, int, float]]:
     """Find the poles beside which most of a LiDAR's returns on them lie.
@@ -61,7 +61,7 @@ def _gain(end: Posterior[JointState], sight: Sight, pole: int) -> float:
         se3.apply(to_lidar, state.points[[pole]]),
         state.directions[[pole]] @ to_lidar[:3, :3].T,
     )
-    own, _ = climb_from_lines(beams, state.radius, log_noise)
+    own, _ = maximise_from_lines(beams, state.radius, log_noise)
 
     def log_at(points: Array, directions: Array) -> float:
         at = State(common.T, common.offsets, common.radius, points, directions)

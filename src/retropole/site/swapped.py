@@ -42,7 +42,7 @@ def check_places(site: Site, views: Views) -> None:
             # Of two LiDARs with two placements it may have been in either.
             where = " or ".join(site.placements[p] for p in both)
             first, second = (f"{names[k]} in placement {where}" for k in (i, j))
-            raise _exchanged(first, second, "show each other's place")
+            raise _swap_refusal(first, second, "show each other's place")
     for i, away in apart.items():
         which = ", ".join(site.placements[p] for p in sorted(away))
         raise Refusal(
@@ -65,10 +65,10 @@ def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
     return all(found)
 
 
-def _exchanged(first: str, second: str, why: str) -> Refusal:
+def _swap_refusal(first: str, second: str, why: str) -> Refusal:
     return Refusal(
         "recordings_exchanged",
-        f"the recordings of {first} and of {second} are exchanged: they {why}; exchange them in "
+        f"the recordings of {first} and of {second} are swapped: they {why}; swap them in "
         "the site file",
         {"first": first, "second": second},
     )
@@ -121,7 +121,7 @@ def support_of(
     return Supported(met, possible)
 
 
-def check_exchanged(
+def check_swapped(
     site: Site,
     scans: SiteScans,
     views: Views,
@@ -169,7 +169,7 @@ def check_exchanged(
         )
         for k in (0, 1)
     )
-    raise _exchanged(first, second, "fit all others in each other's place")
+    raise _swap_refusal(first, second, "fit all others in each other's place")
 
 
 def _share_poles(
@@ -184,7 +184,7 @@ def _share_poles(
 
 
 def _swapped(rows: Rows[T], one: Recording, other: Recording) -> Rows[T]:
-    """Exchange two recordings."""
+    """Swap two recordings."""
     kept = [list(row) for row in rows]
     (i, p), (j, q) = one, other
     kept[i][p], kept[j][q] = kept[j][q], kept[i][p]

@@ -1,4 +1,4 @@
-"""Doubtful poles: lines that a strict rule rejects, but that look like a pole in a bad place.
+"""Candidate poles: lines that a strict rule rejects, but that look like a pole in a bad place.
 
 They stand near a wall, beside a vest or another bright thing, or have three to five returns. Most
 of them are none, so nothing rests on them until the other LiDAR and the scene confirm them
@@ -47,8 +47,8 @@ from .lines import (
 from .poles import MAX_POLES, near_box, off_surfaces, pole_on
 from .surroundings import Surroundings, cluttered_share, stands_behind, surroundings_of
 
-MIN_DOUBTFUL_LENGTH = 0.16
-"""Smallest extent of a doubtful pole along its line, metres: three rings of a 16-beam sensor, 2°
+MIN_CANDIDATE_LENGTH = 0.16
+"""Smallest extent of a candidate pole along its line, metres: three rings of a 16-beam sensor, 2°
 apart, at 2.3 m. A shorter one than `MIN_LENGTH` needs `MIN_POLE_POINTS`, and is looked for only in
 what the longer ones leave."""
 
@@ -60,8 +60,8 @@ itself is nearer than `MAX_CLOSE`."""
 MOST_PROPOSALS = 30
 """Lines that are tried in a group: a plate or a vest beside a pole takes more than `PROPOSALS`."""
 
-MAX_DOUBTFUL_PER_PART = 4
-"""Doubtful poles taken out of one group at most."""
+MAX_CANDIDATES_PER_PART = 4
+"""Candidate poles taken out of one group at most."""
 
 
 class Sought(NamedTuple):
@@ -89,10 +89,10 @@ class Fitted(NamedTuple):
     beside: int
 
 
-def with_doubtful(
+def with_candidates(
     cloud: PointCloud, detection: Detection, radius: float, sensor: Sensor | None = None
 ) -> Detection:
-    """Look once more at what a detection rejected, and add the doubtful poles in it.
+    """Look once more at what a detection rejected, and add the candidate poles in it.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def with_doubtful(
     Returns
     -------
     Detection
-        The same, with `doubtful` filled: those it has and those found now, at most `MAX_POLES`.
+        The same, with `candidates` filled: those it has and those found now, at most `MAX_POLES`.
     """
     cloud = with_trusted_rings(cloud)
     assert cloud.intensity is not None
@@ -134,8 +134,8 @@ def with_doubtful(
                         best = whole.line
                 free[best.index] = False
                 found.append(pole_on(cloud, best))
-    found = without_repeats([*found, *detection.doubtful], len(cloud))
-    return replace(detection, doubtful=tuple(found[:MAX_POLES]))
+    found = without_repeats([*found, *detection.candidates], len(cloud))
+    return replace(detection, candidates=tuple(found[:MAX_POLES]))
 
 
 def _searches(
@@ -158,7 +158,7 @@ def _searches(
         yield cluster, Sought(radius, beams, MIN_LENGTH, FEW_POLE_POINTS, gap)
     for part in parts:
         fewest_of_short = max(fewest, MIN_POLE_POINTS)
-        yield part, Sought(radius, beams, MIN_DOUBTFUL_LENGTH, fewest_of_short, shell)
+        yield part, Sought(radius, beams, MIN_CANDIDATE_LENGTH, fewest_of_short, shell)
 
 
 def without_repeats(found: list[Pole], count: int) -> list[Pole]:
@@ -183,10 +183,10 @@ def _rank(pole: Pole) -> tuple[bool, int, float]:
 def _lines_in(
     cloud: PointCloud, near: IntArray, part: IntArray, free: BoolArray, sought: Sought
 ) -> list[Line]:
-    """Find the doubtful poles of one group of bright points, the best supported first."""
+    """Find the candidate poles of one group of bright points, the best supported first."""
     free = free.copy()
     found: list[Line] = []
-    for _ in range(MAX_DOUBTFUL_PER_PART):
+    for _ in range(MAX_CANDIDATES_PER_PART):
         left = part[free[part]]
         if len(left) < MIN_LINE_POINTS:
             break

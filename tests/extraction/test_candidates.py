@@ -1,4 +1,4 @@
-"""Poles in bad places are doubtful ones, other bright things are neither sure nor doubtful."""
+"""Poles in bad places are candidates, other bright things are neither sure nor doubtful."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from retropole.base.datatypes import IntArray, PointCloud
 from retropole.base.sensors import Sensor, find_sensor
-from retropole.extraction.doubtful import with_doubtful
+from retropole.extraction.candidates import with_candidates
 from retropole.extraction.poles import MAX_POLES, extract_poles
 from retropole.simulation import Rectangle, Surface
 from tests.extraction.scenes import (
@@ -32,9 +32,9 @@ SHORT_AT_A_WALL: list[Surface] = [pole((5, 0), length=0.7), WALL]
 def looked_at(
     cloud: PointCloud, labels: IntArray, sensor: Sensor | None = None
 ) -> tuple[list[int], list[int]]:
-    """Surfaces of the sure and of the doubtful poles."""
-    found = with_doubtful(cloud, extract_poles(cloud, sensor=sensor), 0.02)
-    return labels_of(found, labels), labels_of(replace(found, poles=found.doubtful), labels)
+    """Surfaces of the sure and of the candidate poles."""
+    found = with_candidates(cloud, extract_poles(cloud, sensor=sensor), 0.02)
+    return labels_of(found, labels), labels_of(replace(found, poles=found.candidates), labels)
 
 
 @pytest.mark.parametrize("sensor", ["XT32", "HDL-32E"])
@@ -112,11 +112,11 @@ def test_other_bright_things_are_not_doubtful_poles(name: str, sensor: str) -> N
 def test_sure_poles_stay_and_doubtful_ones_are_not_among_them() -> None:
     cloud, labels = seen([*SHORT_AT_A_WALL, pole((3.4, -1.6), 0.25 * Y)], "XT32")
     before = extract_poles(cloud)
-    after = with_doubtful(cloud, before, 0.02)
+    after = with_candidates(cloud, before, 0.02)
     assert after.poles is before.poles
     assert labels_of(after, labels) == [2]
-    assert len(after.doubtful) <= MAX_POLES
-    index = np.concatenate([p.index for p in (*after.poles, *after.doubtful)])
+    assert len(after.candidates) <= MAX_POLES
+    index = np.concatenate([p.index for p in (*after.poles, *after.candidates)])
     assert len(np.unique(index)) == len(index)
 
 

@@ -3,7 +3,7 @@
 Poles with few returns leave degrees of the pose open, and a scene that is turned by three degrees
 overlaps little. Registered from the right hypothesis, the scenes come to lie on each other where
 the poles still fit; from a wrong one they end elsewhere, or fit no better. See docs/detection.md,
-Doubtful poles.
+Candidate poles.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from .disambiguation import SCORING_VOXEL
 from .registration import MIN_CLOUD_POINTS, Surface, prepare, register, surface_of, voxel_downsample
 from .visibility import tree_of
 
-SETTLING_DISTANCES = 1.0, 0.5, 0.25
+ICP_DISTANCES = 1.0, 0.5, 0.25
 """Largest distances of corresponding points, one registration after the other, metres. The first is
 3° at 20 m, what poles of few returns leave open. With it alone sparse scans slide: from 12 right
 hypotheses of hard scenes (benchmarks/hard_scenes.py, seeds below 1000) three ended more than 3° off
 and one 0.3 m, with all three no more than 1.5° and 0.09 m."""
 
-SETTLING_REACH = 3.0
+ICP_REACH = 3.0
 """Source points farther from the target at the start take no part, metres. What is farther than the
 first of these distances and 2 m can only come into it where the pose moves by more than poles
 allow, and looking for the neighbours of such points is what takes the time of a registration."""
 
-SETTLED_AT_MOST = 4
+MOST_REFINED = 4
 """So many hypotheses may settle, the best first: each takes three registrations. In those 12 scenes
 the right one was the first."""
 
 
-def settle(
+def refine_by_icp(
     target: PointCloud,
     source: PointCloud,
     hypotheses: Sequence[Hypothesis],
@@ -58,7 +58,7 @@ def settle(
     Returns
     -------
     list of Match
-        With `settled` and the pose of the registration's end where the lines are still an exact
+        With `icp_refined` and the pose of the registration's end where the lines are still an exact
         match there, within `EXACT_RMS`; as they were elsewhere. Of those that end in the same pose
         only the first.
 
@@ -72,18 +72,18 @@ def settle(
     at = np.array([pole.point for pole in source_poles])
     kept: list[Match] = []
     for k, match in enumerate(hypothesis.match for hypothesis in hypotheses):
-        if match.exact and k < SETTLED_AT_MOST:
+        if match.exact and k < MOST_REFINED:
             T = registered(surface, tree, points, match.T_target_source)
             count = sum(len(source_poles[j].xyz) for _, j in match.pairs)
             if T is not None and rms_after(match, T, count) <= EXACT_RMS:
-                match = replace(match, T_target_source=T, settled=True)
+                match = replace(match, T_target_source=T, icp_refined=True)
         if not any(match.exact and other.exact and same_pose(match, other, at) for other in kept):
             kept.append(match)
     return kept
 
 
 def registered(target: Surface, tree: cKDTree, source: Array, T: Array) -> Array | None:
-    """Register the scenes from a pose (4, 4), by what lies within `SETTLING_REACH` of each other.
+    """Register the scenes from a pose (4, 4), by what lies within `ICP_REACH` of each other.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ def registered(target: Surface, tree: cKDTree, source: Array, T: Array) -> Array
     Array or None
         (4, 4); None where fewer than `MIN_CLOUD_POINTS` lie on each other at the start or the end.
     """
-    apart, _ = tree.query(se3.apply(T, source), distance_upper_bound=SETTLING_REACH)
+    apart, _ = tree.query(se3.apply(T, source), distance_upper_bound=ICP_REACH)
     near = source[np.isfinite(apart)]
     if len(near) < MIN_CLOUD_POINTS:
         return None
     surface, inliers = surface_of(near), 0
-    for distance in SETTLING_DISTANCES:
+    for distance in ICP_DISTANCES:
         end = register(target, surface, T, method="GICP", max_correspondence_distance=distance)
         T, inliers = end.T_target_source, end.inliers
     return T if inliers >= MIN_CLOUD_POINTS else None

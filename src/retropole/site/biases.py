@@ -1,4 +1,4 @@
-"""An error of its own that one observation gets, or several in common, beside all unknowns."""
+"""A bias of its own that one observation gets, or several in common, beside all unknowns."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .solved import Solved
 
 
 @dataclass(frozen=True, eq=False)
-class OwnError:
-    """An error of its own that some observations get.
+class Bias:
+    """A bias of its own that some observations get.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def of_columns(
     return np.concatenate(cross, axis=1), joint, np.concatenate(slopes), np.concatenate(wide)
 
 
-def pole_moved(at: Solved, pole: int) -> OwnError | None:
+def pole_moved(at: Solved, pole: int) -> Bias | None:
     """A pole that stands elsewhere for each LiDAR; None where fewer than two see it."""
     parts = [
         (one, _axis_columns(one, pole))
@@ -74,14 +74,14 @@ def pole_moved(at: Solved, pole: int) -> OwnError | None:
     if len(parts) < 2:
         return None
     metres = np.concatenate([4 * k + np.arange(2) for k in range(len(parts))])
-    return OwnError(*of_columns(at, parts), metres, 4 * (len(parts) - 1))
+    return Bias(*of_columns(at, parts), metres, 4 * (len(parts) - 1))
 
 
-def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> OwnError:
+def pole_seen_elsewhere(at: Solved, some: Sequence[Observation], pole: int) -> Bias:
     """A pole that stands elsewhere, at one place, for some LiDARs than for all others."""
     each = [of_columns(at, [(one, _axis_columns(one, pole))]) for one in some]
     cross, own, slope, wide = (np.sum(parts, axis=0) for parts in zip(*each, strict=True))
-    return OwnError(cross, own, slope, wide, np.arange(2), 4)
+    return Bias(cross, own, slope, wide, np.arange(2), 4)
 
 
 def splits(count: int) -> Iterator[tuple[int, ...]]:
@@ -92,12 +92,12 @@ def splits(count: int) -> Iterator[tuple[int, ...]]:
                 yield part
 
 
-def placement_moved(at: Solved, one: Observation) -> OwnError:
+def placement_moved(at: Solved, one: Observation) -> Bias:
     """A LiDAR that stood elsewhere in one placement."""
-    return OwnError(*of_columns(at, [(one, np.arange(POSE))]), np.arange(3, 6), POSE)
+    return Bias(*of_columns(at, [(one, np.arange(POSE))]), np.arange(3, 6), POSE)
 
 
-def lidar_apart(at: Solved, lidar: int) -> OwnError | None:
+def lidar_apart(at: Solved, lidar: int) -> Bias | None:
     """A LiDAR for which all poles stand elsewhere, but for its pose."""
     parts = [
         (one, np.concatenate([_axis_columns(one, int(pole)) for pole in one.poles]))
@@ -108,11 +108,11 @@ def lidar_apart(at: Solved, lidar: int) -> OwnError | None:
     if count <= POSE:
         return None
     metres = np.flatnonzero(np.arange(count) % 4 < 2)
-    return OwnError(*of_columns(at, parts), metres, count - POSE)
+    return Bias(*of_columns(at, parts), metres, count - POSE)
 
 
-def value_wrong(at: Solved, one: Observation) -> OwnError:
-    """A single measurement with an error of its own, metres or rad."""
+def value_wrong(at: Solved, one: Observation) -> Bias:
+    """A single measurement with a bias of its own, metres or rad."""
     assert one.by_value is not None
     J, residual, _ = one.by_value
     size = at.network.unknowns.size
@@ -121,7 +121,7 @@ def value_wrong(at: Solved, one: Observation) -> OwnError:
     away = (at.values - at.network.start)[one.place]
     count = len(residual)
     own = np.eye(count)
-    return OwnError(cross, own, residual + J @ away, cross.T @ at.wide, np.arange(count), count)
+    return Bias(cross, own, residual + J @ away, cross.T @ at.wide, np.arange(count), count)
 
 
 def _axis_columns(one: Observation, pole: int) -> IntArray:
