@@ -103,6 +103,17 @@ def test_a_scene_with_nothing_in_it_says_nothing() -> None:
     assert refine(few, few, off_pose(np.eye(4))) is None
 
 
+def test_surfaces_beside_each_other_say_nothing() -> None:
+    """As near as neighbouring patches of one cloud, and none on the other's surface."""
+    x, y = np.mgrid[-4:4:0.06, 2:8:0.06]
+    plane = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -1.5)])
+    plane += np.random.default_rng(0).normal(scale=1e-3, size=plane.shape)
+    start = PoseEstimate(np.eye(4), 1e-8 * np.eye(6), 0.01)
+    for lift, says in ((0.0, True), (0.3, False)):
+        found = refine(PointCloud(plane), PointCloud(plane + np.array([0, 0, lift])), start)
+        assert (found is not None) is says
+
+
 def poles_of(pair: SimulatedPair) -> BeamAlignment:
     """Give what the poles say, as the pipeline finds it."""
     sensors = pair.sensors

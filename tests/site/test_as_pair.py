@@ -9,6 +9,8 @@ from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.sensors import Sensor
 from retropole.pipeline import calibrate
+from retropole.result import encode
+from retropole.result.site import found_document
 from retropole.simulation import SimulatedPair, place_again, simulate_pair
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site, SiteLidar
@@ -73,12 +75,28 @@ def test_a_pair_and_a_site_of_two_have_one_answer(kind: str) -> None:
     if pair.T_target_source is None:
         return
     assert pair.covariance is not None
+    for lidar, searched in enumerate(zip(*(each.scans for each in pair.placements), strict=True)):
+        for scans in zip(searched, site.scans[lidar], strict=True):
+            one, other = (found_document(scan) for scan in scans)
+            assert one is not None
+            assert other is not None
+            # Of candidates a pair lists all, since other hypotheses pair them.
+            assert {encode(pole) for pole in other.poles} <= {encode(pole) for pole in one.poles}
+            assert [encode(each) for each in other.rejected] == [
+                encode(each) for each in one.rejected
+            ]
     np.testing.assert_array_equal(site.lidars[0].T_site_lidar, np.eye(4))
     step = se3.local(pair.T_target_source, site.lidars[1].T_site_lidar)
     # Their search starts at other lines through the poles.
     assert step @ np.linalg.solve(pair.covariance, step) < 0.05**2
     np.testing.assert_allclose(
         np.sqrt(np.diag(site.lidars[1].covariance)), np.sqrt(np.diag(pair.covariance)), rtol=0.02
+    )
+    assert getattr(pair.fitness, "answer", None) == getattr(site.lidars[1].fitness, "answer", None)
+    np.testing.assert_allclose(
+        [each.sigma_m for each in site.lidars[1].predicted_error],
+        [each.sigma_m for each in pair.predicted_error],
+        rtol=0.02,
     )
     shares = [
         {entry.name: entry.share_at_30m for entry in budget}

@@ -10,12 +10,12 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Reason, Refusal
 from retropole.base.relative import joint_of, relative
+from retropole.scene.agreement import WARN_MAHALANOBIS_SQ
 from retropole.simulation.site_survey import Survey
 from retropole.simulation.sites import SimulatedSite
 from retropole.site import blunders
 from retropole.site.answer import SiteCalibration
 from retropole.site.blunders import (
-    ANOTHER,
     SIGNIFICANT,
     Suspect,
     _likeliest,
@@ -190,6 +190,6 @@ def test_poles_that_nothing_tells_apart_are_both_named(steps: Steps) -> None:
     with pytest.raises(Refusal, match="pole 1 or pole 2 moved") as refused:
         _likeliest([(0.0, rest, suspects[0]), (0.0, other, suspects[1])])
     assert refused.value.code == "site_inconsistent"
-    assert float(refused.value.values["chi2"]) > ANOTHER
+    assert float(refused.value.values["chi2"]) > WARN_MAHALANOBIS_SQ
     same = _likeliest([(0.0, rest, suspects[0]), (0.0, rest, suspects[1])])
     assert same == (rest, suspects[0])

@@ -253,6 +253,9 @@ def pair_patches(
     agreement = agreement * _smooth(residuals / limit[s])
     apart = _lean_apart(source.lean[s] @ T[:3, :3].T, blended(target.lean))
     agreement = agreement * _smooth(apart / MAX_LEAN)
+    if not agreement.any():
+        # All lie near each other, and none on the other's surface.
+        return None
     by_source = np.einsum("mi,mij->mj", normal @ T[:3, :3], source.by_error[s])
     rows = np.repeat(np.arange(len(s)), BLENDED)
     blend = csr_matrix(

@@ -15,7 +15,9 @@ import numpy as np
 
 from ..alignment.adjustment import BeamAlignment
 from ..alignment.certainty import (
+    CONFIDENCE,
     Part,
+    chi2_limit,
     excess,
     part_of,
     root_of,
@@ -43,12 +45,12 @@ from .starts import (
 )
 from .terms import scene_pairs
 
-DOUBT = 6.0
+DOUBT = float(POSE)
 """Squared Mahalanobis distance from the poles' pose, the mean of χ² with 6 degrees of freedom, from
 which the search starts again with other parts of the patches. In 700 recordings of simulated
 streets, corridors and harbors it was larger in 6 %."""
 
-DISAGREE = 12.6
+DISAGREE = chi2_limit(POSE, CONFIDENCE)
 """… and from which it is not taken for chance that the scene has another: the covariance then
 covers both."""
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from ..alignment.certainty import chi2_limit
 from ..alignment.unknowns import POSE
 from ..base.errors import Reason, Refusal
-from ..scene.agreement import MAX_AXES_CHI2
+from ..scene.agreement import MAX_AXES_CHI2, WARN_MAHALANOBIS_SQ
 from ..scene.starts import distance_sq
 from .adjustment import Adjusted, Recorded, adjust, without_observations
 from .answer import Test
@@ -36,12 +37,10 @@ MOST_TRIED = 5
 """So many suspects are tried by turns, the worst first."""
 
 
-SEPARABLE = 9.2
+SEPARABLE = chi2_limit(2)
 """Of two suspects either of which explains what does not fit, the one whose χ² is less by no more
-than this is not told apart: it is up to a hundred times less likely, 2 ln 100."""
-
-ANOTHER = 22.5
-"""Poses are others where their χ² with 6 degrees of freedom is as large in one of a thousand."""
+than this is not told apart: it is up to a hundred times less likely, 2 ln 100, χ² with two degrees
+of freedom."""
 
 TAKES_ALONG = {"pole": 1, "placement": 2}
 """How much goes with what is left out: a single point of the survey takes nothing else along."""
@@ -159,7 +158,7 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
     for other, rival in fitting:
         if (
             rival.reason.code == suspect.reason.code == "pole_moved"
-            and (apart := _apart(rest, other)) > ANOTHER
+            and (apart := _apart(rest, other)) > WARN_MAHALANOBIS_SQ
             and more_coincide(other.end, rest.end) < 1.0
         ):
             names = f"{suspect.reason.values['pole']} or {rival.reason.values['pole']}"
@@ -167,7 +166,7 @@ def _likeliest(tried: Sequence[tuple[float, Adjusted, Suspect]]) -> tuple[Adjust
                 "site_inconsistent",
                 f"{names} moved, and neither poles nor surroundings tell which: add a pole, or "
                 "record the placement again",
-                {"poles": names, "chi2": apart, "allowed": ANOTHER},
+                {"poles": names, "chi2": apart, "allowed": WARN_MAHALANOBIS_SQ},
             )
     return rest, suspect
 
