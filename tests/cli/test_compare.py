@@ -29,7 +29,7 @@ def test_all_methods_in_one_table_beside_the_truth(scene: Path, tmp_path: Path) 
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
-    columns = ("overlap", "RQE", "agree", "conflict with", "e_rt m", "time s", "yaw °")
+    columns = ("overlap", "RQE", "agree", "conflict", "e_rt m", "time s", "yaw °")
     for word in ("poles+scene", "planes", "gicp", *columns):
         assert word in done.stdout
     assert all(len(line) <= 80 for line in done.stdout.splitlines())

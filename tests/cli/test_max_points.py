@@ -51,13 +51,13 @@ def test_what_is_thinned_is_said_and_recorded(scene: Path, clouds: Clouds, tmp_p
     assert done.returncode == 0, done.stderr
     told = " ".join(done.stdout.split())
     for k, cloud in enumerate(clouds):
-        assert f"lidar{k}.pcd: downsampled from {len(cloud):,} points to 50,000" in done.stderr
+        assert f"lidar{k}.pcd: downsampled from {len(cloud):,} to 50,000 points" in done.stderr
         assert f"{len(cloud) - 50_000:,} points left out as too many" in told
     result = json.loads((tmp_path / "result.json").read_text())
     assert [item["thinned"] for item in result["inputs"]] == [len(c) - 50_000 for c in clouds]
     assert result["config"]["max_points"] == 50_000
     assert "points left out as too many" in (tmp_path / "report.html").read_text()
-    assert "thinned" not in retropole_here(*words, "--max-points", 50_000, "-q").stderr
+    assert "downsampled" not in retropole_here(*words, "--max-points", 50_000, "-q").stderr
     assert retropole_here(*words, "--max-points", 999).returncode == 2
     with pytest.raises(UsageError, match="max_points is 999, expected a number from 1000 up"):
         rp.calibrate(*clouds, max_points=999)

@@ -89,7 +89,7 @@ def test_doubtful_poles_are_left_alone_where_the_stored_pose_fits(
     def tried(*_: object, **__: object) -> None:
         raise TriedError
 
-    monkeypatch.setattr(pipeline, "choose_with_doubtful", tried)
+    monkeypatch.setattr(pipeline, "choose_with_candidates", tried)
     bare = record_again(street, np.random.default_rng(22), poles=False)
     assert check(stored, bare.target, bare.source).status == "same"
     turned = np.r_[np.radians(40.0) * street.T_world_target[2, :3], 0, 0, 0]

@@ -70,7 +70,7 @@ def test_text_and_marks_stand_out(theme: int) -> None:
         ("accent", "card", 4.5), ("accent", "ground", 4.5),
         ("ok", "card", 4.5), ("ok", "ok-soft", 4.5), ("warn", "card", 4.5),
         ("warn", "warn-soft", 4.5), ("refused", "card", 4.5), ("refused", "refused-soft", 4.5),
-        ("contradicted", "view", 3.0), ("soft", "view", 4.5),
+        ("denied", "view", 3.0), ("soft", "view", 4.5),
         *((f"lidar-{k}", "view", LEAST_CONTRAST) for k in range(8)),
     ):  # fmt: skip
         a, b = sorted(XYZ[1] @ linear(colour[name]) for name in (front, back))

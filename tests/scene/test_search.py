@@ -48,7 +48,7 @@ def test_hypotheses_settle_only_where_nothing_else_is_confirmed(
             return next(left)
 
         monkeypatch.setattr(search, "choose", lambda *_, ask=ask, **__: ask("match"))
-        monkeypatch.setattr(search, "choose_settled", lambda *_, ask=ask: ask("settle"))
+        monkeypatch.setattr(search, "choose_after_icp", lambda *_, ask=ask: ask("settle"))
         chosen = choose_with_candidates(answer.placements, 0.02, untimed)
         assert chosen.refusal is answers[-1].refusal
         assert chosen.paired == answers[-1].paired
@@ -80,7 +80,7 @@ def test_without_doubtful_poles_what_was_matched_settles(
 
     answers = iter([nothing])
     monkeypatch.setattr(search, "choose", lambda *_, **__: next(answers))
-    monkeypatch.setattr(search, "choose_settled", settle)
+    monkeypatch.setattr(search, "choose_after_icp", settle)
     choose_with_candidates([Placement(target, source)], 0.02, untimed)
     assert settled == [nothing]
 
@@ -94,7 +94,7 @@ def test_a_refusal_says_what_was_not_tried(
     refusal = Refusal("ambiguous", "two are alike", {"rivals": 1})
     ambiguous = Chosen((), (), refusal, scored=(scored,))
     monkeypatch.setattr(search, "choose", lambda *_, **__: ambiguous)
-    monkeypatch.setattr(search, "choose_settled", lambda chosen, step: chosen)
+    monkeypatch.setattr(search, "choose_after_icp", lambda chosen, step: chosen)
     chosen = choose_with_candidates(answer.placements, 0.02, untimed)
     assert chosen.refusal is not None
     assert chosen.refusal.code == "ambiguous"
@@ -125,7 +125,7 @@ def test_a_doubtful_third_pair_that_does_not_fit_is_left_out(
         return right
 
     monkeypatch.setattr(search, "choose", choose)
-    monkeypatch.setattr(search, "choose_settled", lambda chosen, step: chosen)
+    monkeypatch.setattr(search, "choose_after_icp", lambda chosen, step: chosen)
     chosen = choose_with_candidates(answer.placements, 0.02, untimed)
     assert (chosen is right) == is_third
     assert asked == ([1, 1, 0] if is_third else [1, 1])

@@ -12,7 +12,7 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.errors import UsageError
-from retropole.cli.simulate import simulate
+from retropole.cli import cli
 from retropole.simulation import EXACT, SimulatedSite, Survey, simulate_site
 from retropole.simulation.site_arrangement import are_linked, closes_otherwise, groups_of
 from retropole.simulation.sites import draw_site, record_site
@@ -115,9 +115,20 @@ def test_what_no_site_has_is_refused(given: dict[str, object]) -> None:
 
 
 def test_the_command_writes_recordings_site_file_and_truth(tmp_path: Path) -> None:
-    words = ["site", "truck", "--lidars", "3", "--sensor", "VLP-16", "--survey", "--seed", "1"]
+    words = [
+        "simulate",
+        "site",
+        "truck",
+        "--lidars",
+        "3",
+        "--sensor",
+        "VLP-16",
+        "--survey",
+        "--seed",
+        "1",
+    ]
     words += ["--out", str(tmp_path)]
-    done = click.testing.CliRunner().invoke(simulate, words, standalone_mode=False)
+    done = click.testing.CliRunner().invoke(cli, words, standalone_mode=False)
     assert done.exception is None
     truth = json.loads((tmp_path / "truth.json").read_text())
     site = tomllib.loads((tmp_path / "site.toml").read_text())

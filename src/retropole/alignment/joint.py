@@ -21,12 +21,15 @@ from .solver import Solution
 from .state import JointState
 from .survey import Surveyed, survey_terms
 from .unknowns import POSE
-from .views import WIDEST
+
+START_ROTATION, START_TRANSLATION = 0.3, 1.0
+"""1 σ about the poses that the search starts from, rad and m: wide enough to say nothing where the
+poles do, and the search has a way where the poles of a LiDAR leave it free."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointPriors:
-    """What is known before: the start within `WIDEST`, 1 σ of offsets (L,), the radius, the datum.
+    """What is known before: the start with its width, 1 σ of offsets (L,), the radius, the datum.
 
     `free` (6 L,) tells which parameters of the poses are estimated; the others are the datum.
     """
@@ -59,8 +62,9 @@ def evaluate_joint(
     x, prior = np.zeros(size), np.zeros(size)
     steps = [se3.local(start, T) for start, T in zip(priors.start, state.T, strict=True)]
     x[: POSE * count] = np.concatenate(steps)
-    # About the poses that the search starts from: it has a way where a LiDAR's poles leave it free.
-    prior[: POSE * count] = WIDEST**-2.0
+    prior[: POSE * count] = np.tile(
+        np.repeat([START_ROTATION**-2.0, START_TRANSLATION**-2.0], 3), count
+    )
     offsets = slice(POSE * count, (POSE + 1) * count)
     x[offsets] = state.offsets
     prior[offsets] = np.maximum(priors.offsets, MIN_ERROR_SIGMA) ** -2.0

@@ -14,6 +14,10 @@ from .posterior import Posterior, S, State, beam_geometry
 from .solver import DAMPING, MAX_ITERATIONS, ROUNDING, Solution, levenberg_marquardt
 from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE
 
+START_NOISE = (0.005, 0.5)
+"""Bounds of the noise that the search starts from, metres: with less, a pose that is off by 0.4 m
+is kept, since most returns are outliers there (tests/site/test_contradiction.py)."""
+
 MAX_NOISE = 0.05
 """Most noise of a return that still says anything of a pole, metres: more than its thickness."""
 
@@ -147,4 +151,4 @@ def start_noise(state: State, lidar: int, beams: Beams) -> float:
     """Give the logarithm of how far the returns lie from the poles of a start."""
     seen = beam_geometry(state, lidar, beams.origin, beams.directions, beams.ranges, beams.pole)
     spread = np.sqrt(np.mean((seen.depth - state.radius) ** 2 + seen.lateral_offset**2))
-    return float(np.log(np.clip(spread, MIN_NOISE, MAX_NOISE)))
+    return float(np.log(np.clip(spread, *START_NOISE)))

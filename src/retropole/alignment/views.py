@@ -35,9 +35,13 @@ MAX_LATERAL_NOISE = 2.0
 """Most noise sideways, as a multiple of that in depth: returns sharp in depth and blurred sideways
 would fall between the nodes of the integral."""
 
-WIDEST = 1.0
-"""Most that anything is left open by, 1 σ, rad or metres: so wide that it says nothing where beams
-say anything at all, and matrices have inverses where they do not."""
+WIDEST = 0.1
+"""Most that an axis is left open by, 1 σ: metres, and of its lean, rad."""
+
+FARTHEST = 2.0
+"""Most that a view lies away from the state, in units of its own 1 σ: that of few returns may else
+lose some of them as outliers, and wander off (tests/site/test_contradiction.py: a pole that was
+pushed by 0.4 m said nothing any more)."""
 
 BLEND, SETTLED = 0.5, 0.1
 """Part of the way that each round goes, and the change, in units of 1 σ and of the
@@ -203,7 +207,10 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
         grown = np.einsum("kij,kji->k", covariance, now) / 4 - 1
         wrong = np.sqrt(np.einsum("ki,kij,kj->k", step, blended, step)).max()
         settled = precision is not None and max(wrong, np.abs(grown).max()) < SETTLED
-        view = View(view.shift + step, covariance, _noise(view.noise, on))
+        shift = view.shift + step
+        far = np.sqrt(np.einsum("ki,kij,kj->k", shift, blended, shift))
+        shift = shift * np.minimum(1.0, FARTHEST / np.maximum(far, FARTHEST))[:, None]
+        view = View(shift, covariance, _noise(view.noise, on))
         precision = blended
         if settled:
             break

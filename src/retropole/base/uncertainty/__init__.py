@@ -115,10 +115,8 @@ class RadiusEstimate(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_m
 
     Attributes
     ----------
-    given, given_sigma
-        What the user said, and how far it may be off.
-    estimated, sigma
-        From the data and what was given together.
+    given, given_sigma, estimated, sigma
+        What the user said, and how far it may be off; and what the data and that say together.
     """
 
     given: Size
