@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Literal
 
+import msgspec
 import numpy as np
 
 from .errors import UsageError
 from .se3 import Array
-
-PAPER_SOURCE = "Xue et al. 2019, Table I"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,156 +70,59 @@ class Sensor:
     retro_accuracy: float | None = None
 
 
-def _spinning(
-    name: str,
-    aliases: tuple[str, ...],
-    elevations_deg: Array,
-    step_deg: float,
-    noise: float,
-    divergence_mrad: float,
-    limits: tuple[float, float],
-    threshold: tuple[float, str],
-    source: str,
-    full_scale: float = 255.0,
-    accuracy: float | None = None,
-    retro_accuracy: float | None = None,
-) -> Sensor:
-    elevations = np.radians(np.sort(elevations_deg))
-    return Sensor(
-        name=name,
-        aliases=aliases,
-        elevations=elevations,
-        azimuth_step=float(np.radians(step_deg)),
-        elevation_span=(float(elevations[0]), float(elevations[-1])),
-        pattern="spinning",
-        points=len(elevations) * round(360 / step_deg),
-        range_noise=noise,
-        divergence=divergence_mrad / 1000,
-        min_range=limits[0],
-        max_range=limits[1],
-        intensity_max=full_scale,
-        threshold=threshold[0],
-        threshold_source=threshold[1],
-        source=source,
-        range_accuracy=accuracy,
-        retro_accuracy=retro_accuracy,
-    )
+class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What ``sensors.toml`` holds of a model; it says in which units."""
+
+    aliases: tuple[str, ...]
+    noise_m: float
+    divergence_mrad: float
+    range_m: tuple[float, float]
+    threshold: float
+    threshold_source: str
+    source: str
+    elevations_deg: tuple[float | tuple[float, float, int], ...] = ()
+    azimuth_step_deg: float = 0.0
+    rosette_deg: tuple[float, float] | None = None
+    points: int = 0
+    full_scale: float = 255.0
+    accuracy_m: float | None = None
+    retro_accuracy_m: float | None = None
+
+    def sensor(self, name: str) -> Sensor:
+        """Give it its name, in SI units."""
+        rings = [
+            np.linspace(*each) if isinstance(each, tuple) else [each]
+            for each in self.elevations_deg
+        ]
+        elevations = np.radians(np.sort(np.concatenate(rings))) if rings else np.zeros(0)
+        span = np.radians(self.rosette_deg) if self.rosette_deg else elevations[[0, -1]]
+        return Sensor(
+            name=name,
+            aliases=self.aliases,
+            elevations=elevations,
+            azimuth_step=float(np.radians(self.azimuth_step_deg)),
+            elevation_span=(float(span[0]), float(span[1])),
+            pattern="rosette" if self.rosette_deg else "spinning",
+            points=self.points or len(elevations) * round(360 / self.azimuth_step_deg),
+            range_noise=self.noise_m,
+            divergence=self.divergence_mrad / 1000,
+            min_range=self.range_m[0],
+            max_range=self.range_m[1],
+            intensity_max=self.full_scale,
+            threshold=self.threshold,
+            threshold_source=self.threshold_source,
+            source=self.source,
+            range_accuracy=self.accuracy_m,
+            retro_accuracy=self.retro_accuracy_m,
+        )
 
 
-_RS32_DEG = np.concatenate(
-    [
-        [-25.0, -14.638, -10.281, -7.91, -6.424, -5.407],
-        np.linspace(-14 / 3, 5 / 3, 20),
-        [7 / 3, 10 / 3, 14 / 3, 7.0, 10.333, 15.0],
-    ]
-)
-_VLP32_DEG = np.concatenate(
-    [
-        [-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -14 / 3],
-        np.linspace(-4.0, 5 / 3, 18),
-        [7 / 3, 10 / 3, 14 / 3, 7.0, 10.333, 15.0],
-    ]
-)
-_PANDAR64_DEG = np.concatenate(
-    [
-        [-25.0, -19.0],
-        np.arange(-14.0, -6.5),
-        np.linspace(-6.0, 2.0, 49),
-        [3.0, 5.0, 8.0, 11.0, 15.0],
-    ]
-)
+_TABLE = files("retropole.base").joinpath("sensors.toml").read_bytes()
 
-_ALL = (
-    _spinning(
-        "VLP-16", ("Puck",), np.linspace(-15, 15, 16), 0.2, 0.010, 3.0, (0.5, 100.0),
-        (230.0, PAPER_SOURCE), "manufacturer's manual 63-9243: 16 rings 2° apart, ±3 cm",
-        accuracy=0.03,
-    ),
-    _spinning(
-        "VLP-32C", ("Ultra Puck",), _VLP32_DEG, 0.2, 0.010, 3.0, (0.5, 200.0),
-        (120.0, "manufacturer: diffuse targets end at 100, retro begins at 101"),
-        "manufacturer's manual 63-9325: 32 rings, 1/3° apart in the middle, ±3 cm",
-        accuracy=0.03,
-    ),
-    _spinning(
-        "HDL-32E", (), np.linspace(-30.67, 10.67, 32), 0.2, 0.010, 2.8, (1.0, 100.0),
-        (230.0, PAPER_SOURCE), "manufacturer's manual 63-9113: 32 rings 1.33° apart, ±2 cm",
-        accuracy=0.02,
-    ),
-    _spinning(
-        "VLS-128", ("Alpha Prime",), np.linspace(-25, 15, 128), 0.2, 0.010, 3.0, (0.5, 245.0),
-        (120.0, "manufacturer: diffuse targets end at 100, retro begins at 101; seen up to 110"),
-        "manufacturer's manual 63-9483: 128 rings over 40°; taken as evenly spaced, they are not; "
-        "±3 cm",
-        accuracy=0.03,
-    ),
-    _spinning(
-        "Pandar64", (), _PANDAR64_DEG, 0.2, 0.010, 2.0, (0.3, 200.0),
-        (200.0, PAPER_SOURCE),
-        "manufacturer's manual: 1/6° apart from −6° to +2°, 1° to 6° outside; rounded; ±2 cm",
-        accuracy=0.02,
-    ),
-    _spinning(
-        "PandarQT", ("QT64",), np.linspace(-52.1, 52.1, 64), 0.6, 0.015, 8.0, (0.1, 60.0),
-        (200.0, PAPER_SOURCE),
-        "manufacturer's manual: 64 rings over 104.2°; taken as evenly spaced",
-    ),
-    _spinning(
-        "XT32", ("PandarXT-32",), np.linspace(-16, 15, 32), 0.18, 0.005, 1.5, (0.05, 120.0),
-        (200.0, PAPER_SOURCE), "manufacturer's manual: 32 rings 1° apart, ±1 cm, 0.5 cm (1 σ)",
-        accuracy=0.01,
-    ),
-    _spinning(
-        "RS-LiDAR-16", ("RS16",), np.linspace(-15, 15, 16), 0.2, 0.010, 3.0, (0.4, 150.0),
-        (200.0, PAPER_SOURCE), "manufacturer's manual: 16 rings 2° apart, ±2 cm",
-        accuracy=0.02,
-    ),
-    _spinning(
-        "RS-LiDAR-32", ("RS32",), _RS32_DEG, 0.2, 0.010, 3.0, (0.4, 200.0),
-        (200.0, PAPER_SOURCE), "manufacturer's manual: 32 rings, 1/3° apart in the middle",
-    ),
-    _spinning(
-        "C16", ("Leishen C16", "LS C16"), np.linspace(-15, 15, 16), 0.18, 0.010, 3.0, (0.5, 150.0),
-        (200.0, PAPER_SOURCE), "manufacturer's manual: 16 rings 2° apart, ±3 cm",
-        accuracy=0.03,
-    ),
-    _spinning(
-        "C32", ("Leishen C32", "LS C32"), np.linspace(-16, 15, 32), 0.18, 0.010, 3.0, (0.5, 150.0),
-        (200.0, PAPER_SOURCE), "manufacturer's manual: 32 rings 1° apart, ±3 cm",
-        accuracy=0.03,
-    ),
-    _spinning(
-        "OS0", ("OS0-128", "OS-0-128"), np.linspace(-45, 45, 128), 360 / 1024, 0.015, 6.1,
-        (0.3, 75.0), (1000.0, "16-bit signal; recordings reach 6,268 on retro-reflectors"),
-        "manufacturer's data sheet: 128 rings over 90°, 1024 columns; ±3 cm, ±10 cm on "
-        "retro-reflectors", 65535.0, 0.03, 0.10,
-    ),
-    _spinning(
-        "OS1", ("OS1-128", "OS-1-128"), np.linspace(-22.5, 22.5, 128), 360 / 1024, 0.010, 3.1,
-        (0.3, 120.0), (1000.0, "16-bit signal; recordings reach 6,268 on retro-reflectors"),
-        "manufacturer's data sheet: 128 rings over 45°, 1024 columns; ±3 cm, ±10 cm on "
-        "retro-reflectors", 65535.0, 0.03, 0.10,
-    ),
-    Sensor(
-        name="Mid-360",
-        aliases=("Livox Mid-360", "MID360"),
-        elevations=np.zeros(0),
-        azimuth_step=0.0,
-        elevation_span=(float(np.radians(-7)), float(np.radians(52))),
-        pattern="rosette",
-        points=20_000,
-        range_noise=0.010,
-        divergence=0.004,
-        min_range=0.1,
-        max_range=70.0,
-        intensity_max=255.0,
-        threshold=150.0,
-        threshold_source="manufacturer's manual: 0–150 diffuse, 151–255 retro-reflective",
-        source="manufacturer's manual: 200,000 returns a second, ≤ 2 cm (1 σ) at 10 m",
-    ),
-)  # fmt: skip
-
-SENSORS: dict[str, Sensor] = {sensor.name: sensor for sensor in _ALL}
+SENSORS: dict[str, Sensor] = {
+    name: each.sensor(name)
+    for name, each in msgspec.toml.decode(_TABLE, type=dict[str, Listed]).items()
+}
 
 
 def _plain(name: str) -> str:
