@@ -226,7 +226,8 @@ class Confirmation(
             return said
         # Fewer than a thousand answers set it: it is not known better than to a thousandth.
         share = f"{100 * wrong:.1f} %" if wrong >= 0.001 else "less than 0.1 %"
-        return f"{said}; {share} of simulated answers like it are wrong, a third made to deceive"
+        of = "of simulated answers like it, where one recording in three deceives"
+        return f"{said}; {of}, {share} are wrong"
 
 
 def source_words(name: str, sensor: str | None) -> str:
