@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from itertools import islice
 from pathlib import Path, PurePath
 from typing import NamedTuple
@@ -224,14 +225,7 @@ def _written(
 ) -> str:
     """Write the file: what was found, and in comments what may be added."""
     name = printable(folder.resolve().name)[:60].strip() or "site"
-    parts = [
-        HEAD.format(
-            name=_text(name),
-            placements=", ".join(map(_text, placements)),
-            first=_text(lidars[0]),
-            placement=_text(placements[0]),
-        )
-    ]
+    tables = []
     # With slashes on every system.
     there = {
         at: PurePath(os.path.relpath(recording, path.parent)).as_posix()
@@ -240,67 +234,15 @@ def _written(
     for lidar in lidars:
         lines = (f"  {_text(there.get((lidar, p), ''))},  # placement {p}\n" for p in placements)
         table = f'[[lidar]]\nname = {_text(lidar)}\nsensor = "auto"\n'
-        parts.append(f"{table}recordings = [\n{''.join(lines)}]\n")
-    return "\n".join([*parts, TAIL.format(first=_text(lidars[0]), placement=_text(placements[0]))])
-
-
-HEAD = """\
-# A site for 'retropole site calibrate': metres; paths count from this file's folder.
-# What follows a # is a comment; take the # away from what you want to say.
-
-name = {name}
-placements = [{placements}]
-# max_points = 1500000     # of a cloud with more, so many are kept
-
-[poles]
-radius_m = 0.02            # half their thickness, tape included
-# radius_sigma_m = 0.0002  # 1 sigma of it
-
-[reference]
-# The site's frame is that of this LiDAR.
-lidar = {first}
-# Or, where coordinates were surveyed, without lidar, one of:
-# frame = "local"          # the frame they were surveyed in; z is up
-# frame = "enu"            # east, north, up; its origin, where you know it:
-# latitude_deg = 52.1
-# longitude_deg = 4.2
-# height_m = 12.0
-# epsg = 25832             # a projected frame: east, north, height
-
-# [need]                   # how accurate every pose must be, 95 % sure
-# within_cm = 2
-# at_m = 30
-
-# What else a [[lidar]] may say:
-#   sensor = "VLP-16"      # its model; 'retropole calibrate --help' lists them
-#   serial = "…"
-#   threshold = 150        # intensity from which a return is retro-reflective
-#   unit = "mm"            # of its coordinates, where not metres
-#   topic = "/points"      # of a bag
-#   frames = "0:20"        # of a recording of many
-#   up = [0.0, 0.0, 1.0]   # its inertial sensor's direction up, in its frame …
-#   up_sigma_deg = 0.5     # … and 1 sigma of that
-"""
-
-TAIL = """\
-# A pole that was surveyed on its axis, at the lower end, the upper end or both:
-# [[surveyed_pole]]
-# name = "A"
-# placement = {placement}
-# foot_m = [0.0, 0.0, 0.0]
-# top_m = [0.0, 0.3, 2.0]
-# sigma_m = 0.005
-
-# A surveyed point that LiDARs see as a target:
-# [[control_point]]
-# name = "P1"
-# at_m = [0.0, 0.0, 0.0]
-# sigma_m = 0.005
-# [[control_point.seen]]
-# lidar = {first}
-# at_m = [5.0, 0.0, 0.0]   # in the LiDAR's frame
-# sigma_m = 0.01
-"""
+        tables.append(f"{table}recordings = [\n{''.join(lines)}]\n")
+    draft = files("retropole.api").joinpath("site_draft.toml").read_text(encoding="utf-8")
+    return draft.format(
+        name=_text(name),
+        placements=", ".join(map(_text, placements)),
+        lidars="\n".join(tables),
+        first=_text(lidars[0]),
+        placement=_text(placements[0]),
+    )
 
 
 def _text(text: str) -> str:
