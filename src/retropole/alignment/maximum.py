@@ -11,7 +11,7 @@ from ..base.datatypes import Array
 from ..base.errors import Refusal
 from .observations import Beams
 from .posterior import Posterior, S, State, beam_geometry
-from .solver import DAMPING, MAX_ITERATIONS, ROUNDING, Solution, levenberg_marquardt
+from .solver import DAMPING, ROUNDING, Solution, levenberg_marquardt
 from .views import MAX_LATERAL_NOISE, MIN_LATERAL_NOISE, MIN_NOISE
 
 START_NOISE = (0.005, 0.5)
@@ -31,8 +31,6 @@ logarithm of the posterior below which the noise is kept, and the geometry alone
 NOISE_DAMPING = DAMPING
 """Least damping with the noise: at the bounds of the noise its own steps make the cost rise, and
 from less it takes many to damp them."""
-
-POLE_SLACK, MAX_POLE_ITERATIONS = ROUNDING, MAX_ITERATIONS
 
 
 def maximise(

@@ -9,7 +9,6 @@ both.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
@@ -167,8 +166,8 @@ class Tables(msgspec.Struct, frozen=True):
 @cache
 def tables() -> Tables:
     """Read the texts, when they are first asked for; line breaks in them are spaces."""
-    text = files("retropole.base").joinpath("reasons.toml").read_text(encoding="utf-8")
-    return msgspec.convert(_joined(tomllib.loads(text)), Tables)
+    text = files("retropole.base").joinpath("reasons.toml").read_bytes()
+    return msgspec.convert(_joined(msgspec.toml.decode(text)), Tables)
 
 
 def _joined(given: Any) -> Any:
@@ -187,8 +186,10 @@ def reasons() -> Mapping[str, Explanation]:
 
 def explain(code: str) -> Explanation | None:
     """Look a code up, with or without a prefix; None where it is not known."""
-    prefix = next((p for p in tables().prefixes if code.startswith(f"{p}_")), None)
-    return reasons().get(code) or (tables().prefixes[prefix] if prefix else None)
+    if code in reasons():
+        return reasons()[code]
+    prefixes = tables().prefixes.items()
+    return next((text for prefix, text in prefixes if code.startswith(f"{prefix}_")), None)
 
 
 def page(code: str) -> str | None:

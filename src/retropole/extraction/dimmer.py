@@ -38,7 +38,7 @@ def with_dimmer_candidates(
     Returns
     -------
     Detection
-        The same, with more `candidates` ones, those it has first; at most `MAX_POLES`. Itself
+        The same, with more `candidates`, those it has first; at most `MAX_POLES`. Itself
         where its threshold was given.
     """
     assert cloud.intensity is not None

@@ -102,7 +102,7 @@ def extract_poles(
     Returns
     -------
     Detection
-        Poles with the most returns first; none at all is an answer. Its `candidates` ones pass all
+        Poles with the most returns first; none at all is an answer. Its `candidates` pass all
         rules but those of `certainty`; `doubtful.with_doubtful` adds others.
 
     Raises

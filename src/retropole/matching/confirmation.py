@@ -36,12 +36,8 @@ some agree in both. Of a third pole's four numbers none is left free."""
 
 def counts_candidates(placement: Placement) -> bool:
     """Whether candidate poles are among those of a placement."""
-    found = [scan.detection for scan in (placement.target, placement.source)]
     return any(
-        any(pole is own for own in each.candidates)
-        for each in found
-        if each is not None
-        for pole in each.poles
+        pole is own for scan in placement.scans for pole in scan.poles for own in scan.candidates
     )
 
 
@@ -116,17 +112,11 @@ def _lines_agree(each: PairedPlacement) -> bool:
 
 def candidates_in(each: PairedPlacement) -> tuple[list[Pole], list[Pole]]:
     """The paired poles of the target and of the source that are doubtful."""
-    sides = (
-        (each.placement.target, each.target_poles),
-        (each.placement.source, each.source_poles),
-    )
     target, source = (
-        [
-            pole
-            for pole in poles
-            if scan.detection is not None and any(pole is own for own in scan.detection.candidates)
-        ]
-        for scan, poles in sides
+        [pole for pole in poles if any(pole is own for own in scan.candidates)]
+        for scan, poles in zip(
+            each.placement.scans, (each.target_poles, each.source_poles), strict=True
+        )
     )
     return target, source
 

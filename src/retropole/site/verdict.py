@@ -245,12 +245,7 @@ def _doubtful(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reas
     """Say how many of each LiDAR's poles are doubtful by themselves."""
     counts = {}
     for i, lidar in enumerate(site.lidars):
-        own = [
-            pole
-            for scan in scans.used(i)
-            if scan.detection is not None
-            for pole in scan.detection.candidates
-        ]
+        own = [pole for scan in scans.used(i) for pole in scan.candidates]
         seen = [pole.seen[i] for pole in adjusted.datum.poles if i in pole.seen]
         count = sum(any(pole is each for each in own) for pole in seen)
         if count:
