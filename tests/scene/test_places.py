@@ -100,14 +100,14 @@ def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
     # The first LiDAR is held, errors have no part.
     inverse = np.zeros_like(information)
     inverse[6:poses, 6:poses] = np.linalg.inv(information[6:poses, 6:poses])
-    rows = np.zeros((sum(len(term.weights) for term in end.scene), poses))
+    rows = np.zeros((sum(len(term.weighed.weights) for term in end.scene), poses))
     first = 0
     residuals = []
     for term in end.scene:
-        rows[first : first + len(term.weights), term.place[:12]] = term.rows[:, :12]
-        first += len(term.weights)
-        residuals.append(term.residuals)
-    weights = np.concatenate([term.weights for term in end.scene])
+        rows[first : first + len(term.weighed.weights), term.place[:12]] = of_poses(term)
+        first += len(term.weighed.weights)
+        residuals.append(term.weighed.residuals / root_weights(term))
+    weights = np.concatenate([term.weighed.weights for term in end.scene])
     # Freed of what they would move all poses by.
     joined = np.concatenate(residuals)
     best = inverse[6:poses, 6:poses] @ rows[:, 6:].T @ (weights * joined)
@@ -123,15 +123,26 @@ def test_the_jackknife_is_that_of_leaving_out_each_place(steps: Steps) -> None:
 
 
 def replace_residuals(term: SceneTerm, residuals: Array) -> SceneTerm:
-    return replace(term, residuals=residuals)
+    unit = residuals * root_weights(term)
+    return replace(term, weighed=replace(term.weighed, residuals=unit))
+
+
+def of_poses(term: SceneTerm) -> Array:
+    """(P, 12) derivative of the residuals, metres, by both poses."""
+    rows = term.by_step(np.eye(len(term.place))[:, :12])
+    return rows / root_weights(term)[:, None]
+
+
+def root_weights(term: SceneTerm) -> Array:
+    return np.sqrt(np.maximum(term.weighed.weights, 1e-300))
 
 
 def test_residuals_are_freed_of_the_errors_that_were_found(steps: Steps) -> None:
     end = steps.adjusted.end
     before = after = 0.0
     for term in end.scene:
-        before += float(term.weights @ term.pairs.residuals**2)
-        after += float(term.weights @ residuals_of(term, end) ** 2)
+        before += float(term.weighed.weights @ term.pairs.residuals**2)
+        after += float(np.sum(residuals_of(term, end) ** 2))
     assert after < before
 
 

@@ -173,14 +173,14 @@ def _surfaces(term: SceneTerm, end: End, variables: Sequence[Variable]) -> gtsam
     T_ij = gtsam.Pose3(end.about[i]).between(gtsam.Pose3(end.about[j]))
     arm = pairs.at - T_ij.translation()
     J = np.hstack([np.cross(arm, pairs.normal), pairs.normal])
-    held = _held(arm, J, pairs.normal, term.weights, pairs.tilt)
+    held = _held(arm, J, pairs.normal, term.weighed.weights, pairs.tilt)
     size = variables[-1].place.stop
     by_error = np.zeros((len(J), size))
     by_error[:, term.place[2 * POSE :]] = pairs.by_error
     others = [one for one in variables if by_error[:, one.place].any()]
     blocks = [J, *(by_error[:, one.place] for one in others)]
     table = np.hstack([*blocks, pairs.residuals[:, None]])
-    root = np.sqrt(term.weights)[:, None]
+    root = np.sqrt(term.weighed.weights)[:, None]
     # What a step would explain of each column, along what the surfaces do not hold, is taken out.
     steps, *_ = np.linalg.lstsq(J * root, table * root)
     table = (table - J @ (np.eye(POSE) - held) @ steps) * root

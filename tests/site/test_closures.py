@@ -71,7 +71,9 @@ def test_residuals_that_places_have_in_common_open_no_loop(steps: Steps) -> None
     for _ in range(40):
         off = 0.01 * rng.normal(size=count)
         scene = tuple(
-            replace(term, residuals=off[own]) for term, own in zip(end.scene, places, strict=True)
+            replace(term, weighed=replace(term.weighed, residuals=off[own] * root))
+            for term, own in zip(end.scene, places, strict=True)
+            for root in [np.sqrt(term.weighed.weights)]
         )
         now = replace(end, scene=scene)
         found += [loop.chi2 for loop in close_loops(at, now)]

@@ -66,6 +66,13 @@ class PoleFactor:
         vector[place] = self.vector
         return replace(self, unknowns=unknowns, information=information, vector=vector)
 
+    def without_bands(self) -> PoleFactor:
+        """Give the same as if the errors of single rings were zero."""
+        unknowns = Unknowns(tuple(bands[:0] for bands in self.unknowns.bands), 0, 0)
+        place = unknowns.places_in(self.unknowns)
+        information = self.information[np.ix_(place, place)]
+        return replace(self, unknowns=unknowns, information=information, vector=self.vector[place])
+
     def about(self, T: Array) -> PoleFactor:
         """Give the same in steps from other poses (L, 4, 4)."""
         here, by_step = steps_to(self.T, T)

@@ -22,7 +22,6 @@ from ..base.datatypes import Array, IntArray
 from .likelihood import FEW_NODES, arc_likelihood, passed_beam_likelihood
 from .observations import Beams
 from .posterior import RETURN_CURVATURE, SHARED, BeamGeometry, State, lift_of, own_geometry
-from .solver import MAX_ITERATIONS
 
 MIN_NOISE = 2e-5
 """Least noise of a return, metres."""
@@ -43,10 +42,11 @@ FARTHEST = 2.0
 lose some of them as outliers, and wander off (tests/site/test_contradiction.py: a pole that was
 pushed by 0.4 m said nothing any more)."""
 
-BLEND, SETTLED = 0.5, 0.1
-"""Part of the way that each round goes, and the change, in units of 1 σ and of the
-information, at which the distribution is its own average. Stated σ are then within 3 % of those of
-the limit in all but one of 24 simulated pairs, with a quarter of the rounds."""
+BLEND, MAX_ROUNDS, SETTLED = 0.5, 30, 0.1
+"""Part of the way that each round goes, rounds at most (some views go to and fro), and the change,
+in units of 1 σ and of the information, at which the distribution is its own average. Stated σ are
+then within 3 % of those of the limit in all but one of 24 simulated pairs, with a quarter of the
+rounds."""
 
 _AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(FEW_NODES)
 _WEIGHT = _WEIGHT / _WEIGHT.sum()
@@ -180,7 +180,7 @@ def find_view(state: State, lidar: int, beams: Beams, noise: Array) -> View:
     J_passed = _by_axis(beside.jacobian, beams.passed_pole)[:, 1:]
     view = exact_view(poles, np.asarray(noise, dtype=np.float64))
     precision: Array | None = None
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(MAX_ROUNDS):
         on = average_returns(seen, beams, state.radius, view)
         passed = average_passed(beside, beams, state.radius, view)
         bent = on.information[:, :2, :2]

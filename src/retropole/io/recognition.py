@@ -65,11 +65,12 @@ def _ring_elevations(elevation: Array, ranges: Array, ring: IntArray) -> dict[in
     """
     elevations: dict[int, float] = {}
     spreads: list[float] = []
-    for number in np.unique(ring):
-        own, far = elevation[ring == number], ranges[ring == number]
-        own = own[far >= np.median(far)]
+    order = np.argsort(ring, kind="stable")
+    for one in np.split(order, np.flatnonzero(np.diff(ring[order])) + 1):
+        far = ranges[one]
+        own = elevation[one[far >= np.median(far)]]
         if len(own) >= MIN_RING_POINTS:
-            elevations[int(number)] = median = float(np.median(own))
+            elevations[int(ring[one[0]])] = median = float(np.median(own))
             spreads.append(float(np.median(np.abs(own - median))))
     return elevations if spreads and np.median(spreads) <= MAX_RING_SPREAD else {}
 

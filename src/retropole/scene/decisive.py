@@ -81,5 +81,5 @@ def without_decisive(
         found = converge(rest, end, covariance)
         if found.scene:
             own = pairs.cluster == c
-            at = np.average(pairs.at[own], axis=0, weights=term.weights[own])
+            at = np.average(pairs.at[own], axis=0, weights=term.weighed.weights[own])
             yield Decisive(float(shares[c]), at, se3.local(end.T[1], found.T[1])), rest, found

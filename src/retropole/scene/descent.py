@@ -65,6 +65,15 @@ class RefinementProblem:
     known: Array
     origins_known: bool = False
 
+    def without_rings(self) -> RefinementProblem:
+        """Give the same without the errors of single rings.
+
+        An approach does without what moves a pose by millimetres, in a third of the time.
+        """
+        factor = self.factor.without_bands()
+        scenes = tuple(scene.without_rings() for scene in self.scenes)
+        return replace(self, factor=factor, scenes=scenes, groups=factor.unknowns.groups())
+
 
 @dataclass(frozen=True, eq=False)
 class End:
@@ -127,8 +136,9 @@ def minimise(problem: RefinementProblem, T: Array | None = None, *, few: bool = 
     """
     start = problem.factor.T if T is None else T
     searched = _solve(problem, start, (), problem.known).search
-    near = approach(problem, start, searched)
-    return near if few else converge(problem, near, searched)
+    if few:
+        return approach(problem, start, searched)
+    return converge(problem, approach(problem.without_rings(), start, searched), searched)
 
 
 def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
@@ -150,7 +160,7 @@ def approach(problem: RefinementProblem, T: Array, covariance: Array) -> End:
 
 
 def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
-    """Descend with all patches from where an approach ended, to a standstill."""
+    """Descend with all patches from where an approach ended, with rings or without, to rest."""
     return _descend(problem, [each.sets for each in problem.scenes], near, covariance, STEP)
 
 

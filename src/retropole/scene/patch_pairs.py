@@ -155,6 +155,13 @@ def part_of(sets: PatchSets, some: slice | BoolArray) -> PatchSets:
     )
 
 
+def without_rings(sets: PatchSets) -> PatchSets:
+    """Give the same without the errors of single rings."""
+    target, source = sets.layout.bands
+    shares = sets.shares[0][:, :0], sets.shares[1][:, :0]
+    return replace(sets, layout=Layout((target[:0], source[:0])), shares=shares)
+
+
 def _share_of_bands(bands: IntArray, known: IntArray) -> csr_matrix:
     rows = np.repeat(np.arange(len(bands)), bands.shape[1])
     columns = np.searchsorted(known, bands.reshape(-1))
@@ -257,9 +264,9 @@ def pair_patches(
         # All lie near each other, and none on the other's surface.
         return None
     by_source = np.einsum("mi,mij->mj", normal @ T[:3, :3], source.by_error[s])
-    rows = np.repeat(np.arange(len(s)), BLENDED)
+    stops = BLENDED * np.arange(len(s) + 1)
     blend = csr_matrix(
-        (weight.reshape(-1), (rows, near.reshape(-1))), shape=(len(s), len(target.centres))
+        (weight.reshape(-1), near.reshape(-1), stops), shape=(len(s), len(target.centres))
     )
     by_error_there = (blend @ target.by_error.reshape(len(target.centres), -1)).reshape(
         len(s), *target.by_error.shape[1:]
@@ -272,7 +279,8 @@ def pair_patches(
         by_error[:, sets.layout.device(lidar)] = by[:, :DEVICE]
         dense = share.toarray()
         for kind in range(RING):
-            by_error[:, sets.layout.rings(lidar, kind)] = dense * by[:, DEVICE + kind, None]
+            rings = by_error[:, sets.layout.rings(lidar, kind)]
+            np.multiply(dense, by[:, DEVICE + kind, None], out=rings)
     by_error[:, RADIUS] = 0.0
     tilt = (source.tilt[s] + blended(target.tilt)) / 4
     turned = lengths(normal_source - normal_target) / np.sqrt(8.0 * tilt)

@@ -99,18 +99,21 @@ def surface_patches(cloud: PointCloud) -> Patches:
     At each place the finest are kept that the density of the cloud carries: a wide patch on a road
     that is cambered leans, and a plane through a corner is none.
     """
+    points = cloud.xyz
+    clouds = []
+    for voxel in PATCH_VOXELS:
+        # From fine to coarse, each starts from the one before: there are fewer points then.
+        points = voxel_downsample(points, voxel)
+        clouds.append((voxel, points, small_gicp.KdTree(points) if len(points) else None))
     parts: list[Patches] = []
     for count in PATCH_NEIGHBOURS:
-        points = cloud.xyz
-        for voxel in PATCH_VOXELS:
-            # From fine to coarse, each starts from the one before: there are fewer points then.
-            points = voxel_downsample(points, voxel)
+        for voxel, points, tree in clouds:
             at = every_nth(points, SAMPLE)
             finer = [part.centres for part in parts if len(part.centres)]
             if finer:
-                tree = cKDTree(np.concatenate(finer))
-                at = at[np.isinf(tree.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
-            parts.append(_patches_of(points, at, cloud.origin, cloud.axis, count))
+                near = cKDTree(np.concatenate(finer))
+                at = at[np.isinf(near.query(at, distance_upper_bound=FINER_REACH * voxel)[0])]
+            parts.append(_patches_of(points, tree, at, cloud.origin, cloud.axis, count))
     every = Patches(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -127,9 +130,11 @@ def selected(patches: Patches, kept: BoolArray | IntArray | slice) -> Patches:
     return Patches(*(getattr(patches, field.name)[kept] for field in fields(Patches)))
 
 
-def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int) -> Patches:
-    """Fit patches about some (K, 3) of the points."""
-    if len(points) < count or not len(at):
+def _patches_of(
+    points: Array, tree: small_gicp.KdTree | None, at: Array, origin: Array, axis: Array, count: int
+) -> Patches:
+    """Fit patches about some (K, 3) of the points, which have a tree."""
+    if tree is None or len(points) < count or not len(at):
         none, nothing = np.zeros((0, 3)), np.zeros(0)
         bands = np.zeros((0, PATCH_NEIGHBOURS[0]), dtype=np.int64)
         return Patches(
@@ -143,7 +148,6 @@ def _patches_of(points: Array, at: Array, origin: Array, axis: Array, count: int
             bands,
             np.zeros((0, 3, DEVICE + RING)),
         )
-    tree = small_gicp.KdTree(points)
     index, _ = tree.batch_knn_search(at, count)
     index = np.asarray(index, dtype=np.intp)
     neighbours = points.take(index, axis=0)

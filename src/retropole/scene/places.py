@@ -75,12 +75,9 @@ def labels_of_places(end: End) -> list[IntArray]:
 
 
 def residuals_of(term: SceneTerm, end: End) -> Array:
-    """(P,) of a pair's patches, freed of the errors as they were estimated."""
-    poses = len(end.search)
-    errors = term.place >= poses
-    return np.asarray(
-        term.residuals + term.rows[:, errors] @ end.errors[term.place[errors] - poses]
-    )
+    """(P,) of unit weight of a pair's patches, freed of the errors as they were estimated."""
+    errors = np.r_[np.zeros(len(end.search)), end.errors][term.place]
+    return np.asarray(term.weighed.residuals + term.by_step(errors))
 
 
 def places_of(
@@ -110,16 +107,16 @@ def places_of(
     information = np.zeros((count, size, size))
     gradients, flat = np.zeros((count, size)), np.zeros((count, size))
     for term, gain, own in zip(terms, gains, labels, strict=True):
-        by_step = term.rows @ (gain.T @ marginal)
-        weighted = by_step * term.weights[:, None]
+        by_step = term.by_step(gain.T @ marginal)
         order = np.argsort(own, kind="stable")
         starts = np.flatnonzero(np.r_[True, np.diff(own[order]) > 0])
         at = own[order][starts]
-        pulls = weighted * residuals_of(term, end)[:, None]
+        pulls = by_step * residuals_of(term, end)[:, None]
         gradients[at] += np.add.reduceat(pulls[order], starts)
-        flat[at] += np.add.reduceat(weighted[order], starts)
+        by_metre = by_step * np.sqrt(term.weighed.weights)[:, None]
+        flat[at] += np.add.reduceat(by_metre[order], starts)
         for p, rows in zip(at, np.split(order, starts[1:]), strict=True):
-            information[p] += weighted[rows].T @ by_step[rows]
+            information[p] += by_step[rows].T @ by_step[rows]
     return Places(covariance, marginal, information, gradients, flat)
 
 

@@ -208,20 +208,21 @@ def refine_pair(
     assert poles.covariance is not None
     first = poses_of_pair(poles.T_target_source if start is None else start)
     covariance = of_source(poles.covariance)
-    near = approach(problem, first, covariance)
+    coarse = problem.without_rings()
+    near = approach(coarse, first, covariance)
     if not near.scene:
         return None
-    starts = [near, *approaches_from_afar(problem, near, poles, lever)]
+    starts = [near, *approaches_from_afar(coarse, near, poles, lever)]
     ends = _converged(problem, starts, covariance)
     if not ends:
         return None
     best = max(ends, key=support_of)
-    mahalanobis_sq = _denial(problem, best, poles)
+    mahalanobis_sq = _denial(coarse, best, poles)
     if mahalanobis_sq > DOUBT:
-        starts = approaches_of_parts(problem, first, ends, covariance)
+        starts = approaches_of_parts(coarse, first, ends, covariance)
         ends += _converged(problem, starts, covariance)
         best = max(ends, key=support_of)
-        mahalanobis_sq = _denial(problem, best, poles, within=True)
+        mahalanobis_sq = _denial(coarse, best, poles, within=True)
     highest = best
     disagree = mahalanobis_sq > DISAGREE
     if disagree:
@@ -256,12 +257,12 @@ def refine_pair(
         for one in ends
         if distance_sq(own, highest.T[1], one.T[1]) > SEVERAL
     ]
-    rms = float(np.sqrt(np.average(term.pairs.residuals**2, weights=term.weights)))
+    rms = float(np.sqrt(np.average(term.pairs.residuals**2, weights=term.weighed.weights)))
     errors = best.errors[term.place[2 * POSE :] - 2 * POSE]
     return Refinement(
         PoseEstimate(T, uncertainty.covariance, rms),
         uncertainty,
-        len(term.weights),
+        len(term.weighed.weights),
         mahalanobis_sq,
         se3.difference(poles.T_target_source, T),
         tuple(minima),
@@ -309,7 +310,7 @@ def _converged_anew(problem: RefinementProblem, best: End, covariance: Array) ->
 
     A wider search may leave a good minimum for one with less support.
     """
-    again = approach(problem, best.T, covariance)
+    again = approach(problem.without_rings(), best.T, covariance)
     starts = [best, again] if again.scene and elsewhere(again, [best]) else [best]
     return max(_converged(problem, starts, covariance), key=support_of, default=None)
 

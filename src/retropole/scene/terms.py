@@ -20,9 +20,10 @@ from .patch_pairs import (
     every_nth_patch,
     pair_patches,
     prepare_patches,
+    without_rings,
 )
 from .patches import Patches
-from .weights import weigh
+from .weights import Weighed, weigh
 
 FEW = 4
 """Where a part of the patches is enough it is every n-th of each second LiDAR."""
@@ -35,6 +36,10 @@ class ScenePair:
     lidars: tuple[int, int]
     sets: PatchSets
     few: PatchSets
+
+    def without_rings(self) -> ScenePair:
+        """Give the same without the errors of single rings."""
+        return ScenePair(self.lidars, without_rings(self.sets), without_rings(self.few))
 
 
 def scene_pairs(patches: Sequence[Patches | None], lidars: Sequence[int]) -> list[ScenePair]:
@@ -71,11 +76,11 @@ class SceneTerm:
         The pair.
     sets
         Patches of both.
-    pairs, weights
-        Those that correspond, and the weights (P,) of their residuals, 1/m².
-    rows, residuals
-        (P, 12 + B) derivative of the residuals by the unknowns at `place`, and (P,) the residuals,
-        without what the surfaces do not hold.
+    pairs, weighed
+        Those that correspond, and what they say of the pose of the second LiDAR in the frame of the
+        first, and of the errors.
+    by_poses
+        (6, 12) derivative of that pose by steps of both.
     place
         (12 + B,) poses of both, and errors.
     """
@@ -83,22 +88,30 @@ class SceneTerm:
     lidars: tuple[int, int]
     sets: PatchSets
     pairs: PatchPairs
-    weights: Array
-    rows: Array
-    residuals: Array
+    weighed: Weighed
+    by_poses: Array
     place: IntArray
+
+    def by_step(self, directions: Array) -> Array:
+        """(P, M) change of the residuals of unit weight by directions (12 + B, M) of `place`."""
+        pose, errors = self.by_poses @ directions[: 2 * POSE], directions[2 * POSE :]
+        return np.asarray(self.weighed.rows @ np.concatenate([pose, errors]))
+
+    def _at_place(self, own: Array) -> Array:
+        """Take (6 + B, ...) by the relative pose and the errors to (12 + B, ...) of `place`."""
+        return np.concatenate([self.by_poses.T @ own[:POSE], own[POSE:]])
 
     @cached_property
     def information(self) -> Array:
         """(12 + B, 12 + B) of the unknowns at `place`."""
-        # As the square of one array: BLAS then computes one half of it.
-        weighted = self.rows * np.sqrt(self.weights)[:, None]
-        return np.asarray(weighted.T @ weighted)
+        # The square of one array: BLAS then computes one half of it.
+        own = self.weighed.rows.T @ self.weighed.rows
+        return self._at_place(self._at_place(own).T)
 
     @cached_property
     def slope_without_errors(self) -> Array:
         """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
-        return -np.asarray((self.weights * self.residuals) @ self.rows)
+        return -self._at_place(self.weighed.residuals @ self.weighed.rows)
 
     def slope(self, values: Array, poses: int) -> Array:
         """(12 + B,) of the same at the poses it was taken at, under errors.
@@ -128,8 +141,6 @@ def scene_term(
     pairs = pair_patches(sets, T_ij, covariance, origins_known)
     if pairs is None:
         return None
-    weighed = weigh(pairs, covariance)
-    by_poses = weighed.rows[:, :POSE] @ relative_jacobian(T[i], T[j])
     place = np.r_[unknowns.pose(i), unknowns.pose(j), unknowns.of_layout(sets.layout, lidars)]
-    rows = np.concatenate([by_poses, weighed.rows[:, POSE:]], axis=1)
-    return SceneTerm(lidars, sets, pairs, weighed.weights, rows, weighed.residuals, place)
+    by_poses = relative_jacobian(T[i], T[j])
+    return SceneTerm(lidars, sets, pairs, weigh(pairs, covariance), by_poses, place)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, qr, solve_triangular, svd
 
+from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
 from .patch_pairs import PatchPairs
 from .robust import LEAST_SCATTER, common_scatter, robust_scale
@@ -30,7 +31,7 @@ class Weighed:
         (P,) of the residuals, 1/m².
     rows, residuals
         (P, 6 + B) derivative by the pose and the errors, and (P,) residuals, without what the
-        surfaces do not hold.
+        surfaces do not hold; each times the root of its weight, so that all have unit weight.
     """
 
     weights: Array
@@ -58,10 +59,14 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
     root = np.sqrt(weights)
     ways, kept = held_directions(pairs, weights)
-    table = np.column_stack([pairs.jacobian, pairs.by_error, r]) * root[:, None]
-    # A pair without weight has no part in the sums.
+    table = np.empty((len(r), POSE + pairs.by_error.shape[1] + 1))
+    for columns, part in (
+        (slice(POSE), pairs.jacobian),
+        (slice(POSE, -1), pairs.by_error),
+        (slice(-1, None), r[:, None]),
+    ):
+        np.multiply(part, root[:, None], out=table[:, columns])
     table -= (ways * (1.0 - kept)) @ (ways.T @ table)
-    table /= np.maximum(root, 1e-300)[:, None]
     return Weighed(weights, table[:, :-1], table[:, -1])
 
 

@@ -237,7 +237,7 @@ def _pair_check(pair: Pair, adjusted: Adjusted | None) -> PairCheck:
         pair.lidars,
         len(shared),
         len(pair.standing),
-        sum(len(term.weights) for term in terms if term.lidars == pair.lidars),
+        sum(len(term.weighed.weights) for term in terms if term.lidars == pair.lidars),
         max((test.w for test in tests if test.pole in shared), default=None),
         pair.refusal,
     )

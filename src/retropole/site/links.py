@@ -43,7 +43,7 @@ def find_links(adjusted: Adjusted) -> Iterator[Link]:
     """
     count = len(adjusted.end.T)
     seen = [pole.seen.keys() for pole in adjusted.datum.poles]
-    patches = {term.lidars: len(term.weights) for term in adjusted.end.scene}
+    patches = {term.lidars: len(term.weighed.weights) for term in adjusted.end.scene}
     weights = {
         pair: (sum(set(pair) <= own for own in seen), patches.get(pair, 0))
         for pair in combinations(range(count), 2)
