@@ -8,8 +8,9 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from retropole.site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
-from retropole.site.onto_survey import on_survey, pole_at, transformed
+from retropole.site.onto_survey import pole_at, transformed
 from retropole.site.shared import SharedPole
+from retropole.site.survey_check import lay_on_survey
 from tests.site.adjusting import Steps
 
 FEET = np.array([[3.0, 0.0, 0.0], [-1.0, 3.0, 0.0], [1.0, -4.0, 0.0]])
@@ -46,7 +47,7 @@ def site(known: list[SurveyedPole], points: tuple[ControlPoint, ...] = ()) -> Si
 
 def laid(known: Site, found: list[SharedPole], poses: dict[int, Array] | None = None) -> Array:
     own = {0: np.eye(4), 1: np.eye(4)} if poses is None else poses
-    return on_survey(known, np.zeros((2, 3)), own, found)
+    return lay_on_survey(known, np.zeros((2, 3)), own, found).T
 
 
 @pytest.mark.parametrize("seed", range(4))

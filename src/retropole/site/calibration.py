@@ -99,7 +99,8 @@ def calibrate_site(
         except Refusal as refusal:
             return state_refusal(site, scans, pairs, groups, refusal, blunders, seconds)
         with step("state"):
-            found = [*list_unusable(site, scans), *blunders, *unconfirmed]
+            unusable = list_unusable(site, scans)
+            found = [*unusable, *adjusted.datum.unmet, *blunders, *unconfirmed]
             return state_answer(site, scans, pairs, groups, adjusted, found, seconds)
 
 

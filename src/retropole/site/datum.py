@@ -14,10 +14,12 @@ import numpy as np
 from ..alignment.survey import KnownPoint, MeasuredUp, SeenPoint, Surveyed, SurveyedEnd
 from ..base import se3
 from ..base.datatypes import Array, BoolArray
+from ..base.errors import Reason
 from ..base.quantities import counted
 from .description import Site
-from .onto_survey import on_survey, pole_at, transformed
+from .onto_survey import Fit, pole_at, transformed
 from .shared import SharedPole
+from .survey_check import lay_on_survey, list_unmet
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,8 @@ class Datum:
         (6 L,) which parameters of the poses are estimated.
     words
         What fixes the frame.
+    unmet
+        What was surveyed and nothing that the LiDARs see meets.
     """
 
     poses: dict[int, Array]
@@ -43,6 +47,7 @@ class Datum:
     surveyed: Surveyed
     free: BoolArray
     words: str
+    unmet: tuple[Reason, ...] = ()
 
 
 def find_datum(
@@ -63,7 +68,8 @@ def find_datum(
     ------
     Refusal
         ``survey_unmatched`` where nothing surveyed fits what the LiDARs see, ``survey_ambiguous``
-        where it fits in several ways.
+        where it fits in several ways, ``survey_contradicts`` where parts of it do in different
+        ways.
     """
     count = len(site.lidars)
     free = np.zeros((count, 6), dtype=bool)
@@ -74,15 +80,17 @@ def find_datum(
         if lidar.up is not None and i in poses
     )
     if site.poles or site.points:
-        T = on_survey(site, origins, poses, poles)
+        fit = lay_on_survey(site, origins, poses, poles)
+        T = fit.T
         moved = {i: T @ pose for i, pose in poses.items()}
         found = [transformed(pole, T) for pole in poles]
         marked = [_marked(pole, site) for pole in found]
         marked = [each for each in marked if len(each.seen) > 1 or each.surveyed is not None]
-        surveyed = replace(_known(site, origins, marked, moved), up=up)
+        surveyed = replace(_known(site, origins, marked, moved, fit), up=up)
         what = " and ".join(_counts(surveyed))
         words = f"{site.frame.name}, by {what}"
-        return Datum(moved, marked, surveyed, free.reshape(-1), words)
+        unmet = tuple(list_unmet(site, origins, poses, poles, fit))
+        return Datum(moved, marked, surveyed, free.reshape(-1), words, unmet)
     reference = site.reference if site.reference in poses else next(iter(poses))
     name = site.lidars[reference].name
     kept = [pole for pole in poles if len(pole.seen) > 1]
@@ -130,9 +138,13 @@ def _marked(pole: SharedPole, site: Site) -> SharedPole:
 
 
 def _known(
-    site: Site, origins: Array, poles: Sequence[SharedPole], poses: dict[int, Array]
+    site: Site,
+    origins: Array,
+    poles: Sequence[SharedPole],
+    poses: dict[int, Array],
+    fit: Fit,
 ) -> Surveyed:
-    """Write what was surveyed as observations of axes and points."""
+    """Write what was surveyed and is met as observations of axes and points."""
     ends = []
     for k, pole in enumerate(poles):
         if pole.surveyed is None:
@@ -142,8 +154,8 @@ def _known(
             if end is not None:
                 ends.append(SurveyedEnd(f"{name} of {each.name}", k, end, each.sigma))
     known, seen = [], []
-    for point in site.points:
-        sights = [sight for sight in point.seen if sight.lidar in poses]
+    for q, point in enumerate(site.points):
+        sights = [sight for k, sight in enumerate(point.seen) if (q, k) in fit.sightings]
         if not sights:
             continue
         known.append(KnownPoint(point.name, point.at, point.sigma))

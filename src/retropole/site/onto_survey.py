@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, islice
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Pole
 from ..base.errors import Refusal
-from ..base.quantities import counted
 from ..matching.correspondence import match_poles
 from .description import Site, SurveyedPole
 from .shared import SharedPole
@@ -29,52 +29,73 @@ SAMPLES = 5
 LEAST_BASE = 0.3
 """Control points nearer to one line than this fix no frame, metres."""
 
+MOST_TRIPLES = 500
+"""Triples of control points that are tried: those of 15 points."""
+
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
-    """A way of laying what the LiDARs see on the survey: how much fits, and its rms, metres."""
+class Fit:
+    """A way of laying what the LiDARs see on the survey, and what of the survey is met under it.
+
+    Attributes
+    ----------
+    T
+        (4, 4) survey from the frame of the poses.
+    poles, sightings
+        Indices of the surveyed poles, and of the control points and their sightings.
+    ends
+        How many ends of poles and sightings are met.
+    rms
+        How far they are beside what is seen, metres.
+    """
 
     T: Array
-    met: int
+    poles: frozenset[int]
+    sightings: frozenset[tuple[int, int]]
+    ends: int
     rms: float
 
+    @property
+    def points(self) -> frozenset[int]:
+        """Indices of the control points of which a sighting is met."""
+        return frozenset(q for q, _ in self.sightings)
 
-def on_survey(
+
+def every_fit(
     site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
-) -> Array:
-    """Find the pose (4, 4) of what the LiDARs see in the frame of the survey."""
-    fits: list[_Fit] = []
+) -> list[Fit]:
+    """Find the ways of laying what the LiDARs see on the survey, the one that meets most first."""
+    fits: list[Fit] = []
     for T in (*_by_poles(site, poles), *_by_points(site, origins, poses)):
         fit = _fit(T, site, origins, poses, poles)
-        if fit is not None and not any(_same(fit.T, other.T, poles) for other in fits):
+        if fit is None:
+            continue
+        same = [k for k, other in enumerate(fits) if _same(fit.T, other.T, poles)]
+        if not same:
             fits.append(fit)
-    if not fits:
-        raise Refusal(
-            "survey_unmatched",
-            f"nothing that was surveyed ({counted(len(site.poles), 'pole')}, "
-            f"{counted(len(site.points), 'control point')}) fits what the LiDARs see: two poles "
-            "with both ends, or three control points that are not in line, fix the frame; check "
-            "placements, names and units",
-            {"poles": len(site.poles), "points": len(site.points)},
-        )
-    fits.sort(key=lambda fit: (-fit.met, fit.rms))
-    best, rivals = fits[0], [fit for fit in fits[1:] if fit.met == fits[0].met]
-    if rivals and rivals[0].rms < 2.0 * max(best.rms, 0.02):
-        raise Refusal(
-            "survey_ambiguous",
-            f"what was surveyed fits what the LiDARs see in {1 + len(rivals)} ways, to "
-            f"{1000 * best.rms:.0f} and {1000 * rivals[0].rms:.0f} mm: survey a third pole, both "
-            "ends of each, or a control point",
-            {"ways": 1 + len(rivals), "rms_m": best.rms, "rival_rms_m": rivals[0].rms},
-        )
-    return best.T
+        elif _order(fit) < _order(fits[same[0]]):
+            fits[same[0]] = fit
+    return sorted(fits, key=_order)
+
+
+def _order(fit: Fit) -> tuple[int, float]:
+    return -fit.ends, fit.rms
+
+
+def fixes_frame(site: Site, poles: frozenset[int], points: frozenset[int]) -> bool:
+    """Whether some of what was surveyed fixes a frame by itself."""
+    return sum(_is_line(site.poles[k]) for k in poles) >= 2 or len(points) >= 3
+
+
+def _is_line(each: SurveyedPole) -> bool:
+    return each.foot is not None and each.top is not None
 
 
 def _by_poles(site: Site, poles: Sequence[SharedPole]) -> Iterator[Array]:
     """Lay the axes that the LiDARs see on the surveyed ones: LiDARs and survey stand still, so that
     poles of all placements count together.
     """
-    known = [each for each in site.poles if each.foot is not None and each.top is not None]
+    known = [each for each in site.poles if _is_line(each)]
     if len(known) < 2 or len(poles) < 2:
         return
     target = [_line(each.foot, each.top) for each in known]
@@ -106,65 +127,90 @@ def _line(foot: Array | None, top: Array | None) -> Pole:
 
 
 def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[Array]:
-    """Lay the control points that the LiDARs see on the surveyed ones (Kabsch 1976)."""
+    """Lay the control points that the LiDARs see on the surveyed ones, and every three of them."""
     known, seen = [], []
-    for point in site.points:
-        for sight in point.seen:
-            if sight.lidar in poses:
-                known.append(point.at)
-                about = sight.at - origins[sight.lidar]
-                seen.append(se3.apply(poses[sight.lidar], about[None])[0])
-    if len(known) < 3:
-        return
+    for q, point in enumerate(site.points):
+        at = [there for _, there in _seen(site, q, origins, poses)]
+        if at:
+            known.append(point.at)
+            seen.append(np.median(at, axis=0))
     a, b = np.array(known), np.array(seen)
+    triples = islice(combinations(range(len(known)), 3), MOST_TRIPLES)
+    for some in ([tuple(range(len(known)))] if len(known) > 3 else []) + list(triples):
+        T = _onto(a[list(some)], b[list(some)])
+        if T is not None:
+            yield T
+
+
+def _seen(
+    site: Site, point: int, origins: Array, poses: dict[int, Array]
+) -> Iterator[tuple[int, Array]]:
+    """Index of each sighting of a control point, and (3,) where it lies in the poses' frame."""
+    for k, sight in enumerate(site.points[point].seen):
+        if sight.lidar in poses:
+            about = (sight.at - origins[sight.lidar])[None]
+            yield k, se3.apply(poses[sight.lidar], about)[0]
+
+
+def _onto(a: Array, b: Array) -> Array | None:
+    """(4, 4) that lays points b (N, 3) on points a (Kabsch 1976); None where they are in line."""
     centred = a - a.mean(axis=0), b - b.mean(axis=0)
     if np.linalg.svd(centred[0])[1][1] < LEAST_BASE:
-        return
+        return None
     U, _, Vt = np.linalg.svd(centred[0].T @ centred[1])
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    yield se3.from_rt(R, a.mean(axis=0) - R @ b.mean(axis=0))
+    return se3.from_rt(R, a.mean(axis=0) - R @ b.mean(axis=0))
 
 
 def _fit(
     T: Array, site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
-) -> _Fit | None:
-    """How much of the survey fits under a pose; None where it fixes no frame or does not fit."""
+) -> Fit | None:
+    """Tell what of the survey is met under a pose; None where it fixes no frame or is not met."""
     gaps: list[float] = []
-    lines = points = 0
-    for each in site.poles:
-        found = pole_at(each, [transformed(pole, T) for pole in poles])
+    met: set[int] = set()
+    sightings: set[tuple[int, int]] = set()
+    there = [transformed(pole, T) for pole in poles]
+    for k, each in enumerate(site.poles):
+        found = pole_at(each, there)
         if found is not None:
-            ends = [end for end in (each.foot, each.top) if end is not None]
-            gaps += [_beside(end, found) for end in ends]
-            lines += len(ends) == 2
-    for point in site.points:
-        for sight in point.seen:
-            if sight.lidar in poses:
-                about = (sight.at - origins[sight.lidar])[None]
-                there = se3.apply(T @ poses[sight.lidar], about)[0]
-                gap = float(np.linalg.norm(there - point.at))
-                if gap < NEAR:
-                    gaps.append(gap)
-                    points += 1
-    if lines < 2 and points < 3 and not (lines and points):
+            gaps += [beside(end, found) for end in ends_of(each)]
+            met.add(k)
+    for q, point in enumerate(site.points):
+        for k, seen in _seen(site, q, origins, poses):
+            gap = float(np.linalg.norm(se3.apply(T, seen[None])[0] - point.at))
+            if gap < NEAR:
+                gaps.append(gap)
+                sightings.add((q, k))
+    lines = sum(_is_line(site.poles[k]) for k in met)
+    if lines < 2 and len(sightings) < 3 and not (lines and sightings):
         return None
-    return _Fit(T, len(gaps), float(np.sqrt(np.mean(np.square(gaps)))))
+    rms = float(np.sqrt(np.mean(np.square(gaps))))
+    return Fit(T, frozenset(met), frozenset(sightings), len(gaps), rms)
+
+
+def ends_of(each: SurveyedPole) -> list[Array]:
+    """(3,) each, the ends of a pole that were surveyed."""
+    return [end for end in (each.foot, each.top) if end is not None]
 
 
 def pole_at(each: SurveyedPole, poles: Sequence[SharedPole]) -> SharedPole | None:
     """Find the pole that a surveyed one is, in the frame of the survey."""
-    ends = [end for end in (each.foot, each.top) if end is not None]
     near = [
         pole
         for pole in poles
         if pole.placement == each.placement
-        and max(_beside(end, pole) for end in ends) < NEAR
+        and farthest_beside(each, pole) < NEAR
         and _is_between(each, pole)
     ]
-    return min(near, key=lambda pole: max(_beside(end, pole) for end in ends), default=None)
+    return min(near, key=lambda pole: farthest_beside(each, pole), default=None)
 
 
-def _beside(end: Array, pole: SharedPole) -> float:
+def farthest_beside(each: SurveyedPole, pole: SharedPole) -> float:
+    """How far the worse end of a surveyed pole is from the axis of one that is seen, metres."""
+    return max(beside(end, pole) for end in ends_of(each))
+
+
+def beside(end: Array, pole: SharedPole) -> float:
     """How far a point is from the axis of a pole, metres."""
     return float(np.linalg.norm(np.cross(end - pole.point, pole.direction)))
 
@@ -172,8 +218,7 @@ def _beside(end: Array, pole: SharedPole) -> float:
 def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
     """Whether the returns on a pole lie between its surveyed ends, as far as these are known."""
     if each.foot is None or each.top is None:
-        end = each.foot if each.foot is not None else each.top
-        assert end is not None
+        (end,) = ends_of(each)
         along = (pole.extent - end) @ pole.direction
         # All on one side of it.
         return bool(min(along.max(), -along.min()) < WITHIN)

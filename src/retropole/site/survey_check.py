@@ -1,0 +1,213 @@
+"""Whether a survey agrees with itself: in one frame, in metres, and all of it met by what is seen.
+
+What is met by nothing that the LiDARs see is named, and left out. Where what is not met would fix
+another frame, or fits as a mirror image or in another unit, nobody can tell which part is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from msgspec import structs
+
+from ..base import quantities, se3
+from ..base.datatypes import Array
+from ..base.errors import Reason, Refusal
+from ..base.quantities import counted
+from .description import Site, SurveyedPole
+from .onto_survey import Fit, every_fit, farthest_beside, fixes_frame, pole_at, transformed
+from .shared import SharedPole
+
+UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
+"""Units that coordinates come in beside metres, metres each."""
+
+MOST_RMS = 0.02
+"""Ways of laying the survey on what is seen are told apart where one fits twice as well, or so well
+as this, metres."""
+
+
+def lay_on_survey(
+    site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole]
+) -> Fit:
+    """Find how what the LiDARs see lies in the frame of the survey.
+
+    Raises
+    ------
+    Refusal
+        ``survey_unmatched``, ``survey_ambiguous``, or ``survey_contradicts``.
+    """
+    fits = every_fit(site, origins, poses, poles)
+    _check_units(site, origins, poses, poles, fits)
+    if not fits:
+        raise Refusal(
+            "survey_unmatched",
+            f"nothing that was surveyed ({counted(len(site.poles), 'pole')}, "
+            f"{counted(len(site.points), 'control point')}) fits what the LiDARs see: two poles "
+            "with both ends, or three control points that are not in line, fix the frame; check "
+            "placements, names and units",
+            {"poles": len(site.poles), "points": len(site.points)},
+        )
+    best, *others = fits
+    for other in others:
+        _check_frames(site, best, other, poles)
+    rivals = [fit for fit in others if fit.ends == best.ends]
+    if rivals and rivals[0].rms < 2.0 * max(best.rms, MOST_RMS):
+        raise Refusal(
+            "survey_ambiguous",
+            f"what was surveyed fits what the LiDARs see in {1 + len(rivals)} ways, to "
+            f"{1000 * best.rms:.0f} and {1000 * rivals[0].rms:.0f} mm: survey a third pole, both "
+            "ends of each, or a control point",
+            {"ways": 1 + len(rivals), "rms_m": best.rms, "rival_rms_m": rivals[0].rms},
+        )
+    return best
+
+
+def _check_frames(site: Site, best: Fit, other: Fit, poles: Sequence[SharedPole]) -> None:
+    """Refuse where what is not met by the best way fixes another frame by itself."""
+    left = other.poles - best.poles, other.points - best.points
+    if not fixes_frame(site, *left):
+        return
+    at = np.array([pole.point for pole in poles]) if poles else np.zeros((1, 3))
+    apart = se3.difference_at(best.T, other.T, at)
+    one, two = _names(site, best.poles, best.points), _names(site, *left)
+    raise Refusal(
+        "survey_contradicts",
+        f"{one} fix one frame, {two} another, {quantities.error(apart.translation)} and "
+        f"{np.degrees(apart.rotation):.1f}° from it: one of both was surveyed in another frame or "
+        "is written wrongly; correct it, or leave it out of the site file",
+        {
+            "one": one,
+            "other": two,
+            "apart_m": apart.translation,
+            "turned_deg": float(np.degrees(apart.rotation)),
+        },
+    )
+
+
+def _check_units(
+    site: Site,
+    origins: Array,
+    poses: dict[int, Array],
+    poles: Sequence[SharedPole],
+    fits: Sequence[Fit],
+) -> None:
+    """Refuse where what is not met fits as a mirror image, or in another unit."""
+    best = fits[0] if fits else None
+    left = (
+        tuple(each for k, each in enumerate(site.poles) if best is None or k not in best.poles),
+        tuple(each for q, each in enumerate(site.points) if best is None or q not in best.points),
+    )
+    for surveyed, points in ((left[0], left[1]), (left[0], ()), ((), left[1])):
+        rest = replace(site, poles=surveyed, points=points)
+        everything = frozenset(range(len(surveyed))), frozenset(range(len(points)))
+        if not fixes_frame(rest, *everything):
+            continue
+        if every_fit(rest, origins, poses, poles):
+            # In a frame of its own it fits as it is.
+            return
+        for name, factor, mirrored in _other_ways():
+            signs = np.array([-factor if mirrored else factor, factor, factor])
+            found = every_fit(_rewritten(rest, signs), origins, poses, poles)
+            if not found or not fixes_frame(rest, found[0].poles, found[0].points):
+                continue
+            which = _names(rest, found[0].poles, found[0].points)
+            raise Refusal(
+                "survey_contradicts",
+                f"{which} fit what the LiDARs see only {name}: correct the coordinates",
+                {"one": which, "other": name},
+            )
+
+
+def _other_ways() -> Iterator[tuple[str, float, bool]]:
+    """Name, factor, and whether mirrored, of how coordinates may be written wrongly."""
+    mirror = "as a mirror image (are x and y exchanged, or is a sign wrong?)"
+    yield mirror, 1.0, True
+    for unit, metres in UNITS.items():
+        yield f"in {unit}", metres, False
+        yield f"in {unit}, and {mirror}", metres, True
+    yield "in metres, where they are taken for feet", 1.0 / UNITS["feet"], False
+
+
+def _rewritten(site: Site, factors: Array) -> Site:
+    """Write all that was surveyed with each coordinate times a factor (3,)."""
+
+    def times(at: Array | None) -> Array | None:
+        return None if at is None else at * factors
+
+    surveyed = tuple(
+        structs.replace(each, foot=times(each.foot), top=times(each.top)) for each in site.poles
+    )
+    points = tuple(structs.replace(each, at=each.at * factors) for each in site.points)
+    return replace(site, poles=surveyed, points=points)
+
+
+def _names(site: Site, poles: frozenset[int], points: frozenset[int]) -> str:
+    """Name some poles and control points."""
+    named = [site.poles[k].name for k in sorted(poles)]
+    named += [site.points[q].name for q in sorted(points)]
+    return ", ".join(named)
+
+
+def list_unmet(
+    site: Site, origins: Array, poses: dict[int, Array], poles: Sequence[SharedPole], fit: Fit
+) -> Iterator[Reason]:
+    """Name what was surveyed and nothing that the LiDARs see meets.
+
+    Parameters
+    ----------
+    site, origins, poses, poles
+        As `lay_on_survey` takes them.
+    fit
+        How they lie in the frame of the survey.
+    """
+    there = [transformed(pole, fit.T) for pole in poles]
+    for k, each in enumerate(site.poles):
+        if k not in fit.poles:
+            yield _unmet_pole(site, each, there)
+    for q, point in enumerate(site.points):
+        seen = {
+            k: se3.apply(fit.T @ poses[sight.lidar], (sight.at - origins[sight.lidar])[None])[0]
+            for k, sight in enumerate(point.seen)
+            if sight.lidar in poses
+        }
+        gaps = {k: float(np.linalg.norm(at - point.at)) for k, at in seen.items()}
+        off = {k: gap for k, gap in gaps.items() if (q, k) not in fit.sightings}
+        if not off:
+            continue
+        by = ", ".join(site.lidars[point.seen[k].lidar].name for k in off)
+        which = point.name if len(off) == len(gaps) else f"{point.name} as {by} sees it"
+        gap = min(off.values())
+        yield Reason(
+            "survey_unmet",
+            f"{which} is {quantities.error(gap)} from where it was surveyed, and was left out: "
+            "check its coordinates, and where the LiDARs see it",
+            {"observation": which, "gap_m": gap},
+        )
+
+
+def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> Reason:
+    """Say where the nearest pole is that LiDARs see, or in which placement the pole stands."""
+    where = site.placements[each.placement]
+    values: dict[str, float | int | str] = {"observation": each.name, "placement": where}
+    for p, name in enumerate(site.placements):
+        if p != each.placement and pole_at(structs.replace(each, placement=p), poles):
+            return Reason(
+                "survey_unmet",
+                f"{each.name} is surveyed where a pole of placement {name} stands, not one of "
+                f"{where}, and was left out: which placement does it belong to?",
+                {**values, "other": name},
+            )
+    gaps = [farthest_beside(each, pole) for pole in poles if pole.placement == each.placement]
+    if not gaps:
+        near = "the LiDARs see no pole there"
+    else:
+        near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} beside it"
+        values["gap_m"] = min(gaps)
+    return Reason(
+        "survey_unmet",
+        f"no pole of placement {where} stands where {each.name} was surveyed ({near}), and it was "
+        "left out: check its coordinates and placement, or whether anything hides it",
+        values,
+    )
