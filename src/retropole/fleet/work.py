@@ -23,6 +23,7 @@ from ..result import ResultDoc
 from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered, document_of
+from .history.store import CheckRow
 from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
 from .storage import below, is_url, read_bytes, write_bytes
@@ -92,13 +93,13 @@ class Hashed(msgspec.Struct, frozen=True, tag=True):
 class Outcome(msgspec.Struct, frozen=True, tag=True):
     """The outcome of a task; `row` is None where the row that there is still holds.
 
-    `check` holds the columns of a check's row, as the history has them.
+    `check` is that of a check.
     """
 
     id: str
     row: Row | None = None
     run: Run | None = None
-    check: dict[str, Any] | None = None
+    check: CheckRow | None = None
 
 
 def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:

@@ -19,7 +19,7 @@ from ..work import Check, Outcome, Task, task_of
 from . import store
 from .check import WatchedPair, lost_check, watched_pairs
 from .events import Event, Watched
-from .store import CheckRow, observed, row_of
+from .store import CheckRow, observed
 from .watch import watch
 
 FLUSH = 100
@@ -192,5 +192,5 @@ def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:
 def _row(outcome: Outcome, site: FleetSite, check: Check) -> CheckRow | None:
     """Take the row of a check; None where the history has it."""
     if outcome.check is not None:
-        return row_of(outcome.check)
+        return outcome.check
     return None if outcome.row is None else lost_check(site, check, outcome.row)
