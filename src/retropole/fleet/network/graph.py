@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,6 +15,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
+from .observations import Observations
 
 MOST_NODES = 10_000_000
 """More poses than any city has posts: a count beyond it is a mistake."""
@@ -147,46 +149,27 @@ class Graph:
                     f"control points: {what} is {xyz.shape}, expected finite ({len(points)}, 3)"
                 )
 
-    @property
-    def observations(self) -> int:
-        """How many there are: edges first, then known poses, then control points."""
-        return len(self.edges) + len(self.known) + len(self.points)
-
-    @property
-    def relative(self) -> Edges:
-        """Edges, then known poses as edges from the ground, whose number is `nodes`."""
-        edges, known = self.edges, self.known
-        return Edges(
-            np.concatenate([edges.i, np.full(len(known), self.nodes)]),
-            np.concatenate([edges.j, known.node]),
-            np.concatenate([edges.T_i_j, known.T_world_node]),
-            np.concatenate([edges.covariance, known.covariance]),
-        )
-
-    @property
-    def ends(self) -> tuple[IntArray, IntArray]:
-        """(M,) the two ends of every observation; `nodes` stands for the ground."""
-        held = np.concatenate([self.known.node, self.points.node])
-        ground = np.full(len(held), self.nodes)
-        return np.concatenate([self.edges.i, ground]), np.concatenate([self.edges.j, held])
-
-    @property
-    def freedom(self) -> IntArray:
-        """(M,) how many numbers each observation is."""
-        return np.repeat([6, 6, 3], [len(self.edges), len(self.known), len(self.points)])
-
-    def only(self, some: IntArray) -> Graph:
-        """Give the same poses with some of the observations (K,), in rising order."""
+    @cached_property
+    def observed(self) -> Observations:
+        """Edges first, then known poses and control points as what the ground observes."""
         edges, known, points = self.edges, self.known, self.points
-        bounds = np.cumsum([len(edges), len(known)])
-        a, b, c = np.split(some, np.searchsorted(some, bounds))
-        b, c = b - bounds[0], c - bounds[1]
-        return Graph(
-            self.nodes,
-            Edges(edges.i[a], edges.j[a], edges.T_i_j[a], edges.covariance[a]),
-            KnownPoses(known.node[b], known.T_world_node[b], known.covariance[b]),
-            ControlPoints(points.node[c], points.world[c], points.covariance[c], points.at[c]),
+        surveyed = np.tile(np.eye(4), (len(points), 1, 1))
+        surveyed[:, :3, 3] = points.world
+        translations = np.zeros((len(points), 6, 6))
+        translations[:, 3:, 3:] = _roots(points.covariance)
+        ground = np.full(len(known) + len(points), self.nodes)
+        return Observations(
+            np.concatenate([edges.i, ground]),
+            np.concatenate([edges.j, known.node, points.node]),
+            np.concatenate([edges.T_i_j, known.T_world_node, surveyed]),
+            np.concatenate([np.zeros((len(edges) + len(known), 3)), points.at]),
+            np.concatenate([_roots(edges.covariance), _roots(known.covariance), translations]),
+            np.repeat([6, 6, 3], [len(edges), len(known), len(points)]),
         )
+
+
+def _roots(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def grouped(label: IntArray, count: int) -> list[IntArray]:
@@ -282,27 +265,25 @@ def hanging_together(graph: Graph, kept: BoolArray, but: Sequence[int] = ()) -> 
     """
     kept = kept.copy()
     kept[list(but)] = False
-    ends = tuple(end[kept] for end in graph.ends)
-    size = graph.nodes + 1
+    ends, size = (graph.observed.i[kept], graph.observed.j[kept]), graph.nodes + 1
     matrix = coo_array((np.ones(len(ends[0])), ends), shape=(size, size))
     return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
 
 
 def find_components(graph: Graph, active: BoolArray) -> tuple[Component, ...]:
     """Find the components of a network, by those of its observations that are active (M,)."""
-    is_edge = np.arange(graph.observations) < len(graph.edges)
-    label = np.unique(hanging_together(graph, active & is_edge)[:-1], return_inverse=True)[1]
-    _, known, points = np.split(active, np.cumsum([len(graph.edges), len(graph.known)]))
-    world, count = graph.points.world[points], int(label.max()) + 1
-    groups = (
-        grouped(label[nodes], count)
-        for nodes in (slice(None), graph.known.node[known], graph.points.node[points])
-    )
+    is_control = graph.observed.i == graph.nodes
+    label = np.unique(hanging_together(graph, active & ~is_control)[:-1], return_inverse=True)[1]
+    controls, count = graph.observed.only(np.flatnonzero(active & is_control)), label.max() + 1
     components = [
         Component(
-            nodes, len(posed) + len(seen), np.zeros((0, 6)) if len(posed) else _open(world[seen])
+            nodes,
+            len(own),
+            np.zeros((0, 6))
+            if (controls.freedom[own] == 6).any()
+            else _open(controls.T_i_j[own, :3, 3]),
         )
-        for nodes, posed, seen in zip(*groups, strict=True)
+        for nodes, own in zip(grouped(label, count), grouped(label[controls.j], count), strict=True)
     ]
     return tuple(sorted(components, key=lambda component: int(component.nodes[0])))
 
@@ -326,7 +307,7 @@ def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     """
     size = graph.nodes + 1
     order = np.lexsort((squares, ~wanted))
-    low, high = np.sort(np.stack(graph.ends), axis=0)[:, order]
+    low, high = np.sort([graph.observed.i, graph.observed.j], axis=0)[:, order]
     # Between the same two ends the best one counts.
     best = np.unique(np.ravel_multi_index((low, high), (size, size)), return_index=True)[1]
     # What the tree is the least sum of, ranks, tells which they are.

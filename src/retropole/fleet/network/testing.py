@@ -16,9 +16,9 @@ from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
 
 from ...api import Array, BoolArray, IntArray
-from .adjustment import AdjustedNetwork, Layout, Model, Whitened, held_nodes
+from .adjustment import AdjustedNetwork, Layout, held_nodes
 from .elimination import Blocks, Factor, scalars
-from .graph import Component
+from .graph import Component, Graph
 
 
 def selected_inverse(factor: Factor) -> Blocks:
@@ -130,13 +130,13 @@ def covariances(adjusted: AdjustedNetwork, components: tuple[Component, ...]) ->
 
 
 def all_tests(
-    model: Model, layout: Layout, T: Array, covariance: Blocks, active: BoolArray
+    graph: Graph, layout: Layout, T: Array, covariance: Blocks, active: BoolArray
 ) -> ObservationTests:
     """Test all observations (M,): edges, known poses, control points.
 
     Parameters
     ----------
-    model, layout
+    graph, layout
         The network.
     T
         (N, 4, 4) adjusted poses.
@@ -145,60 +145,42 @@ def all_tests(
     active
         (M,) which observations were adjusted; the others are tested against these.
     """
-    of, (relative, points) = model.relative, model.at(T)
+    of, at = graph.observed, graph.observed.at(T)
     # The ground is certain.
     own = np.concatenate([covariance.diagonal, np.zeros((1, 6, 6))])
     cross = layout.turn(covariance.pairs[layout.pair])
     edges = slice(0, len(cross))
-    mixed = relative.by_i[edges] @ cross @ np.swapaxes(relative.by_j[edges], 1, 2)
-    taken_up = _through(relative.by_i, own[of.i]) + _through(relative.by_j, own[of.j])
+    mixed = at.by_i[edges] @ cross @ np.swapaxes(at.by_j[edges], 1, 2)
+    # The covariance of what the poses say.
+    taken_up = _through(at.by_i, own[of.i]) + _through(at.by_j, own[of.j])
     taken_up[edges] += mixed + np.swapaxes(mixed, 1, 2)
-    of_points = _through(points.by_j, own[model.graph.points.node])
-    used = np.split(active, [len(of)])
-    some = (
-        _tests(relative, taken_up, model.roots[0], used[0]),
-        _tests(points, of_points, model.roots[1], used[1]),
-    )
-    columns = zip(*(vars(one).values() for one in some), strict=True)
-    return ObservationTests(*map(np.concatenate, columns))
-
-
-def _through(J: Array, covariance: Array) -> Array:
-    return np.asarray(J @ covariance @ np.swapaxes(J, 1, 2))
-
-
-def _tests(of: Whitened, taken_up: Array, root: Array, active: BoolArray) -> ObservationTests:
-    """Test observations of one kind, `taken_up` (K, D, D) the covariance of what the poses say."""
-    count, size = of.residual.shape
-    shows = np.empty_like(taken_up)
-    shows[active] = np.eye(size) - taken_up[active]
+    shows = np.eye(6) - taken_up
     # One that is left out would take the poses along so far.
-    shows[~active] = np.linalg.inv(np.eye(size) + taken_up[~active])
-    shows = (shows + np.swapaxes(shows, 1, 2)) / 2
-    part, way = np.linalg.eigh(shows)
+    shows[~active] = np.linalg.inv(np.eye(6) + taken_up[~active])
+    is_measured = np.arange(6) >= 6 - of.freedom[:, None]
+    shows *= is_measured[:, :, None] & is_measured[:, None, :]
+    part, way = np.linalg.eigh((shows + np.swapaxes(shows, 1, 2)) / 2)
     told = part > LEAST_CHECKED
-    along = np.einsum("kab,ka->kb", way, of.residual)
-    part = np.where(told, part, 1.0)
-    scaled = np.where(active[:, None], along**2 / part, along**2 * part)
-    chi2 = np.sum(np.where(told, scaled, 0.0), axis=1)
+    along = np.einsum("kab,ka->kb", way, at.residual)
+    chi2 = np.where(active[:, None], along**2 / np.where(told, part, 1.0), along**2 * part)
+    chi2 = np.sum(np.where(told, chi2, 0.0), axis=1)
+    part = np.where(told, part, 0.0)
     freedom = np.count_nonzero(told, axis=1)
-    redundancy = np.clip(np.sum(np.where(told, part, 0.0), axis=1) / size, 0.0, 1.0)
-    information = (
-        np.swapaxes(root, 1, 2)
-        @ ((way * np.where(told, part, 0.0)[:, None]) @ np.swapaxes(way, 1, 2))
-        @ root
-    )
-    whole = np.swapaxes(root, 1, 2) @ root
-    least = np.array([noncentrality(k) for k in range(size + 1)])[freedom]
-    nothing = np.full(count, np.inf)
-    blocks = (slice(0, 3), slice(3, 6)) if size == 6 else (None, slice(0, 3))
+    redundancy = np.clip(np.sum(part, axis=1) / of.freedom, 0.0, 1.0)
+    seen = (way * part[:, None]) @ np.swapaxes(way, 1, 2)
+    information, whole = (np.swapaxes(of.root, 1, 2) @ each @ of.root for each in (seen, np.eye(6)))
+    least = np.array([noncentrality(k) for k in range(7)])[freedom]
     rotation, translation = (
-        nothing if b is None else _detectable(information[:, b, b], whole[:, b, b], least)
-        for b in blocks
+        _detectable(information[:, some, some], whole[:, some, some], least)
+        for some in (slice(0, 3), slice(3, 6))
     )
     return ObservationTests(
         chi2, freedom, normalised(chi2, freedom), redundancy, rotation, translation
     )
+
+
+def _through(J: Array, covariance: Array) -> Array:
+    return np.asarray(J @ covariance @ np.swapaxes(J, 1, 2))
 
 
 def _detectable(information: Array, whole: Array, least: Array) -> Array:
