@@ -130,19 +130,10 @@ class Graph:
         if not 0 < self.nodes <= MOST_NODES:
             raise UsageError(f"a network of {self.nodes} poses: expected 1 to {MOST_NODES}")
         edges, known, points = self.edges, self.known, self.points
-        count = len(edges)
-        _check_nodes("edge", edges.i, self.nodes, count)
-        _check_nodes("edge", edges.j, self.nodes, count)
-        _check_nodes("known pose", known.node, self.nodes, len(known))
-        _check_nodes("control point", points.node, self.nodes, len(points))
-        loops = np.flatnonzero(edges.i == edges.j)
-        if len(loops):
-            raise UsageError(f"edge {loops[0]} leads from pose {edges.i[loops[0]]} to itself")
-        _check_transforms("edge", edges.T_i_j, count)
-        _check_transforms("known pose", known.T_world_node, len(known))
-        _check_covariances("edge", edges.covariance, count, 6)
-        _check_covariances("known pose", known.covariance, len(known), 6)
-        _check_covariances("control point", points.covariance, len(points), 3)
+        _check("edge", self.nodes, (edges.i, edges.j), edges.covariance, 6, edges.T_i_j)
+        _check("known pose", self.nodes, (known.node,), known.covariance, 6, known.T_world_node)
+        _check("control point", self.nodes, (points.node,), points.covariance, 3)
+        _refuse("edge", edges.i == edges.j, "it leads from a pose to itself")
         for what, xyz in (("world", points.world), ("seen", points.at)):
             if xyz.shape != (len(points), 3) or not (np.abs(xyz) <= se3.FARTHEST).all():
                 raise UsageError(
@@ -178,37 +169,42 @@ def grouped(label: IntArray, count: int) -> list[IntArray]:
     return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
 
 
-def _check_nodes(what: str, nodes: IntArray, most: int, count: int) -> None:
-    if nodes.shape != (count,) or not np.issubdtype(nodes.dtype, np.integer):
-        raise UsageError(f"poses of each {what}: {nodes.shape} {nodes.dtype}, expected ({count},)")
-    wrong = np.flatnonzero((nodes < 0) | (nodes >= most))
-    if len(wrong):
-        raise UsageError(f"{what} {wrong[0]}: there is no pose {nodes[wrong[0]]} of {most}")
-
-
-def _check_transforms(what: str, T: Array, count: int) -> None:
-    if T.shape != (count, 4, 4):
-        raise UsageError(f"transforms of each {what}: {T.shape}, expected ({count}, 4, 4)")
-    R = T[:, :3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
-        fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
-        fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
-    _refuse(what, ~fine, "its transform is not rigid")
-
-
-def _check_covariances(what: str, covariance: Array, count: int, size: int) -> None:
-    if covariance.shape != (count, size, size):
-        shape = f"({count}, {size}, {size})"
-        raise UsageError(f"covariance of each {what}: {covariance.shape}, expected {shape}")
+def _check(
+    what: str,
+    most: int,
+    ends: tuple[IntArray, ...],
+    covariance: Array,
+    size: int,
+    T: Array | None = None,
+) -> None:
+    """Check observations of one kind: the poses of each, its covariance and its transform."""
+    count = len(ends[0])
+    shapes: list[tuple[str, Array | IntArray | None, tuple[int, ...]]] = [
+        *(("poses", end, (count,)) for end in ends),
+        ("covariance", covariance, (count, size, size)),
+        ("transforms", T, (count, 4, 4)),
+    ]
+    for name, array, shape in shapes:
+        if array is None:
+            continue
+        if array.shape != shape or (name == "poses" and array.dtype.kind not in "iu"):
+            raise UsageError(f"{name} of each {what}: {array.shape}, expected {shape}")
+    for end in ends:
+        _refuse(what, (end < 0) | (end >= most), f"there is no pose of that number, only {most}")
     sigma = np.sqrt(np.abs(np.diagonal(covariance, axis1=1, axis2=2)))
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         correlation = covariance / sigma[:, :, None] / sigma[:, None, :]
-        fine = np.isfinite(correlation).all(axis=(1, 2))
-    skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
-    fine &= skew < 1e-6
+        skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
+        fine = skew < 1e-6
     fine[fine] = np.linalg.eigvalsh(correlation[fine])[:, 0] > 1e-12
     _refuse(what, ~fine, "its covariance is not symmetric and positive")
+    if T is not None:
+        R = T[:, :3, :3]
+        with np.errstate(invalid="ignore", over="ignore"):
+            off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
+            fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
+            fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
+        _refuse(what, ~fine, "its transform is not rigid")
 
 
 def _refuse(what: str, wrong: BoolArray, words: str) -> None:

@@ -64,16 +64,16 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
         return {}
     size = int(label.max()) + 1
     a, b = label[i[bridges]], label[j[bridges]]
-    forest = csr_array((np.ones(len(bridges)), (a, b)), shape=(size, size))
-    ends = zip(a.tolist(), b.tolist(), strict=True)
-    by_ends = dict(zip(map(frozenset, ends), bridges.tolist(), strict=True))
+    # Its entries are numbers of observations, from 1 on.
+    forest = csr_array((bridges + 1, (a, b)), shape=(size, size))
+    forest = forest + forest.T
     found = {}
     for k in left_out.tolist():
         first, last = int(label[i[k]]), int(label[j[k]])
-        _, before = breadth_first_order(forest, first, directed=False)
+        _, before = breadth_first_order(forest, first)
         path, at = [], last
         while before[at] >= 0:
-            path.append(by_ends[frozenset((at, int(before[at])))])
+            path.append(int(forest[at, before[at]]) - 1)
             at = int(before[at])
         if at == first:
             found[k] = tuple(path[::-1])
