@@ -178,7 +178,7 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     ReadError
         As `known_in`.
     """
-    place = below(below(out, folder), partition)
+    place = below(out, folder, partition)
     with opened(place, f"damaged ({{}}){AGAIN}", LARGEST_PARTITION) as file:
         schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
         if schema != FLEET_SCHEMA:
@@ -202,7 +202,7 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
         (RUNS, Run, sorted(runs, key=lambda run: run.id)),
         (ANSWERS, Row, sorted(rows, key=lambda row: row.id)),
     ):
-        place = below(below(out, folder), partition)
+        place = below(out, folder, partition)
         if each:
             write_bytes(place, parquet_of(map(msgspec.to_builtins, each), _schema(of)))
         elif partition in partitions_in(out, folder):

@@ -111,7 +111,7 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
 
     def link(site: Seen) -> str:
         name = REPORT_FILE if site.kind == "pair" else SITE_REPORT_FILE
-        if folder is None or root is None or not exists(below(below(folder, site.id), name)):
+        if folder is None or root is None or not exists(below(folder, site.id, name)):
             return ""
         # A path that begins with a name and a colon would be taken for a URL.
         return quote(f"./{root}/{site.id}/{name}")

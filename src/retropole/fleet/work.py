@@ -239,21 +239,15 @@ def _is_of(document: ResultDoc | SiteDoc, hashed: Hashed) -> bool:
 
 def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResult:
     """Calibrate, and call the files as they were given."""
-    if local.site is not None:
-        from ..api.site import calibrate_site
-
-        of_site = calibrate_site(local.site)
-        document, config = of_site.document, of_site.document.config
-        config = msgspec.structs.replace(config, site_file=local.renamed(config.site_file))
-        recordings = local.named(document.inputs)
-        document = msgspec.structs.replace(document, inputs=recordings, config=config)
-        return replace(of_site, document=document)
     from ..api.calibration import calibrate_with
+    from ..api.site import calibrate_site
 
+    if local.site is not None:
+        of_site = calibrate_site(local.site)
+        return replace(of_site, document=local.named(of_site.document))
     target, source = local.pair
     of_pair = calibrate_with(target, source, site.config)
-    inputs = local.named(of_pair.document.inputs)
-    return replace(of_pair, document=msgspec.structs.replace(of_pair.document, inputs=inputs))
+    return replace(of_pair, document=local.named(of_pair.document))
 
 
 def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) -> None:
@@ -270,7 +264,7 @@ def _is_reported(task: Task, hashed: Hashed) -> bool:
     if task.reports is None:
         return True
     name = RESULT_FILE if task.site.kind == "pair" else SITE_RESULT_FILE
-    place = below(below(task.reports, task.site.id), name)
+    place = below(task.reports, task.site.id, name)
     try:
         document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), task.site.kind)
     except (ReadError, UnicodeDecodeError):

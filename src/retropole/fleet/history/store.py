@@ -202,7 +202,7 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) ->
             months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
     for month, fresh in sorted(months.items()):
         name = hashlib.sha256("\n".join(sorted(fresh)).encode()).hexdigest()[:32]
-        place = below(below(folder, month), f"{name}.parquet")
+        place = below(folder, month, f"{name}.parquet")
         write_bytes(place, parquet_of((columns_of(fresh[key]) for key in sorted(fresh)), schema()))
     return sum(map(len, months.values()))
 
@@ -268,7 +268,7 @@ def schema() -> Any:
 def _files(folder: str) -> Iterator[str]:
     for month in filter(MONTH.fullmatch, names_in(folder)):
         names = (name for name in names_in(below(folder, month)) if name.endswith(".parquet"))
-        yield from (below(below(folder, month), name) for name in names)
+        yield from (below(folder, month, name) for name in names)
 
 
 def _table(place: str, columns: list[str] | None = None) -> Any:
