@@ -16,6 +16,10 @@ SETTLED = 1e-8
 """Steps end where the next would change the sum of squares by less than this, σ²: no pose then
 moves by more than 1e-4 of its σ."""
 
+FIRM = 1e10
+"""By how much more than its observations say the first pose of a component is held where no control
+says anything: all of it moves along, so that nothing else feels that."""
+
 MOST_STEPS = 20
 """Of one adjustment; from a robust start three or four are usual."""
 
@@ -119,7 +123,9 @@ def normal_equations(
     heavy = observed.by_j[edges] * weight[edges, None, None]
     cross = np.swapaxes(observed.by_i[edges], 1, 2) @ heavy
     pairs = added(layout.onto_pairs, layout.turn(cross))
-    _hold(diagonal, pairs, right, layout.pattern.pairs, components)
+    nodes, held = held_nodes(components)
+    firm = FIRM * np.maximum(np.trace(diagonal[nodes], axis1=1, axis2=2) / 6, 1.0)
+    diagonal[nodes] += firm[:, None, None] * held
     return Blocks(diagonal, pairs), right
 
 
@@ -129,22 +135,6 @@ def held_nodes(components: tuple[Component, ...]) -> tuple[IntArray, Array]:
     nodes = np.array([component.nodes[0] for component in some], dtype=np.int64)
     held = np.array([component.held.T @ component.held for component in some]).reshape(-1, 6, 6)
     return nodes, held
-
-
-def _hold(
-    diagonal: Array, pairs: Array, right: Array, ends: IntArray, components: tuple[Component, ...]
-) -> None:
-    """Take what is held out of the unknowns, and let it stand by itself instead."""
-    nodes, held = held_nodes(components)
-    free = np.tile(np.eye(6), (len(diagonal), 1, 1))
-    free[nodes] -= held
-    # Of the size of the rest, so that it does no harm to what is solved.
-    scale = np.maximum(np.trace(diagonal[nodes], axis1=1, axis2=2) / 6, 1.0)
-    diagonal[nodes] = free[nodes] @ diagonal[nodes] @ free[nodes] + scale[:, None, None] * held
-    right[nodes] = np.einsum("kab,kb->ka", free[nodes], right[nodes])
-    some = np.isin(ends, nodes).any(axis=1)
-    a, b = ends[some].T
-    pairs[some] = free[a] @ pairs[some] @ free[b]
 
 
 def step(

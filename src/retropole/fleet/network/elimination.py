@@ -228,14 +228,14 @@ def solve(factor: Factor, right: Array) -> Array:
     """Solve for right-hand sides (N, B, K)."""
     size, block, sides = right.shape
     x = right.reshape(size * block, sides).copy()
-    steps = []
-    fronts = zip(factor.pattern.fronts, factor.triangles, factor.below, strict=True)
-    for front, L, below in fronts:
-        own, later = np.split(scalars(front.nodes, block), [front.own * block])
-        steps.append((own, later, L, below))
-    for own, later, L, below in steps:
+    places = (
+        np.split(scalars(front.nodes, block), [front.own * block])
+        for front in factor.pattern.fronts
+    )
+    steps = [*zip(places, factor.triangles, factor.below, strict=True)]
+    for (own, later), L, below in steps:
         x[own] = dtrsm(1.0, L, x[own], lower=1)
         x[later] -= below @ x[own]
-    for own, later, L, below in reversed(steps):
+    for (own, later), L, below in reversed(steps):
         x[own] = dtrsm(1.0, L, x[own] - below.T @ x[later], lower=1, trans_a=1)
     return x.reshape(size, block, sides)

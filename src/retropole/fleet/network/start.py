@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...api import Array, se3
-from .adjustment import Layout, added, step
+from .adjustment import FIRM, Layout, added, step
 from .elimination import Blocks, factorise, solve
 from .graph import Component, Graph, find_components, grouped
 
@@ -23,9 +23,6 @@ and then by a function that forgets what misses by far (Geman and McClure 1985).
 
 LEAST_WEIGHT = 1e-6
 """Of an edge that is forgotten: what hangs by it alone still has a place."""
-
-FIRM = 1e6
-"""By how much more than all its edges the first pose of a component is held."""
 
 LEVER = 10.0
 """How far from a known pose points are laid that stand for its rotation, metres."""
