@@ -39,7 +39,7 @@ from retropole.base.relative import relative_jacobian
 from retropole.fleet.network.adjustment import adjust, find_layout
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, find_components
 from retropole.fleet.network.network import NetworkAdjustment, adjust_network
-from retropole.fleet.network.testing import all_tests, covariances, noncentrality
+from retropole.fleet.network.testing import all_tests, noncentrality
 
 
 @dataclass
@@ -98,7 +98,7 @@ def strength(city: City, graph: Graph) -> Array:
     points = replace(graph.points, world=city.T_world_node[city.control, :3, 3])
     graph = replace(graph, points=points)
     adjusted = adjust(graph, layout, city.T_world_node, active, components)
-    tests = all_tests(graph, layout, city.T_world_node, covariances(adjusted, components), active)
+    tests = all_tests(graph, layout, replace(adjusted, T=city.T_world_node), active)
     return tests.chi2[: len(city.i)]
 
 

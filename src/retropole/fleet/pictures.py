@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -32,21 +32,22 @@ FLAT_BELOW = 500e3
 MOST_NAMED = 20_000
 """So many sites, the worst first, say their names in the map: a page of 2 MB."""
 
-SHAPES: dict[Status, Callable[[float], str]] = {
-    "ok": lambda r: "h.01",
-    "warn": lambda r: f"m0{-1.2 * r:.2g}l{1.2 * r:.2g} {2.2 * r:.2g}h{-2.4 * r:.2g}z",
-    "refused": lambda r: f"m{-r:.2g}{-r:.2g}h{2 * r:.2g}v{2 * r:.2g}h{-2 * r:.2g}z",
-    "error": lambda r: (
-        f"m{-r:.2g}{-r:.2g}l{2 * r:.2g} {2 * r:.2g}m0{-2 * r:.2g}l{-2 * r:.2g} {2 * r:.2g}"
-    ),
-}
-"""A mark of each status beside its colour, from its middle on: dot, triangle, square, cross."""
-
 PER_DECADE = (20, 10, 5, 2, 1)
 """Bars of a histogram for each power of ten: as many as stay below `MOST_BARS`."""
 
 MOST_BARS = 40
 BARS_HEIGHT = 230
+
+
+def _shape(status: Status, r: float) -> str:
+    """Draw what marks a status beside its colour, from its middle: dot, triangle, square, cross."""
+    if status == "ok":
+        return "h.01"
+    if status == "warn":
+        return f"m0{-1.2 * r:.2g}l{1.2 * r:.2g} {2.2 * r:.2g}h{-2.4 * r:.2g}z"
+    if status == "refused":
+        return f"m{-r:.2g}{-r:.2g}h{2 * r:.2g}v{2 * r:.2g}h{-2 * r:.2g}z"
+    return f"m{-r:.2g}{-r:.2g}l{2 * r:.2g} {2 * r:.2g}m0{-2 * r:.2g}l{-2 * r:.2g} {2 * r:.2g}"
 
 
 def fleet_map(sites: Sequence[Seen]) -> Html:
@@ -61,7 +62,7 @@ def fleet_map(sites: Sequence[Seen]) -> Html:
     for status in reversed(STATUSES):
         if of_status := [site for site in placed if site.status == status]:
             marks.append(_marks(status, of_status, view, size, named))
-            shape, count = SHAPES[status](5.0), f"{len(of_status):,}"
+            shape, count = _shape(status, 5.0), f"{len(of_status):,}"
             keys.append(fill("fleet-key", status=status, shape=shape, count=count))
             named = max(0, named - len(of_status))
     return fill(
@@ -153,7 +154,7 @@ def _degrees(value: float, step: float, positive: str, negative: str) -> str:
 
 def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, named: int) -> Html:
     """Draw sites of one status; those beyond the named ones only where there is none yet."""
-    shape = SHAPES[status](size)
+    shape = _shape(status, size)
     drawn = []
     for site in sites[:named]:
         x, y = view.place(site)

@@ -10,7 +10,6 @@ from retropole.fleet.network.testing import (
     SIGNIFICANT,
     ObservationTests,
     all_tests,
-    covariances,
     critical,
     noncentrality,
     normalised,
@@ -26,7 +25,7 @@ def outcome(
     active[list(out)] = False
     layout, components = find_layout(graph), find_components(graph, active)
     found = adjust(graph, layout, T, active, components)
-    tests = all_tests(graph, layout, found.T, covariances(found, components), active)
+    tests = all_tests(graph, layout, found, active)
     return tests, float(graph.observed.squares(found.T)[active].sum())
 
 
@@ -101,5 +100,5 @@ def test_the_pose_that_holds_a_datum_has_no_covariance() -> None:
     active[-1] = False
     components = find_components(graph, active)
     found = adjust(graph, find_layout(graph), T, active, components)
-    assert not covariances(found, components).diagonal[0].any()
+    assert not found.covariance.diagonal[0].any()
     np.testing.assert_allclose(se3.local(T[0], found.T[0]), 0, atol=1e-12)

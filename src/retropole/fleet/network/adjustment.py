@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ...api import Array, BoolArray, IntArray, se3
-from .elimination import Blocks, Factor, Pattern, factorise, find_pattern, solve
+from .elimination import Blocks, Factor, Pattern, factorise, find_pattern, selected_inverse, solve
 from .graph import Component, Graph
 from .observations import Whitened
 
@@ -57,13 +57,20 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class AdjustedNetwork:
-    """Poses at the least sum of squares, and the factor of the normal equations there.
+    """Poses at the least sum of squares.
 
-    `settled` says whether the steps ended by themselves.
+    Attributes
+    ----------
+    T
+        (N, 4, 4) poses.
+    covariance
+        Of each pose (N, 6, 6), and of each two that share an edge (P, 6, 6).
+    settled
+        Whether the steps ended by themselves.
     """
 
     T: Array
-    factor: Factor
+    covariance: Blocks
     settled: bool
 
 
@@ -175,5 +182,9 @@ def adjust(
         steps, factor, gain = step(graph, layout, T, weight, components)
         T = se3.retract(T, steps)
         if gain < until:
-            return AdjustedNetwork(T, factor, True)
-    return AdjustedNetwork(T, factor, False)
+            break
+    covariance = selected_inverse(factor)
+    nodes, held = held_nodes(components)
+    free = np.eye(6) - held
+    covariance.diagonal[nodes] = free @ covariance.diagonal[nodes] @ free
+    return AdjustedNetwork(T, covariance, gain < until)

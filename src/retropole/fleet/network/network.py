@@ -139,7 +139,7 @@ def _summed_up(graph: Graph, layout: Layout, found: Snooped) -> NetworkAdjustmen
     active, tests = found.active, found.tests
     alone = inseparable(graph, active, tests.freedom)
     doubtful = hanging(graph, active, found.components, set(chain.from_iterable(alone.values())))
-    cross = layout.turn(found.covariance.pairs[layout.pair])
+    cross = layout.turn(found.adjusted.covariance.pairs[layout.pair])
     shares = np.sum((tests.redundancy * graph.observed.freedom)[active])
     squares = graph.observed.squares(found.adjusted.T)[active].sum()
     kinds: tuple[Kind, ...] = ("edge", "known pose", "control point")
@@ -162,7 +162,7 @@ def _summed_up(graph: Graph, layout: Layout, found: Snooped) -> NetworkAdjustmen
     ]
     return NetworkAdjustment(
         found.adjusted.T,
-        found.covariance.diagonal,
+        found.adjusted.covariance.diagonal,
         cross,
         edges,
         known,

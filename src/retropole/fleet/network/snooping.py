@@ -22,7 +22,6 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from ...api import Array, BoolArray, IntArray, se3
 from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
-from .elimination import Blocks
 from .graph import (
     Component,
     Graph,
@@ -31,7 +30,7 @@ from .graph import (
     hanging_together,
 )
 from .observations import with_ground
-from .testing import ObservationTests, all_tests, covariances, critical
+from .testing import ObservationTests, all_tests, critical
 
 AGREE = 10.0
 """By how much more than chance allows two may miss each other and still agree, as a multiple of
@@ -230,8 +229,6 @@ class Snooped:
         Its poses.
     components
         Its components, with the datum of each.
-    covariance
-        Of each pose, and of each two that share an edge.
     active
         (M,) which observations were adjusted.
     tests
@@ -246,7 +243,6 @@ class Snooped:
 
     adjusted: AdjustedNetwork
     components: tuple[Component, ...]
-    covariance: Blocks
     active: BoolArray
     tests: ObservationTests
     rivals: dict[int, tuple[int, ...]]
@@ -275,8 +271,7 @@ def snoop(graph: Graph, layout: Layout, T: Array) -> Snooped:
         until = SETTLED if rounds == MOST_ROUNDS else until
         adjusted = adjust(graph, layout, T, active, components, until)
         T = adjusted.T
-        covariance = covariances(adjusted, components)
-        tests = all_tests(graph, layout, T, covariance, active)
+        tests = all_tests(graph, layout, adjusted, active)
         beyond = tests.chi2 > critical(tests.freedom)
         wrong, fits = active & beyond, ~active & ~beyond & (back < PUT_BACK)
         worst = worst_around(graph, tests.chi2, wrong)
@@ -301,7 +296,7 @@ def snoop(graph: Graph, layout: Layout, T: Array) -> Snooped:
         tried |= out.keys()
         active = wanted
     settled = adjusted.settled and bool((wanted == active).all())
-    return Snooped(adjusted, components, covariance, active, tests, rivals, rounds, settled)
+    return Snooped(adjusted, components, active, tests, rivals, rounds, settled)
 
 
 def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:

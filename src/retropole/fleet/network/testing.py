@@ -12,68 +12,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
 
 from ...api import Array, BoolArray, IntArray
-from .adjustment import AdjustedNetwork, Layout, held_nodes
-from .elimination import Blocks, Factor, scalars
-from .graph import Component, Graph
-
-
-def selected_inverse(factor: Factor) -> Blocks:
-    """Find the blocks of the inverse at each node, and at each pair of the pattern.
-
-    Selected inversion (Takahashi, Fagan and Chin 1973): with ``N = L Lᵀ`` and a front whose own
-    nodes J touch the later ones S, the inverse Z follows from that of its parent, which holds all
-    of S:
-
-        K = L_SJ L_JJ⁻¹,   Z_SJ = −Z_SS K,   Z_JJ = L_JJ⁻ᵀ L_JJ⁻¹ − Kᵀ Z_SJ.
-
-    Nothing else of the inverse is ever made.
-
-    Parameters
-    ----------
-    factor
-        Of a symmetric positive definite matrix.
-
-    Returns
-    -------
-    Blocks
-        ``diagonal`` (N, B, B), and ``pairs`` (P, B, B) with rows of the pair's first node.
-    """
-    pattern, b = factor.pattern, factor.block
-    diagonal = np.empty((pattern.size, b, b))
-    pairs = np.empty((len(pattern.pairs), b, b))
-    waiting = np.zeros(len(pattern.fronts), dtype=np.int64)
-    np.add.at(waiting, [front.parent for front in pattern.fronts if front.parent >= 0], 1)
-    inverses: dict[int, Array] = {}
-    for f in range(len(pattern.fronts) - 1, -1, -1):
-        front, L, below = pattern.fronts[f], factor.triangles[f], factor.below[f]
-        count, c = len(front.nodes), front.own * b
-        inverse = np.empty((count * b, count * b))
-        root = dtrsm(1.0, L, np.eye(c), lower=1)
-        own = root.T @ root
-        if count > front.own:
-            index = scalars(front.into, b)
-            later = inverses[front.parent][index[:, None], index]
-            waiting[front.parent] -= 1
-            if not waiting[front.parent]:
-                del inverses[front.parent]
-            K = below @ root
-            cross = -later @ K
-            own = own - K.T @ cross
-            inverse[c:, c:], inverse[c:, :c], inverse[:c, c:] = later, cross, cross.T
-        inverse[:c, :c] = own
-        by_node = inverse.reshape(count, b, count, b)
-        k = np.arange(front.own)
-        blocks = by_node[k, :, k, :]
-        diagonal[front.nodes[: front.own]] = (blocks + np.swapaxes(blocks, 1, 2)) / 2
-        pairs[front.pairs] = by_node[front.rows, :, front.columns, :]
-        if waiting[f]:
-            inverses[f] = inverse
-    return Blocks(diagonal, pairs)
-
+from .adjustment import AdjustedNetwork, Layout
+from .graph import Graph
 
 SIGNIFICANT = 1e-5
 """Probability of a sound observation's χ² to be beyond what is taken for chance: a hundredth of the
@@ -120,17 +63,8 @@ class ObservationTests:
         return [ObservationTests(*part) for part in zip(*parts, strict=True)]
 
 
-def covariances(adjusted: AdjustedNetwork, components: tuple[Component, ...]) -> Blocks:
-    """Covariance of each pose (N, 6, 6), and of each two that share an edge (P, 6, 6)."""
-    found = selected_inverse(adjusted.factor)
-    nodes, held = held_nodes(components)
-    free = np.eye(6) - held
-    found.diagonal[nodes] = free @ found.diagonal[nodes] @ free
-    return found
-
-
 def all_tests(
-    graph: Graph, layout: Layout, T: Array, covariance: Blocks, active: BoolArray
+    graph: Graph, layout: Layout, adjusted: AdjustedNetwork, active: BoolArray
 ) -> ObservationTests:
     """Test all observations (M,): edges, known poses, control points.
 
@@ -138,14 +72,12 @@ def all_tests(
     ----------
     graph, layout
         The network.
-    T
-        (N, 4, 4) adjusted poses.
-    covariance
-        From `covariances`.
+    adjusted
+        Its poses.
     active
         (M,) which observations were adjusted; the others are tested against these.
     """
-    of, at = graph.observed, graph.observed.at(T)
+    of, at, covariance = graph.observed, graph.observed.at(adjusted.T), adjusted.covariance
     # The ground is certain.
     own = np.concatenate([covariance.diagonal, np.zeros((1, 6, 6))])
     cross = layout.turn(covariance.pairs[layout.pair])
