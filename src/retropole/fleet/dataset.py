@@ -179,10 +179,7 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
         As `known_in`.
     """
     place = below(out, folder, partition)
-    with opened(place, f"damaged ({{}}){AGAIN}", LARGEST_PARTITION) as file:
-        schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
-        if schema != FLEET_SCHEMA:
-            raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{AGAIN}")
+    with opened(place, "damaged ({})", LARGEST_PARTITION, FLEET_SCHEMA, AGAIN) as file:
         rows = file.read(columns=[*dict.fromkeys(("id", *of.__struct_fields__))]).to_pylist()
     try:
         return {row["id"]: msgspec.convert(row, of) for row in rows}

@@ -39,7 +39,9 @@ def parquet_of(rows: Iterable[Mapping[str, Any]], schema: Any) -> bytes:
 
 
 @contextmanager
-def opened(place: str, fault: str, most: int = LARGEST_LIST) -> Iterator[Any]:
+def opened(
+    place: str, fault: str, most: int = LARGEST_LIST, schema: str = "", remedy: str = ""
+) -> Iterator[Any]:
     """Open a Parquet file.
 
     Parameters
@@ -50,6 +52,10 @@ def opened(place: str, fault: str, most: int = LARGEST_LIST) -> Iterator[Any]:
         What it is where it cannot be read, with the reason in the place of ``{}``.
     most
         Bytes that it may have.
+    schema
+        Name of the schema that its metadata must have; any without.
+    remedy
+        What to do about one that cannot be read or has another schema.
 
     Raises
     ------
@@ -61,9 +67,13 @@ def opened(place: str, fault: str, most: int = LARGEST_LIST) -> Iterator[Any]:
     pa, pq = arrow()
     data = read_bytes(place, most)
     try:
-        yield pq.ParquetFile(io.BytesIO(data))
+        file = pq.ParquetFile(io.BytesIO(data))
+        has = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
+        if schema and has != schema:
+            raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")
+        yield file
     except (pa.ArrowException, OSError) as error:
-        raise ReadError(f"{place}: {fault.format(error)}") from None
+        raise ReadError(f"{place}: {fault.format(error)}{remedy}") from None
 
 
 LISTS = (".csv", ".parquet")

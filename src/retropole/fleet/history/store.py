@@ -272,8 +272,7 @@ def _files(folder: str) -> Iterator[str]:
 
 
 def _table(place: str, columns: list[str] | None = None) -> Any:
-    with opened(place, "no history: {}", LARGEST_FILE) as file:
-        metadata = file.schema_arrow.metadata or {}
-        if metadata.get(b"schema") != SCHEMA.encode() or not file.schema_arrow.equals(schema()):
-            raise ReadError(f"{place}: not of the schema {SCHEMA}")
+    with opened(place, "no history: {}", LARGEST_FILE, SCHEMA) as file:
+        if not file.schema_arrow.equals(schema()):
+            raise ReadError(f"{place}: its columns are not of the schema {SCHEMA}")
         return file.read(columns)

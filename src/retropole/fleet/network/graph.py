@@ -266,8 +266,9 @@ def hanging_together(graph: Graph, kept: BoolArray, but: Sequence[int] = ()) -> 
     return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
 
 
-def find_components(graph: Graph, active: BoolArray) -> tuple[Component, ...]:
-    """Find the components of a network, by those of its observations that are active (M,)."""
+def find_components(graph: Graph, active: BoolArray | None = None) -> tuple[Component, ...]:
+    """Find the components of a network, by its observations or those that are active (M,)."""
+    active = np.ones(len(graph.observed), dtype=bool) if active is None else active
     is_control = graph.observed.i == graph.nodes
     label = np.unique(hanging_together(graph, active & ~is_control)[:-1], return_inverse=True)[1]
     controls, count = graph.observed.only(np.flatnonzero(active & is_control)), label.max() + 1

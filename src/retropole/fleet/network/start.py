@@ -33,8 +33,7 @@ WIDE = (64.0, 16.0, 4.0, 1.0, 1.0)
 
 def find_start(graph: Graph, layout: Layout) -> Array:
     """Find poses (N, 4, 4) to start from, near enough for least squares to go on."""
-    everything = np.ones(len(graph.observed), dtype=bool)
-    components = find_components(graph, everything)
+    components = find_components(graph)
     first = np.array([component.nodes[0] for component in components])
     T = np.tile(np.eye(4), (graph.nodes, 1, 1))
     if len(graph.edges):
@@ -55,8 +54,7 @@ def narrowed(graph: Graph, layout: Layout, T: Array, critical: Array) -> Array:
     critical
         (M,) the square in σ² that chance allows each observation.
     """
-    everything = np.ones(len(graph.observed), dtype=bool)
-    components = find_components(graph, everything)
+    components = find_components(graph)
     edges = len(graph.edges)
     for wide in WIDE:
         squares = graph.observed.squares(T)
