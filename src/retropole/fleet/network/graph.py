@@ -272,16 +272,12 @@ def find_components(graph: Graph, active: BoolArray | None = None) -> tuple[Comp
     is_control = graph.observed.i == graph.nodes
     label = np.unique(hanging_together(graph, active & ~is_control)[:-1], return_inverse=True)[1]
     controls, count = graph.observed.only(np.flatnonzero(active & is_control)), label.max() + 1
-    components = [
-        Component(
-            nodes,
-            len(own),
-            np.zeros((0, 6))
-            if (controls.freedom[own] == 6).any()
-            else _open(controls.T_i_j[own, :3, 3]),
-        )
-        for nodes, own in zip(grouped(label, count), grouped(label[controls.j], count), strict=True)
-    ]
+    components = []
+    groups = grouped(label, count), grouped(label[controls.j], count)
+    for nodes, own in zip(*groups, strict=True):
+        is_posed = (controls.freedom[own] == 6).any()
+        held = np.zeros((0, 6)) if is_posed else _open(controls.T_i_j[own, :3, 3])
+        components.append(Component(nodes, len(own), held))
     return tuple(sorted(components, key=lambda component: int(component.nodes[0])))
 
 

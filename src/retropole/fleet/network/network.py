@@ -142,24 +142,19 @@ def _summed_up(graph: Graph, layout: Layout, found: Snooped) -> NetworkAdjustmen
     cross = layout.turn(found.adjusted.covariance.pairs[layout.pair])
     shares = np.sum((tests.redundancy * graph.observed.freedom)[active])
     squares = graph.observed.squares(found.adjusted.T)[active].sum()
-    kinds: tuple[Kind, ...] = ("edge", "known pose", "control point")
-    counts = len(graph.edges), len(graph.known), len(graph.points)
-    named = [(kind, k) for kind, count in zip(kinds, counts, strict=True) for k in range(count)]
-    edges, known, points = tests.split(counts[:2])
-    left_out = [
-        LeftOut(
-            *named[k],
-            float(tests.w[k]),
-            float(tests.chi2[k]),
-            int(tests.freedom[k]),
-            tuple(
-                named[rival]
-                for rival in dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
-                if active[rival]
-            ),
-        )
-        for k in np.flatnonzero(~active).tolist()
-    ]
+    counts: dict[Kind, int] = {
+        "edge": len(graph.edges),
+        "known pose": len(graph.known),
+        "control point": len(graph.points),
+    }
+    named = [(kind, k) for kind, count in counts.items() for k in range(count)]
+    edges, known, points = tests.split(counts.values())
+    left_out = []
+    for k in np.flatnonzero(~active).tolist():
+        others = dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
+        rivals = tuple(named[rival] for rival in others if active[rival])
+        test = float(tests.w[k]), float(tests.chi2[k]), int(tests.freedom[k])
+        left_out.append(LeftOut(*named[k], *test, rivals))
     return NetworkAdjustment(
         found.adjusted.T,
         found.adjusted.covariance.diagonal,

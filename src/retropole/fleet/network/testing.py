@@ -7,7 +7,7 @@ of its own ends alone (Baarda 1968): with A its whitened derivative and Q that c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -57,9 +57,10 @@ class ObservationTests:
     detectable_rotation: Array
     detectable_translation: Array
 
-    def split(self, counts: Sequence[int]) -> list[ObservationTests]:
-        """So many of each kind, and the rest."""
-        parts = (np.split(values, np.cumsum(counts)) for values in vars(self).values())
+    def split(self, counts: Iterable[int]) -> list[ObservationTests]:
+        """So many of each kind."""
+        ends = np.cumsum([*counts])[:-1]
+        parts = (np.split(values, ends) for values in vars(self).values())
         return [ObservationTests(*part) for part in zip(*parts, strict=True)]
 
 
