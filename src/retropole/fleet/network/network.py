@@ -153,8 +153,8 @@ def _summed_up(graph: Graph, layout: Layout, found: Snooped) -> NetworkAdjustmen
     for k in np.flatnonzero(~active).tolist():
         others = dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
         rivals = tuple(named[rival] for rival in others if active[rival])
-        test = float(tests.w[k]), float(tests.chi2[k]), int(tests.freedom[k])
-        left_out.append(LeftOut(*named[k], *test, rivals))
+        w, chi2, freedom = float(tests.w[k]), float(tests.chi2[k]), int(tests.freedom[k])
+        left_out.append(LeftOut(*named[k], w, chi2, freedom, rivals))
     return NetworkAdjustment(
         found.adjusted.T,
         found.adjusted.covariance.diagonal,
