@@ -28,6 +28,10 @@ from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
 from .storage import below, is_url, read_bytes, write_bytes
 
+if TYPE_CHECKING:
+    from ..api.result import CalibrationResult
+    from ..api.site import SiteResult
+
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
     """What a site is held against.
@@ -52,10 +56,6 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     lidars: tuple[str, str] | None = None
     known: list[str] = []
 
-
-if TYPE_CHECKING:
-    from ..api.result import CalibrationResult
-    from ..api.site import SiteResult
 
 CODES: tuple[tuple[type[Exception], str], ...] = (
     (ReadError, "unreadable"),
@@ -91,9 +91,9 @@ class Hashed(msgspec.Struct, frozen=True, tag=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, tag=True):
-    """The outcome of a task; `row` is None where the row that there is still holds.
+    """The outcome of a task: the row of a calibration, or that of a check.
 
-    `check` is that of a check.
+    Neither is there where the row that there is still holds.
     """
 
     id: str
