@@ -209,13 +209,13 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
 @cache
 def _schema(of: type[msgspec.Struct]) -> Any:
     """Give the columns of the rows that a data class is of."""
-    pa, _ = arrow()
+    pa = arrow()
     return pa.schema(_columns(of), metadata={"schema": FLEET_SCHEMA})
 
 
 def _columns(of: type[msgspec.Struct]) -> list[Any]:
     """Give the fields of a data class as columns, in its order; null is what may be None."""
-    pa, _ = arrow()
+    pa = arrow()
     columns = []
     for name, kind in get_type_hints(of).items():
         options = set(get_args(kind)) if get_origin(kind) in (Union, UnionType) else {kind}
@@ -226,7 +226,7 @@ def _columns(of: type[msgspec.Struct]) -> list[Any]:
 
 def _column(kind: Any) -> Any:
     """Give the type of a column: of lists, of data classes, of numbers; all else is text."""
-    pa, _ = arrow()
+    pa = arrow()
     if get_origin(kind) is list:
         return pa.list_(pa.field("item", _column(*get_args(kind)), nullable=False))
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):

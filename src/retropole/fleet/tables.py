@@ -13,8 +13,8 @@ from ..base.errors import MissingExtraError, ReadError, quoting
 from .storage import LARGEST_LIST, read_bytes
 
 
-def arrow() -> tuple[Any, Any]:
-    """Import pyarrow and its Parquet.
+def arrow() -> Any:
+    """Import pyarrow, with its `parquet`.
 
     Raises
     ------
@@ -26,14 +26,16 @@ def arrow() -> tuple[Any, Any]:
         import pyarrow.parquet
     except ImportError:
         raise MissingExtraError("fleet", "a table of a fleet") from None
-    return pyarrow, pyarrow.parquet
+    return pyarrow
 
 
 def parquet_of(rows: Iterable[Mapping[str, Any]], schema: Any) -> bytes:
     """Write rows as one Parquet file; the same rows give the same bytes."""
-    pa, pq = arrow()
+    pa = arrow()
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.Table.from_pylist(list(rows), schema=schema), sink, compression="zstd")
+    pa.parquet.write_table(
+        pa.Table.from_pylist(list(rows), schema=schema), sink, compression="zstd"
+    )
     data: bytes = sink.getvalue().to_pybytes()
     return data
 
@@ -64,10 +66,10 @@ def opened(
     MissingExtraError
         As `arrow`.
     """
-    pa, pq = arrow()
+    pa = arrow()
     data = read_bytes(place, most)
     try:
-        file = pq.ParquetFile(io.BytesIO(data))
+        file = pa.parquet.ParquetFile(io.BytesIO(data))
         has = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
         if schema and has != schema:
             raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")

@@ -107,20 +107,15 @@ def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iter
         raise ReadError(f"its stored result has no pair that shares poles ({codes})")
     for i, j in shared:
         both = names[i], names[j]
-        given: dict[str, Any] = {"result": place, "time": site.time}
+        given: dict[str, Any] = {"result": place}
         try:
             if not tables.keys() >= {*both}:
                 raise ReadError(f"it has no LiDARs {quoting(' and '.join(both))}")
             given |= _recorded(site, stored, *(tables[name] for name in both))
         except ReadError as error:
             given["fault"] = f"{site.site}: {error}"
-        pair = FleetSite(
-            id="/".join((site.id, *both)),
-            kind="pair",
-            latitude=site.latitude,
-            longitude=site.longitude,
-            **given,
-        )
+        name = "/".join((site.id, *both))
+        pair = replace(site, id=name, kind="pair", site="", **given)
         yield WatchedPair(pair, site.id, both)
 
 

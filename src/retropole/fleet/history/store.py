@@ -239,7 +239,7 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
     ReadError
         Where a file of it is damaged, or not of this schema.
     """
-    pa, _ = arrow()
+    pa = arrow()
     from pyarrow import compute
 
     some = compute.scalar(True) if ids is None else compute.field("id").isin(sorted(ids))
@@ -254,7 +254,7 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
 
 def schema() -> Any:
     """Give the schema of the files."""
-    pa, _ = arrow()
+    pa = arrow()
     text, real, numbers = pa.string(), pa.float64(), pa.list_(pa.float64())
     always = {"key": text, "id": text, "time": pa.timestamp("us", tz="UTC"), "status": text}
     others = {"used": text, "codes": pa.list_(text), "message": text, "step": numbers}
