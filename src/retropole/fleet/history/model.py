@@ -246,8 +246,7 @@ def updated(
     state: State, changes: Changes, check: Observed, scale: float | Array
 ) -> tuple[State, Changes, Surprise]:
     """Take a check in; gives the surprise too. The state is that of the check's time."""
-    shares = weights(check)
-    H = (IDENTITY[:, None, :] * shares[:, None]).reshape(6, SIZE)
+    H = np.kron(weights(check), IDENTITY)
     PH = state.covariance @ H.T
     S = H @ PH + np.asarray(np.square(scale))[..., None, None] * check.random
     inverse = np.linalg.inv(S)
