@@ -28,7 +28,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from itertools import pairwise
@@ -40,7 +40,7 @@ from retropole.api import floor
 from retropole.base.datatypes import Array, PoseEstimate
 from retropole.fleet.history.events import Watched
 from retropole.fleet.history.model import YEAR, Observed
-from retropole.fleet.history.store import CheckRow, observed
+from retropole.fleet.history.store import CheckRow, flat, observed
 from retropole.fleet.history.watch import watch
 from retropole.monitoring.drift import check
 from retropole.pipeline import calibrate
@@ -367,8 +367,9 @@ def recorded(seed: int, *, checks: int) -> Recorded | None:
             sensors=pair.sensors,
         )
         codes = tuple(reason.code for reason in found.reasons)
-        row = CheckRow("site", start + k * timedelta(days=7), found.status, found.used, codes)
-        row = replace(row, step=found.step, covariance=found.covariance, random=found.random)
+        time = start + k * timedelta(days=7)
+        arrays = (flat(each) for each in (found.step, found.covariance, found.random))
+        row = CheckRow("site", time, found.status, found.used, codes, None, *arrays)
         told += row.is_usable
         rows.append(row)
     seen = [one for _, one in observed(rows)]

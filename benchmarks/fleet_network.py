@@ -36,10 +36,10 @@ from city import SURVEY, City, simulate_city
 from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.relative import relative_jacobian
-from retropole.fleet.network.adjustment import Model, adjust, find_layout
+from retropole.fleet.network.adjustment import adjust, find_layout
 from retropole.fleet.network.graph import ControlPoints, Edges, Graph, find_components
 from retropole.fleet.network.network import NetworkAdjustment, adjust_network
-from retropole.fleet.network.testing import all_tests, covariances, noncentrality
+from retropole.fleet.network.testing import all_tests, noncentrality
 
 
 @dataclass
@@ -91,14 +91,14 @@ def with_shared(city: City, share: float, rng: np.random.Generator) -> City:
 def strength(city: City, graph: Graph) -> Array:
     """(E,) by how much the error of each edge raises its χ² against all sound ones."""
     wrong = se3.retract(relative_poses(city.T_world_node, city), -city.error)
-    model = Model(replace(graph, edges=replace(graph.edges, T_i_j=wrong)))
+    graph = replace(graph, edges=replace(graph.edges, T_i_j=wrong))
     active = np.r_[~city.wrong, np.ones(len(city.control), dtype=bool)]
-    components = find_components(model.graph, active)
-    layout = find_layout(model)
+    components = find_components(graph, active)
+    layout = find_layout(graph)
     points = replace(graph.points, world=city.T_world_node[city.control, :3, 3])
-    model = Model(replace(model.graph, points=points))
-    adjusted = adjust(model, layout, city.T_world_node, active, components)
-    tests = all_tests(model, layout, city.T_world_node, covariances(adjusted, components), active)
+    graph = replace(graph, points=points)
+    adjusted = adjust(graph, layout, city.T_world_node, active, components)
+    tests = all_tests(graph, layout, replace(adjusted, T=city.T_world_node), active)
     return tests.chi2[: len(city.i)]
 
 
@@ -157,8 +157,8 @@ def run(nodes: int, seed: int, power: float, shared: float) -> Row:
         sum(int(k) in alone for k in lost),
         sorted(found.edges.chi2[detectable & ~named].tolist()),
         found.rounds,
-        found.icp_refined,
-        int(found.candidates.sum()),
+        found.settled,
+        int(found.doubtful.sum()),
         found.unit_variance,
         cpu,
         wall,
@@ -179,11 +179,11 @@ def main() -> None:
         print(
             f"{seed}: {row.nodes} LiDARs, {row.edges} edges; "
             f"{row.cpu:.1f} s CPU, {row.wall:.1f} s; "
-            f"{row.rounds} rounds{'' if row.icp_refined else ' NOT SETTLED'}; "
+            f"{row.rounds} rounds{'' if row.settled else ' NOT SETTLED'}; "
             f"coverage {100 * row.poses:.1f} % and {100 * row.relative:.1f} %; "
             f"wrong {row.wrong}, detectable {row.detectable}, left out {row.left_out}, "
             f"named {row.named}; sound ones lost {row.good_lost} ({row.lost_alone} without rival); "
-            f"doubtful poses {row.candidates}; unit variance {row.unit_variance:.3f}",
+            f"doubtful poses {row.doubtful}; unit variance {row.unit_variance:.3f}",
             flush=True,
         )
         if row.missed:

@@ -2,11 +2,11 @@
 
 import json
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from retropole.fleet.batch import calibrate_fleet
 from retropole.fleet.history.store import append, read
@@ -62,7 +62,7 @@ def test_a_site_that_changed_ends_with_its_own_code(
     # As if it had been watched in another year, and moved in it.
     before = [replace(row, time=row.time.replace(year=2020, month=k)) for k in range(1, 8)]
     moved = [
-        replace(row, time=row.time.replace(year=2020, month=k), step=row.step + MOVED)
+        replace(row, time=row.time.replace(year=2020, month=k), step=(row.step + MOVED).tolist())
         for k in (8, 9)
     ]
     append(str(tmp_path), [*before, *moved])

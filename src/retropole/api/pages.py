@@ -1,10 +1,10 @@
 """A page of one's own in the style of the reports, for whoever sums up many results.
 
-`fill_page` makes one HTML file that needs no network and runs no other code; `table` and
-`share_styles` are of what it shows.
+`fill_page` makes one HTML file that needs no network and runs no other code; its parts are `table`
+and pieces of `pieces.html`, which `fill` fills.
 """
 
-from ..report.markup import share_styles, table
-from ..report.page import fill_page
+from ..report.markup import folded, share_styles, table
+from ..report.page import EMPTY, Html, fill, fill_page, join
 
-__all__ = ["fill_page", "share_styles", "table"]
+__all__ = ["EMPTY", "Html", "fill", "fill_page", "folded", "join", "share_styles", "table"]

@@ -112,10 +112,7 @@ def json_line(network: FleetNetwork, found: NetworkAdjustment, out: str) -> str:
             "doubtful": [
                 name for name, is_so in zip(network.nodes, found.doubtful, strict=True) if is_so
             ],
-            "not_used": [
-                {"kind": one.kind, "name": one.name, "reason": one.reason}
-                for one in network.not_used
-            ],
+            "not_used": network.not_used,
             "unit_variance": found.unit_variance,
         }
     )

@@ -178,11 +178,8 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     ReadError
         As `known_in`.
     """
-    place = below(below(out, folder), partition)
-    with opened(place, f"damaged ({{}}){AGAIN}", LARGEST_PARTITION) as file:
-        schema = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
-        if schema != FLEET_SCHEMA:
-            raise ReadError(f"{place}: schema {schema!r}, expected {FLEET_SCHEMA}{AGAIN}")
+    place = below(out, folder, partition)
+    with opened(place, "damaged ({})", LARGEST_PARTITION, FLEET_SCHEMA, AGAIN) as file:
         rows = file.read(columns=[*dict.fromkeys(("id", *of.__struct_fields__))]).to_pylist()
     try:
         return {row["id"]: msgspec.convert(row, of) for row in rows}
@@ -202,7 +199,7 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
         (RUNS, Run, sorted(runs, key=lambda run: run.id)),
         (ANSWERS, Row, sorted(rows, key=lambda row: row.id)),
     ):
-        place = below(below(out, folder), partition)
+        place = below(out, folder, partition)
         if each:
             write_bytes(place, parquet_of(map(msgspec.to_builtins, each), _schema(of)))
         elif partition in partitions_in(out, folder):
@@ -212,13 +209,13 @@ def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterabl
 @cache
 def _schema(of: type[msgspec.Struct]) -> Any:
     """Give the columns of the rows that a data class is of."""
-    pa, _ = arrow()
+    pa = arrow()
     return pa.schema(_columns(of), metadata={"schema": FLEET_SCHEMA})
 
 
 def _columns(of: type[msgspec.Struct]) -> list[Any]:
     """Give the fields of a data class as columns, in its order; null is what may be None."""
-    pa, _ = arrow()
+    pa = arrow()
     columns = []
     for name, kind in get_type_hints(of).items():
         options = set(get_args(kind)) if get_origin(kind) in (Union, UnionType) else {kind}
@@ -229,7 +226,7 @@ def _columns(of: type[msgspec.Struct]) -> list[Any]:
 
 def _column(kind: Any) -> Any:
     """Give the type of a column: of lists, of data classes, of numbers; all else is text."""
-    pa, _ = arrow()
+    pa = arrow()
     if get_origin(kind) is list:
         return pa.list_(pa.field("item", _column(*get_args(kind)), nullable=False))
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):

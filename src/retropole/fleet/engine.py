@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -157,15 +157,13 @@ def _interrupts_are_ours() -> Iterator[None]:
 @contextmanager
 def _leftovers_unsaid() -> Iterator[None]:
     """Have the process that cleans up after an interrupt do so in silence."""
-    before = os.environ.get("PYTHONWARNINGS")
     silent = "ignore::UserWarning:multiprocessing.resource_tracker"
-    os.environ["PYTHONWARNINGS"] = f"{before},{silent}" if before else silent
+    # It is started with the options that this process has.
+    sys.warnoptions.append(silent)
     try:
         yield
     finally:
-        del os.environ["PYTHONWARNINGS"]
-        if before is not None:
-            os.environ["PYTHONWARNINGS"] = before
+        sys.warnoptions.remove(silent)
 
 
 def outcomes(client: Any, tasks: Iterator[Task]) -> Iterator[Outcome]:

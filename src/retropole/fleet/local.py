@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import posixpath
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-import msgspec
+from msgspec.structs import replace
 
 from ..base.errors import MissingExtraError, ReadError, Refusal, RetropoleError, printable
-from ..result import InputDoc
+from ..result import ResultDoc
+from ..result.site import SiteDoc
 from .dataset import InputEntry
 from .sites import ROLES, FleetSite
 from .storage import below, fetch, folder_of, is_url
 
-Doc = TypeVar("Doc", bound=InputDoc)
+Doc = TypeVar("Doc", ResultDoc, SiteDoc)
 
 
 class LocalFiles:
@@ -48,7 +49,6 @@ class LocalFiles:
     def __init__(self, site: FleetSite, folder: Path) -> None:
         self.folder = folder
         self._given: dict[str, str] = {}
-        self._site = site
         self.pair = [self._take(getattr(site, each), each) for each in ROLES if not site.site]
         self.site = None if not site.site else self._take(site.site, "site")
         if self.site is not None and self.site.is_dir():
@@ -71,39 +71,44 @@ class LocalFiles:
         ReadError
             Where one cannot be read, or the site file is none.
         """
+        return [
+            InputEntry(
+                lidar=lidar,
+                placement=placement,
+                path=printable(self._given.get(str(path), str(path))),
+                sha256=hash_of(path),
+            )
+            for lidar, placement, path in self._recordings()
+        ]
+
+    def _recordings(self) -> Iterator[tuple[str, str, Path]]:
+        """Give each recording with its LiDAR and placement."""
         if self.site is None:
-            return [
-                msgspec.structs.replace(entry, sha256=hash_of(path))
-                for entry, path in zip(pair_inputs(self._site), self.pair, strict=True)
-            ]
+            yield from zip(ROLES, ("1", "1"), self.pair, strict=True)
+            return
         from ..api.site_file import read_site_file
 
         file = read_site_file(self.site)
-        return [
-            self._recording(lidar.name, placement, name)
-            for lidar in file.lidar
-            for placement, name in zip(file.placements, lidar.recordings, strict=True)
-            if name
-        ]
+        for lidar in file.lidar:
+            for placement, name in zip(file.placements, lidar.recordings, strict=True):
+                if name:
+                    yield lidar.name, placement, self._beside(self.site, lidar.name, name)
 
-    def _recording(self, lidar: str, placement: str, name: str) -> InputEntry:
-        assert self.site is not None
-        path, beside = self.site.parent / name, self._given.get(str(self.site))
-        place = str(path)
-        if beside is not None:
+    def _beside(self, site: Path, lidar: str, name: str) -> Path:
+        """Bring a recording that a site file names."""
+        path, given = site.parent / name, self._given.get(str(site))
+        if given is not None:
             inside = posixpath.normpath(name)
             if posixpath.isabs(inside) or inside.split("/")[0] == ".." or "\\" in name:
                 raise ReadError(
-                    f"{beside}: lidar {lidar}: {name}: the recordings of a site file at a URL "
+                    f"{given}: lidar {lidar}: {name}: the recordings of a site file at a URL "
                     "must lie in its folder or below"
                 )
-            place = below(folder_of(beside), inside)
+            place = below(folder_of(given), inside)
             if not path.exists():
                 fetch(place, path.parent)
             self._given[str(path)] = place
-        return InputEntry(
-            lidar=lidar, placement=placement, path=printable(place), sha256=hash_of(path)
-        )
+        return path
 
     def metadata(self) -> list[str]:
         """Hash the metadata that lie beside packets."""
@@ -124,9 +129,14 @@ class LocalFiles:
         self._given[str(path)] = place
         return path
 
-    def named(self, inputs: Sequence[Doc]) -> list[Doc]:
-        """Call the inputs of a result document as they were given."""
-        return [msgspec.structs.replace(each, path=self.renamed(each.path)) for each in inputs]
+    def named(self, document: Doc) -> Doc:
+        """Call the files of a result document as they were given."""
+        inputs = [replace(each, path=self.renamed(each.path)) for each in document.inputs]
+        document = replace(document, inputs=inputs)
+        if isinstance(document, SiteDoc):
+            site_file = self.renamed(document.config.site_file)
+            document = replace(document, config=replace(document.config, site_file=site_file))
+        return document
 
 
 @contextmanager

@@ -108,30 +108,26 @@ def overview_of(out: str) -> Overview:
         raise ReadError(f"{out}: is no dataset of a fleet: it has no {ANSWERS}/part-….parquet")
     sites: list[Seen] = []
     made_by: Counter[str] = Counter()
-    hosts: Counter[str] = Counter()
-    seconds: list[float] = []
-    times: list[datetime] = []
     for name in partitions:
         rows = read_as(out, ANSWERS, name, Seen)
         sites += map(_slim, rows.values())
         made_by.update(f"retropole {row.version}: {row.libraries}" for row in rows.values())
-    for name in partitions_in(out, RUNS):
-        for run in read_as(out, RUNS, name, _Took).values():
-            try:
-                start = run.started.astimezone(UTC)
-                times += start, start + timedelta(seconds=run.seconds)
-            except OverflowError:
-                raise ReadError(f"{out}/{RUNS}/{name}: there is no time {run.started}") from None
-            seconds.append(run.seconds)
-            hosts[run.host] += 1
+    runs = [
+        run for name in partitions_in(out, RUNS) for run in read_as(out, RUNS, name, _Took).values()
+    ]
+    try:
+        starts = [run.started.astimezone(UTC) for run in runs]
+        ends = [start + timedelta(0, run.seconds) for start, run in zip(starts, runs, strict=True)]
+    except OverflowError as error:
+        raise ReadError(f"{out}/{RUNS}: there is no such time ({error})") from None
     return Overview(
         place=out,
         sites=tuple(sorted(sites, key=lambda site: site.id)),
         made_by=made_by,
-        seconds=seconds,
-        first=min(times, default=None),
-        last=max(times, default=None),
-        hosts=hosts,
+        seconds=[run.seconds for run in runs],
+        first=min(starts, default=None),
+        last=max(ends, default=None),
+        hosts=Counter(run.host for run in runs),
     )
 
 

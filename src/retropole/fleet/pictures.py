@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from html import escape
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..api import quantities
+from ..api.pages import EMPTY, Html, fill, join
 from .dataset import Status
 from .overview import STATUSES, Seen
 
 EARTH = 6_371_009.0
 """Mean radius of the Earth, m (IUGG, Moritz 2000): a map of a city to 0.3 %."""
 
-WIDTH, HEIGHTS = 520.0, (200.0, 560.0)
+WIDTH, HEIGHTS = 520, (200.0, 560.0)
 """Of a picture in its own units; the least and the greatest height of the map."""
 
-MARGIN, RIGHT = 44.0, 84.0
+MARGIN, RIGHT = 44, 84
 """Around what is drawn; to the right of the map is room for degrees of latitude."""
 
 MIDDLE = (WIDTH + MARGIN - RIGHT) / 2
@@ -32,57 +32,46 @@ FLAT_BELOW = 500e3
 MOST_NAMED = 20_000
 """So many sites, the worst first, say their names in the map: a page of 2 MB."""
 
-SHAPES: dict[Status, Callable[[float], str]] = {
-    "ok": lambda r: "h.01",
-    "warn": lambda r: f"m0{-1.2 * r:.2g}l{1.2 * r:.2g} {2.2 * r:.2g}h{-2.4 * r:.2g}z",
-    "refused": lambda r: f"m{-r:.2g}{-r:.2g}h{2 * r:.2g}v{2 * r:.2g}h{-2 * r:.2g}z",
-    "error": lambda r: (
-        f"m{-r:.2g}{-r:.2g}l{2 * r:.2g} {2 * r:.2g}m0{-2 * r:.2g}l{-2 * r:.2g} {2 * r:.2g}"
-    ),
-}
-"""A mark of each status beside its colour, from its middle on: dot, triangle, square, cross."""
-
 PER_DECADE = (20, 10, 5, 2, 1)
 """Bars of a histogram for each power of ten: as many as stay below `MOST_BARS`."""
 
 MOST_BARS = 40
-BARS_HEIGHT = 230.0
+BARS_HEIGHT = 230
 
 
-def fleet_map(sites: Sequence[Seen]) -> str:
+def _shape(status: Status, r: float) -> str:
+    """Draw what marks a status beside its colour, from its middle: dot, triangle, square, cross."""
+    if status == "ok":
+        return "h.01"
+    if status == "warn":
+        return f"m0{-1.2 * r:.2g}l{1.2 * r:.2g} {2.2 * r:.2g}h{-2.4 * r:.2g}z"
+    if status == "refused":
+        return f"m{-r:.2g}{-r:.2g}h{2 * r:.2g}v{2 * r:.2g}h{-2 * r:.2g}z"
+    return f"m{-r:.2g}{-r:.2g}l{2 * r:.2g} {2 * r:.2g}m0{-2 * r:.2g}l{-2 * r:.2g} {2 * r:.2g}"
+
+
+def fleet_map(sites: Sequence[Seen]) -> Html:
     """Draw where the sites are whose place is known: a figure, or a sentence where none is."""
     placed = [s for s in sites if s.latitude_rad is not None and s.longitude_rad is not None]
     if not placed:
-        return (
-            "<p>No site says where it is, so there is no map. A list says it in its columns "
-            "<code>latitude_deg</code> and <code>longitude_deg</code>, a site file in the origin "
-            "of its frame.</p>"
-        )
+        return fill("fleet-no-map")
     view = _View(placed)
     size = next(r for r, most in ((6.0, 50), (4.0, 1000), (2.5, math.inf)) if len(placed) <= most)
-    named, marks, keys = MOST_NAMED, "", ""
+    named, marks, keys = MOST_NAMED, list[Html](), list[Html]()
     # The worst are drawn last, on top, and are the first to be named.
     for status in reversed(STATUSES):
         if of_status := [site for site in placed if site.status == status]:
-            marks = _marks(status, of_status, view, size, named) + marks
-            keys = _key(status, len(of_status)) + keys
+            marks.append(_marks(status, of_status, view, size, named))
+            shape, count = _shape(status, 5.0), f"{len(of_status):,}"
+            keys.append(fill("fleet-key", status=status, shape=shape, count=count))
             named = max(0, named - len(of_status))
-    said = _map_said(len(placed), len(sites), view)
-    return (
-        '<figure class="picture fleet-map">'
-        f'<svg viewBox="0 0 {WIDTH:g} {view.height:.0f}" role="img" aria-labelledby="map-said">'
-        f"{view.grid()}{marks}{view.scale_bar()}</svg>"
-        f'<figcaption><ul class="legend">{keys}</ul>'
-        f'<p id="map-said">{escape(said)}</p></figcaption></figure>'
-    )
-
-
-def _key(status: Status, count: int) -> str:
-    """Explain a mark."""
-    mark = f'<path d="M15 7{SHAPES[status](5.0)}"/>'
-    return (
-        f'<li><svg viewBox="0 0 30 14" aria-hidden="true"><g class="site {status} size-50">{mark}'
-        f"</g></svg>{count:,} {status}</li>"
+    return fill(
+        "fleet-map",
+        width=WIDTH,
+        height=round(view.height),
+        marks=join((view.grid(), *reversed(marks), view.scale_bar())),
+        legend=join(reversed(keys)),
+        said=_map_said(len(placed), len(sites), view),
     )
 
 
@@ -118,9 +107,9 @@ class _View:
             self.height / 2 - scale * (north - self._y),
         )
 
-    def grid(self) -> str:
+    def grid(self) -> Html:
         """Draw round degrees of latitude and longitude."""
-        lines = ""
+        lines = []
         unit = 1 / (self._scale * EARTH)
         wide, high = unit / self._narrow, unit * self.height / 2
         step = quantities.round_below(math.degrees(WIDTH * wide / 3))
@@ -128,29 +117,24 @@ class _View:
         for degrees in _multiples(west, west + (WIDTH - RIGHT) * wide, step):
             x, _ = self._at(math.radians(degrees) - self._from, self._y)
             said = _degrees((degrees + 180) % 360 - 180, step, "E", "W")
-            lines += (
-                f'<path class="grid" d="M{x:.1f} 0V{self.height:.0f}"/><text class="soft" '
-                f'x="{x + 3:.1f}" y="14">{said}</text>'
-            )
+            height = round(self.height)
+            lines.append(fill("fleet-meridian", x=x, height=height, beside=x + 3, degrees=said))
         step = quantities.round_below(math.degrees(2 * high / 3))
         south, north = max(self._y - high, -math.pi / 2), min(self._y + high, math.pi / 2)
         for degrees in _multiples(south, north, step):
             _, y = self._at(self._x, math.radians(degrees))
-            lines += (
-                f'<path class="grid" d="M0 {y:.1f}H{WIDTH:g}"/><text class="soft" x="{WIDTH - 4:g}"'
-                f' y="{y - 4:.1f}" text-anchor="end">{_degrees(degrees, step, "N", "S")}</text>'
-            )
-        return lines
+            said = _degrees(degrees, step, "N", "S")
+            at = {"y": y, "above": y - 4, "width": WIDTH, "end": WIDTH - 4}
+            lines.append(fill("fleet-parallel", degrees=said, **at))
+        return join(lines)
 
-    def scale_bar(self) -> str:
+    def scale_bar(self) -> Html:
         """Draw a round length."""
         metres = quantities.round_below(0.25 * WIDTH / self._scale)
-        x, y = 14.0, self.height - 14.0
         size, unit = (metres, "m") if metres < 1000 else (metres / 1000, "km")
-        return (
-            f'<path class="bar" d="M{x:g} {y - 5:.1f}v5h{metres * self._scale:.1f}v-5"/>'
-            f'<text x="{x:g}" y="{y - 10:.1f}">{quantities.large(size)} {unit}</text>'
-        )
+        said = f"{quantities.large(size)} {unit}"
+        y, above, length = self.height - 19, self.height - 24, metres * self._scale
+        return fill("fleet-scale", y=y, above=above, length=length, size=said)
 
 
 def _multiples(low: float, high: float, step: float) -> list[float]:
@@ -168,19 +152,19 @@ def _degrees(value: float, step: float, positive: str, negative: str) -> str:
     return f"{text}°{side and ' ' + side}"
 
 
-def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, named: int) -> str:
+def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, named: int) -> Html:
     """Draw sites of one status; those beyond the named ones only where there is none yet."""
-    shape = SHAPES[status](size)
+    shape = _shape(status, size)
     drawn = []
     for site in sites[:named]:
         x, y = view.place(site)
         name = f"{site.id}: {status}"
         if site.sigma_30m_m is not None:
             name += f", {quantities.error(site.sigma_30m_m)} at 30 m"
-        drawn.append(f'<path d="M{x:.1f} {y:.1f}{shape}"><title>{escape(name)}</title></path>')
-    for x, y in sorted({(round(x), round(y)) for x, y in map(view.place, sites[named:])}):
-        drawn.append(f'<path d="M{x} {y}{shape}"/>')
-    return f'<g class="site {status} size-{size * 10:.0f}">{"".join(drawn)}</g>'
+        drawn.append(fill("fleet-named", x=x, y=y, shape=shape, name=name))
+    for at in sorted({(round(x), round(y)) for x, y in map(view.place, sites[named:])}):
+        drawn.append(fill("fleet-mark", x=at[0], y=at[1], shape=shape))
+    return fill("fleet-marks", status=status, size=round(10 * size), marks=join(drawn))
 
 
 def _map_said(placed: int, sites: int, view: _View) -> str:
@@ -195,7 +179,7 @@ def _map_said(placed: int, sites: int, view: _View) -> str:
     return " ".join(said)
 
 
-def histogram(values: Sequence[float]) -> str:
+def histogram(values: Sequence[float]) -> Html:
     """Draw how many sites have which predicted error at 30 m; nothing where none has any.
 
     Parameters
@@ -205,43 +189,35 @@ def histogram(values: Sequence[float]) -> str:
     """
     values = [each for each in values if each > 0]
     if not values:
-        return ""
+        return EMPTY
     low, high, per = _decades(values)
     edges = [10 ** (k / per) for k in range(low, high + 1)]
     counts = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].tolist()
-    foot, head = BARS_HEIGHT - 34.0, 24.0
-    wide, tall = (WIDTH - 2 * MARGIN) / len(counts), (foot - head) / max(counts)
-    bars = [
-        f'<path d="M{MARGIN + k * wide + 0.5:.1f} {foot:.1f}v{-count * tall:.1f}h{wide - 1:.1f}'
-        f'v{count * tall:.1f}z"><title>{quantities.error(edges[k])} to '
-        f"{quantities.error(edges[k + 1])}: {quantities.counted(count, 'site')}</title></path>"
-        for k, count in enumerate(counts)
-        if count
-    ]
-    lines = [f'<path class="bar" d="M{MARGIN:g} {foot:g}H{WIDTH - MARGIN:g}"/>']
+    foot, head, right = BARS_HEIGHT - 34, 24, WIDTH - MARGIN
+    wide, tall = (right - MARGIN) / len(counts), (foot - head) / max(counts)
+    bars = []
+    for k, count in enumerate(counts):
+        low_error, high_error = quantities.error(edges[k]), quantities.error(edges[k + 1])
+        said = f"{low_error} to {high_error}: {quantities.counted(count, 'site')}"
+        x, up = MARGIN + k * wide + 0.5, -count * tall
+        bar = fill("fleet-bar", x=x, foot=foot, up=up, wide=wide - 1, down=-up, said=said)
+        bars.append(bar if count else EMPTY)
+    axes = [fill("fleet-foot", left=MARGIN, right=right, foot=foot)]
     for at in _round_values(edges[0], edges[-1]):
         x = MARGIN + (math.log10(at) * per - low) * wide
-        lines.append(
-            f'<path class="bar" d="M{x:.1f} {foot:g}v6"/><text x="{x:.1f}" y="{foot + 22:g}" '
-            f'text-anchor="middle">{_plain_length(at)}</text>'
-        )
+        said = _plain_length(at)
+        axes.append(fill("fleet-length", x=x, foot=foot, below=foot + 22, length=said))
     step = int(quantities.round_below(max(counts) / 2)) if max(counts) > 1 else 1
     for count in range(step, max(counts) + 1, step):
         y = foot - count * tall
-        lines.append(
-            f'<path class="grid" d="M{MARGIN:g} {y:.1f}H{WIDTH - MARGIN:g}"/>'
-            f'<text class="soft" x="{MARGIN - 6:g}" y="{y + 5:.1f}" text-anchor="end">{count:,}'
-            "</text>"
-        )
+        places = {"y": y, "beside": y + 5, "left": MARGIN, "right": right, "end": MARGIN - 6}
+        axes.append(fill("fleet-count", count=f"{count:,}", **places))
     said = (
         "Predicted error of a point 30 m away, 1 σ: how many of "
         f"{quantities.counted(len(values), 'site')} with an answer. The scale is logarithmic."
     )
-    return (
-        f'<figure class="picture"><svg viewBox="0 0 {WIDTH:g} {BARS_HEIGHT:g}" role="img" '
-        f'aria-labelledby="errors-said">{"".join(lines)}<g class="bars">{"".join(bars)}</g></svg>'
-        f'<figcaption id="errors-said">{escape(said)}</figcaption></figure>'
-    )
+    size = {"width": WIDTH, "height": BARS_HEIGHT}
+    return fill("fleet-histogram", axes=join(axes), bars=join(bars), said=said, **size)
 
 
 def _decades(values: Sequence[float]) -> tuple[int, int, int]:

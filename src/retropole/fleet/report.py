@@ -10,8 +10,10 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
+
 from ..api import explain, quantities
-from ..api.pages import fill_page, share_styles, table
+from ..api.pages import EMPTY, Html, fill, fill_page, folded, join, share_styles, table
 from ..base.errors import printable
 from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
 from .dataset import AT_RANGE, FLEET_SCHEMA
@@ -68,7 +70,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         ("errors", "Errors", _errors(overview)),
         ("run", "This dataset", _dataset(overview)),
     )
-    parts = [part for part in every if part[2]]
+    parts = [{"part": part, "title": title, "body": body} for part, title, body in every if body]
     name = printable(posixpath.basename(overview.place.rstrip("/\\")) or overview.place)
     return fill_page(
         "fleet.html",
@@ -78,11 +80,8 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
             "title": escape(name),
             "created": escape(_when(overview)),
             "counts": _counts(overview),
-            "links": "".join(f'<a href="#{part}">{title}</a>' for part, title, _ in parts),
-            "parts": "".join(
-                f'<section aria-labelledby="{part}"><h2 id="{part}">{title}</h2>{html}</section>'
-                for part, title, html in parts
-            ),
+            "links": join(fill("fleet-part-link", **part) for part in parts),
+            "parts": join(fill("fleet-part", **part) for part in parts),
         },
         share_styles(),
     )
@@ -112,7 +111,7 @@ def write_fleet_report(place: str, overview: Overview, reports: str | None = Non
 
     def link(site: Seen) -> str:
         name = REPORT_FILE if site.kind == "pair" else SITE_REPORT_FILE
-        if folder is None or root is None or not exists(below(below(folder, site.id), name)):
+        if folder is None or root is None or not exists(below(folder, site.id, name)):
             return ""
         # A path that begins with a name and a colon would be taken for a URL.
         return quote(f"./{root}/{site.id}/{name}")
@@ -143,13 +142,13 @@ def _when(overview: Overview) -> str:
     )
 
 
-def _counts(overview: Overview) -> str:
+def _counts(overview: Overview) -> Html:
     """Say how many sites ended how, before all else."""
     every = len(overview.sites)
-    tiles = ""
+    tiles = []
     for status, count in overview.statuses.items():
         share = quantities.percent(count / every).replace(" ", "\N{NO-BREAK SPACE}")
-        tiles += f'<div class="{status}"><dt>{status}</dt><dd>{count:,} ({share})</dd></div>'
+        tiles.append(fill("fleet-tile", status=status, count=f"{count:,}", share=share))
     stated = ""
     if errors := overview.errors_at_range:
         half, most = (quantities.error(_quantile(errors, level)) for level in (0.5, 0.95))
@@ -158,40 +157,34 @@ def _counts(overview: Overview) -> str:
             f"predicted error of at most {half} at {AT_RANGE:g} m (1 σ), 95 % of them of at most "
             f"{most}."
         )
-    return (
-        '<section aria-labelledby="counts"><h2 id="counts">'
-        f"{escape(quantities.counted(every, 'site'))}</h2><p>{escape(stated)}</p>"
-        f'<dl class="tiles">{tiles}</dl></section>'
-    )
+    sites = quantities.counted(every, "site")
+    return fill("fleet-counts", sites=sites, stated=stated, tiles=join(tiles))
 
 
 def _quantile(values: Sequence[float], level: float) -> float:
-    """Give the least of sorted values that so large a share of them does not exceed."""
-    return values[max(0, min(len(values) - 1, -int(-level * len(values) // 1) - 1))]
+    """Give the least of the values that so large a share of them does not exceed."""
+    return float(np.quantile(values, level, method="inverted_cdf"))
 
 
-def _far(overview: Overview) -> str:
+def _far(overview: Overview) -> Html:
     """Show how large the predicted errors are."""
     errors = overview.errors_at_range
     if not errors:
-        return "<p>No site has an answer, so there is no predicted error.</p>"
+        return fill("p", text="No site has an answer, so there is no predicted error.")
     inner = {f"{quantities.percent(level)} have at most": level for level in LEVELS}
     rows = [
         (what, quantities.error(_quantile(errors, level)))
         for what, level in {"least": 0.0, **inner, "largest": 1.0}.items()
     ]
     listed = table("Predicted error at 30 m", ("sites with an answer", "1 σ"), rows)
-    return (
-        f'<div class="columns">{histogram(errors)}{listed}</div>'
-        '<p class="note">Of a site with several LiDARs, the one whose error is largest counts.</p>'
-    )
+    return fill("fleet-far", histogram=histogram(errors), table=listed)
 
 
-def _worst(overview: Overview, link: Callable[[Seen], str]) -> str:
+def _worst(overview: Overview, link: Callable[[Seen], str]) -> Html:
     """List the answers with the largest predicted errors."""
     sites = overview.worst(WORST)
     if not sites:
-        return ""
+        return EMPTY
     rows = []
     for site in sites:
         codes = printable(", ".join(site.codes)) or quantities.UNKNOWN
@@ -200,22 +193,17 @@ def _worst(overview: Overview, link: Callable[[Seen], str]) -> str:
     caption = f"The {len(rows)} largest predicted errors"
     header = ("site", "status", "error at 30 m, 1 σ", "codes")
     listed = table(caption, header, rows, (1, 3), links=links)
-    if any(links):
-        return listed
-    return (
-        f'{listed}<p class="note">Reports of single sites are linked here where '
-        "<code>--reports</code> names their folder.</p>"
-    )
+    return listed if any(links) else join((listed, fill("fleet-not-linked")))
 
 
-def _reasons(overview: Overview) -> str:
+def _reasons(overview: Overview) -> Html:
     """Count the codes, with a few sites of each."""
     having: dict[str, list[Seen]] = {}
     for site in overview.sites:
         for code in dict.fromkeys(site.codes):
             having.setdefault(code, []).append(site)
     if not having:
-        return "<p>No site has a reason: all are ok.</p>"
+        return fill("p", text="No site has a reason: all are ok.")
     rows, bars = [], []
     for code, sites in sorted(having.items(), key=lambda each: (-len(each[1]), each[0])):
         named = [printable(site.id) for site in sites[:EXAMPLES]]
@@ -232,32 +220,23 @@ def _title(code: str) -> str:
     return ERRORS.get(code, quantities.UNKNOWN) if known is None else known.title
 
 
-def _errors(overview: Overview) -> str:
+def _errors(overview: Overview) -> Html:
     """List what ended in an error, with its message."""
     failed = [site for site in overview.sites if site.status == "error"]
     if not failed:
-        return ""
+        return EMPTY
     rows = [
         tuple(map(printable, (site.id, ", ".join(site.codes), " ".join(site.messages))))
         for site in failed[:MOST_FAILED]
     ]
     listed = table("Sites that ended in an error", ("site", "code", "message"), rows, (1, 2))
-    more = ""
-    if len(failed) > MOST_FAILED:
-        more = (
-            f"<p>{len(failed) - MOST_FAILED:,} more are in the dataset: <code>SELECT id, messages "
-            "FROM 'answers/*.parquet' WHERE status = 'error'</code>.</p>"
-        )
-    again = (
-        "<p>They are tried again by <code>retropole fleet calibrate … --retry</code>, or once "
-        "their files are others.</p>"
-    )
-    summary = f"<summary>{quantities.counted(len(failed), 'site')} with messages</summary>"
-    shown = " open" if len(failed) <= WORST else ""
-    return f"{again}<details{shown}>{summary}{listed}{more}</details>"
+    more = len(failed) - MOST_FAILED
+    body = join((listed, fill("fleet-more", count=f"{more:,}") if more > 0 else EMPTY))
+    summary = f"{quantities.counted(len(failed), 'site')} with messages"
+    return join((fill("fleet-again"), folded(summary, body, is_open=len(failed) <= WORST)))
 
 
-def _dataset(overview: Overview) -> str:
+def _dataset(overview: Overview) -> Html:
     """Say what the page is of."""
     rows = [("dataset", printable(overview.place)), ("schema", FLEET_SCHEMA)]
     for what, counts in (("made by", overview.made_by), ("done on", overview.hosts)):

@@ -10,6 +10,7 @@ import posixpath
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +52,12 @@ def absolute(place: str) -> str:
     return place if is_url(place) else filesystem(place)[1]
 
 
-def below(folder: str, name: str) -> str:
-    """Join a folder and a name in it; a name that is whole stays as it is."""
+def below(folder: str, *names: str) -> str:
+    """Join a folder and names in it; a name that is whole stays as it is."""
+    return reduce(_below, names, folder)
+
+
+def _below(folder: str, name: str) -> str:
     if "://" in name or posixpath.isabs(name) or Path(name).is_absolute():
         return name
     if not is_url(folder):
@@ -82,10 +87,11 @@ def is_folder(place: str) -> bool:
 
 
 @contextmanager
-def _asked(place: str, fault: str) -> Iterator[None]:
-    """Say of which place it is, and what cannot be done, whatever a file system raises."""
+def _asked(place: str, fault: str) -> Iterator[tuple[Any, str]]:
+    """Open the file system of a place; of whatever it raises say where, and what cannot be done."""
+    system, path = filesystem(place)
     try:
-        yield
+        yield system, path
     except Exception as error:
         if getattr(error, "errno", None) == errno.ENOSPC:
             raise
@@ -94,10 +100,11 @@ def _asked(place: str, fault: str) -> Iterator[None]:
 
 
 @contextmanager
-def _changed(place: str) -> Iterator[None]:
-    """Make an `OSError` that names the place of whatever a file system raises."""
+def _changed(place: str) -> Iterator[tuple[Any, str]]:
+    """Open the file system of a place; whatever it raises is an `OSError` that names the place."""
+    system, path = filesystem(place)
     try:
-        yield
+        yield system, path
     except Exception as error:
         number, why = getattr(error, "errno", None), getattr(error, "strerror", None)
         raise OSError(number or errno.EIO, why or str(error), place) from None
@@ -111,8 +118,7 @@ def found_below(folder: str) -> list[str]:
     ReadError
         Where it cannot be listed.
     """
-    system, path = filesystem(folder)
-    with _asked(folder, "cannot be listed"):
+    with _asked(folder, "cannot be listed") as (system, path):
         found = system.find(path, withdirs=True)
     return sorted(posixpath.relpath(each, path) for each in found if each.rstrip("/") != path)
 
@@ -125,8 +131,7 @@ def matching(pattern: str) -> list[str]:
     ReadError
         Where the file system cannot be asked.
     """
-    system, path = filesystem(pattern)
-    with _asked(pattern, "cannot be listed"):
+    with _asked(pattern, "cannot be listed") as (system, path):
         found = sorted(system.glob(path))
     scheme = pattern.partition("://")[0] + "://" if is_url(pattern) else ""
     return [each if each.startswith(scheme) else scheme + each.lstrip("/") for each in found]
@@ -140,9 +145,8 @@ def names_in(folder: str) -> list[str]:
     ReadError
         Where it cannot be listed.
     """
-    system, path = filesystem(folder)
-    system.invalidate_cache()
-    with _asked(folder, "cannot be listed"):
+    with _asked(folder, "cannot be listed") as (system, path):
+        system.invalidate_cache()
         try:
             found = system.ls(path, detail=False)
         except FileNotFoundError:
@@ -158,8 +162,7 @@ def written(place: str) -> datetime:
     ReadError
         Where there is none, or the file system does not know.
     """
-    system, path = filesystem(place)
-    with _asked(place, "when it was written is not known"):
+    with _asked(place, "when it was written is not known") as (system, path):
         files = system.find(path) if system.isdir(path) else [path]
         last: datetime = max(system.modified(each) for each in files)
     return last.astimezone(UTC).replace(microsecond=0)
@@ -173,8 +176,7 @@ def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
     ReadError
         Where it cannot be read or is longer.
     """
-    system, path = filesystem(place)
-    with _asked(place, "cannot be read"), system.open(path, "rb") as file:
+    with _asked(place, "cannot be read") as (system, path), system.open(path, "rb") as file:
         data = file.read(most + 1)
     if len(data) > most:
         raise ReadError(f"{place}: more than {most} bytes")
@@ -191,11 +193,10 @@ def write_bytes(place: str, data: bytes) -> None:
     OSError
         Where it cannot be written; names the place.
     """
-    system, path = filesystem(place)
     if not is_url(place):
-        write_atomically(Path(path), data)
+        write_atomically(Path(absolute(place)), data)
         return
-    with _changed(place):
+    with _changed(place) as (system, path):
         system.makedirs(posixpath.dirname(path), exist_ok=True)
         system.pipe_file(path, data)
 
@@ -208,8 +209,7 @@ def remove(place: str) -> None:
     OSError
         Where it cannot be removed; names the place.
     """
-    system, path = filesystem(place)
-    with _changed(place):
+    with _changed(place) as (system, path):
         system.rm_file(path)
 
 
@@ -230,11 +230,10 @@ def fetch(place: str, into: Path) -> Path:
     OSError
         Where there is no room.
     """
-    system, path = filesystem(place)
-    local = into / posixpath.basename(path.rstrip("/"))
+    local = into / posixpath.basename(place.rstrip("/"))
     into.mkdir(parents=True, exist_ok=True)
-    beside = f"{path.removesuffix('.pcap')}.json"
-    with _asked(place, "cannot be read"):
+    with _asked(place, "cannot be read") as (system, path):
+        beside = f"{path.removesuffix('.pcap')}.json"
         system.get(path, str(local), recursive=system.isdir(path))
         if path.endswith(".pcap") and system.exists(beside):
             system.get(beside, str(into / posixpath.basename(beside)))

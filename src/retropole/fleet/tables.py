@@ -13,8 +13,8 @@ from ..base.errors import MissingExtraError, ReadError, quoting
 from .storage import LARGEST_LIST, read_bytes
 
 
-def arrow() -> tuple[Any, Any]:
-    """Import pyarrow and its Parquet.
+def arrow() -> Any:
+    """Import pyarrow, with its `parquet`.
 
     Raises
     ------
@@ -26,20 +26,24 @@ def arrow() -> tuple[Any, Any]:
         import pyarrow.parquet
     except ImportError:
         raise MissingExtraError("fleet", "a table of a fleet") from None
-    return pyarrow, pyarrow.parquet
+    return pyarrow
 
 
 def parquet_of(rows: Iterable[Mapping[str, Any]], schema: Any) -> bytes:
     """Write rows as one Parquet file; the same rows give the same bytes."""
-    pa, pq = arrow()
+    pa = arrow()
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.Table.from_pylist(list(rows), schema=schema), sink, compression="zstd")
+    pa.parquet.write_table(
+        pa.Table.from_pylist(list(rows), schema=schema), sink, compression="zstd"
+    )
     data: bytes = sink.getvalue().to_pybytes()
     return data
 
 
 @contextmanager
-def opened(place: str, fault: str, most: int = LARGEST_LIST) -> Iterator[Any]:
+def opened(
+    place: str, fault: str, most: int = LARGEST_LIST, schema: str = "", remedy: str = ""
+) -> Iterator[Any]:
     """Open a Parquet file.
 
     Parameters
@@ -50,6 +54,10 @@ def opened(place: str, fault: str, most: int = LARGEST_LIST) -> Iterator[Any]:
         What it is where it cannot be read, with the reason in the place of ``{}``.
     most
         Bytes that it may have.
+    schema
+        Name of the schema that its metadata must have; any without.
+    remedy
+        What to do about one that cannot be read or has another schema.
 
     Raises
     ------
@@ -58,12 +66,16 @@ def opened(place: str, fault: str, most: int = LARGEST_LIST) -> Iterator[Any]:
     MissingExtraError
         As `arrow`.
     """
-    pa, pq = arrow()
+    pa = arrow()
     data = read_bytes(place, most)
     try:
-        yield pq.ParquetFile(io.BytesIO(data))
+        file = pa.parquet.ParquetFile(io.BytesIO(data))
+        has = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
+        if schema and has != schema:
+            raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")
+        yield file
     except (pa.ArrowException, OSError) as error:
-        raise ReadError(f"{place}: {fault.format(error)}") from None
+        raise ReadError(f"{place}: {fault.format(error)}{remedy}") from None
 
 
 LISTS = (".csv", ".parquet")

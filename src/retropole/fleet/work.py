@@ -23,9 +23,14 @@ from ..result import ResultDoc
 from ..result.folder import RESULT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc
 from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered, document_of
+from .history.store import CheckRow
 from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
 from .storage import below, is_url, read_bytes, write_bytes
+
+if TYPE_CHECKING:
+    from ..api.result import CalibrationResult
+    from ..api.site import SiteResult
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -51,10 +56,6 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     lidars: tuple[str, str] | None = None
     known: list[str] = []
 
-
-if TYPE_CHECKING:
-    from ..api.result import CalibrationResult
-    from ..api.site import SiteResult
 
 CODES: tuple[tuple[type[Exception], str], ...] = (
     (ReadError, "unreadable"),
@@ -90,15 +91,15 @@ class Hashed(msgspec.Struct, frozen=True, tag=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, tag=True):
-    """The outcome of a task; `row` is None where the row that there is still holds.
+    """The outcome of a task: the row of a calibration, or that of a check.
 
-    `check` holds the columns of a check's row, as the history has them.
+    Neither is there where the row that there is still holds.
     """
 
     id: str
     row: Row | None = None
     run: Run | None = None
-    check: dict[str, Any] | None = None
+    check: CheckRow | None = None
 
 
 def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
@@ -238,21 +239,15 @@ def _is_of(document: ResultDoc | SiteDoc, hashed: Hashed) -> bool:
 
 def _result(site: FleetSite, local: LocalFiles) -> CalibrationResult | SiteResult:
     """Calibrate, and call the files as they were given."""
-    if local.site is not None:
-        from ..api.site import calibrate_site
-
-        of_site = calibrate_site(local.site)
-        document, config = of_site.document, of_site.document.config
-        config = msgspec.structs.replace(config, site_file=local.renamed(config.site_file))
-        recordings = local.named(document.inputs)
-        document = msgspec.structs.replace(document, inputs=recordings, config=config)
-        return replace(of_site, document=document)
     from ..api.calibration import calibrate_with
+    from ..api.site import calibrate_site
 
+    if local.site is not None:
+        of_site = calibrate_site(local.site)
+        return replace(of_site, document=local.named(of_site.document))
     target, source = local.pair
     of_pair = calibrate_with(target, source, site.config)
-    inputs = local.named(of_pair.document.inputs)
-    return replace(of_pair, document=msgspec.structs.replace(of_pair.document, inputs=inputs))
+    return replace(of_pair, document=local.named(of_pair.document))
 
 
 def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) -> None:
@@ -269,7 +264,7 @@ def _is_reported(task: Task, hashed: Hashed) -> bool:
     if task.reports is None:
         return True
     name = RESULT_FILE if task.site.kind == "pair" else SITE_RESULT_FILE
-    place = below(below(task.reports, task.site.id), name)
+    place = below(task.reports, task.site.id, name)
     try:
         document = document_of(read_bytes(place, LARGEST_DOCUMENT).decode(), task.site.kind)
     except (ReadError, UnicodeDecodeError):

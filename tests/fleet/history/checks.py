@@ -7,7 +7,7 @@ import numpy as np
 
 from retropole.base.datatypes import Array
 from retropole.fleet.history.model import Observed
-from retropole.fleet.history.store import CheckRow
+from retropole.fleet.history.store import CheckRow, flat
 
 SIGMA = np.repeat([np.radians(0.01), 0.002], 3)
 RANDOM = np.diag(SIGMA**2)
@@ -40,4 +40,5 @@ def row(k: int = 0, name: str = "lamp-1", **given: object) -> CheckRow:
         "source_sha256": f"s{k}",
     }
     status = str(given.pop("status", "same"))
-    return CheckRow(name, START + k * timedelta(days=7), status, **(values | given))  # type: ignore[arg-type]
+    columns = {key: flat(value) for key, value in (values | given).items()}
+    return CheckRow(name, START + k * timedelta(days=7), status, **columns)

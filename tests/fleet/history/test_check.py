@@ -9,7 +9,7 @@ import pytest
 
 from retropole.fleet.dataset import Row, partition_of, read_rows
 from retropole.fleet.history.check import check_site, lost_check
-from retropole.fleet.history.store import CheckRow, row_of
+from retropole.fleet.history.store import CheckRow
 from retropole.fleet.process import Reader
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.work import Check, Hashed, Task, environment, failed
@@ -19,9 +19,9 @@ CHECK = Check(tolerance=(0.005, 0.03), tried=TRIED)
 
 
 def checked(site: FleetSite, **options: object) -> CheckRow:
-    columns = check_site(site, msgspec.structs.replace(CHECK, **options))
-    assert columns is not None
-    return row_of(columns)
+    row = check_site(site, msgspec.structs.replace(CHECK, **options))
+    assert row is not None
+    return row
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +42,8 @@ def beside(fleet: Path, answer: Row, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_the_stored_result_may_lie_beside_the_target(beside: FleetSite, answer: Row) -> None:
     told: list[Hashed] = []
-    columns = check_site(beside, CHECK, told.append)
-    assert columns is not None
-    one = row_of(columns)
+    one = check_site(beside, CHECK, told.append)
+    assert one is not None
     assert (one.status, one.codes) == ("same", ())
     assert one.is_usable
     # Recorded when its files were written.

@@ -1,13 +1,13 @@
 """A check as a row: what makes it this one, what it is worth, and that what is read is sound."""
 
-from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from retropole.base.errors import ReadError
-from retropole.fleet.history.store import observed, plain, row_of
+from retropole.fleet.history.store import columns_of, observed, row_of
 from tests.fleet.history.checks import COMMON, row
 
 
@@ -17,16 +17,16 @@ from tests.fleet.history.checks import COMMON, row
 )
 def test_no_step_is_taken_that_is_none(name: str, value: object) -> None:
     with pytest.raises(ReadError, match="lamp-1"):
-        row_of({**plain(row()), name: value})
+        row_of({**columns_of(row()), name: value})
 
 
 def test_the_columns_of_a_row_give_it_back() -> None:
     one = row(3, codes=("too_weak",), chi2=4.5, power=0.25, message="ü")
-    again = row_of(plain(one))
+    again = row_of(columns_of(one))
     assert again.key == one.key
-    assert plain(again) == plain(one)
+    assert again == one
     with pytest.raises(ReadError, match="not that of its key"):
-        row_of({**plain(one), "time": one.time + timedelta(days=1)})
+        row_of({**columns_of(one), "time": one.time + timedelta(days=1)})
 
 
 def test_an_error_does_not_stand_for_the_check() -> None:

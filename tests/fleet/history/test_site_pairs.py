@@ -6,7 +6,6 @@ import msgspec
 import pytest
 
 from retropole.fleet.history.check import check_site, watched_pairs
-from retropole.fleet.history.store import row_of
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.result import encode
 from tests.api.site_files import write_site
@@ -46,9 +45,8 @@ def test_each_pair_has_its_recordings_and_options(quay: FleetSite) -> None:
 
 def test_a_pair_is_held_against_the_result_of_the_site(quay: FleetSite) -> None:
     (pair, *_) = watched_pairs(quay)
-    columns = check_site(pair.site, msgspec.structs.replace(CHECK, lidars=pair.lidars))
-    assert columns is not None
-    one = row_of(columns)
+    one = check_site(pair.site, msgspec.structs.replace(CHECK, lidars=pair.lidars))
+    assert one is not None
     # Points at random show neither poles nor surfaces; what is stored was read.
     assert (one.status, one.id) == ("cannot_tell", pair.site.id)
     assert one.stored_sha256

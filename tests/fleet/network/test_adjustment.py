@@ -3,7 +3,6 @@ import numpy as np
 from retropole.base import se3
 from retropole.fleet.network.adjustment import (
     AdjustedNetwork,
-    Model,
     adjust,
     find_layout,
     normal_equations,
@@ -13,31 +12,22 @@ from tests.fleet.network.networks import city, dense, ladder
 
 
 def adjusted(graph: Graph, T: np.ndarray) -> AdjustedNetwork:
-    model = Model(graph)
-    active = np.ones(graph.observations, dtype=bool)
-    return adjust(model, find_layout(model), T, active, find_components(graph, active))
+    active = np.ones(len(graph.observed), dtype=bool)
+    return adjust(graph, find_layout(graph), T, active, find_components(graph, active))
 
 
 def test_normal_equations_are_those_of_the_dense_derivatives() -> None:
     drawn, graph = city(7, 20)
-    model, T = Model(graph), drawn.T_world_node
-    layout = find_layout(model)
-    rng = np.random.default_rng(0)
-    weight = rng.uniform(0.1, 1, graph.observations)
+    of, at = graph.observed, graph.observed.at(drawn.T_world_node)
+    layout = find_layout(graph)
+    weight = np.random.default_rng(0).uniform(0.1, 1, len(of))
     components = find_components(graph, weight > 0)
-    normal, right = normal_equations(layout, model.at(T), weight, components)
-    rows, missed = [], []
-    starts = (0, len(graph.edges) + len(graph.known))
-    first, second = graph.ends
-    for kind, one in enumerate(model.at(T)):
-        for k in range(len(one.residual)):
-            root = np.sqrt(weight[starts[kind] + k])
-            J = np.zeros((one.residual.shape[1], graph.nodes + 1, 6))
-            J[:, first[starts[kind] + k]] = root * one.by_i[k]
-            J[:, second[starts[kind] + k]] += root * one.by_j[k]
-            rows.append(J[:, :-1].reshape(len(J), -1))
-            missed.append(root * one.residual[k])
-    A, e = np.concatenate(rows), np.concatenate(missed)
+    normal, right = normal_equations(layout, at, weight, components)
+    J = np.zeros((len(of), 6, graph.nodes + 1, 6))
+    k, root = np.arange(len(of)), np.sqrt(weight)
+    J[k, :, of.i] = root[:, None, None] * at.by_i
+    J[k, :, of.j] += root[:, None, None] * at.by_j
+    A, e = J[:, :, :-1].reshape(6 * len(of), -1), (root[:, None] * at.residual).ravel()
     found = dense(normal, layout.pattern.pairs)
     np.testing.assert_allclose(found, A.T @ A, atol=1e-9 * found.max())
     np.testing.assert_allclose(right.ravel(), -A.T @ e, atol=1e-9 * np.abs(A.T @ e).max())

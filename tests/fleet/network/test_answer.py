@@ -22,6 +22,6 @@ def test_the_same_network_is_the_same_file(tmp_path: Path) -> None:
     assert metadata[b"schema"] == b"retropole/network/1"
     assert float(metadata[b"unit_variance"]) == found.unit_variance
     tests = [row for row in pq.read_table(one).to_pylist() if row["chi2"] is not None]
-    assert len(tests) == network.graph.observations
+    assert len(tests) == len(network.graph.observed)
     assert all(0 <= row["redundancy"] <= 1 for row in tests)
     assert name_of(network, "control point", 2) == "control point of p5"

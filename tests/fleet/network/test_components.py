@@ -14,7 +14,7 @@ from tests.fleet.network.networks import ladder
 
 
 def everything(graph: Graph) -> np.ndarray:
-    return np.ones(graph.observations, dtype=bool)
+    return np.ones(len(graph.observed), dtype=bool)
 
 
 def with_points(graph: Graph, world: Array) -> Graph:
@@ -55,8 +55,8 @@ def test_points_hold_what_they_can() -> None:
 
 def test_what_holds_the_network_together_stays() -> None:
     _, graph = ladder(3, np.random.default_rng(0))
-    squares = np.arange(graph.observations, dtype=float)
-    kept = connected(graph, np.zeros(graph.observations, dtype=bool), squares)
+    squares = np.arange(len(graph.observed), dtype=float)
+    kept = connected(graph, np.zeros(len(graph.observed), dtype=bool), squares)
     assert len(find_components(graph, kept)) == 1
     # No more than a tree that hangs by the ground, and that of the least squares.
     assert kept.sum() == graph.nodes

@@ -72,7 +72,7 @@ def test_sound_ones_agree_and_a_wrong_one_agrees_with_none(one: int, other: int)
     points = ControlPoints(known.node[1:], se3.apply(T[4], seen), np.eye(3)[None] * 1e-6, seen)
     network = replace(network_of(T, STAR, rng), known=known, points=points)
     rival = 5 if 5 not in (one, other) else 3
-    active = np.isin(np.arange(network.observations), [0, 1, 2, 6, rival])
+    active = np.isin(np.arange(len(network.observed)), [0, 1, 2, 6, rival])
     # The rival is wrong, and has led node 4 astray.
     T[4] = se3.random(rng)
     assert agrees(network, active, T, rival, one, other)

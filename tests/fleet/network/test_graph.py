@@ -42,14 +42,12 @@ def test_a_network_of_no_poses_is_refused() -> None:
 
 def test_what_is_known_is_an_edge_from_the_ground() -> None:
     _, graph = ladder(2, np.random.default_rng(0))
-    relative, known = graph.relative, graph.known
-    assert len(relative) == len(graph.edges) + len(known)
+    observed, known = graph.observed, graph.known
+    assert len(observed) == len(graph.edges) + len(known)
     last = slice(len(graph.edges), None)
-    assert set(relative.i[last]) == {graph.nodes}
-    np.testing.assert_array_equal(relative.j[last], known.node)
-    np.testing.assert_array_equal(relative.T_i_j[last], known.T_world_node)
-    first, second = graph.ends
-    np.testing.assert_array_equal(np.stack([relative.i, relative.j]), [first, second])
+    assert set(observed.i[last]) == {graph.nodes}
+    np.testing.assert_array_equal(observed.j[last], known.node)
+    np.testing.assert_array_equal(observed.T_i_j[last], known.T_world_node)
 
 
 def test_each_number_is_in_the_group_of_its_label() -> None:

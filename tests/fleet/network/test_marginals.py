@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from retropole.fleet.network.elimination import factorise, find_pattern
-from retropole.fleet.network.testing import selected_inverse
+from retropole.fleet.network.elimination import factorise, find_pattern, selected_inverse
 from tests.fleet.network.networks import dense
 from tests.fleet.network.test_elimination import GRAPHS, matrix_of
 

@@ -1,15 +1,14 @@
 import numpy as np
 
 from retropole.base import se3
-from retropole.fleet.network.adjustment import Model, find_layout
+from retropole.fleet.network.adjustment import find_layout
 from retropole.fleet.network.graph import Graph
 from retropole.fleet.network.snooping import Snooped, snoop, worst_around
 from tests.fleet.network.networks import city, ladder, network_of, spoiled
 
 
 def snooped(graph: Graph, T: np.ndarray) -> Snooped:
-    model = Model(graph)
-    return snoop(model, find_layout(model), T)
+    return snoop(graph, find_layout(graph), T)
 
 
 def test_nothing_is_taken_out_of_a_sound_network() -> None:
@@ -37,8 +36,8 @@ def test_wrong_edges_far_apart_go_together() -> None:
 
 def test_only_the_worst_of_a_neighbourhood_goes() -> None:
     _, graph = ladder(10, np.random.default_rng(5))
-    chi2 = np.arange(graph.observations, dtype=float)
-    wrong = np.zeros(graph.observations, dtype=bool)
+    chi2 = np.arange(len(graph.observed), dtype=float)
+    wrong = np.zeros(len(graph.observed), dtype=bool)
     # Rails 0–2, 2–4 and 14–16.
     wrong[[0, 2, 14]] = True
     assert np.flatnonzero(worst_around(graph, chi2, wrong)).tolist() == [2, 14]

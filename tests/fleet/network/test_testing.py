@@ -3,14 +3,13 @@ from scipy.special import chdtri
 from scipy.stats import ncx2
 
 from retropole.base import se3
-from retropole.fleet.network.adjustment import Model, adjust, find_layout
+from retropole.fleet.network.adjustment import adjust, find_layout
 from retropole.fleet.network.graph import Graph, find_components
 from retropole.fleet.network.testing import (
     POWER,
     SIGNIFICANT,
     ObservationTests,
     all_tests,
-    covariances,
     critical,
     noncentrality,
     normalised,
@@ -22,20 +21,19 @@ def outcome(
     graph: Graph, T: np.ndarray, out: tuple[int, ...] = ()
 ) -> tuple[ObservationTests, float]:
     """Tests of a network without some observations, and its sum of squares."""
-    model = Model(graph)
-    active = np.ones(graph.observations, dtype=bool)
+    active = np.ones(len(graph.observed), dtype=bool)
     active[list(out)] = False
-    layout, components = find_layout(model), find_components(graph, active)
-    found = adjust(model, layout, T, active, components)
-    tests = all_tests(model, layout, found.T, covariances(found, components), active)
-    return tests, float(model.squares(found.T)[active].sum())
+    layout, components = find_layout(graph), find_components(graph, active)
+    found = adjust(graph, layout, T, active, components)
+    tests = all_tests(graph, layout, found, active)
+    return tests, float(graph.observed.squares(found.T)[active].sum())
 
 
 def test_chi2_is_by_how_much_the_squares_fall_without_the_observation() -> None:
     drawn, graph = city(10, 30)
     T = drawn.T_world_node
     tests, whole = outcome(graph, T)
-    last = graph.observations - 1
+    last = len(graph.observed) - 1
     for k in (0, 7, 20, last):
         without, rest = outcome(graph, T, (k,))
         np.testing.assert_allclose(tests.chi2[k], whole - rest, rtol=1e-2, atol=1e-3)
@@ -48,7 +46,7 @@ def test_redundancies_add_up_to_the_degrees_of_freedom() -> None:
     drawn, graph = city(11, 40)
     tests, _ = outcome(graph, drawn.T_world_node)
     numbers = 6 * len(graph.edges) + 3 * len(graph.points)
-    total = np.sum(tests.redundancy * graph.freedom)
+    total = np.sum(tests.redundancy * graph.observed.freedom)
     np.testing.assert_allclose(total, numbers - 6 * graph.nodes, rtol=1e-9)
 
 
@@ -98,10 +96,9 @@ def test_w_is_a_normal_number_of_the_same_probability() -> None:
 
 def test_the_pose_that_holds_a_datum_has_no_covariance() -> None:
     T, graph = ladder(4, np.random.default_rng(2))
-    active = np.ones(graph.observations, dtype=bool)
+    active = np.ones(len(graph.observed), dtype=bool)
     active[-1] = False
-    model = Model(graph)
     components = find_components(graph, active)
-    found = adjust(model, find_layout(model), T, active, components)
-    assert not covariances(found, components).diagonal[0].any()
+    found = adjust(graph, find_layout(graph), T, active, components)
+    assert not found.covariance.diagonal[0].any()
     np.testing.assert_allclose(se3.local(T[0], found.T[0]), 0, atol=1e-12)

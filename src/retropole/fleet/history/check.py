@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import msgspec
+from msgspec.structs import replace
 
 from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
 from ...base.errors import ReadError, Refusal, RetropoleError, quoting
@@ -28,7 +28,7 @@ from ..local import LocalFiles, local_files
 from ..sites import ROLES, FleetSite
 from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, written
 from ..work import Check, Hashed, code_of
-from .store import CheckRow, plain
+from .store import CheckRow, flat
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def watched_pairs(
     """
     if site.kind == "pair" or site.fault:
         fault = site.fault or ("" if answers is None else _unanswered(answers.get(site.id)))
-        yield WatchedPair(msgspec.structs.replace(site, fault=fault), site.id)
+        yield WatchedPair(replace(site, fault=fault), site.id)
         return
     try:
         stored, place = _result_of_site(site, answers)
@@ -73,7 +73,7 @@ def watched_pairs(
         yield from _pairs(site, stored, file, place)
     except RetropoleError as error:
         fault = quoting(f"{site.site}: {error}")
-        yield WatchedPair(msgspec.structs.replace(site, fault=fault), site.id)
+        yield WatchedPair(replace(site, fault=fault), site.id)
 
 
 def _unanswered(stored: Row | None) -> str:
@@ -107,20 +107,15 @@ def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iter
         raise ReadError(f"its stored result has no pair that shares poles ({codes})")
     for i, j in shared:
         both = names[i], names[j]
-        given: dict[str, Any] = {"result": place, "time": site.time}
+        given: dict[str, Any] = {"result": place}
         try:
             if not tables.keys() >= {*both}:
                 raise ReadError(f"it has no LiDARs {quoting(' and '.join(both))}")
             given |= _recorded(site, stored, *(tables[name] for name in both))
         except ReadError as error:
             given["fault"] = f"{site.site}: {error}"
-        pair = FleetSite(
-            id="/".join((site.id, *both)),
-            kind="pair",
-            latitude=site.latitude,
-            longitude=site.longitude,
-            **given,
-        )
+        name = "/".join((site.id, *both))
+        pair = replace(site, id=name, kind="pair", site="", **given)
         yield WatchedPair(pair, site.id, both)
 
 
@@ -152,7 +147,7 @@ def _recorded(
 
 def check_site(
     site: FleetSite, check: Check, tell: Callable[[Hashed], None] = lambda hashed: None
-) -> dict[str, Any] | None:
+) -> CheckRow | None:
     """Check one site, unless the history has this very check.
 
     Parameters
@@ -167,8 +162,8 @@ def check_site(
 
     Returns
     -------
-    dict or None
-        Columns of the row, whatever happens; None where the history has it without an error: the
+    CheckRow or None
+        The row, whatever happens; None where the history has it without an error: the
         same recordings and stored result, at the same time.
     """
     tried = _tried(site, check)
@@ -193,7 +188,7 @@ def check_site(
     except Exception as error:
         code, words = code_of(error)
         tried = replace(tried, status="error", codes=(code,), message=words)
-    return plain(tried)
+    return tried
 
 
 def lost_check(site: FleetSite, check: Check, row: Row) -> CheckRow:
@@ -247,5 +242,5 @@ def _checked(
         tried,
         codes=tuple(reason.code for reason in answer.reasons),
         message=quoting(answer.reasons[0].message) if answer.reasons else None,
-        **{name: getattr(answer, name) for name in names},
+        **{name: flat(getattr(answer, name)) for name in names},
     )

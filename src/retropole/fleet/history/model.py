@@ -111,10 +111,10 @@ class Changes:
     is_trend
         (M,) whether the slope changed, or the level.
     deviation
-        (36, M, 6) by how much the state is off from the filter's, for a change of size one.
+        (M, 36, 6) by how much the state is off from the filter's, for a change of size one.
     information, vector
         (M, 6, 6) and (M, 6) the normal equations of the size. Of several filters that run beside
-        each other these three have their number R first.
+        each other these three have their number R behind M.
     """
 
     onset: Array
@@ -136,12 +136,12 @@ class Changes:
 
     def size(self, m: int) -> tuple[Array, Array]:
         """(6,) the most likely size of a change, per year of a trend, and its (6, 6) covariance."""
-        covariance = np.asarray(np.linalg.inv(self.information[..., m, :, :]), float)
-        return (covariance @ self.vector[..., m, :, None])[..., 0], covariance
+        covariance = np.asarray(np.linalg.inv(self.information[m]), float)
+        return (covariance @ self.vector[m][..., None])[..., 0], covariance
 
     def of(self, run: int) -> Changes:
         """Give those of one of several filters."""
-        parts = self.deviation[run], self.information[run], self.vector[run]
+        parts = self.deviation[:, run], self.information[:, run], self.vector[:, run]
         return Changes(self.onset, self.days, self.is_trend, *parts)
 
     def _ratio(self, part: slice) -> Array:
@@ -151,42 +151,34 @@ class Changes:
         return np.asarray((sizes * vector).sum(axis=(-2, -1)))
 
 
-COUNTED = 0, 0, 0, -2, -3, -2
-"""The axis of each field of `Changes` along which they are counted."""
-
-
 def no_changes(*runs: int) -> Changes:
     """Give no change at all; of so many filters that run beside each other."""
     none = np.zeros(0)
-    shapes = np.zeros((*runs, SIZE, 0, 6)), np.zeros((*runs, 0, 6, 6)), np.zeros((*runs, 0, 6))
+    shapes = np.zeros((0, *runs, SIZE, 6)), np.zeros((0, *runs, 6, 6)), np.zeros((0, *runs, 6))
     return Changes(none, none, none.astype(bool), *shapes)
 
 
 def begin(changes: Changes, check: int, days: float, *, kinds: tuple[Kind, ...]) -> Changes:
     """Add the changes that begin with a check."""
-    runs, count = changes.vector.shape[:-2], len(kinds)
-    deviation = np.zeros((*runs, SIZE, count, 6))
+    runs, count = changes.vector.shape[1:-1], len(kinds)
+    deviation = np.zeros((count, *runs, SIZE, 6))
     for m, kind in enumerate(kinds):
-        deviation[..., SLOPE if kind == "trend" else LEVEL, m, :] = IDENTITY
+        deviation[m, ..., SLOPE if kind == "trend" else LEVEL, :] = IDENTITY
     fresh = Changes(
         np.full(count, check),
         np.full(count, days),
         np.array(kinds) == "trend",
         deviation,
-        np.broadcast_to(NOTHING_KNOWN, (*runs, count, 6, 6)),
-        np.zeros((*runs, count, 6)),
+        np.broadcast_to(NOTHING_KNOWN, (count, *runs, 6, 6)),
+        np.zeros((count, *runs, 6)),
     )
     both = zip(vars(changes).values(), vars(fresh).values(), strict=True)
-    return Changes(*map(np.concatenate, both, COUNTED))
+    return Changes(*map(np.concatenate, both))
 
 
 def some(changes: Changes, keep: BoolArray) -> Changes:
     """Keep some of the changes: a mask (M,)."""
-    if keep.all():
-        return changes
-    kept = np.flatnonzero(keep)
-    fields = zip(vars(changes).values(), COUNTED, strict=True)
-    return Changes(*(values.take(kept, axis) for values, axis in fields))
+    return changes if keep.all() else Changes(*(values[keep] for values in vars(changes).values()))
 
 
 def first_state(first: Observed, share: float | Array) -> State:
@@ -225,8 +217,8 @@ def predicted(
     F[..., SLOW, SLOW] *= kept
     P = F @ state.covariance @ np.swapaxes(F, -1, -2)
     deviation = changes.deviation.copy()
-    deviation[..., LEVEL, :, :] += years * deviation[..., SLOPE, :, :]
-    deviation[..., SLOW, :, :] *= kept[..., None]
+    deviation[..., LEVEL, :] += years * deviation[..., SLOPE, :]
+    deviation[..., SLOW, :] *= kept
     varied = np.asarray(np.square(scale) * share)[..., None, None] * check.random
     P[..., SLOW, SLOW] += (1.0 - kept**2) * (UNNAMED + varied)
     if check.other and not state.knows_other:
@@ -254,8 +246,7 @@ def updated(
     state: State, changes: Changes, check: Observed, scale: float | Array
 ) -> tuple[State, Changes, Surprise]:
     """Take a check in; gives the surprise too. The state is that of the check's time."""
-    shares = weights(check)
-    H = (IDENTITY[:, None, :] * shares[:, None]).reshape(6, SIZE)
+    H = np.kron(weights(check), IDENTITY)
     PH = state.covariance @ H.T
     S = H @ PH + np.asarray(np.square(scale))[..., None, None] * check.random
     inverse = np.linalg.inv(S)
@@ -268,18 +259,13 @@ def updated(
     weighted = inverse @ off
     chi2 = np.asarray((off * weighted).sum(axis=(-2, -1)))
     told = Surprise(chi2, np.linalg.slogdet(S)[1])
-    # All changes side by side: few products of large matrices, and not many of small ones.
-    deviation = changes.deviation.reshape(*changes.deviation.shape[:-2], -1)
-    shown = H @ deviation
-    split = (*shown.shape[:-1], -1, 6)
-    across = np.moveaxis(shown.reshape(split), -3, -1)
-    through = np.moveaxis((inverse @ shown).reshape(split), -3, -2)
-    vector = (np.swapaxes(weighted, -1, -2) @ shown).reshape(changes.vector.shape)
+    shown = H @ changes.deviation
+    across = np.swapaxes(shown, -1, -2) @ inverse
     changes = replace(
         changes,
-        deviation=(deviation - gain @ shown).reshape(changes.deviation.shape),
-        information=changes.information + across @ through,
-        vector=changes.vector + vector,
+        deviation=changes.deviation - gain @ shown,
+        information=changes.information + across @ shown,
+        vector=changes.vector + (across @ off)[..., 0],
     )
     return after, changes, told
 
@@ -287,7 +273,7 @@ def updated(
 def adopted(state: State, changes: Changes, m: int) -> State:
     """Put a change into the state: from now on it is part of what is expected."""
     size, covariance = changes.size(m)
-    D = changes.deviation[..., m, :]
+    D = changes.deviation[m]
     return replace(
         state,
         mean=state.mean + (D @ size[..., None])[..., 0],

@@ -19,7 +19,7 @@ from ..work import Check, Outcome, Task, task_of
 from . import store
 from .check import WatchedPair, lost_check, watched_pairs
 from .events import Event, Watched
-from .store import CheckRow, observed, row_of
+from .store import CheckRow, observed
 from .watch import watch
 
 FLUSH = 100
@@ -147,8 +147,13 @@ def check_fleet(
     newest: dict[str, CheckRow] = {}
 
     def append(outcomes: Iterable[Outcome]) -> int:
-        rows = (_row(outcome, by_id[outcome.id], blank) for outcome in outcomes)
-        new = [row for row in rows if row is not None]
+        # Of what the history has there is neither.
+        new = []
+        for one in outcomes:
+            if one.check is not None:
+                new.append(one.check)
+            elif one.row is not None:
+                new.append(lost_check(by_id[one.id], blank, one.row))
         newest.update((row.id, row) for row in new)
         return store.append(history, new, set().union(*(known.get(row.id, ()) for row in new)))
 
@@ -187,10 +192,3 @@ def _check_answers(answers: str, sites: Sequence[FleetSite]) -> None:
             f"site {named.id!r}: its list names a stored result, {named.result}, and so do the "
             "answers; take the column result out, or do without --answers"
         )
-
-
-def _row(outcome: Outcome, site: FleetSite, check: Check) -> CheckRow | None:
-    """Take the row of a check; None where the history has it."""
-    if outcome.check is not None:
-        return row_of(outcome.check)
-    return None if outcome.row is None else lost_check(site, check, outcome.row)

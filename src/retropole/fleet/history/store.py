@@ -9,15 +9,15 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Collection, Container, Iterable, Iterator
-from dataclasses import MISSING, dataclass, fields
 from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from operator import itemgetter
-from typing import Any, get_type_hints
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from ...api import Array
 from ...base.errors import ReadError
 from ...result.decoding import check_covariance
 from ..storage import below, names_in, write_bytes
@@ -32,8 +32,11 @@ UNSETTLED = ("several_minima", "stored_fits_as_well", "scene_denies_stored", "sw
 """Codes of checks whose step is not to be trusted, for more than its size."""
 
 
-@dataclass(frozen=True, eq=False)
-class CheckRow:
+Step = Annotated[list[float], Meta(min_length=6, max_length=6)]
+Covariance = Annotated[list[float], Meta(min_length=36, max_length=36)]
+
+
+class CheckRow(msgspec.Struct, frozen=True):
     """A check of a site at a time.
 
     Attributes
@@ -54,9 +57,9 @@ class CheckRow:
     step
         (6,) ``[φ, δ]`` from the stored pose, rad and m, target axes; None where there is none.
     covariance
-        (6, 6) of it.
+        6 × 6 of it, row by row.
     random
-        (6, 6) of that the part that each check draws anew.
+        6 × 6 of that the part that each check draws anew.
     chi2, power
         As of ``retropole check``.
     stored_sha256, target_sha256, source_sha256
@@ -71,9 +74,9 @@ class CheckRow:
     used: str | None = None
     codes: tuple[str, ...] = ()
     message: str | None = None
-    step: Array | None = None
-    covariance: Array | None = None
-    random: Array | None = None
+    step: Step | None = None
+    covariance: Covariance | None = None
+    random: Covariance | None = None
     chi2: float | None = None
     power: float | None = None
     stored_sha256: str = ""
@@ -100,13 +103,14 @@ class CheckRow:
         return self.status != "cannot_tell" or "too_weak" in self.codes
 
 
-def plain(row: CheckRow) -> dict[str, Any]:
+def flat(value: Any) -> Any:
+    """Give an array as a row has it; all else as it is."""
+    return value.ravel().tolist() if isinstance(value, np.ndarray) else value
+
+
+def columns_of(row: CheckRow) -> dict[str, Any]:
     """Give a row as the columns of the table."""
-    columns = {
-        name: value.ravel().tolist() if isinstance(value, np.ndarray) else value
-        for name, value in vars(row).items()
-    }
-    return {"key": row.key, **columns, "codes": list(row.codes)}
+    return {"key": row.key, **msgspec.structs.asdict(row)}
 
 
 def row_of(columns: dict[str, Any]) -> CheckRow:
@@ -117,22 +121,21 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     ReadError
         Where a step or covariance is none, or the row is not the one that its key names.
     """
-    values = {each.name: columns[each.name] for each in fields(CheckRow)}
-    values["codes"] = tuple(values["codes"] or ())
-    arrays = {"step": (6,), "covariance": (6, 6), "random": (6, 6)}
-    there = [name for name in arrays if values[name] is not None]
-    for name in there:
-        values[name] = array = np.array(values[name], dtype=float).reshape(arrays[name])
-        what = f"history, site {values['id']!r}, {name}"
-        if name != "step":
-            check_covariance(what, array, is_part=name == "random")
-        elif not np.isfinite(array).all():
-            raise ReadError(f"{what}: a number is not finite")
-    if len(there) not in (0, 3):
-        raise ReadError(f"history, site {values['id']!r}: a step without its covariances")
-    row = CheckRow(**values)
+    site = f"history, site {columns['id']!r}"
+    try:
+        row = msgspec.convert({**columns, "codes": columns["codes"] or ()}, CheckRow)
+        if row.step is not None and not np.isfinite(row.step).all():
+            raise ReadError(f"{site}, step: a number is not finite")
+        for name, given in (("covariance", row.covariance), ("random", row.random)):
+            if (given is None) != (row.step is None):
+                raise ReadError(f"{site}: a step without its covariances")
+            if given is not None:
+                C = np.reshape(given, (6, 6))
+                check_covariance(f"{site}, {name}", C, is_part=name == "random")
+    except msgspec.ValidationError as error:
+        raise ReadError(f"{site}: {error}") from None
     if row.key != columns["key"]:
-        raise ReadError(f"history, site {row.id!r}, {row.time}: the row is not that of its key")
+        raise ReadError(f"{site}, {row.time}: the row is not that of its key")
     return row
 
 
@@ -155,11 +158,12 @@ def _observed(row: CheckRow, first: str | None) -> Observed:
     assert row.covariance is not None
     assert row.random is not None
     days = (row.time - EPOCH) / timedelta(days=1)
+    covariance, random = np.reshape([row.covariance, row.random], (2, 6, 6))
     # What rounding leaves of a common part must stay a covariance.
-    common = row.covariance - row.random
+    common = covariance - random
     values, vectors = np.linalg.eigh((common + common.T) / 2.0)
     common = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return Observed(days, row.step, row.random, common, row.used != first)
+    return Observed(days, np.array(row.step), random, common, row.used != first)
 
 
 MONTH = re.compile(r"month=\d{4}-\d{2}")
@@ -198,8 +202,8 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) ->
             months.setdefault(f"month={row.time:%Y-%m}", {})[row.key] = row
     for month, fresh in sorted(months.items()):
         name = hashlib.sha256("\n".join(sorted(fresh)).encode()).hexdigest()[:32]
-        place = below(below(folder, month), f"{name}.parquet")
-        write_bytes(place, parquet_of((plain(fresh[key]) for key in sorted(fresh)), schema()))
+        place = below(folder, month, f"{name}.parquet")
+        write_bytes(place, parquet_of((columns_of(fresh[key]) for key in sorted(fresh)), schema()))
     return sum(map(len, months.values()))
 
 
@@ -235,7 +239,7 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
     ReadError
         Where a file of it is damaged, or not of this schema.
     """
-    pa, _ = arrow()
+    pa = arrow()
     from pyarrow import compute
 
     some = compute.scalar(True) if ids is None else compute.field("id").isin(sorted(ids))
@@ -250,29 +254,25 @@ def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str,
 
 def schema() -> Any:
     """Give the schema of the files."""
-    pa, _ = arrow()
-    kinds: dict[Any, Any] = {
-        datetime: pa.timestamp("us", tz="UTC"),
-        float | None: pa.float64(),
-        Array | None: pa.list_(pa.float64()),
-        tuple[str, ...]: pa.list_(pa.string()),
-    }
-    hints, columns = get_type_hints(CheckRow), [pa.field("key", pa.string(), nullable=False)]
-    for each in fields(CheckRow):
-        kind = kinds.get(hints[each.name], pa.string())
-        columns.append(pa.field(each.name, kind, nullable=each.default is not MISSING))
-    return pa.schema(columns, metadata={"schema": SCHEMA})
+    pa = arrow()
+    text, real, numbers = pa.string(), pa.float64(), pa.list_(pa.float64())
+    always = {"key": text, "id": text, "time": pa.timestamp("us", tz="UTC"), "status": text}
+    others = {"used": text, "codes": pa.list_(text), "message": text, "step": numbers}
+    others |= {"covariance": numbers, "random": numbers, "chi2": real, "power": real}
+    hashes = ("stored_sha256", "target_sha256", "source_sha256")
+    others |= dict.fromkeys((*hashes, "version"), text)
+    columns = [pa.field(name, kind, nullable=False) for name, kind in always.items()]
+    return pa.schema([*columns, *others.items()], metadata={"schema": SCHEMA})
 
 
 def _files(folder: str) -> Iterator[str]:
     for month in filter(MONTH.fullmatch, names_in(folder)):
         names = (name for name in names_in(below(folder, month)) if name.endswith(".parquet"))
-        yield from (below(below(folder, month), name) for name in names)
+        yield from (below(folder, month, name) for name in names)
 
 
 def _table(place: str, columns: list[str] | None = None) -> Any:
-    with opened(place, "no history: {}", LARGEST_FILE) as file:
-        metadata = file.schema_arrow.metadata or {}
-        if metadata.get(b"schema") != SCHEMA.encode() or not file.schema_arrow.equals(schema()):
-            raise ReadError(f"{place}: not of the schema {SCHEMA}")
+    with opened(place, "no history: {}", LARGEST_FILE, SCHEMA) as file:
+        if not file.schema_arrow.equals(schema()):
+            raise ReadError(f"{place}: its columns are not of the schema {SCHEMA}")
         return file.read(columns)

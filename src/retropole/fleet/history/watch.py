@@ -92,6 +92,8 @@ the logarithm of how likely each is before a site has told: the site's own check
 the last, weather of 40 days made 16 false alarms in 47 site-years, with it one (a law that
 tunes)."""
 
+SHARES, TIMES = np.array(list(SLOW)).T
+
 LEAST = (slice(0, 3), float(np.radians(0.05))), (slice(3, 6), 0.005)
 """A smaller change, or trend in a year, of rotation and translation, rad and m, is none: a sixth of
 the tolerance of a check, which any mast moves by from season to season."""
@@ -104,12 +106,10 @@ LOST = np.r_[np.full(3, np.radians(2.0)), np.full(3, 0.2)]
 class _Runs:
     """The replay under each law of what varies slowly, R of them beside each other.
 
-    `share` and `time` (R,) are of `SLOW`, `total` (R,) and `weight` of the squared scale,
-    `likelihood` (R,) is the logarithm of how likely the checks so far are.
+    `total` (R,) and `weight` are of the squared scale, `likelihood` (R,) is the logarithm of how
+    likely the checks so far are.
     """
 
-    share: Array
-    time: Array
     likelihood: Array
     state: State
     changes: Changes
@@ -147,10 +147,9 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
     """
     if not checks:
         return Watched()
-    share, time = np.array(list(SLOW)).T
     total = np.full(len(SLOW), SCALE_CHECKS * SCALE**2)
-    state = first_state(checks[0], share)
-    runs = _Runs(share, time, np.array([*SLOW.values()]), state, no_changes(len(SLOW)), total)
+    state = first_state(checks[0], SHARES)
+    runs = _Runs(np.array([*SLOW.values()]), state, no_changes(len(SLOW)), total)
     events: list[Event] = []
     waiting: dict[int, float] = {}
     for n, check in enumerate(checks):
@@ -189,7 +188,7 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
 
 def _ahead(runs: _Runs, check: Observed, n: int) -> _Runs:
     """Predict a check; changes may begin with it."""
-    state, changes = predicted(runs.state, runs.changes, check, runs.scale, runs.share, runs.time)
+    state, changes = predicted(runs.state, runs.changes, check, runs.scale, SHARES, TIMES)
     age = check.days - changes.days
     recent = (age <= STEP_WINDOW) & (changes.onset > n - MOST_STEPS)
     changes = some(changes, np.where(changes.is_trend, age <= TREND_WINDOW, recent))
@@ -301,4 +300,4 @@ def _lost(ahead: _Runs, check: Observed) -> _Runs:
     P = ahead.state.covariance.copy()
     P[..., LEVEL, LEVEL] += np.diag(LOST**2)
     state = replace(ahead.state, covariance=P)
-    return _taken(replace(ahead, state=state, changes=no_changes(len(ahead.share))), check)[0]
+    return _taken(replace(ahead, state=state, changes=no_changes(len(SLOW))), check)[0]

@@ -39,7 +39,7 @@ def write_network(place: str, of: FleetNetwork, found: NetworkAdjustment) -> Non
     OSError
         Where it cannot be written.
     """
-    pa, _ = arrow()
+    pa = arrow()
     text, real, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
     columns = {
         **dict.fromkeys(("kind", "node", "other", "site"), text),

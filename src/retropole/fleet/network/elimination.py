@@ -1,4 +1,4 @@
-"""Sparse symmetric matrices of blocks: the order of their elimination, and their Cholesky factor.
+"""Sparse symmetric matrices of blocks: order of elimination, Cholesky factor, parts of the inverse.
 
 Nodes that are eliminated one after the other and touch the same later ones are taken together as
 one dense *front* (multifrontal method, Duff and Reid 1983), so that loops run over fronts and
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpotrf
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import csc_array, csr_array, diags_array
+from scipy.sparse.csgraph import depth_first_order
 from scipy.sparse.linalg import splu
 
 from ...api import Array, IntArray
@@ -171,15 +172,10 @@ def _merged(touched: list[set[int]]) -> tuple[list[tuple[list[int], list[int]]],
 
 def _postorder(parents: list[int]) -> list[int]:
     """Give the fronts in an order in which each stands right after all that lead to it."""
-    children: list[list[int]] = [[] for _ in range(len(parents) + 1)]
-    for k, parent in enumerate(parents):
-        children[parent].append(k)
-    stack, found = [*children[-1]], []
-    while stack:
-        k = stack.pop()
-        found.append(k)
-        stack += children[k]
-    return found[::-1]
+    children, size = np.arange(1, len(parents) + 1), len(parents) + 1
+    tree = csr_array((children, (np.array(parents) + 1, children)), shape=(size, size))
+    found: list[int] = (depth_first_order(tree, 0)[0][:0:-1] - 1).tolist()
+    return found
 
 
 def scalars(nodes: IntArray, block: int) -> IntArray:
@@ -228,14 +224,68 @@ def solve(factor: Factor, right: Array) -> Array:
     """Solve for right-hand sides (N, B, K)."""
     size, block, sides = right.shape
     x = right.reshape(size * block, sides).copy()
-    steps = []
-    fronts = zip(factor.pattern.fronts, factor.triangles, factor.below, strict=True)
-    for front, L, below in fronts:
-        own, later = np.split(scalars(front.nodes, block), [front.own * block])
-        steps.append((own, later, L, below))
-    for own, later, L, below in steps:
+    places = (
+        np.split(scalars(front.nodes, block), [front.own * block])
+        for front in factor.pattern.fronts
+    )
+    steps = [*zip(places, factor.triangles, factor.below, strict=True)]
+    for (own, later), L, below in steps:
         x[own] = dtrsm(1.0, L, x[own], lower=1)
         x[later] -= below @ x[own]
-    for own, later, L, below in reversed(steps):
+    for (own, later), L, below in reversed(steps):
         x[own] = dtrsm(1.0, L, x[own] - below.T @ x[later], lower=1, trans_a=1)
     return x.reshape(size, block, sides)
+
+
+def selected_inverse(factor: Factor) -> Blocks:
+    """Find the blocks of the inverse at each node, and at each pair of the pattern.
+
+    Selected inversion (Takahashi, Fagan and Chin 1973): with ``N = L Lᵀ`` and a front whose own
+    nodes J touch the later ones S, the inverse Z follows from that of its parent, which holds all
+    of S:
+
+        K = L_SJ L_JJ⁻¹,   Z_SJ = −Z_SS K,   Z_JJ = L_JJ⁻ᵀ L_JJ⁻¹ − Kᵀ Z_SJ.
+
+    Nothing else of the inverse is ever made.
+
+    Parameters
+    ----------
+    factor
+        Of a symmetric positive definite matrix.
+
+    Returns
+    -------
+    Blocks
+        ``diagonal`` (N, B, B), and ``pairs`` (P, B, B) with rows of the pair's first node.
+    """
+    pattern, b = factor.pattern, factor.block
+    diagonal = np.empty((pattern.size, b, b))
+    pairs = np.empty((len(pattern.pairs), b, b))
+    waiting = np.zeros(len(pattern.fronts), dtype=np.int64)
+    np.add.at(waiting, [front.parent for front in pattern.fronts if front.parent >= 0], 1)
+    inverses: dict[int, Array] = {}
+    for f in range(len(pattern.fronts) - 1, -1, -1):
+        front, L, below = pattern.fronts[f], factor.triangles[f], factor.below[f]
+        count, c = len(front.nodes), front.own * b
+        inverse = np.empty((count * b, count * b))
+        root = dtrsm(1.0, L, np.eye(c), lower=1)
+        own = root.T @ root
+        if count > front.own:
+            index = scalars(front.into, b)
+            later = inverses[front.parent][index[:, None], index]
+            waiting[front.parent] -= 1
+            if not waiting[front.parent]:
+                del inverses[front.parent]
+            K = below @ root
+            cross = -later @ K
+            own = own - K.T @ cross
+            inverse[c:, c:], inverse[c:, :c], inverse[:c, c:] = later, cross, cross.T
+        inverse[:c, :c] = own
+        by_node = inverse.reshape(count, b, count, b)
+        k = np.arange(front.own)
+        blocks = by_node[k, :, k, :]
+        diagonal[front.nodes[: front.own]] = (blocks + np.swapaxes(blocks, 1, 2)) / 2
+        pairs[front.pairs] = by_node[front.rows, :, front.columns, :]
+        if waiting[f]:
+            inverses[f] = inverse
+    return Blocks(diagonal, pairs)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,6 +15,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from ...api import Array, BoolArray, IntArray, se3
 from ...base.errors import UsageError
+from .observations import Observations
 
 MOST_NODES = 10_000_000
 """More poses than any city has posts: a count beyond it is a mistake."""
@@ -128,65 +130,37 @@ class Graph:
         if not 0 < self.nodes <= MOST_NODES:
             raise UsageError(f"a network of {self.nodes} poses: expected 1 to {MOST_NODES}")
         edges, known, points = self.edges, self.known, self.points
-        count = len(edges)
-        _check_nodes("edge", edges.i, self.nodes, count)
-        _check_nodes("edge", edges.j, self.nodes, count)
-        _check_nodes("known pose", known.node, self.nodes, len(known))
-        _check_nodes("control point", points.node, self.nodes, len(points))
-        loops = np.flatnonzero(edges.i == edges.j)
-        if len(loops):
-            raise UsageError(f"edge {loops[0]} leads from pose {edges.i[loops[0]]} to itself")
-        _check_transforms("edge", edges.T_i_j, count)
-        _check_transforms("known pose", known.T_world_node, len(known))
-        _check_covariances("edge", edges.covariance, count, 6)
-        _check_covariances("known pose", known.covariance, len(known), 6)
-        _check_covariances("control point", points.covariance, len(points), 3)
+        _check("edge", self.nodes, (edges.i, edges.j), edges.covariance, 6, edges.T_i_j)
+        _check("known pose", self.nodes, (known.node,), known.covariance, 6, known.T_world_node)
+        _check("control point", self.nodes, (points.node,), points.covariance, 3)
+        _refuse("edge", edges.i == edges.j, "it leads from a pose to itself")
         for what, xyz in (("world", points.world), ("seen", points.at)):
             if xyz.shape != (len(points), 3) or not (np.abs(xyz) <= se3.FARTHEST).all():
                 raise UsageError(
                     f"control points: {what} is {xyz.shape}, expected finite ({len(points)}, 3)"
                 )
 
-    @property
-    def observations(self) -> int:
-        """How many there are: edges first, then known poses, then control points."""
-        return len(self.edges) + len(self.known) + len(self.points)
-
-    @property
-    def relative(self) -> Edges:
-        """Edges, then known poses as edges from the ground, whose number is `nodes`."""
-        edges, known = self.edges, self.known
-        return Edges(
-            np.concatenate([edges.i, np.full(len(known), self.nodes)]),
-            np.concatenate([edges.j, known.node]),
-            np.concatenate([edges.T_i_j, known.T_world_node]),
-            np.concatenate([edges.covariance, known.covariance]),
-        )
-
-    @property
-    def ends(self) -> tuple[IntArray, IntArray]:
-        """(M,) the two ends of every observation; `nodes` stands for the ground."""
-        held = np.concatenate([self.known.node, self.points.node])
-        ground = np.full(len(held), self.nodes)
-        return np.concatenate([self.edges.i, ground]), np.concatenate([self.edges.j, held])
-
-    @property
-    def freedom(self) -> IntArray:
-        """(M,) how many numbers each observation is."""
-        return np.repeat([6, 6, 3], [len(self.edges), len(self.known), len(self.points)])
-
-    def only(self, some: IntArray) -> Graph:
-        """Give the same poses with some of the observations (K,), in rising order."""
+    @cached_property
+    def observed(self) -> Observations:
+        """Edges first, then known poses and control points as what the ground observes."""
         edges, known, points = self.edges, self.known, self.points
-        bounds = np.cumsum([len(edges), len(known)])
-        a, b, c = np.split(some, np.searchsorted(some, bounds))
-        b, c = b - bounds[0], c - bounds[1]
-        return Graph(
-            self.nodes,
-            Edges(edges.i[a], edges.j[a], edges.T_i_j[a], edges.covariance[a]),
-            KnownPoses(known.node[b], known.T_world_node[b], known.covariance[b]),
-            ControlPoints(points.node[c], points.world[c], points.covariance[c], points.at[c]),
+        surveyed = np.tile(np.eye(4), (len(points), 1, 1))
+        surveyed[:, :3, 3] = points.world
+        translations = np.zeros((len(points), 6, 6))
+        translations[:, 3:, 3:] = _roots(points.covariance)
+        ground = np.full(len(known) + len(points), self.nodes)
+        return Observations(
+            np.concatenate([edges.i, ground]),
+            np.concatenate([edges.j, known.node, points.node]),
+            np.concatenate([edges.T_i_j, known.T_world_node, surveyed]),
+            np.concatenate([np.zeros((len(edges) + len(known), 3)), points.at]),
+            np.concatenate([_roots(edges.covariance), _roots(known.covariance), translations]),
+            np.repeat([6, 6, 3], [len(edges), len(known), len(points)]),
         )
+
+
+def _roots(covariance: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def grouped(label: IntArray, count: int) -> list[IntArray]:
@@ -195,37 +169,42 @@ def grouped(label: IntArray, count: int) -> list[IntArray]:
     return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
 
 
-def _check_nodes(what: str, nodes: IntArray, most: int, count: int) -> None:
-    if nodes.shape != (count,) or not np.issubdtype(nodes.dtype, np.integer):
-        raise UsageError(f"poses of each {what}: {nodes.shape} {nodes.dtype}, expected ({count},)")
-    wrong = np.flatnonzero((nodes < 0) | (nodes >= most))
-    if len(wrong):
-        raise UsageError(f"{what} {wrong[0]}: there is no pose {nodes[wrong[0]]} of {most}")
-
-
-def _check_transforms(what: str, T: Array, count: int) -> None:
-    if T.shape != (count, 4, 4):
-        raise UsageError(f"transforms of each {what}: {T.shape}, expected ({count}, 4, 4)")
-    R = T[:, :3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
-        fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
-        fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
-    _refuse(what, ~fine, "its transform is not rigid")
-
-
-def _check_covariances(what: str, covariance: Array, count: int, size: int) -> None:
-    if covariance.shape != (count, size, size):
-        shape = f"({count}, {size}, {size})"
-        raise UsageError(f"covariance of each {what}: {covariance.shape}, expected {shape}")
+def _check(
+    what: str,
+    most: int,
+    ends: tuple[IntArray, ...],
+    covariance: Array,
+    size: int,
+    T: Array | None = None,
+) -> None:
+    """Check observations of one kind: the poses of each, its covariance and its transform."""
+    count = len(ends[0])
+    shapes: list[tuple[str, Array | IntArray | None, tuple[int, ...]]] = [
+        *(("poses", end, (count,)) for end in ends),
+        ("covariance", covariance, (count, size, size)),
+        ("transforms", T, (count, 4, 4)),
+    ]
+    for name, array, shape in shapes:
+        if array is None:
+            continue
+        if array.shape != shape or (name == "poses" and array.dtype.kind not in "iu"):
+            raise UsageError(f"{name} of each {what}: {array.shape}, expected {shape}")
+    for end in ends:
+        _refuse(what, (end < 0) | (end >= most), f"there is no pose of that number, only {most}")
     sigma = np.sqrt(np.abs(np.diagonal(covariance, axis1=1, axis2=2)))
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         correlation = covariance / sigma[:, :, None] / sigma[:, None, :]
-        fine = np.isfinite(correlation).all(axis=(1, 2))
-    skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
-    fine &= skew < 1e-6
+        skew = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0)
+        fine = skew < 1e-6
     fine[fine] = np.linalg.eigvalsh(correlation[fine])[:, 0] > 1e-12
     _refuse(what, ~fine, "its covariance is not symmetric and positive")
+    if T is not None:
+        R = T[:, :3, :3]
+        with np.errstate(invalid="ignore", over="ignore"):
+            off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0)
+            fine = (np.abs(T) <= se3.FARTHEST).all(axis=(1, 2)) & (off <= se3.RIGID_TOLERANCE)
+            fine &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(R) > 0)
+        _refuse(what, ~fine, "its transform is not rigid")
 
 
 def _refuse(what: str, wrong: BoolArray, words: str) -> None:
@@ -282,28 +261,23 @@ def hanging_together(graph: Graph, kept: BoolArray, but: Sequence[int] = ()) -> 
     """
     kept = kept.copy()
     kept[list(but)] = False
-    ends = tuple(end[kept] for end in graph.ends)
-    size = graph.nodes + 1
+    ends, size = (graph.observed.i[kept], graph.observed.j[kept]), graph.nodes + 1
     matrix = coo_array((np.ones(len(ends[0])), ends), shape=(size, size))
     return np.asarray(connected_components(matrix, directed=False)[1], dtype=np.int64)
 
 
-def find_components(graph: Graph, active: BoolArray) -> tuple[Component, ...]:
-    """Find the components of a network, by those of its observations that are active (M,)."""
-    is_edge = np.arange(graph.observations) < len(graph.edges)
-    label = np.unique(hanging_together(graph, active & is_edge)[:-1], return_inverse=True)[1]
-    _, known, points = np.split(active, np.cumsum([len(graph.edges), len(graph.known)]))
-    world, count = graph.points.world[points], int(label.max()) + 1
-    groups = (
-        grouped(label[nodes], count)
-        for nodes in (slice(None), graph.known.node[known], graph.points.node[points])
-    )
-    components = [
-        Component(
-            nodes, len(posed) + len(seen), np.zeros((0, 6)) if len(posed) else _open(world[seen])
-        )
-        for nodes, posed, seen in zip(*groups, strict=True)
-    ]
+def find_components(graph: Graph, active: BoolArray | None = None) -> tuple[Component, ...]:
+    """Find the components of a network, by its observations or those that are active (M,)."""
+    active = np.ones(len(graph.observed), dtype=bool) if active is None else active
+    is_control = graph.observed.i == graph.nodes
+    label = np.unique(hanging_together(graph, active & ~is_control)[:-1], return_inverse=True)[1]
+    controls, count = graph.observed.only(np.flatnonzero(active & is_control)), label.max() + 1
+    components = []
+    groups = grouped(label, count), grouped(label[controls.j], count)
+    for nodes, own in zip(*groups, strict=True):
+        is_posed = (controls.freedom[own] == 6).any()
+        held = np.zeros((0, 6)) if is_posed else _open(controls.T_i_j[own, :3, 3])
+        components.append(Component(nodes, len(own), held))
     return tuple(sorted(components, key=lambda component: int(component.nodes[0])))
 
 
@@ -326,7 +300,7 @@ def connected(graph: Graph, wanted: BoolArray, squares: Array) -> BoolArray:
     """
     size = graph.nodes + 1
     order = np.lexsort((squares, ~wanted))
-    low, high = np.sort(np.stack(graph.ends), axis=0)[:, order]
+    low, high = np.sort([graph.observed.i, graph.observed.j], axis=0)[:, order]
     # Between the same two ends the best one counts.
     best = np.unique(np.ravel_multi_index((low, high), (size, size)), return_index=True)[1]
     # What the tree is the least sum of, ranks, tells which they are.

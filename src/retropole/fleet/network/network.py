@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ...api import Array, BoolArray
-from .adjustment import Layout, Model, find_layout
+from .adjustment import Layout, find_layout
 from .graph import Component, Graph
 from .snooping import Snooped, hanging, inseparable, snoop
 from .start import find_start, narrowed
@@ -123,48 +123,41 @@ def adjust_network(
     RetropoleError
         Where the normal equations cannot be solved.
     """
-    model = Model(graph)
     with threadpool_limits(1, user_api="blas"):
         progress("order")
-        layout = find_layout(model)
+        layout = find_layout(graph)
         progress("start")
-        T = find_start(model, layout)
-        T = narrowed(model, layout, T, critical(graph.freedom))
+        T = find_start(graph, layout)
+        T = narrowed(graph, layout, T, critical(graph.observed.freedom))
         progress("tests")
-        found = snoop(model, layout, T)
+        found = snoop(graph, layout, T)
         progress("end")
-        return _summed_up(model, layout, found)
+        return _summed_up(graph, layout, found)
 
 
-def _summed_up(model: Model, layout: Layout, found: Snooped) -> NetworkAdjustment:
-    graph = model.graph
+def _summed_up(graph: Graph, layout: Layout, found: Snooped) -> NetworkAdjustment:
     active, tests = found.active, found.tests
     alone = inseparable(graph, active, tests.freedom)
     doubtful = hanging(graph, active, found.components, set(chain.from_iterable(alone.values())))
-    cross = layout.turn(found.covariance.pairs[layout.pair])
-    shares = np.sum((tests.redundancy * graph.freedom)[active])
-    squares = model.squares(found.adjusted.T)[active].sum()
-    kinds: tuple[Kind, ...] = ("edge", "known pose", "control point")
-    counts = len(graph.edges), len(graph.known), len(graph.points)
-    named = [(kind, k) for kind, count in zip(kinds, counts, strict=True) for k in range(count)]
-    edges, known, points = tests.split(counts[:2])
-    left_out = [
-        LeftOut(
-            *named[k],
-            float(tests.w[k]),
-            float(tests.chi2[k]),
-            int(tests.freedom[k]),
-            tuple(
-                named[rival]
-                for rival in dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
-                if active[rival]
-            ),
-        )
-        for k in np.flatnonzero(~active).tolist()
-    ]
+    cross = layout.turn(found.adjusted.covariance.pairs[layout.pair])
+    shares = np.sum((tests.redundancy * graph.observed.freedom)[active])
+    squares = graph.observed.squares(found.adjusted.T)[active].sum()
+    counts: dict[Kind, int] = {
+        "edge": len(graph.edges),
+        "known pose": len(graph.known),
+        "control point": len(graph.points),
+    }
+    named = [(kind, k) for kind, count in counts.items() for k in range(count)]
+    edges, known, points = tests.split(counts.values())
+    left_out = []
+    for k in np.flatnonzero(~active).tolist():
+        others = dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
+        rivals = tuple(named[rival] for rival in others if active[rival])
+        w, chi2, freedom = float(tests.w[k]), float(tests.chi2[k]), int(tests.freedom[k])
+        left_out.append(LeftOut(*named[k], w, chi2, freedom, rivals))
     return NetworkAdjustment(
         found.adjusted.T,
-        found.covariance.diagonal,
+        found.adjusted.covariance.diagonal,
         cross,
         edges,
         known,

@@ -21,8 +21,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order
 
 from ...api import Array, BoolArray, IntArray, se3
-from .adjustment import SETTLED, AdjustedNetwork, Layout, Model, adjust, with_ground
-from .elimination import Blocks
+from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
 from .graph import (
     Component,
     Graph,
@@ -30,7 +29,8 @@ from .graph import (
     find_components,
     hanging_together,
 )
-from .testing import ObservationTests, all_tests, covariances, critical
+from .observations import with_ground
+from .testing import ObservationTests, all_tests, critical
 
 AGREE = 10.0
 """By how much more than chance allows two may miss each other and still agree, as a multiple of
@@ -54,7 +54,7 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
     dict
         Only of those that have any, in the order in which they lead from one end to the other.
     """
-    i, j = graph.ends
+    i, j = graph.observed.i, graph.observed.j
     lone = active & (checked == 0)
     label = hanging_together(graph, active & ~lone)
     bridges = np.flatnonzero(lone)
@@ -63,16 +63,16 @@ def inseparable(graph: Graph, active: BoolArray, checked: IntArray) -> dict[int,
         return {}
     size = int(label.max()) + 1
     a, b = label[i[bridges]], label[j[bridges]]
-    forest = csr_array((np.ones(len(bridges)), (a, b)), shape=(size, size))
-    ends = zip(a.tolist(), b.tolist(), strict=True)
-    by_ends = dict(zip(map(frozenset, ends), bridges.tolist(), strict=True))
+    # Its entries are numbers of observations, from 1 on.
+    forest = csr_array((bridges + 1, (a, b)), shape=(size, size))
+    forest = forest + forest.T
     found = {}
     for k in left_out.tolist():
         first, last = int(label[i[k]]), int(label[j[k]])
-        _, before = breadth_first_order(forest, first, directed=False)
+        _, before = breadth_first_order(forest, first)
         path, at = [], last
         while before[at] >= 0:
-            path.append(by_ends[frozenset((at, int(before[at])))])
+            path.append(int(forest[at, before[at]]) - 1)
             at = int(before[at])
         if at == first:
             found[k] = tuple(path[::-1])
@@ -138,25 +138,19 @@ def agrees(graph: Graph, active: BoolArray, T: Array, rival: int, one: int, othe
     # A control point does not say how a side is turned: it comes last, and lays none.
     T = relaid(graph, active, T, rival, int(both[0]))
     label = hanging_together(graph, active, [rival])
-    i, j = (int(end[both[0]]) for end in graph.ends)
+    two = graph.observed.only(both)
+    i, j = two.i[0], two.j[0]
     side = label == label[j if label[j] != label[-1] else i]
     # A turn of the side by φ moves a pose of it by φ × (t − about).
     away = with_ground(T)[:, :3, 3] - T[j, :3, 3]
     moves = np.tile(np.eye(6), (len(away), 1, 1))
     moves[:, 3:, :3] = -se3.hat(away)
     moves *= side[:, None, None]
-    two = graph.only(both)
-    relative, points = Model(two).at(T)
-    first, last = (np.split(end, [len(relative.residual)]) for end in two.ends)
-    A = np.concatenate(
-        [
-            (seen.by_i @ moves[i] + seen.by_j @ moves[j]).reshape(-1, 6)
-            for seen, i, j in zip((relative, points), first, last, strict=True)
-        ]
-    )
-    e = np.concatenate([relative.residual.ravel(), points.residual.ravel()])
+    at = two.at(T)
+    A = (at.by_i @ moves[two.i] + at.by_j @ moves[two.j]).reshape(-1, 6)
+    e = at.residual.ravel()
     left = e - A @ np.linalg.lstsq(A, e)[0]
-    return bool(left @ left <= AGREE * critical(np.array(len(e) - 6)))
+    return bool(left @ left <= AGREE * critical(two.freedom.sum() - 6))
 
 
 def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) -> Array:
@@ -175,12 +169,10 @@ def relaid(graph: Graph, active: BoolArray, T: Array, rival: int, instead: int) 
     instead
         An edge or a known pose that joins the same two sides.
     """
-    relative = graph.relative
-    if instead >= len(relative):
-        return T
+    of = graph.observed
+    i, j, T_i_j = of.i[instead], of.j[instead], of.T_i_j[instead]
     label = hanging_together(graph, active, [rival])
-    i, j, T_i_j = relative.i[instead], relative.j[instead], relative.T_i_j[instead]
-    if label[i] == label[j]:
+    if of.freedom[instead] < 6 or label[i] == label[j]:
         return T
     # The side without the ground moves, or the smaller one.
     sizes = [np.count_nonzero(label == label[end]) for end in (i, j)]
@@ -237,8 +229,6 @@ class Snooped:
         Its poses.
     components
         Its components, with the datum of each.
-    covariance
-        Of each pose, and of each two that share an edge.
     active
         (M,) which observations were adjusted.
     tests
@@ -253,7 +243,6 @@ class Snooped:
 
     adjusted: AdjustedNetwork
     components: tuple[Component, ...]
-    covariance: Blocks
     active: BoolArray
     tests: ObservationTests
     rivals: dict[int, tuple[int, ...]]
@@ -261,19 +250,18 @@ class Snooped:
     settled: bool
 
 
-def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
+def snoop(graph: Graph, layout: Layout, T: Array) -> Snooped:
     """Adjust a network without the observations that do not fit.
 
     Parameters
     ----------
-    model, layout
+    graph, layout
         The network.
     T
         (N, 4, 4) poses that most observations agree with.
     """
-    graph = model.graph
-    squares = model.squares(T)
-    active = connected(graph, squares <= PLAIN * critical(graph.freedom), squares)
+    squares = graph.observed.squares(T)
+    active = connected(graph, squares <= PLAIN * critical(graph.observed.freedom), squares)
     rivals: dict[int, tuple[int, ...]] = {}
     tried: set[int] = set()
     back = np.zeros(len(active), dtype=np.int64)
@@ -281,10 +269,9 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
     for rounds in range(1, MOST_ROUNDS + 1):
         components = find_components(graph, active)
         until = SETTLED if rounds == MOST_ROUNDS else until
-        adjusted = adjust(model, layout, T, active, components, until)
+        adjusted = adjust(graph, layout, T, active, components, until)
         T = adjusted.T
-        covariance = covariances(adjusted, components)
-        tests = all_tests(model, layout, T, covariance, active)
+        tests = all_tests(graph, layout, adjusted, active)
         beyond = tests.chi2 > critical(tests.freedom)
         wrong, fits = active & beyond, ~active & ~beyond & (back < PUT_BACK)
         worst = worst_around(graph, tests.chi2, wrong)
@@ -309,7 +296,7 @@ def snoop(model: Model, layout: Layout, T: Array) -> Snooped:
         tried |= out.keys()
         active = wanted
     settled = adjusted.settled and bool((wanted == active).all())
-    return Snooped(adjusted, components, covariance, active, tests, rivals, rounds, settled)
+    return Snooped(adjusted, components, active, tests, rivals, rounds, settled)
 
 
 def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
@@ -317,7 +304,7 @@ def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:
 
     Around an edge are all that share one of its poses, or are one edge away from it.
     """
-    i, j = graph.ends
+    i, j = graph.observed.i, graph.observed.j
     score = np.where(wrong, chi2, 0.0)
     largest = np.zeros(graph.nodes + 1)
     np.maximum.at(largest, i, score)
@@ -338,7 +325,7 @@ def _as_likely(
     if not len(taken_out):
         return {}
     candidates = np.flatnonzero(active & (chi2 > chi2[taken_out].min() - SEPARABLE))
-    ends = np.stack(graph.ends, axis=1)
+    ends = np.stack([graph.observed.i, graph.observed.j], axis=1)
     found = {}
     for k in taken_out.tolist():
         near = np.isin(ends[candidates], ends[k][ends[k] < graph.nodes]).any(axis=1)

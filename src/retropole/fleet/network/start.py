@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...api import Array, se3
-from .adjustment import Layout, Model, added, step
+from .adjustment import FIRM, Layout, added, step
 from .elimination import Blocks, factorise, solve
 from .graph import Component, Graph, find_components, grouped
 
@@ -31,11 +31,9 @@ WIDE = (64.0, 16.0, 4.0, 1.0, 1.0)
 """By how much more than χ² allows edges may miss in each step of the whole network."""
 
 
-def find_start(model: Model, layout: Layout) -> Array:
+def find_start(graph: Graph, layout: Layout) -> Array:
     """Find poses (N, 4, 4) to start from, near enough for least squares to go on."""
-    graph = model.graph
-    everything = np.ones(graph.observations, dtype=bool)
-    components = find_components(graph, everything)
+    components = find_components(graph)
     first = np.array([component.nodes[0] for component in components])
     T = np.tile(np.eye(4), (graph.nodes, 1, 1))
     if len(graph.edges):
@@ -44,30 +42,29 @@ def find_start(model: Model, layout: Layout) -> Array:
     return _onto_control(graph, components, T)
 
 
-def narrowed(model: Model, layout: Layout, T: Array, critical: Array) -> Array:
+def narrowed(graph: Graph, layout: Layout, T: Array, critical: Array) -> Array:
     """Adjust all together while what misses by more than chance counts less and less.
 
     Parameters
     ----------
-    model, layout
+    graph, layout
         The network.
     T
         (N, 4, 4) start.
     critical
         (M,) the square in σ² that chance allows each observation.
     """
-    everything = np.ones(model.graph.observations, dtype=bool)
-    components = find_components(model.graph, everything)
-    edges = len(model.graph.edges)
+    components = find_components(graph)
+    edges = len(graph.edges)
     for wide in WIDE:
-        squares = model.squares(T)
+        squares = graph.observed.squares(T)
         weight = _forgetting(squares / (wide * critical))
         if wide > 1:
             # Far from control a network bends by more than its controls are uncertain: as long as
             # it does, none of them is forgotten.
             far = np.sqrt(np.maximum(squares[edges:] / critical[edges:], 1.0))
             weight[edges:] = 1 / far
-        T = se3.retract(T, step(model, layout, T, weight, components)[0])
+        T = se3.retract(T, step(graph, layout, T, weight, components)[0])
     return T
 
 
@@ -138,17 +135,14 @@ def _solved(
     `weight` (E,) is what each edge adds at its own ends, `cross` (E, B, B) between them.
     """
     eye = np.eye(cross.shape[-1])
-    by_i, by_j = (sums[:, : len(weight)] for sums in layout.onto_nodes[:2])
-    diagonal = (by_i @ weight + by_j @ weight)[:, None, None] * eye
+    by_i, by_j = (sums[:, : len(weight)] for sums in layout.onto_nodes)
+    degree = by_i @ weight + by_j @ weight
+    # Nothing else says where a component lies: what is held firmly is met.
+    firm = FIRM * np.maximum(degree[first], 1.0)[:, None, None]
+    diagonal = degree[:, None, None] * eye
+    diagonal[first] += firm * eye
+    right[first] += firm * held
     pairs = added(layout.onto_pairs, layout.turn(cross))
-    a, b = layout.pattern.pairs.T
-    is_first = np.zeros(layout.pattern.size, dtype=bool)
-    is_first[first] = True
-    # What is held says of its neighbours is their right-hand side.
-    np.subtract.at(right, b[is_first[a]], np.swapaxes(pairs[is_first[a]], 1, 2) @ held)
-    np.subtract.at(right, a[is_first[b]], pairs[is_first[b]] @ held)
-    pairs[is_first[a] | is_first[b]] = 0.0
-    diagonal[first], right[first] = eye, held
     return solve(factorise(layout.pattern, Blocks(diagonal, pairs)), right)
 
 
@@ -167,7 +161,7 @@ def _translations(graph: Graph, layout: Layout, first: Array, R: Array, turned: 
     variance = np.trace(edges.covariance[:, 3:, 3:], axis1=1, axis2=2) / 3
     rotation = np.trace(edges.covariance[:, :3, :3], axis1=1, axis2=2) / 3
     precision = 1 / (variance + rotation * np.sum(arm**2, axis=1))
-    by_i, by_j = (sums[:, : len(edges)] for sums in layout.onto_nodes[:2])
+    by_i, by_j = (sums[:, : len(edges)] for sums in layout.onto_nodes)
 
     def solved(weight: Array) -> Array:
         w = np.maximum(weight * turned, LEAST_WEIGHT) * precision

@@ -7,73 +7,16 @@ of its own ends alone (Baarda 1968): with A its whitened derivative and Q that c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc, chdtri, chndtrinc, erfcinv
 
 from ...api import Array, BoolArray, IntArray
-from .adjustment import AdjustedNetwork, Layout, Model, Whitened, held_nodes
-from .elimination import Blocks, Factor, scalars
-from .graph import Component
-
-
-def selected_inverse(factor: Factor) -> Blocks:
-    """Find the blocks of the inverse at each node, and at each pair of the pattern.
-
-    Selected inversion (Takahashi, Fagan and Chin 1973): with ``N = L Lᵀ`` and a front whose own
-    nodes J touch the later ones S, the inverse Z follows from that of its parent, which holds all
-    of S:
-
-        K = L_SJ L_JJ⁻¹,   Z_SJ = −Z_SS K,   Z_JJ = L_JJ⁻ᵀ L_JJ⁻¹ − Kᵀ Z_SJ.
-
-    Nothing else of the inverse is ever made.
-
-    Parameters
-    ----------
-    factor
-        Of a symmetric positive definite matrix.
-
-    Returns
-    -------
-    Blocks
-        ``diagonal`` (N, B, B), and ``pairs`` (P, B, B) with rows of the pair's first node.
-    """
-    pattern, b = factor.pattern, factor.block
-    diagonal = np.empty((pattern.size, b, b))
-    pairs = np.empty((len(pattern.pairs), b, b))
-    waiting = np.zeros(len(pattern.fronts), dtype=np.int64)
-    np.add.at(waiting, [front.parent for front in pattern.fronts if front.parent >= 0], 1)
-    inverses: dict[int, Array] = {}
-    for f in range(len(pattern.fronts) - 1, -1, -1):
-        front, L, below = pattern.fronts[f], factor.triangles[f], factor.below[f]
-        count, c = len(front.nodes), front.own * b
-        inverse = np.empty((count * b, count * b))
-        root = dtrsm(1.0, L, np.eye(c), lower=1)
-        own = root.T @ root
-        if count > front.own:
-            index = scalars(front.into, b)
-            later = inverses[front.parent][index[:, None], index]
-            waiting[front.parent] -= 1
-            if not waiting[front.parent]:
-                del inverses[front.parent]
-            K = below @ root
-            cross = -later @ K
-            own = own - K.T @ cross
-            inverse[c:, c:], inverse[c:, :c], inverse[:c, c:] = later, cross, cross.T
-        inverse[:c, :c] = own
-        by_node = inverse.reshape(count, b, count, b)
-        k = np.arange(front.own)
-        blocks = by_node[k, :, k, :]
-        diagonal[front.nodes[: front.own]] = (blocks + np.swapaxes(blocks, 1, 2)) / 2
-        pairs[front.pairs] = by_node[front.rows, :, front.columns, :]
-        if waiting[f]:
-            inverses[f] = inverse
-    return Blocks(diagonal, pairs)
-
+from .adjustment import AdjustedNetwork, Layout
+from .graph import Graph
 
 SIGNIFICANT = 1e-5
 """Probability of a sound observation's χ² to be beyond what is taken for chance: a hundredth of the
@@ -114,91 +57,63 @@ class ObservationTests:
     detectable_rotation: Array
     detectable_translation: Array
 
-    def split(self, counts: Sequence[int]) -> list[ObservationTests]:
-        """So many of each kind, and the rest."""
-        parts = (np.split(values, np.cumsum(counts)) for values in vars(self).values())
+    def split(self, counts: Iterable[int]) -> list[ObservationTests]:
+        """So many of each kind."""
+        ends = np.cumsum([*counts])[:-1]
+        parts = (np.split(values, ends) for values in vars(self).values())
         return [ObservationTests(*part) for part in zip(*parts, strict=True)]
 
 
-def covariances(adjusted: AdjustedNetwork, components: tuple[Component, ...]) -> Blocks:
-    """Covariance of each pose (N, 6, 6), and of each two that share an edge (P, 6, 6)."""
-    found = selected_inverse(adjusted.factor)
-    nodes, held = held_nodes(components)
-    free = np.eye(6) - held
-    found.diagonal[nodes] = free @ found.diagonal[nodes] @ free
-    return found
-
-
 def all_tests(
-    model: Model, layout: Layout, T: Array, covariance: Blocks, active: BoolArray
+    graph: Graph, layout: Layout, adjusted: AdjustedNetwork, active: BoolArray
 ) -> ObservationTests:
     """Test all observations (M,): edges, known poses, control points.
 
     Parameters
     ----------
-    model, layout
+    graph, layout
         The network.
-    T
-        (N, 4, 4) adjusted poses.
-    covariance
-        From `covariances`.
+    adjusted
+        Its poses.
     active
         (M,) which observations were adjusted; the others are tested against these.
     """
-    of, (relative, points) = model.relative, model.at(T)
+    of, at, covariance = graph.observed, graph.observed.at(adjusted.T), adjusted.covariance
     # The ground is certain.
     own = np.concatenate([covariance.diagonal, np.zeros((1, 6, 6))])
     cross = layout.turn(covariance.pairs[layout.pair])
     edges = slice(0, len(cross))
-    mixed = relative.by_i[edges] @ cross @ np.swapaxes(relative.by_j[edges], 1, 2)
-    taken_up = _through(relative.by_i, own[of.i]) + _through(relative.by_j, own[of.j])
+    mixed = at.by_i[edges] @ cross @ np.swapaxes(at.by_j[edges], 1, 2)
+    # The covariance of what the poses say.
+    taken_up = _through(at.by_i, own[of.i]) + _through(at.by_j, own[of.j])
     taken_up[edges] += mixed + np.swapaxes(mixed, 1, 2)
-    of_points = _through(points.by_j, own[model.graph.points.node])
-    used = np.split(active, [len(of)])
-    some = (
-        _tests(relative, taken_up, model.roots[0], used[0]),
-        _tests(points, of_points, model.roots[1], used[1]),
-    )
-    columns = zip(*(vars(one).values() for one in some), strict=True)
-    return ObservationTests(*map(np.concatenate, columns))
-
-
-def _through(J: Array, covariance: Array) -> Array:
-    return np.asarray(J @ covariance @ np.swapaxes(J, 1, 2))
-
-
-def _tests(of: Whitened, taken_up: Array, root: Array, active: BoolArray) -> ObservationTests:
-    """Test observations of one kind, `taken_up` (K, D, D) the covariance of what the poses say."""
-    count, size = of.residual.shape
-    shows = np.empty_like(taken_up)
-    shows[active] = np.eye(size) - taken_up[active]
+    shows = np.eye(6) - taken_up
     # One that is left out would take the poses along so far.
-    shows[~active] = np.linalg.inv(np.eye(size) + taken_up[~active])
-    shows = (shows + np.swapaxes(shows, 1, 2)) / 2
-    part, way = np.linalg.eigh(shows)
+    shows[~active] = np.linalg.inv(np.eye(6) + taken_up[~active])
+    is_measured = np.arange(6) >= 6 - of.freedom[:, None]
+    shows *= is_measured[:, :, None] & is_measured[:, None, :]
+    part, way = np.linalg.eigh((shows + np.swapaxes(shows, 1, 2)) / 2)
     told = part > LEAST_CHECKED
-    along = np.einsum("kab,ka->kb", way, of.residual)
-    part = np.where(told, part, 1.0)
-    scaled = np.where(active[:, None], along**2 / part, along**2 * part)
-    chi2 = np.sum(np.where(told, scaled, 0.0), axis=1)
+    along = np.einsum("kab,ka->kb", way, at.residual)
+    chi2 = np.where(active[:, None], along**2 / np.where(told, part, 1.0), along**2 * part)
+    chi2 = np.sum(np.where(told, chi2, 0.0), axis=1)
+    part = np.where(told, part, 0.0)
     freedom = np.count_nonzero(told, axis=1)
-    redundancy = np.clip(np.sum(np.where(told, part, 0.0), axis=1) / size, 0.0, 1.0)
-    information = (
-        np.swapaxes(root, 1, 2)
-        @ ((way * np.where(told, part, 0.0)[:, None]) @ np.swapaxes(way, 1, 2))
-        @ root
-    )
-    whole = np.swapaxes(root, 1, 2) @ root
-    least = np.array([noncentrality(k) for k in range(size + 1)])[freedom]
-    nothing = np.full(count, np.inf)
-    blocks = (slice(0, 3), slice(3, 6)) if size == 6 else (None, slice(0, 3))
+    redundancy = np.clip(np.sum(part, axis=1) / of.freedom, 0.0, 1.0)
+    seen = (way * part[:, None]) @ np.swapaxes(way, 1, 2)
+    information, whole = (np.swapaxes(of.root, 1, 2) @ each @ of.root for each in (seen, np.eye(6)))
+    least = np.array([noncentrality(k) for k in range(7)])[freedom]
     rotation, translation = (
-        nothing if b is None else _detectable(information[:, b, b], whole[:, b, b], least)
-        for b in blocks
+        _detectable(information[:, some, some], whole[:, some, some], least)
+        for some in (slice(0, 3), slice(3, 6))
     )
     return ObservationTests(
         chi2, freedom, normalised(chi2, freedom), redundancy, rotation, translation
     )
+
+
+def _through(J: Array, covariance: Array) -> Array:
+    return np.asarray(J @ covariance @ np.swapaxes(J, 1, 2))
 
 
 def _detectable(information: Array, whole: Array, least: Array) -> Array:
