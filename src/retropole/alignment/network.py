@@ -267,14 +267,17 @@ def factor_of(network: Network, ridge: float = 0.0) -> PoleFactor:
     network
         The observations.
     ridge
-        Precision that axes and points get which nothing is said of.
+        Precision that axes and points get which little or nothing is said of: of an axis, one end
+        that was surveyed.
     """
     information, gradient = network.total()
     unknowns = network.unknowns
     if ridge:
-        nothing = np.flatnonzero(np.diag(information) <= 0.0)
-        nothing = nothing[nothing >= unknowns.kept]
-        information[nothing, nothing] = ridge
+        parts = [unknowns.axis(np.array([k])) for k in range(unknowns.axes)]
+        parts += [unknowns.control_point(q) for q in range(unknowns.control)]
+        for own in parts:
+            if np.linalg.matrix_rank(information[np.ix_(own, own)], hermitian=True) < len(own):
+                information[own, own] += ridge
     kept, gone = slice(0, unknowns.kept), slice(unknowns.kept, None)
     eliminated = np.linalg.solve(information[gone, gone], information[gone, kept])
     reduced = information[kept, kept] - information[kept, gone] @ eliminated
