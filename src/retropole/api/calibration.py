@@ -108,12 +108,7 @@ def calibrate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
-    return calibrate_with(target, source, run_config(options), Listener(progress))
-
-
-NO_OPTIONS = ("target", "source", "progress")
-"""All that `calibrate` takes besides options of `RunConfig`."""
+    return calibrate_with(target, source, run_config(locals()), Listener(progress))
 
 
 def calibrate_with(

@@ -71,12 +71,7 @@ def evaluate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
-    return evaluate_with(target, source, T_target_source, run_config(options), sigma)
-
-
-NO_OPTIONS = ("target", "source", "T_target_source", "sigma")
-"""All that `evaluate` takes besides options of `RunConfig`."""
+    return evaluate_with(target, source, T_target_source, run_config(locals()), sigma)
 
 
 def evaluate_with(

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, Reason
+from ..base.errors import ReadError, Refusal
 from ..base.files import path_in_text
 from ..base.quantities import error as length
 from ..base.quantities import step_of
@@ -259,7 +259,7 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
     )
 
 
-def repeated(read: SiteInputs, documents: Mapping[tuple[int, int], InputDoc]) -> Reason | None:
+def repeated(read: SiteInputs, documents: Mapping[tuple[int, int], InputDoc]) -> Refusal | None:
     """Refuse a recording that stands for two LiDARs or placements; None where none does."""
     places = list(read.inputs)
     twice = first_repeated(read.inputs.values(), (documents[at] for at in places))
@@ -270,7 +270,7 @@ def repeated(read: SiteInputs, documents: Mapping[tuple[int, int], InputDoc]) ->
         f"{read.site.lidars[k].name} in placement {read.site.placements[n]}"
         for k, n in (first, second)
     ]
-    return Reason(
+    return Refusal(
         "same_recording",
         f"{names[0]} and {names[1]}, {read.inputs[first].name} and {read.inputs[second].name}, are "
         "the same byte for byte; give each LiDAR and placement a recording of its own",
