@@ -13,7 +13,8 @@ from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
 from ..evaluation.entropy import KERNEL_WIDTH
-from ..evaluation.metrics import Alignment
+from ..evaluation.metrics import Alignment as Alignment
+from ..evaluation.metrics import Errors as Errors
 from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..evaluation.rivals import ALL_METHODS

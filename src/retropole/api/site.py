@@ -25,7 +25,7 @@ from ..site.calibration import state_refusal
 from ..site.description import Site
 from ..site.scans import SiteScans
 from .inputs import Input, Listener
-from .saved import Result, loaded
+from .result import Result, loaded
 from .site_inputs import inputs_of, read_site, repeated
 
 

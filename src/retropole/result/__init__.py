@@ -7,7 +7,7 @@ are a contract: where a field has a better name here, the file keeps the old one
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast
 
@@ -166,10 +166,7 @@ def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
         return []
     return [
         PlacementDoc(
-            len(each.target.poles),
-            len(each.source.poles),
-            None if each.left_out is None else each.left_out.rotation,
-            None if each.left_out is None else each.left_out.translation,
+            len(each.target.poles), len(each.source.poles), *(each.left_out or (None, None))
         )
         for each in placements
     ]
@@ -180,7 +177,7 @@ def result_document(
     *,
     inputs: Sequence[InputDoc],
     config: RunConfig,
-    seconds: dict[str, float],
+    seconds: Mapping[str, float],
 ) -> ResultDoc:
     """Write a calibration as the result document.
 
@@ -197,11 +194,11 @@ def result_document(
     """
     answered = calibration.status != "refused"
     first, uncertainty = calibration.placements[0], calibration.uncertainty
-    scans = [scan for each in calibration.placements for scan in (each.target, each.source)]
+    scans = [scan for each in calibration.placements for scan in each.scans]
     return document_of(
         ResultDoc,
+        made_now(seconds),
         calibration,
-        made_now(),
         # The budget stands beside it.
         uncertainty=uncertainty and structs.replace(uncertainty, budget=()),
         budget=None if uncertainty is None else list(uncertainty.budget),
@@ -215,7 +212,6 @@ def result_document(
         placements=_placements(calibration.placements),
         inputs=[with_threshold(*each) for each in zip(inputs, scans, strict=True)],
         config=config,
-        seconds={name: round(value, 4) for name, value in seconds.items()},
     )
 
 
@@ -253,15 +249,17 @@ def _written(value: Any) -> Any:
 
 
 class Provenance(NamedTuple):
-    """What wrote a document, and when."""
+    """What wrote a document, when, and the time of each step."""
 
     version: str
     created: str
+    seconds: dict[str, float]
 
 
-def made_now() -> Provenance:
-    """Say that a document is made now, by this version."""
-    return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"))
+def made_now(seconds: Mapping[str, float] | None = None) -> Provenance:
+    """Say that a document is made now, by this version, in so many seconds of each step."""
+    rounded = {name: round(value, 4) for name, value in (seconds or {}).items()}
+    return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"), rounded)
 
 
 def finite(value: float | None) -> float | None:

@@ -233,9 +233,9 @@ def site_document(
     scans = calibration.scans
     return document_of(
         SiteDoc,
+        made_now(seconds),
         calibration,
         site,
-        made_now(),
         radius_m=site.radius,
         radius_sigma_m=site.radius_sigma,
         lidars=[lidar_document(*each) for each in zip(site.lidars, poses, strict=True)],
@@ -252,7 +252,6 @@ def site_document(
             for (lidar, placement), source in sorted(inputs.items())
         ],
         config=config,
-        seconds={name: round(value, 4) for name, value in seconds.items()},
     )
 
 
@@ -274,14 +273,11 @@ def found_document(scan: Scan | None) -> FoundDoc | None:
     """Write what was found in a recording; None where there is none."""
     if scan is None:
         return None
-    refusal = None if scan.refusal is None else reason_document(scan.refusal)
-    if scan.detection is None:
-        return FoundDoc(None, [], [], refusal)
     return FoundDoc(
-        finite(scan.detection.threshold),
-        pole_documents(scan.detection.poles),
-        rejected_documents(scan.detection.rejected),
-        refusal,
+        None if scan.detection is None else finite(scan.detection.threshold),
+        pole_documents(scan.poles),
+        rejected_documents(() if scan.detection is None else scan.detection.rejected),
+        None if scan.refusal is None else reason_document(scan.refusal),
     )
 
 
