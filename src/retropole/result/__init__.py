@@ -27,7 +27,7 @@ from ..base.bounded import (
     Vector,
     Whole,
 )
-from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate, Scan
+from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal
 from ..base.reasons import Code
 from ..base.uncertainty import BudgetEntry as BudgetEntry
@@ -35,17 +35,11 @@ from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDi
 from ..base.uncertainty import ErrorAtRange as ErrorAtRange
 from ..base.uncertainty.purpose import Fitness
 from ..base.version import __version__
-from .detected import DetectionDoc as DetectionDoc
-from .detected import InputDoc as InputDoc
-from .detected import PoleDoc as PoleDoc
-from .detected import PolesDoc as PolesDoc
-from .detected import detection_document as detection_document
-from .detected import pole_documents as pole_documents
 from .options import DEFAULT_CONFIG as DEFAULT_CONFIG
 from .options import Reading as Reading
 from .options import RunConfig as RunConfig
 
-Input = TypeVar("Input", bound=InputDoc)
+Input = TypeVar("Input", bound="InputDoc")
 Made = TypeVar("Made", bound=msgspec.Struct)
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
@@ -59,6 +53,38 @@ class ReasonDoc(msgspec.Struct, frozen=True):
     code: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,59}\Z")]
     message: Text
     values: dict[Text, Number | Whole | Text]
+
+
+class PoleDoc(msgspec.Struct, frozen=True, eq=False):
+    """One pole as one LiDAR sees it, in that LiDAR's frame."""
+
+    point_m: Vector
+    direction: Vector
+    length_m: Size
+    points: Count
+    rings: Count
+    rms_m: Size
+
+
+class PolesDoc(msgspec.Struct, frozen=True, eq=False):
+    """The poles of both LiDARs."""
+
+    target: list[PoleDoc]
+    source: list[PoleDoc]
+
+
+class InputDoc(msgspec.Struct, frozen=True):
+    """What was read, what was left out of too many, and in `notes` what was lost."""
+
+    path: Text
+    sha256: Text
+    points: Count
+    dropped: Count
+    sensor: Text
+    threshold: Number | None
+    thinned: Count = 0
+    frames_left_out: Count = 0
+    notes: list[Text] = []
 
 
 class StagesDoc(msgspec.Struct, frozen=True, eq=False):
@@ -146,6 +172,14 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
         return self.uncertainty and structs.replace(
             self.uncertainty, budget=tuple(self.budget or ())
         )
+
+
+def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
+    """Write poles as the result document holds them."""
+    return [
+        PoleDoc(pole.point, pole.direction, pole.length, len(pole.xyz), pole.rings, pole.rms)
+        for pole in poles
+    ]
 
 
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:

@@ -42,14 +42,17 @@ from ..site.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from . import (
     COVARIANCE_ORDER,
     Document,
+    InputDoc,
+    PoleDoc,
     ReasonDoc,
     document_of,
     finite,
     made_now,
+    pole_documents,
     reason_document,
     with_threshold,
 )
-from .detected import InputDoc, PoleDoc, RejectedDoc, pole_documents, rejected_documents
+from .contents import RejectedDoc, rejected_documents
 from .options import Frames, MaxPoints
 
 SITE_SCHEMA: Literal["retropole/site-result/1"] = "retropole/site-result/1"

@@ -25,7 +25,7 @@ from retropole.base.errors import Reason, Refusal
 from retropole.base.sensors import SENSORS
 from retropole.base.uncertainty import BudgetEntry, predicted_error
 from retropole.base.uncertainty.purpose import Fitness, Need
-from retropole.result.detected import InputDoc
+from retropole.result import InputDoc
 from retropole.result.site import SiteConfig, SiteDoc, site_document
 from retropole.site.answer import (
     LidarPose,
