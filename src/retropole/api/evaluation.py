@@ -39,6 +39,7 @@ def evaluate(
     frames: slice | None = None,
     unit: str = "m",
     unit_source: str | None = None,
+    listener: Listener = SILENT,
 ) -> Alignment:
     """Score a transform by the clouds it aligns; no truth is needed.
 
@@ -61,6 +62,8 @@ def evaluate(
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     unit, unit_source
         Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
+    listener
+        Told of each step as it starts, and of each cloud once it is read.
 
     Raises
     ------
@@ -72,33 +75,7 @@ def evaluate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    return evaluate_with(target, source, T_target_source, run_config(locals()), sigma)
-
-
-def evaluate_with(
-    target: CloudSource,
-    source: CloudSource,
-    T_target_source: Array | CalibrationResult | str | Path,
-    config: RunConfig,
-    sigma: float = KERNEL_WIDTH,
-    listener: Listener = SILENT,
-) -> Alignment:
-    """Score a transform as `evaluate` does, with the options of a run.
-
-    Parameters
-    ----------
-    target, source, T_target_source, sigma
-        As `evaluate` takes them.
-    config
-        The options: what is read, and the seed.
-    listener
-        Told of each step as it starts, and of each cloud once it is read.
-
-    Raises
-    ------
-    UsageError, Refusal, ReadError, MissingExtraError
-        As `evaluate`.
-    """
+    config = run_config(locals())
     T = _transform(T_target_source)
     listener.progress("read")
     pair = read_pair(target, source, config, listener)

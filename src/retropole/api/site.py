@@ -173,14 +173,14 @@ def calibrate_site(
     else:
         read = read_site(Path(site), Listener(progress, on_read))
     documents = read.documents()
-    seconds = {"read": time.perf_counter() - start}
+    seconds = time.perf_counter() - start
     twice = repeated(read, documents)
     calibration = refused(read.site, twice) if twice else find_poses(read.site, progress=progress)
     document = site_document(
         calibration,
         inputs=documents,
         config=read.config,
-        seconds={**seconds, **calibration.seconds},
+        seconds={"read": seconds, **calibration.seconds},
     )
     return SiteResult(document, calibration)
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..result import RunConfig
 from .common import json_text, listening, show
 from .options import CLOUD, METRES, TOPICS, run_options
 
@@ -65,14 +64,14 @@ def evaluate(
     """
     import numpy as np
 
-    from ..api.evaluation import errors_of, evaluate_with
+    from ..api.evaluation import errors_of
+    from ..api.evaluation import evaluate as score
     from ..api.transforms import read_transform
 
-    config = RunConfig(**options)
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    with listening(False, config.frames, hidden=as_json) as listener:
-        aligned = evaluate_with(target, source, T, config, sigma, listener)
+    with listening(False, options["frames"], hidden=as_json) as listener:
+        aligned = score(target, source, T, sigma=sigma, listener=listener, **options)
     errors = None if T_true is None else errors_of(T, T_true)
     if as_json:
         figures = {

@@ -204,7 +204,7 @@ def joint_order(names: Sequence[str]) -> list[str]:
 def site_document(
     calibration: SiteCalibration,
     *,
-    inputs: Mapping[tuple[int, int], InputDoc],
+    inputs: Sequence[RecordingDoc],
     config: SiteConfig,
     seconds: Mapping[str, float],
 ) -> SiteDoc:
@@ -215,7 +215,7 @@ def site_document(
     calibration
         The answer, or the refusal.
     inputs
-        What was read, by the indices of the LiDAR and of the placement.
+        What was read, LiDAR by LiDAR.
     config
         How it was read.
     seconds
@@ -250,9 +250,10 @@ def site_document(
         found=[[found_document(scan) for scan in of_lidar] for of_lidar in scans],
         surveyed_poles=list(site.poles),
         control_points=list(site.points),
+        # A run that was refused early has looked at no scan.
         inputs=[
-            recording_document(source, lidar, placement, scans)
-            for (lidar, placement), source in sorted(inputs.items())
+            with_threshold(each, scans[each.lidar][each.placement] if scans else None)
+            for each in inputs
         ],
         config=config,
     )
@@ -284,10 +285,6 @@ def found_document(scan: Scan | None) -> FoundDoc | None:
     )
 
 
-def recording_document(
-    source: InputDoc, lidar: int, placement: int, scans: Sequence[Sequence[Scan | None]]
-) -> RecordingDoc:
-    """Write what was read of a LiDAR and placement, with the threshold that was used."""
-    recording = RecordingDoc(**msgspec.structs.asdict(source), lidar=lidar, placement=placement)
-    # A run that was refused early has looked at no scan.
-    return with_threshold(recording, scans[lidar][placement] if scans else None)
+def recording_document(source: InputDoc, lidar: int, placement: int) -> RecordingDoc:
+    """Say of what was read which LiDAR and placement, by their indices, it is of."""
+    return document_of(RecordingDoc, source, lidar=lidar, placement=placement)
