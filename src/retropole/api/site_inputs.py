@@ -239,18 +239,14 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
     given = file.reference
     if not file.surveyed:
         return Frame(f"LiDAR {lidar}")
-    if given.epsg is not None:
-        return Frame(f"EPSG:{given.epsg}", surveyed=True, offset=offset, epsg=given.epsg)
+    name, origin = "ENU" if given.frame == "enu" else "local frame of the survey", None
     latitude, longitude, height = given.latitude_deg, given.longitude_deg, given.height_m
-    if latitude is None or longitude is None or height is None:
-        name = "ENU" if given.frame == "enu" else "local frame of the survey"
-        return Frame(name, surveyed=True, offset=offset)
-    return Frame(
-        f"ENU at {latitude:g}, {longitude:g}",
-        surveyed=True,
-        offset=offset,
-        geodetic=Geodetic(math.radians(latitude), math.radians(longitude), height),
-    )
+    if given.epsg is not None:
+        name = f"EPSG:{given.epsg}"
+    elif latitude is not None and longitude is not None and height is not None:
+        name = f"ENU at {latitude:g}, {longitude:g}"
+        origin = Geodetic(math.radians(latitude), math.radians(longitude), height)
+    return Frame(name, surveyed=True, offset=offset, epsg=given.epsg, geodetic=origin)
 
 
 def repeated(read: SiteInputs, documents: Sequence[RecordingDoc]) -> Refusal | None:
