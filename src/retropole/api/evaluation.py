@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from ..export import read_transform
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable
 from ..result import RunConfig
-from .inputs import SILENT, CloudSource, Listener, read_pair
+from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
 from .result import CalibrationResult
 
@@ -39,7 +39,8 @@ def evaluate(
     frames: slice | None = None,
     unit: str = "m",
     unit_source: str | None = None,
-    listener: Listener = SILENT,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
 ) -> Alignment:
     """Score a transform by the clouds it aligns; no truth is needed.
 
@@ -62,8 +63,8 @@ def evaluate(
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     unit, unit_source
         Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
-    listener
-        Told of each step as it starts, and of each cloud once it is read.
+    progress, on_read
+        Called with the name of each step as it starts, and with each cloud once it is read.
 
     Raises
     ------
@@ -77,11 +78,11 @@ def evaluate(
     """
     config = run_config(locals())
     T = _transform(T_target_source)
-    listener.progress("read")
-    pair = read_pair(target, source, config, listener)
+    progress("read")
+    pair = read_pair(target, source, config, Listener(progress, on_read))
     for each in pair:
         check_coordinates(each.cloud)
-    listener.progress("evaluate")
+    progress("evaluate")
     rng = np.random.default_rng(config.seed)
     return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma)
 

@@ -118,6 +118,6 @@ class Reason:
     message: str
     values: Mapping[str, float | int | str]
 
-    def of(self, what: Prefix) -> Reason:
-        """Give the reason of a part of an answer: ``few_points`` is ``stored_few_points``."""
-        return Reason(prefixed(what, self.code), self.message, self.values)
+    def prefixed(self, prefix: Prefix) -> Reason:
+        """Give the same with a prefix in front of its code: ``stored_few_points``."""
+        return Reason(prefixed(prefix, self.code), self.message, self.values)

@@ -119,7 +119,7 @@ def check(
         try:
             stored = read_stored(result, sigma)
         except Refusal as refusal:
-            answer = CheckResult("cannot_tell", (refusal.reason.of("stored"),))
+            answer = CheckResult("cannot_tell", (refusal.reason.prefixed("stored"),))
         else:
             answer = check_recordings(stored, target, source, listener=listener, **asked)
     if as_json:

@@ -84,7 +84,7 @@ def by_poles(
         answer = calibrate_again(clouds.target, clouds.source, prior=near)
     pose = answer.refined or answer.poles
     if pose is None or pose.covariance is None or answer.T_target_source is None:
-        return NewPose(None, reasons=tuple(r.of("poles") for r in answer.reasons))
+        return NewPose(None, reasons=tuple(r.prefixed("poles") for r in answer.reasons))
     misfit = _misfit(clouds, pose.T_target_source)
     wrong = [misfit] if misfit is not None else []
     wrong += [r for r in answer.reasons if r.code in NOT_TRUSTED]
