@@ -71,10 +71,10 @@ def calibrate(
         if options["at_m"] is not None and options["need_m"] is None:
             raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
         targets, sources = placed(target, source, placements)
-    config = RunConfig(**options)
-    with older_set_aside(out), listening(quiet, config.frames, units=False) as listener:
-        result = calibrate_with(targets, sources, config, listener)
-        written = result.save(out)
+        config = RunConfig(**options)
+        with listening(quiet, config.frames, units=False) as listener:
+            result = calibrate_with(targets, sources, config, listener)
+            written = result.save(out)
     following = {
         "next": command_line("export", out, "--to", "ros2"),
         "later, with new recordings": command_line("check", out, targets[0], sources[0]),
