@@ -43,7 +43,8 @@ def test_recordings_are_read_from_beside_the_file(tmp_path: Path) -> None:
     assert site.frame.name == "LiDAR mast-a"
     assert not site.frame.surveyed
     documents = read.documents()
-    assert documents[1, 0].path.endswith("mast-b/1.pcd")
+    assert (documents[2].lidar, documents[2].placement) == (1, 0)
+    assert documents[2].path.endswith("mast-b/1.pcd")
     assert len(read.config.site_sha256) == 64
 
 

@@ -29,9 +29,9 @@ from retropole.result import (
     PolesDoc,
     ReasonDoc,
     RunConfig,
-    detection_document,
     result_document,
 )
+from retropole.result.contents import detection_document
 from retropole.result.site import SiteDoc
 from retropole.scene.scans import find_poles
 from retropole.simulation import simulate_pair

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from ..base.datatypes import Placement, Scan
 from ..base.uncertainty.purpose import DEFAULT_AT, Need
@@ -19,7 +20,8 @@ from .inputs import (
     input_documents,
     intensity_hint,
     read_placements,
-    repeated,
+    refuse_repeated,
+    tell_repeated,
 )
 from .options import checked_options, run_config
 from .result import CalibrationResult
@@ -108,12 +110,7 @@ def calibrate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
-    return calibrate_with(target, source, run_config(options), Listener(progress))
-
-
-NO_OPTIONS = ("target", "source", "progress")
-"""All that `calibrate` takes besides options of `RunConfig`."""
+    return calibrate_with(target, source, run_config(locals()), Listener(progress))
 
 
 def calibrate_with(
@@ -145,7 +142,7 @@ def calibrate_with(
     inputs = [each for pair in pairs for each in pair]
     documents = input_documents(inputs)
     seconds_read = time.perf_counter() - start
-    twice = repeated(pairs, documents)
+    twice = refuse_repeated(inputs, documents, partial(tell_repeated, inputs))
     if twice is not None:
         scans = [[Scan(each.cloud, each.sensor) for each in pair] for pair in pairs]
         unsearched = tuple(Placement(target, source) for target, source in scans)

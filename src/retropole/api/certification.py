@@ -69,5 +69,5 @@ def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
     if not tests:
         raise UsageError(f"{path}: no two LiDARs recorded the same placement")
     return field_test_document(
-        tests, radius=read.site.radius, inputs=list(read.documents().values())
+        tests, radius=read.site.radius, inputs=input_documents(read.inputs.values())
     )

@@ -58,17 +58,8 @@ def detect(
     ReadError, MissingExtraError
         Where the file cannot be read.
     """
-    config = run_config(
-        {
-            "radius": radius,
-            "sensor_target": sensor,
-            "threshold_target": threshold,
-            "target_topic": topic,
-            "frames": frames,
-            "max_points": max_points,
-            "unit": unit,
-        }
-    )
+    of_target = {"sensor_target": sensor, "threshold_target": threshold, "target_topic": topic}
+    config = run_config({**locals(), **of_target})
     return detect_in(read_input(cloud, config.of_target), config.radius_m)
 
 

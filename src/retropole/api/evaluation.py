@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,8 @@ from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
 from ..evaluation.entropy import KERNEL_WIDTH
-from ..evaluation.metrics import Alignment
+from ..evaluation.metrics import Alignment as Alignment
+from ..evaluation.metrics import Errors as Errors
 from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..evaluation.rivals import ALL_METHODS
@@ -21,7 +22,7 @@ from ..export import read_transform
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable
 from ..result import RunConfig
-from .inputs import SILENT, CloudSource, Listener, read_pair
+from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
 from .result import CalibrationResult
 
@@ -38,6 +39,8 @@ def evaluate(
     frames: slice | None = None,
     unit: str = "m",
     unit_source: str | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+    on_read: Callable[[Input], None] = lambda given: None,
 ) -> Alignment:
     """Score a transform by the clouds it aligns; no truth is needed.
 
@@ -60,6 +63,8 @@ def evaluate(
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     unit, unit_source
         Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
+    progress, on_read
+        Called with the name of each step as it starts, and with each cloud once it is read.
 
     Raises
     ------
@@ -71,44 +76,13 @@ def evaluate(
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    options = {name: given for name, given in locals().items() if name not in NO_OPTIONS}
-    return evaluate_with(target, source, T_target_source, run_config(options), sigma)
-
-
-NO_OPTIONS = ("target", "source", "T_target_source", "sigma")
-"""All that `evaluate` takes besides options of `RunConfig`."""
-
-
-def evaluate_with(
-    target: CloudSource,
-    source: CloudSource,
-    T_target_source: Array | CalibrationResult | str | Path,
-    config: RunConfig,
-    sigma: float = KERNEL_WIDTH,
-    listener: Listener = SILENT,
-) -> Alignment:
-    """Score a transform as `evaluate` does, with the options of a run.
-
-    Parameters
-    ----------
-    target, source, T_target_source, sigma
-        As `evaluate` takes them.
-    config
-        The options: what is read, and the seed.
-    listener
-        Told of each step as it starts, and of each cloud once it is read.
-
-    Raises
-    ------
-    UsageError, Refusal, ReadError, MissingExtraError
-        As `evaluate`.
-    """
+    config = run_config(locals())
     T = _transform(T_target_source)
-    listener.progress("read")
-    pair = read_pair(target, source, config, listener)
+    progress("read")
+    pair = read_pair(target, source, config, Listener(progress, on_read))
     for each in pair:
         check_coordinates(each.cloud)
-    listener.progress("evaluate")
+    progress("evaluate")
     rng = np.random.default_rng(config.seed)
     return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma)
 

@@ -264,10 +264,10 @@ def recording_hash(path: Path) -> str:
     return sha256_of(path)
 
 
-def first_repeated(
-    inputs: Iterable[Input], documents: Iterable[InputDoc]
-) -> tuple[int, int] | None:
-    """Find a recording that is given twice, under whatever name: the numbers of both, from 0.
+def refuse_repeated(
+    inputs: Sequence[Input], documents: Sequence[InputDoc], told: Callable[[int, int], str]
+) -> Refusal | None:
+    """Refuse a recording that is given twice, under whatever name; None where none is.
 
     One bag may hold several LiDARs, a topic for each.
 
@@ -275,47 +275,45 @@ def first_repeated(
     ----------
     inputs, documents
         What was read, and the entries in the result document.
+    told
+        Says it of the numbers of both, from 0.
     """
     seen: dict[tuple[str, str | None], int] = {}
     for k, (given, document) in enumerate(zip(inputs, documents, strict=True)):
         first = seen.setdefault((document.sha256, given.topic), k)
         if first != k:
-            return first, k
+            return Refusal("same_recording", told(first, k), {"sha256": document.sha256})
     return None
 
 
-def repeated(pairs: Sequence[InputPair], documents: Sequence[InputDoc]) -> Refusal | None:
-    """Refuse a recording of a target or a source that is given twice; None where none is.
+def tell_repeated(inputs: Sequence[Input], first: int, second: int) -> str:
+    """Say that a recording is given twice.
 
     Parameters
     ----------
-    pairs, documents
-        The inputs, and their entries in the result document, target and source in turn.
+    inputs
+        Target and source of each placement.
+    first, second
+        Numbers of both in these, from 0.
     """
-    inputs = [given for pair in pairs for given in pair]
-    twice = first_repeated(inputs, documents)
-    if twice is None:
-        return None
-    (n, _), (k, _) = places = [divmod(number, 2) for number in twice]
+    several = len(inputs) > 2
     names = [
-        ("TARGET", "SOURCE")[role] + (f" of placement {m + 1}" if len(pairs) > 1 else "")
-        for m, role in places
+        ("TARGET", "SOURCE")[k % 2] + (f" of placement {k // 2 + 1}" if several else "")
+        for k in (first, second)
     ]
-    first, second = (inputs[number] for number in twice)
-    what = f"topic {second.topic} of {second.name}" if second.topic else second.name
-    advice = what_to_give(n + 1, k + 1)
-    if second.topic is not None and n == k:
+    one, other = inputs[first], inputs[second]
+    advice = what_to_give(first // 2, second // 2)
+    if other.topic is not None and first // 2 == second // 2:
         advice = (
             "--target-topic and --source-topic (in Python target_topic and source_topic) tell "
             "two LiDARs of one bag apart"
         )
-    return Refusal(
-        "same_recording",
-        f"{names[0]} and {names[1]} are both {what}; {advice}"
-        if first.name == second.name
-        else f"{names[0]} and {names[1]}, {first.name} and {second.name}, are the same byte for "
-        f"byte: one is a copy of the other; {advice}",
-        {"sha256": documents[twice[0]].sha256},
+    if one.name == other.name:
+        what = f"topic {other.topic} of {other.name}" if other.topic else other.name
+        return f"{names[0]} and {names[1]} are both {what}; {advice}"
+    return (
+        f"{names[0]} and {names[1]}, {one.name} and {other.name}, are the same byte for byte: one "
+        f"is a copy of the other; {advice}"
     )
 
 

@@ -24,7 +24,7 @@ def keyword(field: str) -> str:
 
 
 def run_config(options: Mapping[str, object]) -> RunConfig:
-    """Take options by their keywords; numbers of NumPy are as good as Python's.
+    """Take options by their keywords, and nothing else that is there; NumPy's numbers are as good.
 
     Raises
     ------

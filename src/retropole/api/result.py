@@ -1,36 +1,76 @@
-"""The result of a run as a user meets it: look at it, save it, load it again."""
+"""Results as a user meets them, of two LiDARs or of a site: look at one, save it, load it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Placement
 from ..base.errors import ReadError
+from ..base.files import read_document, write_together
 from ..base.quantities import error
 from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
 from ..base.uncertainty.purpose import Fitness
 from ..export.documents import is_result
+from ..io.failures import naming, readable
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
-from ..result import ErrorAtRange, ResultDoc, refusal_of
+from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, refusal_of
 from ..result.decoding import decode
 from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
-from ..result.site import SITE_SCHEMA
+from ..result.site import SITE_SCHEMA, SiteDoc
 from ..scene.consistency import contradicting_points, standing_in
-from .saved import Result, loaded
 from .stored import StoredInputs, placements_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+AnyDoc = TypeVar("AnyDoc", ResultDoc, SiteDoc)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Generic[AnyDoc]):
+    """An answer, or why there is none.
+
+    Attributes
+    ----------
+    document
+        Everything that was found, as the file holds it.
+    """
+
+    document: AnyDoc
+
+    @property
+    def status(self) -> str:
+        """``ok``, ``warn`` or ``refused``."""
+        return self.document.status
+
+    @property
+    def reasons(self) -> tuple[ReasonDoc, ...]:
+        """What is wrong or weak: code, message and values of each; empty when ok."""
+        return tuple(self.document.reasons)
+
+    def __repr__(self) -> str:
+        """Say the verdict, what was found and the reasons, a line each."""
+        lines = [f"{type(self).__name__}: {self.status}"]
+        return "\n".join(lines + [f"  {name:<16} {value}" for name, value in self._rows()])
+
+    def _rows(self) -> list[tuple[str, str]]:
+        return [(reason.code, reason.message) for reason in self.reasons]
+
+    def _write(self, result: Path, page: Path, html: str) -> tuple[Path, Path]:
+        """Write the document and its page, never of two runs."""
+        write_together({result: encode(self.document), page: html.encode()})
+        return result, page
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -277,6 +317,20 @@ def load_result(path: str | Path) -> CalibrationResult:
     """
     file = result_file(Path(path))
     return CalibrationResult(loaded(file, partial(_decode, file)), None, file)
+
+
+def loaded(file: Path, decode: Callable[[bytes], AnyDoc]) -> AnyDoc:
+    """Read a result document.
+
+    Raises
+    ------
+    ReadError
+        Where there is no such file, or it is none; names the file.
+    """
+    with readable(file):
+        data = read_document(file)
+    with naming(file):
+        return decode(data)
 
 
 def _decode(file: Path, data: bytes) -> ResultDoc:

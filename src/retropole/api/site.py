@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.datatypes import Array, Scan
-from ..base.errors import Reason, UsageError
+from ..base.errors import Refusal, UsageError
 from ..base.quantities import error as in_words
 from ..base.relative import RelativePose, joint_of, relative
 from ..report import render_site
@@ -21,10 +21,12 @@ from ..result.folder import SITE_REPORT_FILE, SITE_RESULT_FILE
 from ..result.site import SiteDoc, site_document
 from ..site.answer import LidarPose, SiteCalibration
 from ..site.calibration import calibrate_site as find_poses
+from ..site.calibration import state_refusal
 from ..site.description import Site
+from ..site.scans import SiteScans
 from .inputs import Input, Listener
-from .saved import Result, loaded
-from .site_inputs import SiteInputs, inputs_of, read_site, repeated
+from .result import Result, loaded
+from .site_inputs import inputs_of, read_site, repeated
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,14 +173,14 @@ def calibrate_site(
     else:
         read = read_site(Path(site), Listener(progress, on_read))
     documents = read.documents()
-    seconds = {"read": time.perf_counter() - start}
+    seconds = time.perf_counter() - start
     twice = repeated(read, documents)
-    calibration = _refused(read, twice) if twice else find_poses(read.site, progress=progress)
+    calibration = refused(read.site, twice) if twice else find_poses(read.site, progress=progress)
     document = site_document(
         calibration,
         inputs=documents,
         config=read.config,
-        seconds={**seconds, **calibration.seconds},
+        seconds={"read": seconds, **calibration.seconds},
     )
     return SiteResult(document, calibration)
 
@@ -224,24 +226,11 @@ def check_site(site: Site) -> None:
         raise UsageError(f"reference is {site.reference}, expected 0 to {len(names) - 1}")
 
 
-def _refused(read: SiteInputs, reason: Reason) -> SiteCalibration:
+def refused(site: Site, refusal: Refusal) -> SiteCalibration:
     """State a refusal before anything was looked for."""
-    return SiteCalibration(
-        status="refused",
-        reasons=(reason,),
-        site=read.site,
-        datum="",
-        scans=tuple(
-            tuple(None if cloud is None else Scan(cloud, lidar.sensor) for cloud in lidar.clouds)
-            for lidar in read.site.lidars
-        ),
-        lidars=(),
-        covariance=None,
-        groups=(),
-        poles=(),
-        pairs=(),
-        loops=(),
-        tests=(),
-        without=(),
-        seconds={},
+    scans = tuple(
+        tuple(None if cloud is None else Scan(cloud, lidar.sensor) for cloud in lidar.clouds)
+        for lidar in site.lidars
     )
+    unsearched = SiteScans(scans, np.zeros((len(scans), 3)))
+    return state_refusal(site, unsearched, (), (), refusal, (), {})

@@ -108,7 +108,7 @@ def _look_through(folder: Path) -> tuple[Recordings, tuple[str, ...]]:
             f"({_quoted([f.name for f in folders])}); expected one or the other"
         )
     if files:
-        return _flat(folder, files), others
+        return _by_names(_flat(folder, files)), others
     inner: dict[str, list[Path]] = {}
     for each in folders:
         here, deeper, left = _entries(each)
@@ -124,7 +124,7 @@ def _look_through(folder: Path) -> tuple[Recordings, tuple[str, ...]]:
             f"{folder}: holds no recordings; expected LIDAR/PLACEMENT.pcd, PLACEMENT/LIDAR.pcd or "
             f"LIDAR_PLACEMENT.pcd, or another of {', '.join(sorted(SUFFIXES))}"
         )
-    return _nested(folder, inner), others
+    return _by_names(_nested(folder, inner)), others
 
 
 def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
@@ -147,23 +147,23 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
     return files, folders, tuple(others)
 
 
-def _flat(folder: Path, files: Sequence[Path]) -> Recordings:
+def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
     """Take LiDAR and placement from the name of each file."""
     both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
     named = [path.name for path, match in both.items() if match]
-    found: Recordings = {}
-    for path, match in both.items():
-        if named and match is None:
-            raise UsageError(
-                f"{folder}: {_quoted(named)} may be LIDAR_PLACEMENT, {path.name} is not; name all "
-                "the same way"
-            )
-        lidar, placement = match.groups() if match else (_name(path), "1")
-        _add(found, lidar, placement, path)
-    return found
+    others = [path.name for path, match in both.items() if not match]
+    if named and others:
+        raise UsageError(
+            f"{folder}: {_quoted(named)} may be LIDAR_PLACEMENT, {others[0]} is not; name all the "
+            "same way"
+        )
+    return [
+        (match[1], match[2], path) if match else (_name(path), "1", path)
+        for path, match in both.items()
+    ]
 
 
-def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> Recordings:
+def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> list[tuple[str, str, Path]]:
     """Tell whether the folders are the LiDARs or the placements: the latter have numbers."""
     outer = list(inner)
     within = _ordered({_name(path) for paths in inner.values() for path in paths})
@@ -175,20 +175,20 @@ def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> Recordings:
             f"{folder}: folders {_quoted(outer)} hold {_quoted(within)}, and {both} look like "
             "numbers of placements; name the placements 1, 2, …, and the LiDARs otherwise"
         )
+    named = [(name, _name(path), path) for name, paths in inner.items() for path in paths]
+    return named if of_lidars else [(inside, name, path) for name, inside, path in named]
+
+
+def _by_names(named: Sequence[tuple[str, str, Path]]) -> Recordings:
+    """Find recordings by LiDAR and placement; each has one."""
     found: Recordings = {}
-    for name, paths in inner.items():
-        for path in paths:
-            lidar, placement = (name, _name(path)) if of_lidars else (_name(path), name)
-            _add(found, lidar, placement, path)
+    for lidar, placement, path in named:
+        other = found.setdefault((lidar, placement), path)
+        if other != path:
+            raise UsageError(
+                f"{other} and {path} are both {lidar} in placement {placement}; leave one of them"
+            )
     return found
-
-
-def _add(found: Recordings, lidar: str, placement: str, path: Path) -> None:
-    other = found.setdefault((lidar, placement), path)
-    if other != path:
-        raise UsageError(
-            f"{other} and {path} are both {lidar} in placement {placement}; leave one of them"
-        )
 
 
 def _name(path: Path) -> str:
@@ -226,15 +226,14 @@ def _written(
     """Write the file: what was found, and in comments what may be added."""
     name = printable(folder.resolve().name)[:60].strip() or "site"
     tables = []
-    # With slashes on every system.
-    there = {
-        at: PurePath(os.path.relpath(recording, path.parent)).as_posix()
-        for at, recording in recordings.items()
-    }
     for lidar in lidars:
-        lines = (f"  {_text(there.get((lidar, p), ''))},  # placement {p}\n" for p in placements)
-        table = f'[[lidar]]\nname = {_text(lidar)}\nsensor = "auto"\n'
-        tables.append(f"{table}recordings = [\n{''.join(lines)}]\n")
+        table = f'[[lidar]]\nname = {_text(lidar)}\nsensor = "auto"\nrecordings = [\n'
+        for placement in placements:
+            recording = recordings.get((lidar, placement))
+            # With slashes on every system.
+            there = recording and PurePath(os.path.relpath(recording, path.parent)).as_posix()
+            table += f"  {_text(there or '')},  # placement {placement}\n"
+        tables.append(table + "]\n")
     draft = files("retropole.api").joinpath("site_draft.toml").read_text(encoding="utf-8")
     return draft.format(
         name=_text(name),

@@ -47,7 +47,10 @@ FARTHEST_SEEN = 1000.0
 
 Name = Annotated[str, Meta(min_length=1, max_length=60)]
 Coordinate = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
-Place = Annotated[list[Coordinate], Meta(min_length=3, max_length=3)]
+XYZ = Meta(min_length=3, max_length=3)
+Place = Annotated[list[Coordinate], XYZ]
+Seen = Annotated[list[Annotated[float, Meta(ge=-FARTHEST_SEEN, le=FARTHEST_SEEN)]], XYZ]
+Upwards = Annotated[list[Annotated[float, Meta(ge=-1e3, le=1e3)]], XYZ]
 Sigma = Annotated[float, Meta(ge=1e-4, le=10.0)]
 """1 σ of a coordinate, metres: no survey is surer than 0.1 mm, and none so poor helps."""
 
@@ -95,10 +98,7 @@ class LidarTable(_Table, frozen=True, kw_only=True):
     unit: Unit = "m"
     topic: Annotated[str, Meta(min_length=1, max_length=1000)] | None = None
     frames: Annotated[str, Meta(min_length=1, max_length=60)] | None = None
-    up: (
-        Annotated[list[Annotated[float, Meta(ge=-1e3, le=1e3)]], Meta(min_length=3, max_length=3)]
-        | None
-    ) = None
+    up: Upwards | None = None
     up_sigma_deg: Annotated[float, Meta(gt=0.0, le=90.0)] | None = None
 
     def reading(self, max_points: int) -> Reading:
@@ -121,10 +121,7 @@ class SeenTable(_Table, frozen=True, kw_only=True):
     """Where a LiDAR sees a control point, in its own frame."""
 
     lidar: Name
-    at_m: Annotated[
-        list[Annotated[float, Meta(ge=-FARTHEST_SEEN, le=FARTHEST_SEEN)]],
-        Meta(min_length=3, max_length=3),
-    ]
+    at_m: Seen
     sigma_m: Sigma
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..base.datatypes import Array
-from ..base.errors import ReadError, Reason
+from ..base.errors import ReadError, Refusal
 from ..base.files import path_in_text
 from ..base.quantities import error as length
 from ..base.quantities import step_of
@@ -18,8 +18,7 @@ from ..base.sensors import sensor_or_auto
 from ..base.uncertainty.purpose import Need
 from ..io import sha256_of
 from ..io.failures import naming
-from ..result import InputDoc
-from ..result.site import SiteConfig
+from ..result.site import RecordingDoc, SiteConfig, recording_document
 from ..site.description import (
     ControlPoint,
     Frame,
@@ -32,7 +31,7 @@ from ..site.description import (
 )
 from ..site.projection import projected
 from ..site.world import in_metres
-from .inputs import SILENT, Input, Listener, first_repeated, input_documents, read_input
+from .inputs import SILENT, Input, Listener, input_documents, read_input, refuse_repeated
 from .site_file import SITE_FILE, LidarTable, SiteFile, read_site_file
 
 OFFSET_STEP = 100.0
@@ -62,9 +61,10 @@ class SiteInputs:
     inputs: Mapping[tuple[int, int], Input]
     config: SiteConfig
 
-    def documents(self) -> dict[tuple[int, int], InputDoc]:
+    def documents(self) -> list[RecordingDoc]:
         """Give the entries of the recordings in the result document; each file is hashed once."""
-        return dict(zip(self.inputs, input_documents(self.inputs.values()), strict=True))
+        documents = zip(input_documents(self.inputs.values()), self.inputs, strict=True)
+        return [recording_document(document, *at) for document, at in documents]
 
 
 def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
@@ -88,29 +88,23 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     if path.is_dir():
         path = path / SITE_FILE
     file = read_site_file(path)
-    wanted = {
-        (k, n): path.parent / recording
-        for k, lidar in enumerate(file.lidar)
-        for n, recording in enumerate(lidar.recordings)
-        if recording
-    }
     # What can be told now is told before recordings are read: that takes long.
     if file.reference.epsg is not None:
         with naming(f"{path}: reference, epsg", is_said_there=True):
             projected(file.reference.epsg)
-    where = {
-        (k, n): f"{path}: lidar {file.lidar[k].name}, placement {file.placements[n]}"
-        for k, n in wanted
-    }
-    for at, recording in wanted.items():
-        if not recording.exists():
-            raise ReadError(f"{where[at]}: {recording}: no such file")
+    wanted = []
+    for k, lidar in enumerate(file.lidar):
+        for n, recording in enumerate(lidar.recordings):
+            where = f"{path}: lidar {lidar.name}, placement {file.placements[n]}"
+            if recording and not (path.parent / recording).exists():
+                raise ReadError(f"{where}: {path.parent / recording}: no such file")
+            if recording:
+                wanted.append(((k, n), path.parent / recording, where))
     inputs: dict[tuple[int, int], Input] = {}
-    for count, (at, recording) in enumerate(wanted.items(), 1):
+    for count, ((k, n), place, where) in enumerate(wanted, 1):
         listener.progress(step_of("read", count, len(wanted)))
-        how = file.lidar[at[0]].reading(file.max_points)
-        with naming(where[at], is_said_there=True):
-            inputs[at] = read_input(recording, how, listener)
+        with naming(where, is_said_there=True):
+            inputs[k, n] = read_input(place, file.lidar[k].reading(file.max_points), listener)
     with naming(path, is_said_there=True):
         site = in_metres(site_of(file, inputs))
     config = SiteConfig(
@@ -245,34 +239,25 @@ def _frame(file: SiteFile, lidar: str, offset: Array) -> Frame:
     given = file.reference
     if not file.surveyed:
         return Frame(f"LiDAR {lidar}")
-    if given.epsg is not None:
-        return Frame(f"EPSG:{given.epsg}", surveyed=True, offset=offset, epsg=given.epsg)
+    name, origin = "ENU" if given.frame == "enu" else "local frame of the survey", None
     latitude, longitude, height = given.latitude_deg, given.longitude_deg, given.height_m
-    if latitude is None or longitude is None or height is None:
-        name = "ENU" if given.frame == "enu" else "local frame of the survey"
-        return Frame(name, surveyed=True, offset=offset)
-    return Frame(
-        f"ENU at {latitude:g}, {longitude:g}",
-        surveyed=True,
-        offset=offset,
-        geodetic=Geodetic(math.radians(latitude), math.radians(longitude), height),
-    )
+    if given.epsg is not None:
+        name = f"EPSG:{given.epsg}"
+    elif latitude is not None and longitude is not None and height is not None:
+        name = f"ENU at {latitude:g}, {longitude:g}"
+        origin = Geodetic(math.radians(latitude), math.radians(longitude), height)
+    return Frame(name, surveyed=True, offset=offset, epsg=given.epsg, geodetic=origin)
 
 
-def repeated(read: SiteInputs, documents: Mapping[tuple[int, int], InputDoc]) -> Reason | None:
+def repeated(read: SiteInputs, documents: Sequence[RecordingDoc]) -> Refusal | None:
     """Refuse a recording that stands for two LiDARs or placements; None where none does."""
-    places = list(read.inputs)
-    twice = first_repeated(read.inputs.values(), (documents[at] for at in places))
-    if twice is None:
-        return None
-    first, second = (places[number] for number in twice)
-    names = [
-        f"{read.site.lidars[k].name} in placement {read.site.placements[n]}"
-        for k, n in (first, second)
-    ]
-    return Reason(
-        "same_recording",
-        f"{names[0]} and {names[1]}, {read.inputs[first].name} and {read.inputs[second].name}, are "
-        "the same byte for byte; give each LiDAR and placement a recording of its own",
-        {"sha256": documents[first].sha256},
+    inputs, site = list(read.inputs.values()), read.site
+    names = [f"{site.lidars[k].name} in placement {site.placements[n]}" for k, n in read.inputs]
+    return refuse_repeated(
+        inputs,
+        documents,
+        lambda first, second: (
+            f"{names[first]} and {names[second]}, {inputs[first].name} and {inputs[second].name}, "
+            "are the same byte for byte; give each LiDAR and placement a recording of its own"
+        ),
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .reasons import Code
+from .reasons import Code, Prefix, prefixed
 
 LONGEST_MESSAGE = 300
 """Characters of a message that quotes what others wrote: a file, its name, an option."""
@@ -104,6 +104,11 @@ class Refusal(RetropoleError):
         """Rebuild from all three, so that a refusal gets across processes."""
         return Refusal, (self.code, self.message, self.values)
 
+    @property
+    def reason(self) -> Reason:
+        """The same as a reason, which a verdict holds."""
+        return Reason(self.code, self.message, self.values)
+
 
 @dataclass(frozen=True, eq=False)
 class Reason:
@@ -112,3 +117,7 @@ class Reason:
     code: Code
     message: str
     values: Mapping[str, float | int | str]
+
+    def prefixed(self, prefix: Prefix) -> Reason:
+        """Give the same with a prefix in front of its code: ``stored_few_points``."""
+        return Reason(prefixed(prefix, self.code), self.message, self.values)

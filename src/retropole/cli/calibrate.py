@@ -12,7 +12,7 @@ import click
 from ..result import RunConfig
 from .common import command_line, listening, result_told
 from .older import DEFAULT_OUT, SettingAside, older_set_aside
-from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
+from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options, verdict_options
 
 
 @click.command(cls=SettingAside)
@@ -23,16 +23,8 @@ from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "need_m", "at_m")
-@click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
 @run_options("seed")
-@click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
-@click.option(
-    "-v",
-    "--verbose",
-    is_flag=True,
-    help="Print the hypotheses, the inputs and the time of each step as well.",
-)
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
+@verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(
     target: Path | None,
     source: Path | None,
@@ -79,17 +71,16 @@ def calibrate(
         if options["at_m"] is not None and options["need_m"] is None:
             raise click.UsageError("--at-m says how far away --need-cm must hold: give both")
         targets, sources = placed(target, source, placements)
-    config = RunConfig(**options)
-    with older_set_aside(out), listening(quiet, config.frames, units=False) as listener:
-        result = calibrate_with(targets, sources, config, listener)
-        written = result.save(out)
+        config = RunConfig(**options)
+        with listening(quiet, config.frames, units=False) as listener:
+            result = calibrate_with(targets, sources, config, listener)
+            written = result.save(out)
     following = {
         "next": command_line("export", out, "--to", "ros2"),
         "later, with new recordings": command_line("check", out, targets[0], sources[0]),
     }
-    paths = [str(path) for path in written]
-    describe = partial(describe_result, result.document, paths, following, verbose=verbose)
-    return result_told(result, describe, as_json=as_json, quiet=quiet, strict=strict)
+    describe = partial(describe_result, result.document, following=following, verbose=verbose)
+    return result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)
 
 
 def placed(

@@ -109,8 +109,7 @@ def check(
       130  interrupted
     """
     from ..api.checking import CheckResult, check_recordings, read_stored
-    from ..base.errors import Reason, Refusal
-    from ..base.reasons import prefixed
+    from ..base.errors import Refusal
 
     if (sigma_rotation is None) != (sigma_translation is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
@@ -120,8 +119,7 @@ def check(
         try:
             stored = read_stored(result, sigma)
         except Refusal as refusal:
-            code = prefixed("stored", refusal.code)
-            answer = CheckResult("cannot_tell", (Reason(code, refusal.message, refusal.values),))
+            answer = CheckResult("cannot_tell", (refusal.reason.prefixed("stored"),))
         else:
             answer = check_recordings(stored, target, source, listener=listener, **asked)
     if as_json:

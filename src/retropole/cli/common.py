@@ -8,7 +8,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from inspect import cleandoc
@@ -199,7 +199,8 @@ def echo_warning(code: str, message: str) -> None:
 
 def result_told(
     result: CalibrationResult | SiteResult,
-    describe: Callable[[], str],
+    written: Sequence[Path],
+    describe: Callable[[Sequence[str]], str],
     *,
     as_json: bool,
     quiet: bool,
@@ -211,8 +212,10 @@ def result_told(
     ----------
     result
         Of two LiDARs or of a site.
+    written
+        Its files.
     describe
-        Writes it in words.
+        Writes it in words, and names its files.
     as_json, quiet
         Print the document instead, or nothing.
     strict
@@ -221,7 +224,7 @@ def result_told(
     if as_json:
         show(encode(result.document))
     elif not quiet:
-        show(in_colour(describe(), result.status))
+        show(in_colour(describe([str(path) for path in written]), result.status))
     refused, unseen = result.status == "refused", quiet or as_json
     for reason in result.reasons:
         if refused and (unseen or not sys.stdout.isatty()):

@@ -16,6 +16,7 @@ from ..api.choices import ALL_METHODS, OURS, RIVALS
 from ..base.files import path_in_text
 from ..result import RunConfig
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
+from .evaluate import scores, true_errors
 from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def _angles_deg(T: Array) -> list[float]:
 
 
 def _document(each: Compared) -> dict[str, Any]:
-    T, alignment, errors = each.T_target_source, each.alignment, each.errors
+    T, alignment = each.T_target_source, each.alignment
     return {
         "method": each.method,
         "status": each.status,
@@ -150,15 +151,10 @@ def _document(each: Compared) -> dict[str, Any]:
         "message": each.message,
         "T_target_source": T,
         "rpy_deg": None if T is None else _angles_deg(T),
-        "overlap": alignment and alignment.overlap,
-        "plane_residual_m": alignment and alignment.plane_residual,
-        "rqe_sum": alignment and alignment.entropy.sum,
-        "rqe_log": alignment and alignment.entropy.log,
+        **scores(alignment),
         "confirmation": alignment and alignment.confirmation,
         "seconds": each.seconds,
-        "e_rt_m": errors and errors.e_rt,
-        "rotation_error_rad": errors and errors.rotation,
-        "translation_error_m": errors and errors.translation,
+        **true_errors(each.errors),
     }
 
 

@@ -49,7 +49,8 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
     from ..base.errors import MissingExtraError, printable
     from ..report.figures import draw_detection
     from ..report.text import describe_detection
-    from ..result import detection_document, encode
+    from ..result import encode
+    from ..result.contents import detection_document
 
     config = RunConfig(**options)
     with listening(quiet, config.frames) as listener:

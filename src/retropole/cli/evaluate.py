@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..result import RunConfig
 from .common import json_text, listening, show
 from .options import CLOUD, METRES, TOPICS, run_options
+
+if TYPE_CHECKING:
+    from ..api.evaluation import Alignment, Errors
 
 TRANSFORM = click.Path(path_type=Path)
 
@@ -62,31 +64,24 @@ def evaluate(
     """
     import numpy as np
 
-    from ..api.evaluation import errors_of, evaluate_with
+    from ..api.evaluation import errors_of
+    from ..api.evaluation import evaluate as score
     from ..api.transforms import read_transform
 
-    config = RunConfig(**options)
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
-    with listening(False, config.frames, hidden=as_json) as listener:
-        aligned = evaluate_with(target, source, T, config, sigma, listener)
-    figures: dict[str, float | None] = {
-        "overlap": aligned.overlap,
-        "plane_residual_m": aligned.plane_residual,
-        "rqe_sum": aligned.entropy.sum,
-        "rqe_log": aligned.entropy.log,
-        "rqe_relative_error": aligned.entropy.error,
-        "rqe_points": aligned.entropy.points,
-        "rqe_sigma_m": sigma,
-    }
-    error: dict[str, float] = {}
-    if T_true is not None:
-        errors = errors_of(T, T_true)
-        error["e_rt_m"] = errors.e_rt
-        error["rotation_error_rad"] = errors.rotation
-        error["translation_error_m"] = errors.translation
+    with listening(False, options["frames"], hidden=as_json) as listener:
+        aligned = score(target, source, T, sigma=sigma, **listener._asdict(), **options)
+    errors = None if T_true is None else errors_of(T, T_true)
     if as_json:
-        show(json_text({**figures, "confirmation": aligned.confirmation, **error}))
+        figures = {
+            **scores(aligned),
+            "rqe_relative_error": aligned.entropy.error,
+            "rqe_points": aligned.entropy.points,
+            "rqe_sigma_m": sigma,
+            "confirmation": aligned.confirmation,
+        }
+        show(json_text(figures if errors is None else figures | true_errors(errors)))
         return 0
     residual = aligned.plane_residual
     lines = [
@@ -97,11 +92,29 @@ def evaluate(
         f"({aligned.entropy.points:,} points, kernel {sigma:g} m)",
         f"scene           {aligned.confirmation.words}",
     ]
-    if error:
+    if errors is not None:
         lines.append(
-            f"error           e_rt {100 * error['e_rt_m']:.2f} cm, "
-            f"{np.degrees(error['rotation_error_rad']):.3f} deg, "
-            f"{100 * error['translation_error_m']:.2f} cm"
+            f"error           e_rt {100 * errors.e_rt:.2f} cm, "
+            f"{np.degrees(errors.rotation):.3f} deg, {100 * errors.translation:.2f} cm"
         )
     show("\n".join(lines))
     return 0
+
+
+def scores(aligned: Alignment | None) -> dict[str, Any]:
+    """Name how clouds lie together under a transform; null where there is none."""
+    return {
+        "overlap": aligned and aligned.overlap,
+        "plane_residual_m": aligned and aligned.plane_residual,
+        "rqe_sum": aligned and aligned.entropy.sum,
+        "rqe_log": aligned and aligned.entropy.log,
+    }
+
+
+def true_errors(errors: Errors | None) -> dict[str, Any]:
+    """Name how far a transform is from the truth; null where either is not there."""
+    return {
+        "e_rt_m": errors and errors.e_rt,
+        "rotation_error_rad": errors and errors.rotation,
+        "translation_error_m": errors and errors.translation,
+    }

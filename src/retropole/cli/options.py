@@ -93,6 +93,19 @@ def placement_arguments(command: Command) -> Command:
     return target(source(placement(command)))
 
 
+def verdict_options(more: str) -> Callable[[Command], Command]:
+    """Give a command --strict, --json, --verbose, which prints more, and --quiet."""
+    strict = click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
+    as_json = click.option(
+        "--json", "as_json", is_flag=True, help="Print the result document, and only that."
+    )
+    verbose = click.option("-v", "--verbose", is_flag=True, help=f"Print {more} as well.")
+    quiet = click.option(
+        "-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors."
+    )
+    return lambda command: strict(as_json(verbose(quiet(command))))
+
+
 def run_option(field: str, name: str | None = None, **changes: Any) -> Callable[[Command], Command]:
     """Make a command's option of a field of `RunConfig`.
 

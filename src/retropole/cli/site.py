@@ -9,7 +9,7 @@ import click
 
 from .common import Advice, command_line, listening, result_told, say, show, show_written
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
-from .options import CLOUD, FILE, OUT
+from .options import CLOUD, FILE, OUT, verdict_options
 
 SITE_FILE = Advice("max_points = N", 'unit = "{}"', "set {} of its LiDAR in the site file")
 
@@ -75,15 +75,7 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
 @click.option(
     "--out", type=OUT, default=DEFAULT_OUT, help="Folder for site-result.json and site-report.html."
 )
-@click.option("--strict", is_flag=True, help="Exit with 1 where the verdict is warn.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result document, and only that.")
-@click.option(
-    "-v",
-    "--verbose",
-    is_flag=True,
-    help="Print every pair and test, what was read and the time of each step as well.",
-)
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but warnings and errors.")
+@verdict_options("every pair and test, what was read and the time of each step")
 def calibrate(
     site_file: Path, out: Path, strict: bool, as_json: bool, verbose: bool, quiet: bool
 ) -> int:
@@ -114,7 +106,6 @@ def calibrate(
         result = calibrate_site(site_file, **listener._asdict())
         listener.progress("report")
         written = result.save(out)
-    paths = [str(path) for path in written]
     following = {"next": command_line("export", written[0], "--to", "urdf")}
-    describe = partial(describe_site, result.document, paths, following, verbose=verbose)
-    return result_told(result, describe, as_json=as_json, quiet=quiet, strict=strict)
+    describe = partial(describe_site, result.document, following=following, verbose=verbose)
+    return result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)

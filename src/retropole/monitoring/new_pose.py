@@ -12,7 +12,6 @@ from threadpoolctl import threadpool_limits
 from ..base.datatypes import Array, Calibration, PointCloud, PoseEstimate
 from ..base.errors import Reason
 from ..base.quantities import error
-from ..base.reasons import prefixed
 from ..base.systematic import ErrorModel
 from ..base.uncertainty import Uncertainty
 from ..matching.prior import RotationPrior
@@ -85,8 +84,7 @@ def by_poles(
         answer = calibrate_again(clouds.target, clouds.source, prior=near)
     pose = answer.refined or answer.poles
     if pose is None or pose.covariance is None or answer.T_target_source is None:
-        said = [Reason(prefixed("poles", r.code), r.message, r.values) for r in answer.reasons]
-        return NewPose(None, reasons=tuple(said))
+        return NewPose(None, reasons=tuple(r.prefixed("poles") for r in answer.reasons))
     misfit = _misfit(clouds, pose.T_target_source)
     wrong = [misfit] if misfit is not None else []
     wrong += [r for r in answer.reasons if r.code in NOT_TRUSTED]

@@ -13,7 +13,14 @@ import numpy as np
 from ..base.datatypes import Placement, Scan
 from ..base.quantities import counted
 from ..result import ResultDoc
-from ..result.site import FoundDoc, LidarDoc, RecordingDoc, SiteConfig, SiteDoc, found_document
+from ..result.site import (
+    FoundDoc,
+    LidarDoc,
+    SiteConfig,
+    SiteDoc,
+    found_document,
+    recording_document,
+)
 from ..scene.choice import hypothesis_name
 from ..site.answer import SiteCalibration, WithoutPlacement
 from ..site.description import Frame
@@ -165,10 +172,7 @@ def of_pair(
             if len(result.placements) > 1
         ],
         found=found,
-        inputs=[
-            RecordingDoc(**msgspec.structs.asdict(item), lidar=k % 2, placement=k // 2)
-            for k, item in enumerate(result.inputs)
-        ],
+        inputs=[recording_document(item, k % 2, k // 2) for k, item in enumerate(result.inputs)],
     )
     return Subject(site, result, scans)
 

@@ -11,7 +11,8 @@ from ..base.datatypes import Array
 from ..base.errors import printable, shortened
 from ..base.quantities import UNKNOWN, counted
 from ..base.reasons import explain, page, plain
-from ..result import DetectionDoc, InputDoc, ReasonDoc, ResultDoc
+from ..result import InputDoc, ReasonDoc, ResultDoc
+from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
 from . import listings
 from .certainty import fitness_words, statements

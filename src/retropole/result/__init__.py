@@ -7,7 +7,7 @@ are a contract: where a field has a better name here, the file keeps the old one
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast
 
@@ -27,7 +27,7 @@ from ..base.bounded import (
     Vector,
     Whole,
 )
-from ..base.datatypes import Calibration, Hypothesis, Placement, PoseEstimate, Scan
+from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, PoseEstimate, Scan
 from ..base.errors import Reason, Refusal
 from ..base.reasons import Code
 from ..base.uncertainty import BudgetEntry as BudgetEntry
@@ -35,17 +35,11 @@ from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDi
 from ..base.uncertainty import ErrorAtRange as ErrorAtRange
 from ..base.uncertainty.purpose import Fitness
 from ..base.version import __version__
-from .detected import DetectionDoc as DetectionDoc
-from .detected import InputDoc as InputDoc
-from .detected import PoleDoc as PoleDoc
-from .detected import PolesDoc as PolesDoc
-from .detected import detection_document as detection_document
-from .detected import pole_documents as pole_documents
 from .options import DEFAULT_CONFIG as DEFAULT_CONFIG
 from .options import Reading as Reading
 from .options import RunConfig as RunConfig
 
-Input = TypeVar("Input", bound=InputDoc)
+Input = TypeVar("Input", bound="InputDoc")
 Made = TypeVar("Made", bound=msgspec.Struct)
 
 RESULT_SCHEMA: Literal["retropole/result/1"] = "retropole/result/1"
@@ -59,6 +53,38 @@ class ReasonDoc(msgspec.Struct, frozen=True):
     code: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,59}\Z")]
     message: Text
     values: dict[Text, Number | Whole | Text]
+
+
+class PoleDoc(msgspec.Struct, frozen=True, eq=False):
+    """One pole as one LiDAR sees it, in that LiDAR's frame."""
+
+    point_m: Vector
+    direction: Vector
+    length_m: Size
+    points: Count
+    rings: Count
+    rms_m: Size
+
+
+class PolesDoc(msgspec.Struct, frozen=True, eq=False):
+    """The poles of both LiDARs."""
+
+    target: list[PoleDoc]
+    source: list[PoleDoc]
+
+
+class InputDoc(msgspec.Struct, frozen=True):
+    """What was read, what was left out of too many, and in `notes` what was lost."""
+
+    path: Text
+    sha256: Text
+    points: Count
+    dropped: Count
+    sensor: Text
+    threshold: Number | None
+    thinned: Count = 0
+    frames_left_out: Count = 0
+    notes: list[Text] = []
 
 
 class StagesDoc(msgspec.Struct, frozen=True, eq=False):
@@ -148,6 +174,14 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
         )
 
 
+def pole_documents(poles: Sequence[Pole]) -> list[PoleDoc]:
+    """Write poles as the result document holds them."""
+    return [
+        PoleDoc(pole.point, pole.direction, pole.length, len(pole.xyz), pole.rings, pole.rms)
+        for pole in poles
+    ]
+
+
 def _hypothesis(hypothesis: Hypothesis, chosen: bool) -> HypothesisDoc:
     return document_of(
         HypothesisDoc,
@@ -166,10 +200,7 @@ def _placements(placements: Sequence[Placement]) -> list[PlacementDoc]:
         return []
     return [
         PlacementDoc(
-            len(each.target.poles),
-            len(each.source.poles),
-            None if each.left_out is None else each.left_out.rotation,
-            None if each.left_out is None else each.left_out.translation,
+            len(each.target.poles), len(each.source.poles), *(each.left_out or (None, None))
         )
         for each in placements
     ]
@@ -180,7 +211,7 @@ def result_document(
     *,
     inputs: Sequence[InputDoc],
     config: RunConfig,
-    seconds: dict[str, float],
+    seconds: Mapping[str, float],
 ) -> ResultDoc:
     """Write a calibration as the result document.
 
@@ -197,11 +228,11 @@ def result_document(
     """
     answered = calibration.status != "refused"
     first, uncertainty = calibration.placements[0], calibration.uncertainty
-    scans = [scan for each in calibration.placements for scan in (each.target, each.source)]
+    scans = [scan for each in calibration.placements for scan in each.scans]
     return document_of(
         ResultDoc,
+        made_now(seconds),
         calibration,
-        made_now(),
         # The budget stands beside it.
         uncertainty=uncertainty and structs.replace(uncertainty, budget=()),
         budget=None if uncertainty is None else list(uncertainty.budget),
@@ -215,7 +246,6 @@ def result_document(
         placements=_placements(calibration.placements),
         inputs=[with_threshold(*each) for each in zip(inputs, scans, strict=True)],
         config=config,
-        seconds={name: round(value, 4) for name, value in seconds.items()},
     )
 
 
@@ -253,15 +283,17 @@ def _written(value: Any) -> Any:
 
 
 class Provenance(NamedTuple):
-    """What wrote a document, and when."""
+    """What wrote a document, when, and the time of each step."""
 
     version: str
     created: str
+    seconds: dict[str, float]
 
 
-def made_now() -> Provenance:
-    """Say that a document is made now, by this version."""
-    return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"))
+def made_now(seconds: Mapping[str, float] | None = None) -> Provenance:
+    """Say that a document is made now, by this version, in so many seconds of each step."""
+    rounded = {name: round(value, 4) for name, value in (seconds or {}).items()}
+    return Provenance(__version__, datetime.now(UTC).isoformat(timespec="seconds"), rounded)
 
 
 def finite(value: float | None) -> float | None:

@@ -13,8 +13,7 @@ import msgspec
 from ..base.bounded import Share, Size, Text
 from ..site.certification import DistanceTest, FieldTest, PolesSeen, Verdict
 from ..site.repetition import SpreadTest
-from . import ReasonDoc, document_of, made_now
-from .detected import InputDoc
+from . import InputDoc, ReasonDoc, document_of, made_now
 
 FIELD_TEST_SCHEMA: Literal["retropole/field-test/1"] = "retropole/field-test/1"
 

@@ -1,10 +1,15 @@
-"""What a recording contains, as ``retropole info`` prints it."""
+"""What a recording contains, as ``retropole info`` and ``retropole detect`` print it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
+
+from ..base.bounded import Count, Text, Vector
+from ..base.datatypes import Detection, RejectedCluster
+from . import InputDoc, PoleDoc, pole_documents
 
 
 class TopicDoc(msgspec.Struct):
@@ -65,3 +70,38 @@ class InfoDoc(msgspec.Struct, kw_only=True):
     path: str
     topics: list[TopicDoc]
     clouds: list[CloudDoc]
+
+
+class RejectedDoc(msgspec.Struct, frozen=True, eq=False):
+    """A retro-reflective cluster that was rejected."""
+
+    centre_m: Vector
+    points: Count
+    code: Text
+    reason: Text
+
+
+class DetectionDoc(msgspec.Struct, frozen=True, eq=False):
+    """What `retropole detect` found in one file."""
+
+    input: InputDoc
+    threshold_source: Text
+    retro_points: Count
+    poles: list[PoleDoc]
+    rejected: list[RejectedDoc]
+
+
+def rejected_documents(rejected: Sequence[RejectedCluster]) -> list[RejectedDoc]:
+    """Write rejected clusters as the result document holds them."""
+    return [RejectedDoc(r.centre, len(r.index), r.code, r.reason) for r in rejected]
+
+
+def detection_document(detection: Detection, source: InputDoc) -> DetectionDoc:
+    """Write what was found in one cloud, the rejected clusters included."""
+    return DetectionDoc(
+        input=source,
+        threshold_source=detection.threshold_source,
+        retro_points=detection.retro_points,
+        poles=pole_documents(detection.poles),
+        rejected=rejected_documents(detection.rejected),
+    )

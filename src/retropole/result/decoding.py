@@ -6,7 +6,7 @@ covariances are covariances that agree with each other, and every index finds wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
@@ -48,12 +48,7 @@ def decode(data: bytes) -> ResultDoc:
         Where it is not one; names the field, and says what is wrong with it.
     """
     document = parsed(data, ResultDoc, "result document")
-    answered = document.status != "refused"
-    if answered != (document.T_target_source is not None):
-        there = "no" if answered else "a"
-        raise ReadError(f"T_target_source: {there} transform, and the status is {document.status}")
-    if document.covariance_order != COVARIANCE_ORDER:
-        raise ReadError(f"covariance_order: expected {' '.join(COVARIANCE_ORDER)}")
+    _check_verdict(document, {"T_target_source": document.T_target_source})
     if sum(hypothesis.chosen for hypothesis in document.hypotheses) > 1:
         raise ReadError("hypotheses: more than one is chosen")
     of_target, of_source = document.poles.target, document.poles.source
@@ -76,34 +71,37 @@ def decode_site(data: bytes) -> SiteDoc:
         Where it is not one; names the field, and says what is wrong with it.
     """
     document = parsed(data, SiteDoc, "result document of a site")
-    _check_verdict(document)
+    stated = {
+        f"lidars[{k}].{name}": getattr(lidar, name)
+        for k, lidar in enumerate(document.lidars)
+        for name in ("T_site_lidar", "covariance")
+    }
+    _check_verdict(document, stated | {"joint_covariance": document.joint_covariance})
+    _check_names(document)
     _check_indices(document)
     _check_joint(document)
     return document
 
 
-def _check_verdict(document: SiteDoc) -> None:
-    """Hold the status, the names and what must be there against each other."""
+def _check_verdict(document: ResultDoc | SiteDoc, stated: Mapping[str, Array | None]) -> None:
+    """Let every answer be there, under its name, unless the run was refused."""
+    for name, array in stated.items():
+        if (document.status == "refused") != (array is None):
+            there = "there is one" if array is not None else "none"
+            raise ReadError(f"{name}: {there}, and the status is {document.status}")
+    if document.covariance_order != COVARIANCE_ORDER:
+        raise ReadError(f"covariance_order: expected {' '.join(COVARIANCE_ORDER)}")
+
+
+def _check_names(document: SiteDoc) -> None:
+    """Let every LiDAR have a name of its own, which names its rows of the joint covariance."""
     names = [lidar.name for lidar in document.lidars]
     if len(set(names)) < len(names):
         raise ReadError("lidars: two have the same name")
-    if document.covariance_order != COVARIANCE_ORDER:
-        raise ReadError(f"covariance_order: expected {' '.join(COVARIANCE_ORDER)}")
     if document.covariance_frame != SITE_COVARIANCE_FRAME:
         raise ReadError(f"covariance_frame: expected {SITE_COVARIANCE_FRAME}")
     if document.joint_order != joint_order(names):
         raise ReadError("joint_order: expected six rows for each LiDAR, in their order")
-    answered = document.status != "refused"
-    for k, lidar in enumerate(document.lidars):
-        for name in ("T_site_lidar", "covariance"):
-            if answered != (getattr(lidar, name) is not None):
-                raise ReadError(f"lidars[{k}].{name}: {_there(answered, document.status)}")
-    if answered != (document.joint_covariance is not None):
-        raise ReadError(f"joint_covariance: {_there(answered, document.status)}")
-
-
-def _there(answered: bool, status: str) -> str:
-    return f"{'none' if answered else 'there is one'}, and the status is {status}"
 
 
 def _check_indices(document: SiteDoc) -> None:

@@ -42,14 +42,17 @@ from ..site.description import ControlPoint, Frame, SiteLidar, SurveyedPole, Up
 from . import (
     COVARIANCE_ORDER,
     Document,
+    InputDoc,
+    PoleDoc,
     ReasonDoc,
     document_of,
     finite,
     made_now,
+    pole_documents,
     reason_document,
     with_threshold,
 )
-from .detected import InputDoc, PoleDoc, RejectedDoc, pole_documents, rejected_documents
+from .contents import RejectedDoc, rejected_documents
 from .options import Frames, MaxPoints
 
 SITE_SCHEMA: Literal["retropole/site-result/1"] = "retropole/site-result/1"
@@ -201,7 +204,7 @@ def joint_order(names: Sequence[str]) -> list[str]:
 def site_document(
     calibration: SiteCalibration,
     *,
-    inputs: Mapping[tuple[int, int], InputDoc],
+    inputs: Sequence[RecordingDoc],
     config: SiteConfig,
     seconds: Mapping[str, float],
 ) -> SiteDoc:
@@ -212,7 +215,7 @@ def site_document(
     calibration
         The answer, or the refusal.
     inputs
-        What was read, by the indices of the LiDAR and of the placement.
+        What was read, LiDAR by LiDAR.
     config
         How it was read.
     seconds
@@ -233,9 +236,9 @@ def site_document(
     scans = calibration.scans
     return document_of(
         SiteDoc,
+        made_now(seconds),
         calibration,
         site,
-        made_now(),
         radius_m=site.radius,
         radius_sigma_m=site.radius_sigma,
         lidars=[lidar_document(*each) for each in zip(site.lidars, poses, strict=True)],
@@ -247,12 +250,12 @@ def site_document(
         found=[[found_document(scan) for scan in of_lidar] for of_lidar in scans],
         surveyed_poles=list(site.poles),
         control_points=list(site.points),
+        # A run that was refused early has looked at no scan.
         inputs=[
-            recording_document(source, lidar, placement, scans)
-            for (lidar, placement), source in sorted(inputs.items())
+            with_threshold(each, scans[each.lidar][each.placement] if scans else None)
+            for each in inputs
         ],
         config=config,
-        seconds={name: round(value, 4) for name, value in seconds.items()},
     )
 
 
@@ -274,21 +277,14 @@ def found_document(scan: Scan | None) -> FoundDoc | None:
     """Write what was found in a recording; None where there is none."""
     if scan is None:
         return None
-    refusal = None if scan.refusal is None else reason_document(scan.refusal)
-    if scan.detection is None:
-        return FoundDoc(None, [], [], refusal)
     return FoundDoc(
-        finite(scan.detection.threshold),
-        pole_documents(scan.detection.poles),
-        rejected_documents(scan.detection.rejected),
-        refusal,
+        None if scan.detection is None else finite(scan.detection.threshold),
+        pole_documents(scan.poles),
+        rejected_documents(() if scan.detection is None else scan.detection.rejected),
+        None if scan.refusal is None else reason_document(scan.refusal),
     )
 
 
-def recording_document(
-    source: InputDoc, lidar: int, placement: int, scans: Sequence[Sequence[Scan | None]]
-) -> RecordingDoc:
-    """Write what was read of a LiDAR and placement, with the threshold that was used."""
-    recording = RecordingDoc(**msgspec.structs.asdict(source), lidar=lidar, placement=placement)
-    # A run that was refused early has looked at no scan.
-    return with_threshold(recording, scans[lidar][placement] if scans else None)
+def recording_document(source: InputDoc, lidar: int, placement: int) -> RecordingDoc:
+    """Say of what was read which LiDAR and placement, by their indices, it is of."""
+    return document_of(RecordingDoc, source, lidar=lidar, placement=placement)

@@ -233,7 +233,7 @@ def state_refusal(
     """State a refusal, with all that was found before it."""
     return Calibration(
         status="refused",
-        reasons=(Reason(refusal.code, refusal.message, refusal.values),),
+        reasons=(refusal.reason,),
         T_target_source=None,
         covariance=None,
         poles=None,

@@ -25,8 +25,8 @@ from retropole.base.errors import Reason, Refusal
 from retropole.base.sensors import SENSORS
 from retropole.base.uncertainty import BudgetEntry, predicted_error
 from retropole.base.uncertainty.purpose import Fitness, Need
-from retropole.result.detected import InputDoc
-from retropole.result.site import SiteConfig, SiteDoc, site_document
+from retropole.result import InputDoc
+from retropole.result.site import SiteConfig, SiteDoc, recording_document, site_document
 from retropole.site.answer import (
     LidarPose,
     LoopClosure,
@@ -326,12 +326,16 @@ def _tests(lidars: int, placements: int, status: Status) -> tuple[Test, ...]:
 
 def document_of(calibration: SiteCalibration) -> SiteDoc:
     """Write the document of a made-up answer."""
-    inputs = {
-        (k, j): InputDoc(f"/data/quay/{NAMES[k]}-{j + 1}.pcd", 8 * "0f3a9c1e", 340, 3, "auto", None)
+    inputs = [
+        recording_document(
+            InputDoc(f"/data/quay/{NAMES[k]}-{j + 1}.pcd", 8 * "0f3a9c1e", 340, 3, "auto", None),
+            k,
+            j,
+        )
         for k, scans in enumerate(calibration.scans)
         for j, scan in enumerate(scans)
         if scan is not None
-    }
+    ]
     return site_document(
         calibration,
         inputs=inputs,
