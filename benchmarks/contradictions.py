@@ -66,7 +66,7 @@ CODES = {
     "axes": ("survey_contradicts", "survey_unmet"),
     "unit": ("survey_contradicts", "survey_unmet"),
     "radius": ("radius_differs",),
-    "lidar": ("recording_left_out", "pole_moved", "misfit", "moved_lidar"),
+    "lidar": ("recording_left_out", "pole_moved", "misfit", "lidar_moved"),
     "pole": ("pole_moved", "misfit"),
     "files": ("recordings_exchanged", "recording_left_out"),
     "none": (),
@@ -87,6 +87,20 @@ class Row:
     right: bool
     named: bool
     messages: tuple[str, ...]
+
+
+def turned(site: Site, rng: np.random.Generator) -> tuple[Site, str, int, Array]:
+    """Turn a LiDAR between the placements: the site, its name and index, and by what (4, 4)."""
+    lidar = int(rng.integers(len(site.lidars)))
+    axis = rng.normal(size=3)
+    angle = np.radians(rng.uniform(1, 5))
+    T = se3.from_rt(se3.exp_so3(angle * axis / np.linalg.norm(axis)), np.zeros(3))
+    own = site.lidars[lidar]
+    first, second = own.clouds
+    after = None if second is None else replace(second, xyz=se3.apply(T, second.xyz))
+    lidars = list(site.lidars)
+    lidars[lidar] = replace(own, clouds=(first, after))
+    return replace(site, lidars=tuple(lidars)), own.name, lidar, T
 
 
 def contradicted(site: Site, wrong: str, rng: np.random.Generator) -> tuple[Site, str, str]:
@@ -120,20 +134,6 @@ def contradicted(site: Site, wrong: str, rng: np.random.Generator) -> tuple[Site
         return replace(site, poles=tuple(poles)), f"{poles[k].name}", poles[k].name
     if wrong == "radius":
         return replace(site, radius=2.0 * site.radius), "diameter", ""
-    if wrong == "lidar":
-        lidar = int(rng.integers(len(site.lidars)))
-        axis = rng.normal(size=3)
-        T = se3.from_rt(
-            se3.exp_so3(np.radians(rng.uniform(1, 5)) * axis / np.linalg.norm(axis)), np.zeros(3)
-        )
-        own = site.lidars[lidar]
-        cloud = own.clouds[1]
-        if cloud is None:
-            return site, "nothing", ""
-        turned = replace(cloud, xyz=se3.apply(T, cloud.xyz))
-        lidars = list(site.lidars)
-        lidars[lidar] = replace(own, clouds=(own.clouds[0], turned))
-        return replace(site, lidars=tuple(lidars)), f"{own.name} turned", own.name
     groups = [name for name, own in (("poles", poles), ("points", points)) if own]
     which = groups + (["all"] if len(groups) > 1 else [])
     group = which[int(rng.integers(len(which)))]
@@ -174,7 +174,10 @@ def one(seed: int) -> Row | None:
         else:
             simulated = simulate_site(kind, rng, survey=survey, **options)  # type: ignore[arg-type]
             site, words, name = simulated.as_site(), "", ""
-            if wrong != "none":
+            if wrong == "lidar":
+                site, name, lidar, T = turned(site, rng)
+                words = f"{name} turned"
+            elif wrong != "none":
                 site, words, name = contradicted(site, wrong, rng)
     except SimulationError:
         return None
@@ -184,11 +187,17 @@ def one(seed: int) -> Row | None:
     named = any(name in reason.message for reason in told)
     messages = tuple(f"{reason.code}: {reason.message}" for reason in found.reasons)
     words = f"{kind} {words}"
-    right = _is_right(found, simulated.T_world_lidar, bool(site.poles or site.points))
+    true, surveyed = list(simulated.T_world_lidar), bool(site.poles or site.points)
+    right = _is_right(found, true, surveyed)
+    if wrong == "lidar":
+        # Before or after it turned: both are poses that it had.
+        true[lidar] = true[lidar] @ se3.inverse(T)
+        right = right or _is_right(found, true, surveyed)
     return Row(seed, wrong, words, found.status, codes, right, named, messages)
 
 
 def _is_right(found: SiteCalibration, true: Sequence[Array], surveyed: bool) -> bool:
+    """Whether every pose is right, in the frame of the survey or of the first LiDAR."""
     if found.status == "refused":
         return True
     datum = np.eye(4) if surveyed else se3.inverse(true[0])

@@ -42,8 +42,9 @@ SEPARABLE = chi2_limit(2)
 than this is not told apart: it is up to a hundred times less likely, 2 ln 100, χ² with two degrees
 of freedom."""
 
-TAKES_ALONG = {"pole": 1, "placement": 2}
-"""How much goes with what is left out: a single point of the survey takes nothing else along."""
+TAKES_ALONG = "survey of a pole", "pole", "placement"
+"""What goes with what is left out, the least first: a single point of the survey takes nothing else
+along, both ends of a pole what its survey says of the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,8 +238,43 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
                 if own:
                     found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
     worst = list(found.values())[:MOST_TRIED]
-    for test in sorted(worst, key=lambda test: TAKES_ALONG.get(test.kind, 0)):
-        yield _suspect(site, now, test)
+    suspects: list[tuple[str, Test]] = [(test.kind, test) for test in worst]
+    suspects += [
+        ("survey of a pole", test)
+        for test in worst
+        if test.kind == "pole" and _is_surveyed(now.datum, test.pole)
+    ]
+    rank = TAKES_ALONG.index
+    for kind, test in sorted(suspects, key=lambda s: rank(s[0]) if s[0] in TAKES_ALONG else -1):
+        yield (
+            _survey_of(site, now, test) if kind == "survey of a pole" else _suspect(site, now, test)
+        )
+
+
+def _is_surveyed(datum: Datum, pole: int | None) -> bool:
+    """Whether both ends of a pole count, so that neither alone explains what both do."""
+    return sum(end.axis == pole for end in datum.surveyed.ends) > 1
+
+
+def _survey_of(site: Site, now: Adjusted, test: Test) -> Suspect:
+    """Suspect all that was surveyed of a pole, which may stand where the LiDARs see it."""
+    assert test.pole is not None
+    pole = now.datum.poles[test.pole]
+    name = pole.name(site)
+    ends = [end.name for end in now.datum.surveyed.ends if end.axis == test.pole]
+    rest = now.datum.surveyed
+    for end in ends:
+        rest = without_survey(rest, end)
+    return Suspect(
+        Reason(
+            "survey_outlier",
+            f"{name} does not stand where it was surveyed (w {test.w:.1f}), and "
+            f"{' and '.join(ends)} were left out: check their coordinates",
+            {"w": test.w, "chi2": test.chi2, "observation": name, **place_of(site, pole)},
+        ),
+        replace(now.datum, surveyed=rest),
+        test.chi2,
+    )
 
 
 def _suspect(site: Site, now: Adjusted, test: Test) -> Suspect:

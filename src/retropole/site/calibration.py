@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 from threadpoolctl import threadpool_limits
@@ -26,7 +27,7 @@ from .datum import find_datum
 from .description import Site
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
-from .shared import same_poles, shared_poles
+from .shared import SharedPole, same_poles, shared_poles
 from .swapped import check_places, check_swapped
 from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
 from .without import without_placements
@@ -85,9 +86,13 @@ def calibrate_site(
                 adjusted = adjust(recorded, datum)
                 # Rough poses may be off by more than poles of few returns lie apart, and returns
                 # that lie beside a pole under them pull no more.
+                misfit = worst_test(adjusted.tests) is not None
+                if misfit and (site.poles or site.points):
+                    # A survey that is wrong has pulled at the poses.
+                    adjusted = adjust_without_survey(recorded, choices.best.poses, poles)
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
-                if not same_poles(again, poles) or worst_test(adjusted.tests) is not None:
+                if misfit or not same_poles(again, poles):
                     adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
             with step("test"):
                 adjusted, blunders = without_blunders(recorded, adjusted)
@@ -102,6 +107,15 @@ def calibrate_site(
             unusable = list_unusable(site, scans)
             found = [*unusable, *adjusted.datum.unmet, *blunders, *unconfirmed]
             return state_answer(site, scans, pairs, groups, adjusted, found, seconds)
+
+
+def adjust_without_survey(
+    recorded: Recorded, poses: dict[int, Array], poles: Sequence[SharedPole]
+) -> Adjusted:
+    """Adjust all poses by poles and scenes alone, in the frame of a LiDAR."""
+    bare = replace(recorded.site, poles=(), points=())
+    datum = find_datum(bare, recorded.scans.origins, poses, poles)
+    return adjust(replace(recorded, site=bare), datum)
 
 
 def decide_by_candidates(

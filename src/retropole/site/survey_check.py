@@ -17,11 +17,15 @@ from ..base.datatypes import Array
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
 from .description import Site, SurveyedPole
-from .onto_survey import Fit, every_fit, farthest_beside, fixes_frame, pole_at, transformed
+from .onto_survey import Fit, ends_of, every_fit, farthest_beside, fixes_frame, pole_at, transformed
 from .shared import SharedPole
 
 UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 """Units that coordinates come in beside metres, metres each."""
+
+ROUGH = 0.1
+"""A survey all of which fits so well is not asked whether it would fit another way, metres: poses
+may be off by as much before they are adjusted."""
 
 MOST_RMS = 0.02
 """Ways of laying the survey on what is seen are told apart where one fits twice as well, or so well
@@ -93,31 +97,39 @@ def _check_units(
     poles: Sequence[SharedPole],
     fits: Sequence[Fit],
 ) -> None:
-    """Refuse where what is not met fits as a mirror image, or in another unit."""
-    best = fits[0] if fits else None
-    left = (
-        tuple(each for k, each in enumerate(site.poles) if best is None or k not in best.poles),
-        tuple(each for q, each in enumerate(site.points) if best is None or q not in best.points),
-    )
-    for surveyed, points in ((left[0], left[1]), (left[0], ()), ((), left[1])):
-        rest = replace(site, poles=surveyed, points=points)
-        everything = frozenset(range(len(surveyed))), frozenset(range(len(points)))
-        if not fixes_frame(rest, *everything):
-            continue
-        if every_fit(rest, origins, poses, poles):
-            # In a frame of its own it fits as it is.
-            return
+    """Refuse where all, poles or control points fit better as a mirror image or in another unit."""
+    if fits and fits[0].ends == _count_ends(site, poses) and fits[0].rms < ROUGH:
+        return
+    for surveyed, points in ((site.poles, site.points), (site.poles, ()), ((), site.points)):
+        part = replace(site, poles=surveyed, points=points)
+        plain = every_fit(part, origins, poses, poles)
         for name, factor, mirrored in _other_ways():
             signs = np.array([-factor if mirrored else factor, factor, factor])
-            found = every_fit(_rewritten(rest, signs), origins, poses, poles)
-            if not found or not fixes_frame(rest, found[0].poles, found[0].points):
+            found = every_fit(_rewritten(part, signs), origins, poses, poles)
+            if not found or not fixes_frame(part, found[0].poles, found[0].points):
                 continue
-            which = _names(rest, found[0].poles, found[0].points)
+            if plain and not _is_better(found[0], plain[0], _count_ends(part, poses)):
+                continue
+            which = _names(part, found[0].poles, found[0].points)
             raise Refusal(
                 "survey_contradicts",
                 f"{which} fit what the LiDARs see only {name}: correct the coordinates",
                 {"one": which, "other": name},
             )
+
+
+def _is_better(fit: Fit, plain: Fit, ends: int) -> bool:
+    """Whether another way of writing the survey fits clearly better than the survey as it is."""
+    if fit.ends == plain.ends:
+        return plain.rms > 2.0 * max(fit.rms, MOST_RMS)
+    # All of it, or more than a pole or a point that is wrong by itself.
+    return plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
+
+
+def _count_ends(site: Site, poses: dict[int, Array]) -> int:
+    """How many ends of poles, and sightings by LiDARs that have poses, were surveyed."""
+    sightings = sum(sight.lidar in poses for point in site.points for sight in point.seen)
+    return sightings + sum(len(ends_of(each)) for each in site.poles)
 
 
 def _other_ways() -> Iterator[tuple[str, float, bool]]:
