@@ -47,6 +47,32 @@ def test_names_say_which_recording_is_whose(
     assert notes == (f"gate has no recording of placement {placements[1]}",)
 
 
+@pytest.mark.parametrize("stamp", ["2026-11-23-06-{}", "20261123T06{}", "2026_11_23_06-{}-07"])
+@pytest.mark.parametrize("form", ["{stamp}-{lidar}.pcd", "{lidar}_{stamp}.pcd"])
+def test_times_in_names_are_placements(tmp_path: Path, stamp: str, form: str) -> None:
+    """What is recorded about the same time stands together, also where a recording is missing."""
+    for lidar, minutes in (
+        ("lidarA", ("01", "11", "31")),
+        ("lidarB", ("02", "12")),
+        ("gate", ("30",)),
+    ):
+        touch(tmp_path, *(form.format(lidar=lidar, stamp=stamp.format(m)) for m in minutes))
+    site = drafted(tmp_path)
+    assert site.placements == ["1", "2", "3"]
+    given = {lidar.name: [bool(path) for path in lidar.recordings] for lidar in site.lidar}
+    assert given == {
+        "gate": [False, False, True],
+        "lidarA": [True, True, True],
+        "lidarB": [True, True, False],
+    }
+
+
+def test_a_time_that_is_none_is_told(tmp_path: Path) -> None:
+    touch(tmp_path, "a-2026-02-31-06-01.pcd", "b-2026-02-31-06-01.pcd")
+    with pytest.raises(UsageError, match="is no time"):
+        drafted(tmp_path)
+
+
 def test_files_without_numbers_are_one_placement(tmp_path: Path) -> None:
     touch(tmp_path, "front.pcd", "rear.bag", "notes.txt", ".hidden.pcd", "site.toml")
     site = drafted(tmp_path)

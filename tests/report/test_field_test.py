@@ -30,7 +30,8 @@ def made_up(poles: int = 4, *, off: float = 0.004, placements: int = 1) -> Field
 
 def document(*tests: FieldTest) -> FieldTestDoc:
     names = {(f"lidar {k}", "rear <b>"): test for k, test in enumerate(tests)}
-    return field_test_document(names, radius=0.02, inputs=[])
+    lidars = sorted({name for pair in names for name in pair})
+    return field_test_document(names, lidars=lidars, radius=0.02, inputs=[])
 
 
 REFUSED = FieldTest(
@@ -72,7 +73,8 @@ def test_the_worst_pair_of_a_site_comes_first() -> None:
     text = describe_field_test(document(made_up(), REFUSED, made_up(off=0.05)))
     assert text.startswith("verdict: fail\n")
     assert text.splitlines()[1].strip() == "2 of 3 pairs tested, 1 failed"
-    first, second, third = text.splitlines()[3:6]
+    assert text.splitlines()[2].strip() == "in no pair that was tested: lidar 1"
+    first, second, third = text.splitlines()[4:7]
     assert first.strip().startswith("lidar 2")
     assert "  pass  " in second
     assert "refused: too_few_distances" in third
@@ -98,6 +100,7 @@ def test_the_page_says_the_verdict_and_asks_for_nothing() -> None:
 
 
 def test_the_verdict_of_all_is_the_worst() -> None:
-    assert document(made_up(), REFUSED).status == "pass"
+    assert document(made_up(), REFUSED).status == "partial"
+    assert document(made_up()).status == "pass"
     assert document(made_up(), made_up(off=0.05)).status == "fail"
     assert document(REFUSED).status == "refused"

@@ -268,3 +268,24 @@ def test_a_refusal_says_what_was_left_out_before_it(
     assert found.status == "refused"
     assert [reason.code for reason in found.reasons] == ["scene_contradicts", "pole_moved"]
     assert not found.lidars
+
+
+def test_poles_stand_where_they_are_adjusted(
+    simulated: SimulatedSite, found: SiteCalibration
+) -> None:
+    """The axes are as far from the true ones as their σ say, in the frame of the first LiDAR."""
+    T = simulated.T_world_lidar[0]
+    distances, turns = [], []
+    for pole in found.poles:
+        at, direction = se3.apply(T, pole.point[None])[0], T[:3, :3] @ pole.direction
+        away = [
+            np.linalg.norm(np.cross(at - c.centre, c.axis)) for c in simulated.poles[pole.placement]
+        ]
+        axis = simulated.poles[pole.placement][int(np.argmin(away))].axis
+        assert pole.sigma is not None
+        assert pole.direction_sigma is not None
+        distances.append(min(away) / pole.sigma)
+        turns.append(np.linalg.norm(np.cross(direction, axis)) / pole.direction_sigma)
+    assert 0.2 < np.median(distances) < 2.5
+    assert 0.1 < np.median(turns) < 2.5
+    assert max(distances + turns) < 4.0

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.alignment.survey import Surveyed, SurveyedEnd
 from retropole.base import se3
 from retropole.site.datum import without_poles
 from retropole.site.without import without_placements
@@ -45,3 +46,14 @@ def test_what_rests_on_one_placement_alone_is_told(steps: Steps) -> None:
     assert first.rotation is None
     assert first.lidar is None
     assert second.translation == pytest.approx(0.0, abs=1e-4)
+
+
+def test_one_surveyed_end_of_a_pole_that_no_return_is_left_of(steps: Steps) -> None:
+    """A line of which one point alone is known keeps the equations solvable."""
+    k = next(k for k, pole in enumerate(steps.datum.poles) if pole.placement == 1)
+    end = SurveyedEnd("foot", k, steps.datum.poles[k].extent[0], 0.05)
+    known = replace(steps.datum, surveyed=Surveyed(ends=(end,)))
+    adjusted = steps.again(known)
+    first, second = without_placements(adjusted.network, adjusted.end, 2)
+    assert first.placement == 0
+    assert second.placement == 1

@@ -45,6 +45,7 @@ def certify(
     test = certification.certify(found, radius=config.radius_m, radius_sigma=config.radius_sigma_m)
     return field_test_document(
         {("target", "source"): test},
+        lidars=("target", "source"),
         radius=config.radius_m,
         inputs=input_documents(given for pair in pairs for given in pair),
     )
@@ -69,5 +70,8 @@ def certify_site(path: Path, listener: Listener = SILENT) -> FieldTestDoc:
     if not tests:
         raise UsageError(f"{path}: no two LiDARs recorded the same placement")
     return field_test_document(
-        tests, radius=read.site.radius, inputs=input_documents(read.inputs.values())
+        tests,
+        lidars=[lidar.name for lidar in lidars],
+        radius=read.site.radius,
+        inputs=input_documents(read.inputs.values()),
     )

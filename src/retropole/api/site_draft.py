@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timedelta
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path, PurePath
@@ -29,6 +30,12 @@ NUMBERED = re.compile(r"(?:(?:p|pos|pl|place|placement|position|setup|station)[-
 
 OF_BOTH = re.compile(rf"(.+?)[-_]({NUMBERED.pattern})", re.I)
 """LiDAR and placement in one name."""
+
+TIMED = re.compile(
+    r"(?P<date>(?:19|20)\d\d[-_.]?[01]\d[-_.]?[0-3]\d)[-_.T ]?"
+    r"(?P<time>[0-2]\d[-_.:]?[0-5]\d(?:[-_.:]?[0-5]\d)?)(?:\.\d+)?Z?(?!\d)"
+)
+"""When a recording was made, in its name: a date and a time of day."""
 
 SHOWN = 6
 """So many names are quoted of what was seen."""
@@ -62,8 +69,9 @@ def draft_site(folder: Path, path: Path) -> Draft:
     Parameters
     ----------
     folder
-        Holds ``LIDAR/PLACEMENT.pcd``, ``PLACEMENT/LIDAR.pcd``, ``LIDAR_PLACEMENT.pcd`` or, of one
-        placement, ``LIDAR.pcd``; a recording may have any format that is read.
+        Holds ``LIDAR/PLACEMENT.pcd``, ``PLACEMENT/LIDAR.pcd``, ``LIDAR_PLACEMENT.pcd``,
+        ``2026-11-23-06-01-LIDAR.pcd`` with the time of the placement or, of one placement,
+        ``LIDAR.pcd``; a recording may have any format that is read.
     path
         Where the file is going to be: paths in it count from its folder.
 
@@ -148,7 +156,9 @@ def _entries(folder: Path) -> tuple[list[Path], list[Path], tuple[str, ...]]:
 
 
 def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
-    """Take LiDAR and placement from the name of each file."""
+    """Take LiDAR and placement from the name of each file, or the placement from its time."""
+    if all(TIMED.search(_name(path)) for path in files):
+        return _by_times(files)
     both = {path: OF_BOTH.fullmatch(_name(path)) for path in files}
     named = [path.name for path, match in both.items() if match]
     others = [path.name for path, match in both.items() if not match]
@@ -161,6 +171,37 @@ def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
         (match[1], match[2], path) if match else (_name(path), "1", path)
         for path, match in both.items()
     ]
+
+
+def _by_times(files: Sequence[Path]) -> list[tuple[str, str, Path]]:
+    """Take the LiDAR from what beside the time is in a name; what is near in time is one placement.
+
+    Near is nearer than half of the least time between two recordings of one LiDAR.
+    """
+    recorded: list[tuple[datetime, str, Path]] = []
+    for path in files:
+        name = _name(path)
+        match = TIMED.search(name)
+        assert match is not None
+        lidar = (name[: match.start()] + name[match.end() :]).strip("-_. ") or "lidar"
+        digits = re.sub(r"\D", "", match["date"] + match["time"]).ljust(14, "0")
+        try:
+            recorded.append((datetime.strptime(digits, "%Y%m%d%H%M%S"), lidar, path))
+        except ValueError:
+            raise UsageError(f"{path.name}: {match[0]} is no time") from None
+    recorded.sort(key=lambda each: each[:2])
+    last: dict[str, datetime] = {}
+    least = timedelta.max
+    for when, lidar, _ in recorded:
+        least = min(least, when - last.get(lidar, datetime.min))
+        last[lidar] = when
+    found: list[tuple[str, str, Path]] = []
+    placement, before = 1, recorded[0][0]
+    for when, lidar, path in recorded:
+        placement += when - before > least / 2
+        before = when
+        found.append((lidar, str(placement), path))
+    return found
 
 
 def _nested(folder: Path, inner: Mapping[str, Sequence[Path]]) -> list[tuple[str, str, Path]]:

@@ -10,12 +10,20 @@ from click.core import ParameterSource
 
 from ..result import RunConfig
 from .calibrate import placed
-from .common import EXIT_REFUSED, echo_refusal, in_colour, listening, show, show_written
+from .common import (
+    EXIT_REFUSED,
+    EXIT_WARNED,
+    echo_refusal,
+    in_colour,
+    listening,
+    show,
+    show_written,
+)
 from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options
 
 EXIT_FAILED = 4
 RESULT_FILE, PAGE_FILE = "field-test.json", "field-test.html"
-EXITS = {"pass": 0, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
+EXITS = {"pass": 0, "partial": EXIT_WARNED, "fail": EXIT_FAILED, "refused": EXIT_REFUSED}
 
 
 @click.command()
@@ -54,6 +62,7 @@ def certify(
     \b
     Exit code:
       0    pass
+      1    partial: what was tested passes, some LiDARs of a site could not be tested
       2    a file or an option is wrong
       3    refused: too little to tell; the reason is printed
       4    fail

@@ -23,6 +23,7 @@ LISTED = 16
 
 VERDICTS: dict[Verdict, tuple[str, str, str]] = {
     "pass": ("ok", "✓", "Pass: the LiDARs measure as stated"),
+    "partial": ("warn", "!", "Partial: some LiDARs could not be tested"),
     "fail": ("refused", "✕", "Fail: distances differ by more than is stated of the LiDARs"),
     "refused": ("refused", "✕", "Refused: too little to tell"),
 }
@@ -37,7 +38,8 @@ def describe_field_test(document: FieldTestDoc) -> str:
     lines = [f"verdict: {document.status}"]
     if len(document.pairs) > 1:
         listing = _pairs(document)
-        lines += [f"  {_tested(document)}", text_table(listing.header, listing.rows[:LISTED])]
+        lines += [f"  {_tested(document)}", *wrapped(f"  {_untested(document)}".rstrip(), "    ")]
+        lines.append(text_table(listing.header, listing.rows[:LISTED]))
         if len(listing.rows) > LISTED:
             lines.append(f"  {counted(len(listing.rows) - LISTED, 'more pair')}; --json has all")
         return "\n".join(lines)
@@ -76,6 +78,15 @@ def _tested(document: FieldTestDoc) -> str:
     return f"{said}, {failed} failed" if tested else said
 
 
+def _untested(document: FieldTestDoc) -> str:
+    """Name the LiDARs that are in no pair that was tested; nothing where none was."""
+    if len(document.untested) == 0 or document.status == "refused":
+        return ""
+    rest = len(document.untested) - LISTED
+    more = f" and {rest} more" if rest > 0 else ""
+    return f"in no pair that was tested: {', '.join(document.untested[:LISTED])}{more}"
+
+
 def _pairs(document: FieldTestDoc) -> Listing:
     """List the pairs, each with its largest difference; what failed comes first."""
     rows = [
@@ -110,7 +121,7 @@ def _distances(pair: PairTestDoc, distances: Sequence[DistanceTest]) -> Listing:
 
 def _in_order(document: FieldTestDoc) -> list[PairTestDoc]:
     """Sort the pairs: what failed first, what could not be tested last."""
-    order: dict[Verdict, int] = {"fail": 0, "pass": 1, "refused": 2}
+    order: dict[Verdict, int] = {"fail": 0, "pass": 1, "partial": 1, "refused": 2}
     return sorted(document.pairs, key=lambda pair: (order[pair.status], -_largest(pair)))
 
 
@@ -160,7 +171,8 @@ def render_field_test(document: FieldTestDoc) -> str:
     kind, symbol, title = VERDICTS[document.status]
     pairs = EMPTY
     if len(document.pairs) > 1:
-        title = f"{title.partition(':')[0]}: {_tested(document)}"
+        untested = _untested(document)
+        title = f"{title.partition(':')[0]}: {_tested(document)}{untested and '; '}{untested}"
         pairs = table(*_pairs(document))
     return render_page(
         "field test of LiDARs",

@@ -32,20 +32,27 @@ class PairTestDoc(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FieldTestDoc(msgspec.Struct, frozen=True, kw_only=True):
-    """The test of all pairs of LiDARs: fail where one fails, refused where none could be tested."""
+    """The test of all pairs of LiDARs: fail where one fails, refused where none could be tested,
+    partial where some LiDARs, `untested`, are in no pair that was.
+    """
 
     schema: Literal["retropole/field-test/1"] = FIELD_TEST_SCHEMA
     status: Verdict
     alpha: Share
     radius_m: Size
     pairs: list[PairTestDoc]
+    untested: list[Text] = []
     inputs: list[InputDoc]
     version: Text
     created: Text
 
 
 def field_test_document(
-    tests: Mapping[tuple[str, str], FieldTest], *, radius: float, inputs: Sequence[InputDoc]
+    tests: Mapping[tuple[str, str], FieldTest],
+    *,
+    lidars: Sequence[str],
+    radius: float,
+    inputs: Sequence[InputDoc],
 ) -> FieldTestDoc:
     """Write the tests of pairs of LiDARs as a document.
 
@@ -53,17 +60,24 @@ def field_test_document(
     ----------
     tests
         By the names of both LiDARs; at least one.
+    lidars
+        The names of all.
     radius
         Of the poles as given, metres.
     inputs
         The recordings.
     """
     verdicts = {test.status for test in tests.values()}
-    status: Verdict = "fail" if "fail" in verdicts else "pass" if "pass" in verdicts else "refused"
+    tested = {name for pair, test in tests.items() if test.status != "refused" for name in pair}
+    untested = [name for name in lidars if name not in tested]
+    status: Verdict = "partial" if untested else "pass"
+    if "fail" in verdicts or not tested:
+        status = "fail" if "fail" in verdicts else "refused"
     return document_of(
         FieldTestDoc,
         made_now(),
         status=status,
+        untested=untested,
         alpha=next(iter(tests.values())).alpha,
         radius_m=radius,
         pairs=[

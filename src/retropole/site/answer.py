@@ -64,7 +64,15 @@ class LidarPose:
 
 
 class SitePole(
-    msgspec.Struct, frozen=True, eq=False, rename={"point": "point_m", "length": "length_m"}
+    msgspec.Struct,
+    frozen=True,
+    eq=False,
+    rename={
+        "point": "point_m",
+        "length": "length_m",
+        "sigma": "sigma_m",
+        "direction_sigma": "direction_sigma_rad",
+    },
 ):
     """A pole of one placement, as all LiDARs that saw it have it together.
 
@@ -82,6 +90,9 @@ class SitePole(
         Indices of the LiDARs.
     surveyed
         Index in `Site.poles`; None where it was not surveyed.
+    sigma, direction_sigma
+        1 σ of the axis across itself at `point`, metres, and of its direction, rad, where they are
+        largest; None in documents of earlier versions.
     """
 
     name: Text
@@ -91,6 +102,8 @@ class SitePole(
     length: Size
     seen_by: Indices
     surveyed: Count | None = None
+    sigma: Size | None = None
+    direction_sigma: Size | None = None
 
 
 @dataclass(frozen=True, eq=False)

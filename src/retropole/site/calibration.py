@@ -28,6 +28,7 @@ from .description import Site
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
 from .shared import SharedPole, same_poles, shared_poles
+from .solved import axes_of
 from .swapped import check_places, check_swapped
 from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
 from .without import without_placements
@@ -228,17 +229,20 @@ def _lidar_pose(
 
 
 def _site_poles(site: Site, adjusted: Adjusted) -> tuple[SitePole, ...]:
+    axes = axes_of(adjusted.solved)
     return tuple(
         SitePole(
             pole.name(site),
             pole.placement,
-            pole.extent.mean(axis=0),
-            pole.direction,
+            point := axis.nearest(pole.extent.mean(axis=0)),
+            axis.direction,
             pole.length,
             tuple(sorted(pole.seen)),
             pole.surveyed,
+            axis.sigma_at(point),
+            axis.direction_sigma,
         )
-        for pole in adjusted.datum.poles
+        for pole, axis in zip(adjusted.datum.poles, axes, strict=True)
     )
 
 

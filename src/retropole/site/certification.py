@@ -30,7 +30,8 @@ from .description import Site
 from .distances import Measured, Targets, measure, middles
 from .repetition import SpreadTest, compare_spread, spread_of_sweeps
 
-Verdict = Literal["pass", "fail", "refused"]
+Verdict = Literal["pass", "partial", "fail", "refused"]
+"""``partial``: what was tested passes, and some LiDARs are in no pair that could be tested."""
 
 ALPHA = 0.05
 """Probability with which LiDARs that measure as stated fail: of all distances together, and of the

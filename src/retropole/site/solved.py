@@ -63,6 +63,58 @@ class Solved:
         return np.asarray(one.gradient - one.information @ away)
 
 
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """An adjusted axis of a pole.
+
+    Attributes
+    ----------
+    point, direction
+        (3,) in the frame of the site.
+    covariance
+        (4, 4) of the point along two directions across the axis, and of its direction likewise.
+    """
+
+    point: Array
+    direction: Array
+    covariance: Array
+
+    def nearest(self, at: Array) -> Array:
+        """(3,) point of the axis that is nearest to another."""
+        return np.asarray(self.point + self.direction * ((at - self.point) @ self.direction))
+
+    def sigma_at(self, at: Array) -> float:
+        """1 σ across the axis at one of its points, metres, the way that it is largest."""
+        by = np.hstack([np.eye(2), (at - self.point) @ self.direction * np.eye(2)])
+        return _largest_sigma(by @ self.covariance @ by.T)
+
+    @property
+    def direction_sigma(self) -> float:
+        """1 σ of the direction, rad, the way that it is largest."""
+        return _largest_sigma(self.covariance[2:, 2:])
+
+
+def _largest_sigma(covariance: Array) -> float:
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def axes_of(at: Solved) -> list[Axis]:
+    """Give the axes of all poles as they were adjusted."""
+    state, unknowns = at.network.state, at.network.unknowns
+    tangents = state.of(0, np.arange(unknowns.axes)).tangents
+    found = []
+    for k in range(unknowns.axes):
+        own = unknowns.axis(np.array([k]))
+        step = at.values[own].reshape(2, 2) @ tangents[k].T
+        direction = state.directions[k] + step[1]
+        # What is considered and not estimated moves the axes as well.
+        wide = at.inverse[own] @ at.by_wide
+        covariance = at.inverse[np.ix_(own, own)] + wide @ wide.T
+        direction /= np.linalg.norm(direction)
+        found.append(Axis(state.points[k] + step[0], direction, covariance))
+    return found
+
+
 def solve_all(network: Network, end: End, groups: Groups, parts: Sequence[Part]) -> Solved:
     """Solve for all unknowns, axes and control points too, at the answer.
 
