@@ -12,7 +12,7 @@ from typing import Any
 from ..base.errors import MissingExtraError, ReadError
 from .bag_mcap import open_mcap
 from .bag_sqlite import open_sqlite
-from .failures import reported
+from .failures import naming, reported
 from .recordings import MAX_MESSAGES, Bag, counted_topics
 from .unpacking import allowance, unpack_file, unpacked
 
@@ -55,7 +55,7 @@ def opened(path: Path) -> Iterator[Bag]:
     except ImportError:
         raise MissingExtraError("ros", "reading ROS bags") from None
     open_one = _folder if path.is_dir() else OPENERS[path.suffix.lower()]
-    with reported(path, "bag", REPAIR), open_one(path) as bag:
+    with naming(path), reported("bag", REPAIR), open_one(path) as bag:
         yield bag
 
 
@@ -66,7 +66,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
     from rosbags import rosbag1
 
     size = path.stat().st_size
-    spend = allowance(path, size)
+    spend = allowance(size)
     indexed = 0
     kinds = {bz2.decompress: "bz2", lz4.frame.decompress: "lz4"}
 
@@ -74,7 +74,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
         def read_chunk(self) -> Any:
             chunk = super().read_chunk()
             kind = kinds.get(chunk.decompressor, "")
-            return chunk._replace(decompressor=lambda data: unpacked(path, kind, data, spend))
+            return chunk._replace(decompressor=lambda data: unpacked(kind, data, spend))
 
         def read_index_data(self, pos: int, indexes: Any) -> None:
             nonlocal indexed
@@ -84,7 +84,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
             indexed += file.tell() - start
             if indexed > min(size, MAX_MESSAGES * INDEX_ENTRY):
                 raise ReadError(
-                    f"{path}: its index has more than {indexed // INDEX_ENTRY:,} messages; up to "
+                    f"its index has more than {indexed // INDEX_ENTRY:,} messages; up to "
                     f"{MAX_MESSAGES:,} are read, and no more than fit into its {size:,} bytes"
                 )
 
@@ -117,24 +117,28 @@ def _folder(path: Path) -> Iterator[Bag]:
     is_known = mode == "none" or (mode in ("file", "message") and kind == "zstd")
     if suffix is None or not is_known:
         raise ReadError(
-            f"{path}: its storage is {storage}, its compression {mode} {kind}; "
+            f"its storage is {storage}, its compression {mode} {kind}; "
             "expected mcap or sqlite3, and none or zstd"
         )
     files = [path / PurePath(str(name)).name for name in about["relative_file_paths"]]
-    spend = allowance(path, sum(file.stat().st_size for file in files))
+    spend = allowance(sum(file.stat().st_size for file in files))
     with ExitStack() as stack:
         if mode == "file":
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             packed, files = files, [folder / f"{k}{suffix}" for k in range(len(files))]
             for file, to in zip(packed, files, strict=True):
                 unpack_file(file, to, "zstd", spend)
-        bags = [stack.enter_context(OPENERS[suffix](file)) for file in files]
+        bags = []
+        for file in files:
+            with naming(file.name):
+                bags.append(stack.enter_context(OPENERS[suffix](file)))
+        packing = "zstd" if mode == "message" else ""
 
         def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
-            for bag in bags:
-                for stamp, data, encoding in bag.messages(name, kind):
-                    packing = "zstd" if mode == "message" else ""
-                    yield stamp, unpacked(path, packing, data, spend), encoding
+            for bag, file in zip(bags, files, strict=True):
+                with naming(file.name):
+                    for stamp, data, encoding in bag.messages(name, kind):
+                        yield stamp, unpacked(packing, data, spend), encoding
 
         topics = [(own.name, own.kind, own.count) for bag in bags for own in bag.topics]
         yield Bag(counted_topics(topics), messages)
@@ -163,8 +167,8 @@ def _metadata(path: Path) -> dict[str, Any]:
             break
     if not is_plain:
         raise ReadError(
-            f"{file}: more than {MAX_METADATA:,} bytes or {DEEPEST_METADATA} levels, or an alias, "
-            "which the metadata of no bag have"
+            f"{METADATA}: more than {MAX_METADATA:,} bytes or {DEEPEST_METADATA} levels, or an "
+            "alias, which the metadata of no bag have"
         )
     found: dict[str, Any] = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
     return found

@@ -40,14 +40,15 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
         Where its topics and messages are not plain tables, or where to read it takes more than a
         file of its size can need.
     """
+    size = path.stat().st_size
     # An address, since only that can say that the file does not change; as_uri quotes the path.
     address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
     with closing(sqlite3.connect(address, uri=True)) as database:
         database.text_factory = lambda text: text.decode(errors="replace")
-        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(path.stat().st_size, MAX_LENGTH))
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(size, MAX_LENGTH))
         database.execute("PRAGMA trusted_schema=OFF")
-        with _counted_steps(path, database):
-            _check_tables(path, database)
+        with _counted_steps(size, database):
+            _check_tables(database)
             topics = database.execute(
                 f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?", [MAX_TOPICS + 1]
             ).fetchall()
@@ -59,9 +60,8 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
             )
             if max(len(topics), len(counts)) > MAX_TOPICS or sum(counts.values()) > MAX_MESSAGES:
                 raise ReadError(
-                    f"{path}: has {sum(counts.values()):,} messages and {len(topics):,} topics, "
-                    f"up to {MAX_MESSAGES:,} and {MAX_TOPICS:,} are read; 'ros2 bag convert' "
-                    "splits it"
+                    f"has {sum(counts.values()):,} messages and {len(topics):,} topics, up to "
+                    f"{MAX_MESSAGES:,} and {MAX_TOPICS:,} are read; 'ros2 bag convert' splits it"
                 )
 
             def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
@@ -72,7 +72,7 @@ def open_sqlite(path: Path) -> Iterator[Bag]:
                     f"WHERE topic_id IN ({','.join('?' * len(own))}) ORDER BY timestamp, rowid",
                     own,
                 ).fetchall()
-                spend = allowance(path, path.stat().st_size)
+                spend = allowance(size)
                 for row, stamp in rows:
                     found = database.execute("SELECT data FROM messages WHERE rowid = ?", [row])
                     data = bytes(found.fetchone()[0])
@@ -92,7 +92,7 @@ def _text(column: str) -> str:
     return f"substr(CAST(coalesce({column}, '') AS TEXT), 1, 1000)"
 
 
-def _check_tables(path: Path, database: sqlite3.Connection) -> None:
+def _check_tables(database: sqlite3.Connection) -> None:
     """Refuse topics or messages that are computed when they are read."""
     for name in TABLES:
         # SQLite goes by this text and not by the type that stands beside it.
@@ -100,19 +100,18 @@ def _check_tables(path: Path, database: sqlite3.Connection) -> None:
             "SELECT sql FROM sqlite_master WHERE lower(name) = ? LIMIT 1", [name]
         ).fetchone()
         if found is None:
-            raise ReadError(f"{path}: is a database without the table {name}, expected a bag")
+            raise ReadError(f"is a database without the table {name}, expected a bag")
         hidden = [row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")]
         if not re.match(r"CREATE\s+TABLE\s", str(found[0]), re.IGNORECASE) or any(hidden):
             raise ReadError(
-                f"{path}: {name} is not a table of plain columns but computed when it is read, "
-                "which no recorder writes"
+                f"{name} is not a table of plain columns but computed when it is read, which no "
+                "recorder writes"
             )
 
 
 @contextmanager
-def _counted_steps(path: Path, database: sqlite3.Connection) -> Iterator[None]:
+def _counted_steps(size: int, database: sqlite3.Connection) -> Iterator[None]:
     """Stop SQLite where it takes more steps than a file of that size can need, and by Ctrl-C."""
-    size = path.stat().st_size
     left = (STEPS + STEPS_PER_BYTE * size) // STEPS_COUNTED
 
     def is_over() -> bool:
@@ -129,6 +128,6 @@ def _counted_steps(path: Path, database: sqlite3.Connection) -> Iterator[None]:
         if left >= 0:  # by what was raised while it counted, which sqlite3 swallows
             raise KeyboardInterrupt from None
         raise ReadError(
-            f"{path}: to read it takes more steps than a database of {size:,} bytes can need: it "
-            "is damaged, or computes what it holds"
+            f"to read it takes more steps than a database of {size:,} bytes can need: it is "
+            "damaged, or computes what it holds"
         ) from None

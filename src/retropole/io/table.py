@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import io
-from pathlib import Path
 
 import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError
+from .failures import LineError
 
 
-def read_table(
-    path: Path, body: bytes, columns: int, *, line: int, separator: str | None = None
-) -> Array:
+def read_table(body: bytes, columns: int, *, line: int, separator: str | None = None) -> Array:
     """Read the lines of a text as a table of numbers, without blank lines and # comments.
 
     Parameters
     ----------
-    path
-        The file, for messages.
     body
         The text. Bytes that are not ASCII become question marks, which are not numbers.
     columns
@@ -50,16 +46,13 @@ def read_table(
     except ValueError:
         bad = _first_bad(body, columns, separator)
         if bad is None:
-            raise ReadError(f"{path}: its lines are not {columns} numbers each") from None
+            raise ReadError(f"its lines are not {columns} numbers each") from None
         number, content = bad
-        raise ReadError(
-            f"{path}, line {line + number}: {content[:60]!r}, expected {columns} numbers"
-        ) from None
+        words = f"{content[:60]!r}, expected {columns} numbers"
+        raise LineError(line + number, words) from None
     if table.shape[1] != columns:
         number, _ = _first_bad(body, columns, separator) or (0, "")
-        raise ReadError(
-            f"{path}, line {line + number}: holds {table.shape[1]} values, expected {columns}"
-        )
+        raise LineError(line + number, f"holds {table.shape[1]} values, expected {columns}")
     return table
 
 
