@@ -4,7 +4,6 @@
 `share_styles` are of what it shows.
 """
 
-from ..report.markup import share_styles, table
-from ..report.page import fill_page
+from ..report.page import fill_page, share_styles, table
 
 __all__ = ["fill_page", "share_styles", "table"]

@@ -160,6 +160,15 @@ def frame_from_columns(where: str, columns: Columns, origin: Array | None = None
             return PointCloud(np.zeros((0, 3)), dropped=error.points, source=where)
 
 
+def records_of(columns: Columns) -> NDArray[Any]:
+    """Make a record of each point (N,), without padding."""
+    first, *_ = columns.values()
+    records = np.empty(len(first), [(name, own.dtype.str) for name, own in columns.items()])
+    for name, own in columns.items():
+        records[name] = own
+    return records
+
+
 def _is_return(xyz: Array, origin: Array) -> BoolArray:
     """Find the points that are returns (N,): places, and neither zero nor at the origin."""
     # Axis by axis, which is several times faster than along the short side of (N, 3).

@@ -17,9 +17,17 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import ReadError, UsageError
 from ..base.files import write_atomically
+from .arrays import read_table
 from .failures import LineError, naming
-from .fields import LARGEST, MAX_PROMISED, Columns, cloud_from_columns, left_out, read_whole
-from .table import read_table
+from .fields import (
+    LARGEST,
+    MAX_PROMISED,
+    Columns,
+    cloud_from_columns,
+    left_out,
+    read_whole,
+    records_of,
+)
 
 MAX_HEADER = 64 * 1024
 """Bytes; a file without a DATA line in so many is not a PCD."""
@@ -114,12 +122,9 @@ def _parse_header(data: bytes) -> Header:
         if key in entries:
             raise LineError(number, f"{key} again, after line {entries[key][0]}")
         entries[key] = (number, words[1:])
-    for key in ("FIELDS", "SIZE", "TYPE", "WIDTH"):
-        if key not in entries:
-            raise ReadError(f"the header has no {key} line")
-
-    names, (line, types) = entries["FIELDS"][1], entries["TYPE"]
+    names = _entry(entries, "FIELDS")[1]
     sizes, counts = _whole(entries, "SIZE", 1), _whole(entries, "COUNT", 1, [1] * len(names))
+    line, types = _entry(entries, "TYPE")
     if not len(names) == len(sizes) == len(counts) == len(types):
         numbers = f"{len(names)}, {len(sizes)}, {len(types)} and {len(counts)} fields"
         said = f"FIELDS, SIZE, TYPE and COUNT name {numbers}, expected the same number"
@@ -146,11 +151,17 @@ def _parse_header(data: bytes) -> Header:
     )
 
 
+def _entry(entries: Entries, key: str) -> tuple[int, list[str]]:
+    if key not in entries:
+        raise ReadError(f"the header has no {key} line")
+    return entries[key]
+
+
 def _whole(entries: Entries, key: str, low: int, default: list[int] | None = None) -> list[int]:
     """Read whole numbers, one at least."""
     if key not in entries and default is not None:
         return default
-    line, words = entries[key]
+    line, words = _entry(entries, key)
     try:
         values = [int(word) for word in words]
     except ValueError:
@@ -281,25 +292,21 @@ def pcd_of(cloud: PointCloud) -> bytes:
         ("ring", "<u2", cloud.ring),
         ("timestamp", "<f8", cloud.time),
     ]
-    fields = [(name, kind) for name, kind, column in columns if column is not None]
-    points = np.empty(len(cloud), np.dtype(fields))
-    for name, kind, column in columns:
-        if column is None:
-            continue
+    kept = [(name, kind, column) for name, kind, column in columns if column is not None]
+    for name, kind, column in kept:
         fits = np.iinfo(kind) if name == "ring" else np.finfo(kind)
         if column.size and not (fits.min <= column.min() and column.max() <= fits.max):
-            raise UsageError(
-                f"{name} runs from {column.min():g} to {column.max():g}, a PCD holds "
-                f"{fits.min:g} to {fits.max:g}"
-            )
-        points[name] = column
+            runs = f"{name} runs from {column.min():g} to {column.max():g}"
+            raise UsageError(f"{runs}, a PCD holds {fits.min:g} to {fits.max:g}")
+    points = records_of({name: column.astype(kind) for name, kind, column in kept})
+    kinds = [kind for _, kind, _ in kept]
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
-        "FIELDS " + " ".join(name for name, _ in fields),
-        "SIZE " + " ".join(kind[2] for _, kind in fields),
-        "TYPE " + " ".join(kind[1].upper() for _, kind in fields),
-        "COUNT " + " ".join("1" for _ in fields),
+        f"FIELDS {' '.join(name for name, *_ in kept)}",
+        f"SIZE {' '.join(kind[2] for kind in kinds)}",
+        f"TYPE {' '.join(kind[1].upper() for kind in kinds)}",
+        f"COUNT {' '.join('1' for _ in kinds)}",
         f"WIDTH {len(cloud)}",
         "HEIGHT 1",
         "VIEWPOINT " + " ".join(repr(float(v)) for v in cloud.origin) + " 1 0 0 0",

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError
+from .arrays import read_table
 from .failures import LineError
 from .fields import MAX_PROMISED, cloud_from_columns, left_out, read_whole
-from .table import read_table
 
 PLY_TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1"},

@@ -1,4 +1,4 @@
-"""The ways of laying the poles of a pair on each other, and what decides between those that stand."""
+"""The ways of laying the poles of a pair on each other, and what decides between them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from ..result import DEFAULT_CONFIG, HypothesisDoc, ResultDoc
 from . import listings
 from .certainty import number
 from .listings import numbers
-from .markup import inline, listed, table
-from .page import EMPTY, Html, fill, fill_each, join
+from .page import EMPTY, Html, fill, fill_each, inline, join, listed, table
 from .subject import hypothesis_name
 
 OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
