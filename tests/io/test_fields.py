@@ -90,7 +90,7 @@ class TestNames:
 def test_coordinates_that_are_no_places_are_dropped() -> None:
     x = np.array([1.0, 1e300, -1e10, 1e-200, 5e6])
     zero = np.zeros(5)
-    cloud = cloud_from_columns("a", {"x": x, "y": zero, "z": zero, "intensity": np.full(5, 1e300)})
+    cloud = cloud_from_columns({"x": x, "y": zero, "z": zero, "intensity": np.full(5, 1e300)})
     np.testing.assert_array_equal(cloud.xyz[:, 0], [1.0, 5e6])
     assert cloud.dropped == 3
     assert cloud.intensity is None, "no sensor counts so far"

@@ -25,7 +25,7 @@ def test_circle_of_known_radius_is_found_from_one_side() -> None:
     flat = np.c_[radius * np.cos(angle), radius * np.sin(angle)] + [3.0, -1.0]
     circle = fit_circle(flat, 0.02, flat.mean(axis=0) - [0.01, 0.0])
     assert circle.converged
-    assert np.allclose(circle.centre, [3.0, -1.0], atol=1e-3)
+    assert np.allclose(circle.point, [3.0, -1.0], atol=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -35,7 +35,7 @@ def test_converged_circle_is_where_its_weighted_residuals_balance(seed: int) -> 
     radius = 0.02 + 0.005 * rng.standard_normal(80)
     flat = np.c_[radius * np.cos(angle), radius * np.sin(angle)]
     circle = fit_circle(flat, 0.02, flat.mean(axis=0) - [0.008, 0.0])
-    away = flat - circle.centre
+    away = flat - circle.point
     distance = np.linalg.norm(away, axis=1)
     residual = distance - 0.02
     weight = 1 / np.sqrt(1 + (residual / crosssections.RESIDUAL_SCALE) ** 2)

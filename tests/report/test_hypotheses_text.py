@@ -10,11 +10,11 @@ from retropole.base import se3
 from retropole.base.datatypes import Match
 from retropole.base.errors import Refusal
 from retropole.matching.prior import agreeing_with_prior, rotation_prior
-from retropole.report.hypotheses import hypotheses
-from retropole.report.hypotheses_text import (
+from retropole.report.hypotheses import (
     axis_words,
     deciding,
     describe_standing,
+    hypotheses,
     relative_words,
     standing,
 )

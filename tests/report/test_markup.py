@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from retropole.report.certainty import number
-from retropole.report.markup import NO_BREAK, inline, plus_minus, share_styles, table
+from retropole.report.page import NO_BREAK, inline, plus_minus, share_styles, table
 from tests.report.made_up import HOSTILE, Page
 
 

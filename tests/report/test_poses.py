@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from retropole.export import FORMATS, export_lines
 from retropole.report.certainty import error_parts
-from retropole.report.markup import NO_BREAK
+from retropole.report.page import NO_BREAK
 from retropole.report.poses import FRAMES, UNFOLDED, poses
 from retropole.report.subject import Subject, of_pair
 from retropole.result import BudgetEntry, ResultDoc

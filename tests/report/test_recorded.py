@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from retropole.base import se3
 from retropole.report import listings
-from retropole.report.markup import SHOWN, listed
+from retropole.report.page import SHOWN, listed
 from retropole.report.recorded import poles, run
 from retropole.report.subject import (
     Subject,

@@ -13,7 +13,7 @@ from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty import Confirmation
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.report.certainty import probability, statements
-from retropole.report.markup import NO_BREAK
+from retropole.report.page import NO_BREAK
 from retropole.report.subject import Subject, of_pair
 from retropole.report.verdict import verdict
 from retropole.result import ReasonDoc, ResultDoc

@@ -4,7 +4,6 @@
 and pieces of `pieces.html`, which `fill` fills.
 """
 
-from ..report.markup import folded, share_styles, table
-from ..report.page import EMPTY, Html, fill, fill_page, join
+from ..report.page import EMPTY, Html, fill, fill_page, folded, join, share_styles, table
 
 __all__ = ["EMPTY", "Html", "fill", "fill_page", "folded", "join", "share_styles", "table"]

@@ -22,7 +22,7 @@ from ..base.se3 import rigid
 from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of
 from ..result.decoding import check_covariance, decode, decode_site
 from ..result.site import SITE_SCHEMA, SiteDoc
-from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, pose_of, pose_values
+from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, comments, named_lines, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,
     Found,
@@ -193,20 +193,17 @@ def _square(values: Any) -> Array:
     return C
 
 
-def write_yaml(transform: Transform) -> str:
-    """Write Autoware's ``sensors_calibration.yaml``: ``parent: child: x y z roll pitch yaw``."""
-    return yaml_of([transform], [transform.meaning])
+def write_yaml(*transforms: Transform, notes: Sequence[str] = ()) -> str:
+    """Write Autoware's ``sensors_calibration.yaml``: ``parent: child: x y z roll pitch yaw``.
 
-
-def yaml_of(transforms: Sequence[Transform], notes: Sequence[str]) -> str:
-    """Write transforms as `write_yaml`, those of one parent together, under notes as comments."""
-    text = "".join(f"# {note}\n" for note in (*notes, RPY_MEANING))
+    Transforms of one parent stand together; above all, as comments, notes and what each maps.
+    """
+    text = comments((*notes, *(each.meaning for each in transforms), RPY_MEANING))
     for parent in dict.fromkeys(each.parent for each in transforms):
         text += f"{_yaml_key(parent)}:\n"
-        for each in transforms:
-            if each.parent == parent:
-                lines = "".join(f"    {k}: {v}\n" for k, v in pose_values(each, RPY).items())
-                text += f"  {_yaml_key(each.child)}:\n{lines}"
+        for each in (own for own in transforms if own.parent == parent):
+            pose = named_lines(pose_values(each, RPY), "    ")
+            text += f"  {_yaml_key(each.child)}:\n{pose}"
     return text
 
 

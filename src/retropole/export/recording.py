@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import MissingExtraError
 from ..io import Frame, ReadRecording
+from ..io.fields import records_of
 from ..io.recordings import CLOUDS
 from ..io.ros import DATATYPES, NANOSECONDS
 from .transform import Transform, to_quaternion
@@ -215,10 +216,7 @@ def _points(cloud: PointCloud) -> NDArray[Any]:
         columns["ring"] = cloud.ring.astype(np.uint16 if is_short else np.float64)
     if cloud.time is not None:
         columns["timestamp"] = cloud.time
-    points = np.empty(len(cloud), [(name, own.dtype.str) for name, own in columns.items()])
-    for name, own in columns.items():
-        points[name] = own
-    return points
+    return records_of(columns)
 
 
 def _smallest_floats(values: Array) -> NDArray[Any]:

@@ -14,10 +14,30 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
-from .text import QUATERNION, RPY, TRANSLATION_KEYS, pose_of, pose_values, to_float
+from .text import QUATERNION, RPY, TRANSLATION_KEYS, comments, pose_of, pose_values, to_float
 from .transform import Found, Transform, from_quaternion, from_rpy
 
 PROGRAM = "static_transform_publisher"
+
+_LAUNCH = """\
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+{comments}
+
+def generate_launch_description():
+    return LaunchDescription(
+        [{nodes}
+        ]
+    )
+"""
+_NODE = """
+            Node(
+                package='tf2_ros',
+                executable='{program}',
+                arguments=[{arguments}
+                ],
+            ),"""
 
 
 def write_ros1(transform: Transform) -> str:
@@ -46,47 +66,22 @@ def write_ros2(transform: Transform) -> str:
     return f"# {transform.meaning}\nros2 run tf2_ros {PROGRAM} {shlex.join(_flags(transform))}\n"
 
 
-def write_launch(transform: Transform) -> str:
-    """Write a Python launch file for ROS 2 that publishes the transform."""
-    return launch_of([transform], [transform.meaning])
+def write_launch(*transforms: Transform, notes: Sequence[str] = ()) -> str:
+    """Write a Python launch file for ROS 2 that publishes transforms.
 
-
-def launch_of(transforms: Sequence[Transform], notes: Sequence[str]) -> str:
-    """Write a Python launch file for ROS 2 that publishes transforms, under notes as comments.
-
-    The comments stand below the imports: in one of the first two lines, Python takes ``coding:``
-    in a name for the encoding of the file.
+    Notes and what each transform maps stand as comments below the imports: in one of the first two
+    lines, Python takes ``coding:`` in a name for the encoding of the file.
     """
-    comments = "".join(f"# {note}\n" for note in notes)
-    return (
-        "from launch import LaunchDescription\n"
-        "from launch_ros.actions import Node\n"
-        "\n"
-        f"{comments}"
-        "\n\n"
-        "def generate_launch_description():\n"
-        "    return LaunchDescription(\n"
-        "        [\n"
-        f"{''.join(map(_node, transforms))}"
-        "        ]\n"
-        "    )\n"
-    )
-
-
-def _node(transform: Transform) -> str:
-    """Write the node of a launch file that publishes a transform."""
-    flags = _flags(transform)
-    pairs = zip(flags[::2], flags[1::2], strict=True)
-    arguments = "".join(f"                    {flag!r}, {value!r},\n" for flag, value in pairs)
-    return (
-        "            Node(\n"
-        "                package='tf2_ros',\n"
-        f"                executable='{PROGRAM}',\n"
-        "                arguments=[\n"
-        f"{arguments}"
-        "                ],\n"
-        "            ),\n"
-    )
+    nodes = ""
+    for each in transforms:
+        flags = _flags(each)
+        pairs = zip(flags[::2], flags[1::2], strict=True)
+        nodes += _NODE.format(
+            program=PROGRAM,
+            arguments="".join(f"\n{' ' * 20}{flag!r}, {value!r}," for flag, value in pairs),
+        )
+    said = comments((*notes, *(each.meaning for each in transforms)))
+    return _LAUNCH.format(comments=said, nodes=nodes)
 
 
 def read_ros1(data: bytes) -> list[Found]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -23,6 +24,16 @@ TRANSLATION_KEYS = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 RPY = ("roll", "pitch", "yaw")
 RPY_MEANING = "metres and radians; fixed axes x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll)"
+
+
+def comments(notes: Iterable[str]) -> str:
+    """Write notes as comments of a shell, of YAML and of Python, a line each."""
+    return "".join(f"# {note}\n" for note in notes)
+
+
+def named_lines(values: dict[str, str], indent: str = "") -> str:
+    """Write each value on a line with its name."""
+    return "".join(f"{indent}{name}: {value}\n" for name, value in values.items())
 
 
 def _rows(T: Array) -> str:
@@ -64,14 +75,13 @@ def pose_values(transform: Transform, rotation: tuple[str, ...]) -> dict[str, st
 
 def write_quaternion(transform: Transform) -> str:
     """Write ``x y z qx qy qz qw``, each on a line with its name."""
-    lines = "".join(f"{k}: {v}\n" for k, v in pose_values(transform, QUATERNION).items())
-    return f"# {transform.meaning}\n# metres; unit quaternion, qw is the real part\n{lines}"
+    notes = (transform.meaning, "metres; unit quaternion, qw is the real part")
+    return comments(notes) + named_lines(pose_values(transform, QUATERNION))
 
 
 def write_rpy(transform: Transform) -> str:
     """Write ``x y z roll pitch yaw``, each on a line with its name."""
-    lines = "".join(f"{k}: {v}\n" for k, v in pose_values(transform, RPY).items())
-    return f"# {transform.meaning}\n# {RPY_MEANING}\n{lines}"
+    return comments((transform.meaning, RPY_MEANING)) + named_lines(pose_values(transform, RPY))
 
 
 def read_named(data: bytes) -> list[Found]:

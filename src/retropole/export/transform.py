@@ -17,6 +17,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
+from ..base.relative import relative_jacobian
 
 ROS_COVARIANCE_ORDER = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 """ROS puts translation first (geometry_msgs/PoseWithCovariance)."""
@@ -92,8 +93,7 @@ def inverted(transform: Transform) -> Transform:
     T = transform.T_parent_child
     covariance = transform.covariance
     if covariance is not None:
-        Rt = T[:3, :3].T
-        J = np.block([[-Rt, np.zeros((3, 3))], [-Rt @ se3.hat(T[:3, 3]), -Rt]])
+        J = relative_jacobian(T, np.eye(4))[:, :6]
         covariance = J @ covariance @ J.T
     return Transform(
         se3.inverse(T), transform.child, transform.parent, covariance, transform.roles[::-1]

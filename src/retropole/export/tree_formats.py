@@ -14,11 +14,11 @@ from ..result import plain
 from ..result.site import LidarDoc
 from ..site.description import Frame, Geodetic
 from ..site.world import OnWgs84, heading, on_wgs84, pose_in_frame
-from .documents import TREE_SCHEMA, transform_fields, yaml_of
-from .ros import launch_of
+from .documents import TREE_SCHEMA, transform_fields, write_yaml
+from .ros import write_launch
 from .transform import ROS_COVARIANCE_ORDER, Transform, covariance_to_ros
 from .tree import Tree, grid_of, notes_of
-from .urdf import robot_of
+from .urdf import write_urdf
 
 DEGREE_DIGITS, METRE_DIGITS = 10, 5
 """Of a coordinate: 0.01 mm."""
@@ -33,21 +33,16 @@ class TreeFormat(NamedTuple):
     write: Callable[[Tree], str]
 
 
-def _comments(tree: Tree) -> list[str]:
-    return [*notes_of(tree), *(edge.meaning for edge in tree.edges)]
-
-
 def _yaml(tree: Tree) -> str:
-    return yaml_of(tree.edges, _comments(tree))
+    return write_yaml(*tree.edges, notes=notes_of(tree))
 
 
 def _launch(tree: Tree) -> str:
-    return launch_of(tree.edges, _comments(tree))
+    return write_launch(*tree.edges, notes=notes_of(tree))
 
 
 def _urdf(tree: Tree) -> str:
-    # The meaning of each joint stands above it.
-    return robot_of(tree.edges, printable(tree.name) or "site", notes_of(tree))
+    return write_urdf(*tree.edges, name=printable(tree.name) or "site", notes=notes_of(tree))
 
 
 def _json(tree: Tree) -> str:

@@ -6,6 +6,7 @@ angles about fixed axes, x then y then z.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -13,27 +14,21 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
-from .text import RPY, TRANSLATION_KEYS, pose_values, to_float
+from .text import RPY, pose_values, to_float
 from .transform import Found, Transform, from_rpy
 from .xml_scan import Element, Scan, scan_xml, with_attributes
 
 
-def write_urdf(transform: Transform) -> str:
-    """Write a robot of two links and the fixed joint between them."""
-    return robot_of([transform], "retropole", [])
-
-
-def robot_of(transforms: Sequence[Transform], name: str, notes: Sequence[str]) -> str:
+def write_urdf(*transforms: Transform, name: str = "retropole", notes: Sequence[str] = ()) -> str:
     """Write a robot of fixed joints, parents before children, under notes as comments."""
-    frames = {name: None for each in transforms for name in (each.parent, each.child)}
+    frames = dict.fromkeys(frame for each in transforms for frame in (each.parent, each.child))
     # Two hyphens would end a comment.
-    comments = "".join(f"  <!-- {note.replace('--', '- -').rstrip('-')} -->\n" for note in notes)
-    links = "".join(f"  <link name={_quote(frame)}/>\n" for frame in frames)
-    joints = "".join(f"  {line}\n" for each in transforms for line in _joint(each, "  "))
-    return (
-        '<?xml version="1.0" encoding="utf-8"?>\n'
-        f"<robot name={_quote(name)}>\n{comments}{links}{joints}</robot>\n"
-    )
+    lines = [f"<!-- {note.replace('--', '- -').rstrip('-')} -->" for note in notes]
+    lines += [f"<link name={_quote(frame)}/>" for frame in frames]
+    lines += [line for each in transforms for line in _joint(each, "  ")]
+    body = "".join(f"  {line}\n" for line in lines)
+    declaration = '<?xml version="1.0" encoding="utf-8"?>'
+    return f"{declaration}\n<robot name={_quote(name)}>\n{body}</robot>\n"
 
 
 def _quote(name: str) -> str:
@@ -43,15 +38,12 @@ def _quote(name: str) -> str:
 
 def _origin(transform: Transform) -> dict[str, str]:
     """Attributes of the joint's origin."""
-    values = pose_values(transform, RPY)
-    return {
-        "xyz": " ".join(values[name] for name in TRANSLATION_KEYS),
-        "rpy": " ".join(values[name] for name in RPY),
-    }
+    values = list(pose_values(transform, RPY).values())
+    return {"xyz": " ".join(values[:3]), "rpy": " ".join(values[3:])}
 
 
 def _origin_tag(transform: Transform) -> str:
-    return "<origin " + " ".join(f'{k}="{v}"' for k, v in _origin(transform).items()) + "/>"
+    return with_attributes("<origin/>", _origin(transform))
 
 
 def _joint(transform: Transform, indent: str) -> list[str]:
@@ -212,7 +204,7 @@ def _with_origin(scan: Scan, joint: Element, transform: Transform) -> bytes:
         tag = with_attributes(scan.text(start, end), _origin(transform))
     else:
         start = end = joint.named("child")[0].end
-        before = _indent(scan, joint.named("child")[0])
+        before = _indent(scan, joint.named("child")[0].start)
         tag = ("" if before is None else _newline(scan) + before) + _origin_tag(transform)
     return scan.data[:start] + scan.encode(tag) + scan.data[end:]
 
@@ -220,32 +212,24 @@ def _with_origin(scan: Scan, joint: Element, transform: Transform) -> bytes:
 def _with_joint(scan: Scan, transform: Transform) -> bytes:
     """Add a joint, and the child's link where it is missing, as the last of the robot."""
     robot = scan.root
-    newline, indent = _newline(scan), _indent(scan, robot.children[0]) or "  "
+    newline, indent = _newline(scan), _indent(scan, robot.children[0].start) or "  "
     lines = _joint(transform, indent)
     if transform.child not in [link.attributes.get("name") for link in robot.named("link")]:
         lines.insert(0, f"<link name={_quote(transform.child)}/>")
-    at = robot.foot
     block = "".join(f"{indent}{line}{newline}" for line in lines)
-    before = scan.text(robot.head_end, at)
-    last = before[max(before.rfind("\n"), before.rfind("\r")) + 1 :]
-    if last == before or last.strip():
-        block = newline + block
-    else:
-        at -= len(scan.encode(last))
+    last = _indent(scan, robot.foot)
+    at = robot.foot - len(scan.encode(last or ""))
+    block = block if last is not None else newline + block
     return scan.data[:at] + scan.encode(block) + scan.data[at:]
 
 
-def _indent(scan: Scan, element: Element) -> str | None:
-    """Blanks before an element on its line; None where something else stands there."""
-    before = scan.text(scan.root.start, element.start)
-    line = before[max(before.rfind("\n"), before.rfind("\r")) + 1 :]
-    return line if line != before and not line.strip() else None
+def _indent(scan: Scan, at: int) -> str | None:
+    """Blanks before a byte on its line; None where something else stands there."""
+    found = re.search(r"[\r\n]([^\S\r\n]*)\Z", scan.text(scan.root.start, at))
+    return found and found[1]
 
 
 def _newline(scan: Scan) -> str:
     """The line ending that the file uses first."""
-    text = scan.text(scan.root.start, scan.root.end)
-    at = min((k for k in (text.find("\n"), text.find("\r")) if k >= 0), default=-1)
-    if at < 0:
-        return "\n"
-    return "\r\n" if text[at : at + 2] == "\r\n" else text[at]
+    found = re.search(r"\r\n|\r|\n", scan.text(scan.root.start, scan.root.end))
+    return found[0] if found else "\n"

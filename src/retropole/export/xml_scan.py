@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
@@ -81,14 +82,20 @@ def scan_xml(data: bytes) -> Scan:
     declared: list[str] = []
     document = Element("", {}, 0)
     open_elements = [document]
+    # Tags, text and comments: each begins where the one before it ends.
+    places: list[int] = []
+
+    def place(*_: object) -> int:
+        places.append(parser.CurrentByteIndex)
+        return places[-1]
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        element = Element(tag, attributes, parser.CurrentByteIndex)
+        element = Element(tag, attributes, place())
         open_elements[-1].children.append(element)
         open_elements.append(element)
 
     def end(_tag: str) -> None:
-        open_elements.pop().foot = parser.CurrentByteIndex
+        open_elements.pop().foot = place()
 
     def doctype(*_: object) -> None:
         raise ReadError("the XML has a DOCTYPE; such files are not read")
@@ -97,6 +104,7 @@ def scan_xml(data: bytes) -> Scan:
     parser.EndElementHandler = end
     parser.StartDoctypeDeclHandler = doctype
     parser.XmlDeclHandler = lambda _version, encoding, _standalone: declared.append(encoding or "")
+    parser.DefaultHandler = place
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
@@ -104,12 +112,11 @@ def scan_xml(data: bytes) -> Scan:
     except (LookupError, ValueError) as error:
         raise ReadError(f"cannot decode the XML: {error}") from None
     scan = Scan(data, _codec(data, declared[0] if declared else ""), document.children[0])
+    places.append(len(data))
     for element in scan.root.walk():
-        element.head_end = _tag_end(scan, element.start)
-        if scan.text(element.start, element.head_end).endswith("/>"):
-            element.foot = element.end = element.head_end
-        else:
-            element.end = _tag_end(scan, element.foot)
+        element.head_end = places[bisect_right(places, element.start)]
+        is_whole = scan.text(element.start, element.head_end).endswith("/>")
+        element.end = element.foot if is_whole else places[bisect_right(places, element.foot)]
     return scan
 
 
@@ -122,22 +129,6 @@ def _codec(data: bytes, declared: str) -> str:
     return declared or "utf-8"
 
 
-def _tag_end(scan: Scan, start: int) -> int:
-    """Position after the ``>`` that closes the tag at ``start``; one in quotes does not."""
-    quote = ""
-    step = 2 if scan.codec.startswith("utf-16") else 1
-    for at in range(start, len(scan.data), step):
-        # ASCII characters are themselves in every encoding that expat reads.
-        unit = scan.data[at : at + step].replace(b"\0", b"")
-        if quote:
-            quote = "" if unit == quote.encode() else quote
-        elif unit in (b'"', b"'"):
-            quote = unit.decode()
-        elif unit == b">":
-            return at + step
-    raise ReadError("no well-formed XML: a tag does not end")
-
-
 def with_attributes(tag: str, values: dict[str, str]) -> str:
     """Set attributes of a start tag; every other character of it stays.
 
@@ -148,15 +139,13 @@ def with_attributes(tag: str, values: dict[str, str]) -> str:
     values
         New values, free of markup.
     """
-    spans = {m[1]: m.span(2) for m in _ATTRIBUTE.finditer(tag)}
-    name = re.split(r"[\s/>]", tag, maxsplit=1)[0]
-    last = max([len(name), *(stop for _, stop in spans.values())])
-    edits = [
-        (spans[name][0] + 1, spans[name][1] - 1, value)
-        for name, value in values.items()
-        if name in spans
-    ]
-    missing = "".join(f' {n}="{v}"' for n, v in values.items() if n not in spans)
-    for begin, stop, value in sorted([*edits, (last, last, missing)], reverse=True):
-        tag = tag[:begin] + value + tag[stop:]
+    for name, value in values.items():
+        spans = {m[1]: m.span(2) for m in _ATTRIBUTE.finditer(tag)}
+        if name in spans:
+            begin, stop = spans[name][0] + 1, spans[name][1] - 1
+            tag = tag[:begin] + value + tag[stop:]
+        else:
+            bare = len(re.split(r"[\s/>]", tag, maxsplit=1)[0])
+            last = max((stop for _, stop in spans.values()), default=bare)
+            tag = f'{tag[:last]} {name}="{value}"{tag[last:]}'
     return tag

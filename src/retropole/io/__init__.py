@@ -6,6 +6,7 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from ..base.datatypes import PointCloud
@@ -19,7 +20,7 @@ from .binary_records import read_bin
 from .downsampling import MAX_POINTS as MAX_POINTS
 from .downsampling import downsample as downsample
 from .downsampling import read_within
-from .failures import readable
+from .failures import naming, readable
 from .fields import only_returns as only_returns
 from .las import read_las
 from .packets import PACKETS as PACKETS
@@ -217,8 +218,8 @@ def _read(path: Path) -> PointCloud:
     if reader is None:
         known = ", ".join([*READERS, *BAGS, *PACKETS])
         raise ReadError(f"{path}: unknown suffix {path.suffix!r}, expected one of {known}")
-    with readable(path):
-        return reader(path)
+    with naming(path):
+        return replace(reader(path), source=str(path))
 
 
 def frames_of(folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Plain arrays of numbers: NumPy's .npy and .npz, and text."""
+"""Plain arrays of numbers: NumPy's .npy and .npz, and text, also that of other formats."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.datatypes import PointCloud
+from ..base.datatypes import Array, PointCloud
 from ..base.errors import ReadError, UsageError
-from .failures import reported
+from .failures import LineError, reported
 from .fields import PLAIN_COLUMNS, REAL_KINDS, cloud_from_columns, has_meaning, read_whole
-from .table import is_number, read_table
 from .unpacking import Spend, allowance
 
 TABLE_KEYS = ("xyz", "points", "arr_0")
@@ -48,16 +47,16 @@ def _is_table(array: NDArray[Any]) -> bool:
     return array.ndim == 2 and array.shape[1] in (3, 4)
 
 
-def _from_table(path: Path | str, table: NDArray[Any]) -> PointCloud:
+def _from_table(table: NDArray[Any]) -> PointCloud:
     if table.dtype.names is not None:
         table = table.reshape(-1)
-        return cloud_from_columns(path, {name: table[name] for name in table.dtype.names or ()})
+        return cloud_from_columns({name: table[name] for name in table.dtype.names or ()})
     if not _is_table(table):
         raise ReadError(
-            f"{path}: a table of shape {table.shape} without names of columns, expected (N, 3) "
-            f"or (N, 4): {' '.join(PLAIN_COLUMNS)}"
+            f"a table of shape {table.shape} without names of columns, expected (N, 3) or (N, 4): "
+            + " ".join(PLAIN_COLUMNS)
         )
-    return cloud_from_columns(path, dict(zip(PLAIN_COLUMNS, table.T, strict=False)))
+    return cloud_from_columns(dict(zip(PLAIN_COLUMNS, table.T, strict=False)))
 
 
 def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointCloud:
@@ -84,13 +83,13 @@ def cloud_from_array(array: NDArray[Any], name: str = ARRAY_SOURCE) -> PointClou
             "(N, 3): x, y, z in metres, or (N, 4): x, y, z, intensity"
         )
     try:
-        cloud = _from_table(name, array)
+        cloud = _from_table(array)
     except ReadError as error:
-        raise UsageError(str(error)) from None
+        raise UsageError(f"{name}: {error}") from None
     return replace(cloud, source=ARRAY_SOURCE)
 
 
-def _load(path: Path, file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[Any]:
+def _load(file: IO[bytes], left: int, spend: Spend = lambda _: None) -> NDArray[Any]:
     """Read one ``.npy`` from an open file of `left` bytes; its header may not promise more.
 
     Its numbers are counted by `spend` before they are read.
@@ -98,20 +97,20 @@ def _load(path: Path, file: IO[bytes], left: int, spend: Spend = lambda _: None)
     npy = np.lib.format
     version = npy.read_magic(file)
     if version not in ((1, 0), (2, 0)):
-        raise ReadError(f"{path}: NPY version {version}, expected 1.0 or 2.0")
+        raise ReadError(f"NPY version {version}, expected 1.0 or 2.0")
     reader = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, fortran, dtype = reader(file)
     if dtype.hasobject:
-        raise ReadError(f"{path}: holds Python objects, expected numbers")
+        raise ReadError("holds Python objects, expected numbers")
     if not dtype.itemsize or any(n < 0 for n in shape):
-        raise ReadError(f"{path}: an array of {dtype} and shape {shape}, expected numbers")
+        raise ReadError(f"an array of {dtype} and shape {shape}, expected numbers")
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if size > left:
-        raise ReadError(f"{path}: promises {size} bytes of data, the file holds {left} in all")
+        raise ReadError(f"promises {size} bytes of data, the file holds {left} in all")
     spend(max(size, NUMBER * size // dtype.itemsize))
     body = file.read(size)
     if len(body) < size:
-        raise ReadError(f"{path}: promises {size} bytes of data, the file holds {len(body)}")
+        raise ReadError(f"promises {size} bytes of data, the file holds {len(body)}")
     return np.frombuffer(body, dtype).reshape(shape, order="F" if fortran else "C")
 
 
@@ -119,9 +118,9 @@ def read_npy(path: Path) -> PointCloud:
     """Read an NPY array: (N, 3), (N, 4), or one with named fields."""
     data = read_whole(path)
     # The header is Python text: NumPy raises whatever reading a damaged one raises.
-    with reported(path, "NPY file"):
-        array = _load(path, io.BytesIO(data), len(data))
-    return _from_table(path, array)
+    with reported("NPY file"):
+        array = _load(io.BytesIO(data), len(data))
+    return _from_table(array)
 
 
 def read_npz(path: Path) -> PointCloud:
@@ -131,32 +130,30 @@ def read_npz(path: Path) -> PointCloud:
     """
     data = read_whole(path)
     arrays: dict[str, NDArray[Any]] = {}
-    spend = allowance(path, len(data), NPZ_ALLOWED, NPZ_RATIO)
+    spend = allowance(len(data), NPZ_ALLOWED, NPZ_RATIO)
     # A damaged archive raises a dozen unrelated types, from zipfile, zlib and NumPy.
-    with reported(path, "NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
+    with reported("NPZ file"), zipfile.ZipFile(io.BytesIO(data)) as archive:
         for entry in archive.infolist():
             if entry.file_size > MAX_DEFLATE_RATIO * max(entry.compress_size, 1):
-                raise ReadError(
-                    f"{path}: {entry.filename}: {entry.compress_size} bytes cannot unpack to "
-                    f"{entry.file_size}"
-                )
+                promised = f"{entry.compress_size} bytes cannot unpack to {entry.file_size}"
+                raise ReadError(f"{entry.filename}: {promised}")
             name = entry.filename.removesuffix(".npy")
             if len(archive.infolist()) > 1 and not has_meaning(name, besides=(*"xyz", *TABLE_KEYS)):
                 continue
             with archive.open(entry) as file:
-                arrays[name] = _load(path, file, entry.file_size, spend)
+                arrays[name] = _load(file, entry.file_size, spend)
     if len(arrays) == 1:
-        return _from_table(path, *arrays.values())
+        return _from_table(*arrays.values())
     tables = [name for name in TABLE_KEYS if name in arrays]
     if len(tables) > 1:
-        raise ReadError(f"{path}: holds {' and '.join(tables)}, expected one table of points")
+        raise ReadError(f"holds {' and '.join(tables)}, expected one table of points")
     for name in tables:
         table = arrays.pop(name)
         if not _is_table(table):
-            raise ReadError(f"{path}: {name} has shape {table.shape}, expected (N, 3) or (N, 4)")
+            raise ReadError(f"{name} has shape {table.shape}, expected (N, 3) or (N, 4)")
         # An array of intensities takes precedence over a fourth column.
         arrays = dict(zip(PLAIN_COLUMNS, table.T, strict=False)) | arrays
-    return cloud_from_columns(path, arrays)
+    return cloud_from_columns(arrays)
 
 
 def read_text(path: Path) -> PointCloud:
@@ -168,23 +165,22 @@ def read_text(path: Path) -> PointCloud:
     """
     body = read_whole(path).removeprefix(codecs.BOM_UTF8)
     body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    names, first, position = _names(path, body)
-    end = body.find(b"\n", position)
-    end = end if end >= 0 else len(body)
-    if end - position > MAX_HEAD:
-        raise ReadError(f"{path}, line {first}: {end - position:,} bytes, expected x y z and more")
-    line = body[position:end].decode("ascii", errors="replace")
+    names, first, position = _names(body)
+    raw = body[position:].partition(b"\n")[0]
+    if len(raw) > MAX_HEAD:
+        raise LineError(first, f"{len(raw):,} bytes, expected x y z and more")
+    line = raw.decode("ascii", errors="replace")
     separator = _separator(line)
     columns = len(names) or len(line.split("#")[0].split(separator))
-    table = read_table(path, body[position:], columns, line=first, separator=separator)
+    table = read_table(body[position:], columns, line=first, separator=separator)
     if not names:
-        return _from_table(path, table)
+        return _from_table(table)
     if len({name.lower() for name in names}) < len(names):
-        raise ReadError(f"{path}: two columns have one name, the names are: {', '.join(names)}")
-    return cloud_from_columns(path, dict(zip(names, table.T, strict=True)))
+        raise ReadError(f"two columns have one name, the names are: {', '.join(names)}")
+    return cloud_from_columns(dict(zip(names, table.T, strict=True)))
 
 
-def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
+def _names(body: bytes) -> tuple[list[str], int, int]:
     """Find the names of the columns, if any, and line and position of the first numbers."""
     names, commented, position = list[str](), True, 0
     for number, raw in enumerate(body[:MAX_HEAD].splitlines(keepends=True), 1):
@@ -201,17 +197,83 @@ def _names(path: Path, body: bytes) -> tuple[list[str], int, int]:
             return names, number, position
         if plain == line and plain:
             if not commented:
-                raise ReadError(f"{path}, line {number}: {line[:60]!r}, expected numbers")
+                raise LineError(number, f"{line[:60]!r}, expected numbers")
             names, commented = words, False
         elif commented and {"x", "y", "z"} <= {word.lower() for word in words}:
             # Of the comments, only one that names the coordinates names the columns.
             names = words
         position += len(raw)
     raise ReadError(
-        f"{path}: holds no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
+        f"holds no lines of numbers in its first {min(len(body), MAX_HEAD):,} bytes, "
         "expected x y z and more in columns"
     )
 
 
 def _separator(line: str) -> str | None:
     return next((separator for separator in SEPARATORS if separator in line), None)
+
+
+def read_table(body: bytes, columns: int, *, line: int, separator: str | None = None) -> Array:
+    """Read the lines of a text as a table of numbers, without blank lines and # comments.
+
+    Parameters
+    ----------
+    body
+        The text. Bytes that are not ASCII become question marks, which are not numbers.
+    columns
+        How many values each line must have.
+    line
+        Number that the first line of `body` has in the file.
+    separator
+        What separates the values; None is any number of blanks.
+
+    Returns
+    -------
+    (N, columns) array.
+
+    Raises
+    ------
+    ReadError
+        Naming the first line that does not have `columns` numbers.
+    """
+    # Only these end a line for NumPy and for editors; str.splitlines knows many others.
+    if b"\r" in body:
+        body = body.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if not any(part.split(b"#", 1)[0].strip() for part in io.BytesIO(body)):
+        return np.empty((0, columns))
+    # Line by line: the whole as a string takes several times the memory of the file.
+    lines = io.TextIOWrapper(io.BytesIO(body), "ascii", errors="replace", newline="\n")
+    try:
+        table = np.loadtxt(lines, delimiter=separator, ndmin=2, dtype=np.float64)
+    except ValueError:
+        bad = _first_bad(body, columns, separator)
+        if bad is None:
+            raise ReadError(f"its lines are not {columns} numbers each") from None
+        number, content = bad
+        words = f"{content[:60]!r}, expected {columns} numbers"
+        raise LineError(line + number, words) from None
+    if table.shape[1] != columns:
+        number, _ = _first_bad(body, columns, separator) or (0, "")
+        raise LineError(line + number, f"holds {table.shape[1]} values, expected {columns}")
+    return table
+
+
+def is_number(word: str) -> bool:
+    """Whether a word reads as a number, nan and inf included."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    # Python reads 1_000 as a number, NumPy and all others do not.
+    return "_" not in word
+
+
+def _first_bad(body: bytes, columns: int, separator: str | None) -> tuple[int, str] | None:
+    """Find the first line without `columns` numbers: its index, and what it contains."""
+    for k, line in enumerate(io.BytesIO(body)):
+        content = line.rstrip(b"\n").decode("ascii", errors="replace").replace("�", "?")
+        plain = content.split("#", 1)[0].strip(None if separator is None else " ")
+        words = plain.split(separator)
+        if plain and (len(words) != columns or not all(is_number(w.strip()) for w in words)):
+            return k, content
+    return None

@@ -1,18 +1,24 @@
-"""Bags of all kinds as files: .bag, .db3, .mcap, and folders of ROS 2 bags (the extra ``ros``)."""
+"""Bags of all kinds as files: .bag, .db3, .mcap, and folders of ROS 2 bags (the extra ``ros``).
+
+.db3 is SQLite, and a database is a program too: a view or a computed column may run for ever and
+make GiB of nothing. So only tables of plain columns are read, messages are of bounded length, and
+the steps of SQLite are counted.
+"""
 
 from __future__ import annotations
 
 import bz2
+import re
+import sqlite3
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path, PurePath
 from typing import Any
 
 from ..base.errors import MissingExtraError, ReadError
 from .bag_mcap import open_mcap
-from .bag_sqlite import open_sqlite
-from .failures import reported
+from .failures import naming, reported
 from .recordings import MAX_MESSAGES, Bag, counted_topics
 from .unpacking import allowance, unpack_file, unpacked
 
@@ -29,6 +35,18 @@ MAX_METADATA, DEEPEST_METADATA = 2**20, 20
 
 INDEX_ENTRY = 12
 """Bytes of a message in the index of a ROS 1 bag."""
+
+TABLES = ("topics", "messages")
+
+MAX_LENGTH = 10**9
+"""Bytes of the longest message, SQLite's own limit; none is longer than its file."""
+
+MAX_TOPICS = 10_000
+"""More are not read."""
+
+STEPS, STEPS_PER_BYTE, STEPS_COUNTED = 1_000_000, 5, 10_000
+"""Steps that SQLite may take: so many, and so many per byte of the file; and between two counts.
+To count and to sort the messages takes about 30 steps for each, which has 20 bytes at least."""
 
 
 def is_rosbag2(path: Path) -> bool:
@@ -55,7 +73,7 @@ def opened(path: Path) -> Iterator[Bag]:
     except ImportError:
         raise MissingExtraError("ros", "reading ROS bags") from None
     open_one = _folder if path.is_dir() else OPENERS[path.suffix.lower()]
-    with reported(path, "bag", REPAIR), open_one(path) as bag:
+    with naming(path), reported("bag", REPAIR), open_one(path) as bag:
         yield bag
 
 
@@ -66,7 +84,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
     from rosbags import rosbag1
 
     size = path.stat().st_size
-    spend = allowance(path, size)
+    spend = allowance(size)
     indexed = 0
     kinds = {bz2.decompress: "bz2", lz4.frame.decompress: "lz4"}
 
@@ -74,7 +92,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
         def read_chunk(self) -> Any:
             chunk = super().read_chunk()
             kind = kinds.get(chunk.decompressor, "")
-            return chunk._replace(decompressor=lambda data: unpacked(path, kind, data, spend))
+            return chunk._replace(decompressor=lambda data: unpacked(kind, data, spend))
 
         def read_index_data(self, pos: int, indexes: Any) -> None:
             nonlocal indexed
@@ -84,7 +102,7 @@ def _ros1(path: Path) -> Iterator[Bag]:
             indexed += file.tell() - start
             if indexed > min(size, MAX_MESSAGES * INDEX_ENTRY):
                 raise ReadError(
-                    f"{path}: its index has more than {indexed // INDEX_ENTRY:,} messages; up to "
+                    f"its index has more than {indexed // INDEX_ENTRY:,} messages; up to "
                     f"{MAX_MESSAGES:,} are read, and no more than fit into its {size:,} bytes"
                 )
 
@@ -100,7 +118,110 @@ def _ros1(path: Path) -> Iterator[Bag]:
         yield Bag(counted_topics(parts), messages)
 
 
-OPENERS = {".bag": _ros1, ".db3": open_sqlite, ".mcap": open_mcap}
+@contextmanager
+def _sqlite(path: Path) -> Iterator[Bag]:
+    """Open a bag in SQLite.
+
+    Raises
+    ------
+    ReadError
+        Where its topics and messages are not plain tables, or where to read it takes more than a
+        file of its size can need.
+    """
+    size = path.stat().st_size
+    # An address, since only that can say that the file does not change; as_uri quotes the path.
+    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    with closing(sqlite3.connect(address, uri=True)) as database:
+        database.text_factory = lambda text: text.decode(errors="replace")
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(size, MAX_LENGTH))
+        database.execute("PRAGMA trusted_schema=OFF")
+        with _counted_steps(size, database):
+            _check_tables(database)
+            topics = database.execute(
+                f"SELECT id, {_text('name')}, {_text('type')} FROM topics LIMIT ?", [MAX_TOPICS + 1]
+            ).fetchall()
+            counts = dict(
+                database.execute(
+                    "SELECT topic_id, count(*) FROM messages GROUP BY topic_id LIMIT ?",
+                    [MAX_TOPICS + 1],
+                )
+            )
+            if max(len(topics), len(counts)) > MAX_TOPICS or sum(counts.values()) > MAX_MESSAGES:
+                raise ReadError(
+                    f"has {sum(counts.values()):,} messages and {len(topics):,} topics, up to "
+                    f"{MAX_MESSAGES:,} and {MAX_TOPICS:,} are read; 'ros2 bag convert' splits it"
+                )
+
+            def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
+                own = [number for number, *key in topics if key == [name, kind]]
+                # Only what is short is sorted; the messages are fetched one by one.
+                rows = database.execute(
+                    "SELECT rowid, timestamp FROM messages "
+                    f"WHERE topic_id IN ({','.join('?' * len(own))}) ORDER BY timestamp, rowid",
+                    own,
+                ).fetchall()
+                spend = allowance(size)
+                for row, stamp in rows:
+                    found = database.execute("SELECT data FROM messages WHERE rowid = ?", [row])
+                    data = bytes(found.fetchone()[0])
+                    spend(len(data))
+                    yield stamp, data, "cdr"
+
+            yield Bag(
+                counted_topics(
+                    (name, kind, counts.get(number, 0)) for number, name, kind in topics
+                ),
+                messages,
+            )
+
+
+def _text(column: str) -> str:
+    """Take the text of a column, whatever is in it: SQLite lets any value be of any type."""
+    return f"substr(CAST(coalesce({column}, '') AS TEXT), 1, 1000)"
+
+
+def _check_tables(database: sqlite3.Connection) -> None:
+    """Refuse topics or messages that are computed when they are read."""
+    for name in TABLES:
+        # SQLite goes by this text and not by the type that stands beside it.
+        found = database.execute(
+            "SELECT sql FROM sqlite_master WHERE lower(name) = ? LIMIT 1", [name]
+        ).fetchone()
+        if found is None:
+            raise ReadError(f"is a database without the table {name}, expected a bag")
+        hidden = [row[6] for row in database.execute(f"PRAGMA table_xinfo({name})")]
+        if not re.match(r"CREATE\s+TABLE\s", str(found[0]), re.IGNORECASE) or any(hidden):
+            raise ReadError(
+                f"{name} is not a table of plain columns but computed when it is read, which no "
+                "recorder writes"
+            )
+
+
+@contextmanager
+def _counted_steps(size: int, database: sqlite3.Connection) -> Iterator[None]:
+    """Stop SQLite where it takes more steps than a file of that size can need, and by Ctrl-C."""
+    left = (STEPS + STEPS_PER_BYTE * size) // STEPS_COUNTED
+
+    def is_over() -> bool:
+        nonlocal left
+        left -= 1
+        return left < 0
+
+    database.set_progress_handler(is_over, STEPS_COUNTED)
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        if "interrupted" not in str(error):
+            raise
+        if left >= 0:  # by what was raised while it counted, which sqlite3 swallows
+            raise KeyboardInterrupt from None
+        raise ReadError(
+            f"to read it takes more steps than a database of {size:,} bytes can need: it is "
+            "damaged, or computes what it holds"
+        ) from None
+
+
+OPENERS = {".bag": _ros1, ".db3": _sqlite, ".mcap": open_mcap}
 
 BAGS = tuple(OPENERS)
 """Suffixes of bags."""
@@ -117,24 +238,28 @@ def _folder(path: Path) -> Iterator[Bag]:
     is_known = mode == "none" or (mode in ("file", "message") and kind == "zstd")
     if suffix is None or not is_known:
         raise ReadError(
-            f"{path}: its storage is {storage}, its compression {mode} {kind}; "
+            f"its storage is {storage}, its compression {mode} {kind}; "
             "expected mcap or sqlite3, and none or zstd"
         )
     files = [path / PurePath(str(name)).name for name in about["relative_file_paths"]]
-    spend = allowance(path, sum(file.stat().st_size for file in files))
+    spend = allowance(sum(file.stat().st_size for file in files))
     with ExitStack() as stack:
         if mode == "file":
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             packed, files = files, [folder / f"{k}{suffix}" for k in range(len(files))]
             for file, to in zip(packed, files, strict=True):
                 unpack_file(file, to, "zstd", spend)
-        bags = [stack.enter_context(OPENERS[suffix](file)) for file in files]
+        bags = []
+        for file in files:
+            with naming(file.name):
+                bags.append(stack.enter_context(OPENERS[suffix](file)))
+        packing = "zstd" if mode == "message" else ""
 
         def messages(name: str, kind: str) -> Iterator[tuple[int, bytes, str]]:
-            for bag in bags:
-                for stamp, data, encoding in bag.messages(name, kind):
-                    packing = "zstd" if mode == "message" else ""
-                    yield stamp, unpacked(path, packing, data, spend), encoding
+            for bag, file in zip(bags, files, strict=True):
+                with naming(file.name):
+                    for stamp, data, encoding in bag.messages(name, kind):
+                        yield stamp, unpacked(packing, data, spend), encoding
 
         topics = [(own.name, own.kind, own.count) for bag in bags for own in bag.topics]
         yield Bag(counted_topics(topics), messages)
@@ -163,8 +288,8 @@ def _metadata(path: Path) -> dict[str, Any]:
             break
     if not is_plain:
         raise ReadError(
-            f"{file}: more than {MAX_METADATA:,} bytes or {DEEPEST_METADATA} levels, or an alias, "
-            "which the metadata of no bag have"
+            f"{METADATA}: more than {MAX_METADATA:,} bytes or {DEEPEST_METADATA} levels, or an "
+            "alias, which the metadata of no bag have"
         )
     found: dict[str, Any] = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
     return found

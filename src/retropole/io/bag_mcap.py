@@ -47,10 +47,10 @@ def open_mcap(path: Path) -> Iterator[Bag]:
         index = _index(file)
 
         def entries(name: str | None) -> Iterator[Entry]:
-            spend = allowance(path, size)
+            spend = allowance(size)
             if index.chunk_indexes:
-                return _by_time(path, file, index, spend, name)
-            return _in_turn(path, file, spend)
+                return _by_time(file, index, spend, name)
+            return _in_turn(file, spend)
 
         if index.statistics:
             own = index.statistics.channel_message_counts
@@ -97,7 +97,7 @@ def _index(file: BinaryIO) -> Summary:
     return found
 
 
-def _in_turn(path: Path, file: BinaryIO, spend: Spend) -> Iterator[Entry]:
+def _in_turn(file: BinaryIO, spend: Spend) -> Iterator[Entry]:
     """Give the messages as they stand: to sort those of a whole file would take its memory."""
     from mcap.records import Channel, Message, Schema
     from mcap.stream_reader import StreamReader
@@ -106,7 +106,7 @@ def _in_turn(path: Path, file: BinaryIO, spend: Spend) -> Iterator[Entry]:
     index = Summary()
     file.seek(0)
     for record in StreamReader(file, emit_chunks=True).records:
-        for each in _parts(path, record, spend):
+        for each in _parts(record, spend):
             if isinstance(each, Schema):
                 index.schemas[each.id] = each
             elif isinstance(each, Channel):
@@ -115,9 +115,7 @@ def _in_turn(path: Path, file: BinaryIO, spend: Spend) -> Iterator[Entry]:
                 yield _entry(index, each)
 
 
-def _by_time(
-    path: Path, file: BinaryIO, index: Summary, spend: Spend, name: str | None
-) -> Iterator[Entry]:
+def _by_time(file: BinaryIO, index: Summary, spend: Spend, name: str | None) -> Iterator[Entry]:
     """Give the messages of the chunks that may have a topic, in the order of their times."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk, Message
@@ -140,7 +138,7 @@ def _by_time(
             continue
         file.seek(start + 9)
         chunk = Chunk.read(ReadDataStream(file))
-        for number, record in enumerate(_parts(path, chunk, spend)):
+        for number, record in enumerate(_parts(chunk, spend)):
             if not isinstance(record, Message):
                 continue
             if name is not None and index.channels[record.channel_id].topic != name:
@@ -148,8 +146,8 @@ def _by_time(
             held += len(record.data) + RECORD_COST
             if held > MAX_WAITING:
                 raise ReadError(
-                    f"{path}: more than {MAX_WAITING:,} bytes of messages lie in chunks that "
-                    "overlap in time; 'mcap sort' puts them in order"
+                    f"more than {MAX_WAITING:,} bytes of messages lie in chunks that overlap in "
+                    "time; 'mcap sort' puts them in order"
                 )
             heapq.heappush(waiting, (record.log_time, start, number, record))
 
@@ -159,7 +157,7 @@ def _entry(index: Summary, message: Any) -> Entry:
     return channel.topic, _kind_of(index, channel), message, channel.message_encoding
 
 
-def _parts(path: Path, record: Any, spend: Spend) -> Iterator[Any]:
+def _parts(record: Any, spend: Spend) -> Iterator[Any]:
     """Give the records of a chunk one by one; any other record as it is."""
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
@@ -169,7 +167,7 @@ def _parts(path: Path, record: Any, spend: Spend) -> Iterator[Any]:
         spend(RECORD_COST)
         yield record
         return
-    data = unpacked(path, record.compression, record.data, spend)
+    data = unpacked(record.compression, record.data, spend)
     stream = ReadDataStream(io.BytesIO(data))
     readers: dict[int, Callable[[Any], Any]] = {
         Opcode.CHANNEL: Channel.read,

@@ -58,10 +58,9 @@ def read_bin(path: Path) -> PointCloud:
         if len(data) % (FLOAT * len(names)) == 0 and fits(_rows(data, len(names)))
     ]
     if len(fitting) == 1:
-        return cloud_from_columns(
-            path, dict(zip(fitting[0], _rows(data, len(fitting[0])).T, strict=True))
-        )
-    raise ReadError(f"{path}: {_why(data, bool(fitting))}")
+        rows = _rows(data, len(fitting[0]))
+        return cloud_from_columns(dict(zip(fitting[0], rows.T, strict=True)))
+    raise ReadError(_why(data, bool(fitting)))
 
 
 def _rows(data: bytes, columns: int) -> NDArray[Any]:

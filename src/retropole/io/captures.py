@@ -96,7 +96,7 @@ def walk(path: Path) -> Capture:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        order = _byte_order(path, file.read(CAPTURE_HEADER))
+        order = _byte_order(file.read(CAPTURE_HEADER))
         records, gaps = list[Record](), list[Record]()
         tries = [MAX_TRIES]
         at = CAPTURE_HEADER
@@ -109,26 +109,25 @@ def walk(path: Path) -> Capture:
                 gaps.append(Record(end, following - end))
             at = following
             if len(gaps) > MAX_GAPS or tries[0] <= 0:
-                raise ReadError(
-                    f"{path}: is damaged at {len(gaps)} places up to byte {at}, expected a capture"
-                )
+                damaged = f"is damaged at {len(gaps)} places up to byte {at}"
+                raise ReadError(f"{damaged}, expected a capture")
     if gaps and not records:
         raise ReadError(
-            f"{path}: holds no whole packet in the {size - CAPTURE_HEADER} bytes after its header"
+            f"holds no whole packet in the {size - CAPTURE_HEADER} bytes after its header"
         )
     return Capture(
         np.array(records, np.int64).reshape(-1, 2), np.array(gaps, np.int64).reshape(-1, 2), size
     )
 
 
-def _byte_order(path: Path, head: bytes) -> str:
+def _byte_order(head: bytes) -> str:
     if not head:
-        raise ReadError(f"{path}: is empty, expected a capture of packets")
+        raise ReadError("is empty, expected a capture of packets")
     if head[:4] == PCAPNG_START:
-        raise ReadError(f"{path}: is a pcapng, expected a pcap; 'editcap -F pcap' converts it")
+        raise ReadError("is a pcapng, expected a pcap; 'editcap -F pcap' converts it")
     order = PCAP_ORDERS.get(head[:4])
     if order is None or len(head) < CAPTURE_HEADER:
-        raise ReadError(f"{path}: starts with {head[:4]!r}, expected a capture of packets")
+        raise ReadError(f"starts with {head[:4]!r}, expected a capture of packets")
     return order
 
 

@@ -8,6 +8,13 @@ from contextlib import contextmanager
 from ..base.errors import MissingExtraError, ReadError, UsageError
 
 
+class LineError(ReadError):
+    """What is wrong with a line of a text, of which the number is known."""
+
+    def __init__(self, line: int, words: str) -> None:
+        super().__init__(f"line {line}: {words}")
+
+
 @contextmanager
 def naming(place: object, *, is_said_there: bool = False) -> Iterator[None]:
     """Name the file, or the part of it, in whatever is wrong with it or the system has against it.
@@ -24,12 +31,13 @@ def naming(place: object, *, is_said_there: bool = False) -> Iterator[None]:
     ReadError, UsageError
         In place of the same without the name, and of an `OSError`.
     """
-    try:
-        yield
-    except (ReadError, UsageError) as error:
-        raise (ReadError if is_said_there else type(error))(f"{place}: {error}") from None
-    except OSError as error:
-        raise ReadError(f"{place}: cannot be read ({error.strerror or error})") from None
+    with readable(place):
+        try:
+            yield
+        except (ReadError, UsageError) as error:
+            kind = ReadError if is_said_there or isinstance(error, ReadError) else UsageError
+            comma = ", " if isinstance(error, LineError) else ": "
+            raise kind(f"{place}{comma}{error}") from None
 
 
 @contextmanager
@@ -42,19 +50,18 @@ def readable(place: object) -> Iterator[None]:
 
 
 @contextmanager
-def reported(path: object, what: str, remedy: str = "") -> Iterator[None]:
-    """Turn any failure of a library into a `ReadError` with the file and what to do.
+def reported(what: str, remedy: str = "") -> Iterator[None]:
+    """Turn any failure of a library into a `ReadError` that says what to do.
 
     For damaged files the libraries raise a dozen unrelated types. An OSError with a number comes
     from the system, one without from decompressing.
     """
-    with readable(path):
-        try:
-            yield
-        except (ReadError, MissingExtraError):
+    try:
+        yield
+    except (ReadError, MissingExtraError):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno:
             raise
-        except Exception as error:
-            if isinstance(error, OSError) and error.errno:
-                raise
-            words = str(error) or type(error).__name__
-            raise ReadError(f"{path}: is not a readable {what} ({words}){remedy}") from None
+        words = str(error) or type(error).__name__
+        raise ReadError(f"is not a readable {what} ({words}){remedy}") from None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.errors import ReadError, UsageError
+from .failures import naming
 
 INTENSITY = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission")
 RING = (
@@ -52,7 +53,7 @@ def read_whole(path: Path, expected: str = "points") -> bytes:
     """Read all bytes of a file; one without any is an error that says what was expected."""
     data = path.read_bytes()
     if not data:
-        raise ReadError(f"{path}: is empty, expected {expected}")
+        raise ReadError(f"is empty, expected {expected}")
     return data
 
 
@@ -88,7 +89,7 @@ class NoReturnsError(ReadError):
 
 
 def cloud_from_columns(
-    path: Path | str, columns: Columns, origin: Array | None = None
+    columns: Columns, origin: Array | None = None, source: str = ""
 ) -> PointCloud:
     """Make a cloud of columns (N,), or (N, C) for fields with several values, by their names.
 
@@ -98,12 +99,12 @@ def cloud_from_columns(
 
     Parameters
     ----------
-    path
-        The file, or its part, for messages.
     columns
         The fields of the file, by name.
     origin
         (3,) where the beams start; None is the origin of the frame.
+    source
+        The file, or its part.
 
     Raises
     ------
@@ -114,13 +115,11 @@ def cloud_from_columns(
     missing = [name for name, own in found.items() if own is None]
     if missing:
         have = ", ".join(columns) or "none"
-        raise ReadError(f"{path}: field {', '.join(missing)} is missing; the fields are: {have}")
-    parts = [_numbers(path, own, columns[own]) for own in found.values() if own is not None]
+        raise ReadError(f"field {', '.join(missing)} is missing; the fields are: {have}")
+    parts = [_numbers(own, columns[own]) for own in found.values() if own is not None]
     if len({len(part) for part in parts}) > 1:
-        raise ReadError(
-            f"{path}: x, y and z have {', '.join(str(len(part)) for part in parts)} values, "
-            "expected one per point"
-        )
+        lengths = ", ".join(str(len(part)) for part in parts)
+        raise ReadError(f"x, y and z have {lengths} values, expected one per point")
     start = np.zeros(3) if origin is None else origin
     xyz = np.empty((len(parts[0]), 3))
     for axis, part in enumerate(parts):
@@ -128,18 +127,16 @@ def cloud_from_columns(
     kept = _is_return(xyz, start)
     if not kept.any():
         none = _none_of(len(xyz)) if len(xyz) else "holds no points, expected at least one"
-        raise NoReturnsError(f"{path}: {none}", len(xyz))
+        raise NoReturnsError(none, len(xyz))
 
     def optional(names: tuple[str, ...], convert: Callable[[Any], T | None]) -> T | None:
         own = _find(columns, names)
         if own is None:
             return None
-        values = _numbers(path, own, columns[own])
+        values = _numbers(own, columns[own])
         if len(values) != len(xyz):
-            raise ReadError(
-                f"{path}: {own} has {len(values)} values for {len(xyz)} points, expected one per "
-                "point"
-            )
+            has = f"{own} has {len(values)} values for {len(xyz)} points"
+            raise ReadError(f"{has}, expected one per point")
         return convert(values if kept.all() else values[kept])
 
     return PointCloud(
@@ -149,19 +146,27 @@ def cloud_from_columns(
         time=optional(TIME, _time),
         origin=start,
         dropped=int(np.count_nonzero(~kept)),
-        source=str(path),
+        source=source,
         fields={name: _kind(column) for name, column in columns.items()},
     )
 
 
-def frame_from_columns(
-    path: Path | str, columns: Columns, origin: Array | None = None
-) -> PointCloud:
+def frame_from_columns(where: str, columns: Columns, origin: Array | None = None) -> PointCloud:
     """Make a cloud as `cloud_from_columns` does, and an empty one where no point is a return."""
-    try:
-        return cloud_from_columns(path, columns, origin)
-    except NoReturnsError as error:
-        return PointCloud(np.zeros((0, 3)), dropped=error.points, source=str(path))
+    with naming(where):
+        try:
+            return cloud_from_columns(columns, origin, where)
+        except NoReturnsError as error:
+            return PointCloud(np.zeros((0, 3)), dropped=error.points, source=where)
+
+
+def records_of(columns: Columns) -> NDArray[Any]:
+    """Make a record of each point (N,), without padding."""
+    first, *_ = columns.values()
+    records = np.empty(len(first), [(name, own.dtype.str) for name, own in columns.items()])
+    for name, own in columns.items():
+        records[name] = own
+    return records
 
 
 def _is_return(xyz: Array, origin: Array) -> BoolArray:
@@ -220,13 +225,11 @@ def _kind(column: NDArray[Any]) -> str:
     return column.dtype.name + "".join(f"[{n}]" for n in column.shape[1:])
 
 
-def _numbers(path: Path | str, name: str, column: NDArray[Any]) -> NDArray[Any]:
+def _numbers(name: str, column: NDArray[Any]) -> NDArray[Any]:
     """Take one number per point, the first of several; refuse text and complex numbers."""
     if column.dtype.kind not in REAL_KINDS or column.ndim not in (1, 2) or column.shape[1:] == (0,):
-        raise ReadError(
-            f"{path}: field {name} is {column.dtype} {list(column.shape[1:]) or ''}, expected "
-            "numbers"
-        )
+        kind = f"{column.dtype} {list(column.shape[1:]) or ''}"
+        raise ReadError(f"field {name} is {kind}, expected numbers")
     return column if column.ndim == 1 else column[:, 0]
 
 

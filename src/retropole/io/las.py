@@ -68,83 +68,77 @@ def read_las(path: Path) -> PointCloud:
         import laspy
     except ImportError:
         raise MissingExtraError("las", "reading LAS and LAZ") from None
+    size = path.stat().st_size
     with path.open("rb") as opened:
-        _check_header(path, opened)
+        _check_header(opened, size)
     try:
         # One thread: several gain a sixth of the time, and hang in processes made by fork.
         with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as file:
             header = file.header
-            left = path.stat().st_size - header.offset_to_point_data
+            left = size - header.offset_to_point_data
             needed = header.point_count * header.point_format.size
             if needed > left * (MAX_LAZ_RATIO if header.are_points_compressed else 1):
                 raise ReadError(
-                    f"{path}: the header promises {header.point_count} points, {needed} bytes"
+                    f"the header promises {header.point_count} points, {needed} bytes"
                     f"{' decompressed' if header.are_points_compressed else ''}; the file holds "
                     f"{left} after it"
                 )
             for record in header.vlrs.get("LasZipVlr"):
-                _check_items(path, header.point_format.size, record.record_data)
+                _check_items(header.point_format.size, record.record_data)
                 _check_layers(path, header.offset_to_point_data, record.record_data)
             # The scaled coordinates, and the other fields that are used here.
             names = [*"xyz", *filter(has_meaning, header.point_format.dimension_names)]
             # In blocks, so that memory follows what is in the file, not what its header promises.
-            size = max(1, READ_BLOCK // header.point_format.size)
-            blocks = [
-                [np.array(block[name]) for name in names] for block in file.chunk_iterator(size)
-            ]
+            chunks = file.chunk_iterator(max(1, READ_BLOCK // header.point_format.size))
+            blocks = [[np.array(block[name]) for name in names] for block in chunks]
     except (ReadError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
     except BaseException as error:
         # For damaged files laspy and its decoders raise a dozen unrelated types; a panic of the
         # LAZ decoder is not even an Exception.
-        raise ReadError(f"{path}: is not a readable LAS file ({error})") from None
+        raise ReadError(f"is not a readable LAS file ({error})") from None
     if not blocks:
-        raise ReadError(f"{path}: holds no points, expected at least one")
+        raise ReadError("holds no points, expected at least one")
     columns = {name: np.concatenate(column) for name, *column in zip(names, *blocks, strict=True)}
     count = sum(len(block[0]) for block in blocks)
     if count != header.point_count:
-        raise ReadError(
-            f"{path}: the header promises {header.point_count} points, the file holds {count}"
-        )
-    return cloud_from_columns(path, columns)
+        raise ReadError(f"the header promises {header.point_count} points, the file holds {count}")
+    return cloud_from_columns(columns)
 
 
-def _check_header(path: Path, file: BinaryIO) -> None:
+def _check_header(file: BinaryIO, size: int) -> None:
     """Check that the file is long enough for the records and chunks that the header promises.
 
     The decoder allocates memory for as many chunks as the file says, and where there is not enough,
     it ends the process: no exception could be caught. A chunk starts with one uncompressed point.
     """
-    size = path.stat().st_size
     if size == 0:
-        raise ReadError(f"{path}: is empty, expected a LAS header")
+        raise ReadError("is empty, expected a LAS header")
     head = file.read(SMALLEST_HEADER)
     if head[:4] != b"LASF" or len(head) < SMALLEST_HEADER:
         raise ReadError(
-            f"{path}: starts with {head[:4]!r} and has {size} bytes, expected a LAS header, which "
-            f"starts with b'LASF' and has {SMALLEST_HEADER} or more"
+            f"starts with {head[:4]!r} and has {size} bytes, expected a LAS header, which starts "
+            f"with b'LASF' and has {SMALLEST_HEADER} or more"
         )
     length, points, records = struct.unpack_from("<HII", head, SIZES_AT)
     if points > size:
-        raise ReadError(
-            f"{path}: the header says that points start at byte {points}, the file ends at {size}"
-        )
+        said = f"the header says that points start at byte {points}"
+        raise ReadError(f"{said}, the file ends at {size}")
     if length + SMALLEST_RECORD * records > points:
         raise ReadError(
-            f"{path}: the header promises {records} variable length records, which the bytes "
-            f"{length} to {points} before the points cannot hold"
+            f"the header promises {records} variable length records, which the bytes {length} to "
+            f"{points} before the points cannot hold"
         )
     if not head[FORMAT_AT] & COMPRESSED:
         return
-    file.seek(_chunk_table(path, file, points) + COUNT_SIZE)
+    file.seek(_chunk_table(file, points, size) + COUNT_SIZE)
     chunks = struct.unpack("<I", file.read(COUNT_SIZE))[0]
     if chunks * SMALLEST_POINT > size:
-        raise ReadError(f"{path}: promises {chunks} chunks, its {size} bytes cannot hold them")
+        raise ReadError(f"promises {chunks} chunks, its {size} bytes cannot hold them")
 
 
-def _chunk_table(path: Path, file: BinaryIO, start: int) -> int:
+def _chunk_table(file: BinaryIO, start: int, size: int) -> int:
     """Find the byte where the LAZ chunks end and their table begins."""
-    size = path.stat().st_size
     file.seek(start)
     head = file.read(FIRST_CHUNK)
     table: int = struct.unpack("<q", head)[0] if len(head) == FIRST_CHUNK else 0
@@ -152,22 +146,19 @@ def _chunk_table(path: Path, file: BinaryIO, start: int) -> int:
         file.seek(size - FIRST_CHUNK)
         table = struct.unpack("<q", file.read(FIRST_CHUNK))[0]
     if not start < table <= size - FIRST_CHUNK:
-        raise ReadError(
-            f"{path}: its table of chunks is said to be at byte {table}, expected between "
-            f"{start} and {size - FIRST_CHUNK}"
-        )
+        said = f"its table of chunks is said to be at byte {table}"
+        raise ReadError(f"{said}, expected between {start} and {size - FIRST_CHUNK}")
     return table
 
 
-def _check_items(path: Path, size: int, record: bytes) -> None:
+def _check_items(size: int, record: bytes) -> None:
     """Refuse a LAZ whose items do not make up a point: its decoder reads past the end of one."""
     items = _items(record)
     sizes = [length for _, length, _ in items]
     known = all(ITEM_SIZES.get(kind, length) == length for kind, length, _ in items)
     if sum(sizes) != size or not known:
-        raise ReadError(
-            f"{path}: its {len(sizes)} compressed items have {sizes} bytes, a point has {size}"
-        )
+        items_have = f"its {len(sizes)} compressed items have {sizes} bytes"
+        raise ReadError(f"{items_have}, a point has {size}")
 
 
 def _items(record: bytes) -> list[tuple[int, int, int]]:
@@ -193,7 +184,7 @@ def _check_layers(path: Path, start: int, record: bytes) -> None:
         length if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, length, _ in items
     )
     with path.open("rb") as file:
-        end = _chunk_table(path, file, start)
+        end = _chunk_table(file, start, path.stat().st_size)
         position = start + FIRST_CHUNK
         while position < end:
             file.seek(position + first + COUNT_SIZE)
@@ -204,7 +195,5 @@ def _check_layers(path: Path, start: int, record: bytes) -> None:
             if complete:
                 position += sum(struct.unpack(f"<{layers}I", sizes))
             if not complete or position > end:
-                raise ReadError(
-                    f"{path}: a chunk promises layers up to byte {position}, the chunks end at "
-                    f"{end}"
-                )
+                promised = f"a chunk promises layers up to byte {position}"
+                raise ReadError(f"{promised}, the chunks end at {end}")

@@ -20,7 +20,7 @@ import numpy as np
 from ..base.datatypes import Array
 from ..base.errors import MissingExtraError, ReadError
 from .captures import mended, packets, sizes_in_words, walk
-from .failures import reported
+from .failures import naming, reported
 from .fields import Columns, frame_from_columns
 from .recordings import Frame, Recording
 
@@ -47,7 +47,7 @@ def open_packets(path: Path) -> Recording:
     ReadError
         Where the file is not a capture of such packets, or an Ouster's metadata are missing.
     """
-    with reported(path, "capture"):
+    with naming(path), reported("capture"):
         capture = walk(path)
     velodyne, unreadable = _of_velodyne(packets(path, capture))
     note = capture.note(unreadable)
@@ -103,7 +103,7 @@ def _velodyne_sweeps(path: Path, content: bytes | None) -> Iterator[Sweep]:
     except ImportError:
         raise MissingExtraError("velodyne", "reading Velodyne packets") from None
 
-    with reported(path, "capture"):
+    with naming(path), reported("capture"):
         source = path if content is None else BytesIO(content)
         for stamp, points in velodyne_decoder.read_pcap(source, as_pcl_structs=True):
 
@@ -136,7 +136,11 @@ def _ouster_sweeps(path: Path, metadata: Path) -> Iterator[Sweep]:
     except ImportError:
         raise MissingExtraError("ouster", "reading Ouster packets") from None
 
-    with reported(path, "capture"), closing(open_source(str(path), meta=[str(metadata)])) as source:
+    with (
+        naming(path),
+        reported("capture"),
+        closing(open_source(str(path), meta=[str(metadata)])) as source,
+    ):
         info = source.sensor_info[0]
         # In the sensor's frame z = 0 is its base; the beams start above it.
         rays = XYZLut(info, use_extrinsics=False)

@@ -17,9 +17,17 @@ from numpy.typing import NDArray
 from ..base.datatypes import Array, PointCloud
 from ..base.errors import ReadError, UsageError
 from ..base.files import write_atomically
-from .failures import naming
-from .fields import LARGEST, MAX_PROMISED, Columns, cloud_from_columns, left_out, read_whole
-from .table import read_table
+from .arrays import read_table
+from .failures import LineError, naming
+from .fields import (
+    LARGEST,
+    MAX_PROMISED,
+    Columns,
+    cloud_from_columns,
+    left_out,
+    read_whole,
+    records_of,
+)
 
 MAX_HEADER = 64 * 1024
 """Bytes; a file without a DATA line in so many is not a PCD."""
@@ -78,125 +86,112 @@ def read_pcd(path: Path) -> PointCloud:
         Where the header or the data are not what they should be.
     """
     data = read_whole(path, "a PCD header")
-    header = _parse_header(path, data)
+    header = _parse_header(data)
     if header.points == 0:
-        raise ReadError(f"{path}: POINTS is 0, expected at least one point")
+        raise ReadError("POINTS is 0, expected at least one point")
+    body = memoryview(data)[header.start :]
     if header.encoding == "ascii":
-        columns, more = _read_ascii(path, data[header.start :], header)
+        columns, more = _read_ascii(bytes(body), header)
     elif header.encoding == "binary":
-        columns, more = _read_binary(path, data, header)
+        columns, more = _read_binary(body, header)
     else:
-        columns, more = _read_compressed(path, data, header), 0
-    cloud = cloud_from_columns(path, columns, header.origin)
+        columns, more = _read_compressed(body, header), 0
+    cloud = cloud_from_columns(columns, header.origin)
     return replace(cloud, notes=(left_out(header.points, more),)) if more else cloud
 
 
-def _parse_header(path: Path, data: bytes) -> Header:
-    entries: dict[str, tuple[int, list[str]]] = {}
+Entries = dict[str, tuple[int, list[str]]]
+"""By key, the number of a line and its words."""
+
+
+def _parse_header(data: bytes) -> Header:
+    entries: Entries = {}
     position, number = 0, 0
     while "DATA" not in entries:
         end = data.find(b"\n", position, position + MAX_HEADER)
         if end < 0 or position > MAX_HEADER:
-            raise ReadError(f"{path}: the header ends at line {number} without a DATA line")
+            raise ReadError(f"the header ends at line {number} without a DATA line")
         number += 1
         words = data[position:end].decode("ascii", errors="replace").split()
         position = end + 1
         if not words or words[0].startswith("#"):
             continue
         if words[0] not in KEYS:
-            expected = "one of " + ", ".join(KEYS)
-            raise ReadError(f"{path}, line {number}: starts with {words[0]!r}, expected {expected}")
+            raise LineError(number, f"starts with {words[0]!r}, expected one of {', '.join(KEYS)}")
         key = "FIELDS" if words[0] == "COLUMNS" else words[0]
         if key in entries:
-            raise ReadError(f"{path}, line {number}: {key} again, after line {entries[key][0]}")
+            raise LineError(number, f"{key} again, after line {entries[key][0]}")
         entries[key] = (number, words[1:])
-
-    def entry(key: str) -> tuple[int, list[str]]:
-        if key not in entries:
-            raise ReadError(f"{path}: the header has no {key} line")
-        return entries[key]
-
-    def whole(key: str, low: int, default: list[int] | None = None) -> list[int]:
-        if key not in entries and default is not None:
-            return default
-        line, words = entry(key)
-        try:
-            values = [int(word) for word in words]
-        except ValueError:
-            values = []
-        if not values or min(values) < low or max(values) > MAX_PROMISED:
-            raise ReadError(
-                f"{path}, line {line}: {key} {' '.join(words)}, expected whole numbers from {low}"
-            )
-        return values
-
-    names = entry("FIELDS")[1]
-    sizes, counts = whole("SIZE", 1), whole("COUNT", 1, [1] * len(names))
-    line, types = entry("TYPE")
+    names = _entry(entries, "FIELDS")[1]
+    sizes, counts = _whole(entries, "SIZE", 1), _whole(entries, "COUNT", 1, [1] * len(names))
+    line, types = _entry(entries, "TYPE")
     if not len(names) == len(sizes) == len(counts) == len(types):
-        raise ReadError(
-            f"{path}, line {line}: FIELDS, SIZE, TYPE and COUNT name {len(names)}, {len(sizes)}, "
-            f"{len(types)} and {len(counts)} fields, expected the same number"
-        )
+        numbers = f"{len(names)}, {len(sizes)}, {len(types)} and {len(counts)} fields"
+        said = f"FIELDS, SIZE, TYPE and COUNT name {numbers}, expected the same number"
+        raise LineError(line, said)
     for name, letter, size in zip(names, types, sizes, strict=True):
         if size not in PCD_SIZES.get(letter, ()):
-            raise ReadError(
-                f"{path}, line {line}: field {name} has type {letter} of {size} bytes, expected F "
-                "of 4 or 8, I or U of 1, 2, 4 or 8"
-            )
+            kind = f"field {name} has type {letter} of {size} bytes"
+            raise LineError(line, f"{kind}, expected F of 4 or 8, I or U of 1, 2, 4 or 8")
     kinds = tuple(f"<{letter.lower()}{size}" for letter, size in zip(types, sizes, strict=True))
-    width = whole("WIDTH", 0)[0]
-    height = whole("HEIGHT", 0, [1])[0]
-    points = whole("POINTS", 0, [width * height])[0]
+    (width, *_), (height, *_) = _whole(entries, "WIDTH", 0), _whole(entries, "HEIGHT", 0, [1])
+    points = _whole(entries, "POINTS", 0, [width * height])[0]
     if width * height != points:
-        raise ReadError(
-            f"{path}: WIDTH {width} times HEIGHT {height} is not POINTS {points}: the header "
-            "contradicts itself"
-        )
+        product = f"WIDTH {width} times HEIGHT {height} is not POINTS {points}"
+        raise ReadError(f"{product}: the header contradicts itself")
     if sum(counts) > MAX_VALUES:
-        raise ReadError(f"{path}: a point has {sum(counts)} values, expected {MAX_VALUES} at most")
+        raise ReadError(f"a point has {sum(counts)} values, expected {MAX_VALUES} at most")
     line, words = entries["DATA"]
     if words not in (["ascii"], ["binary"], ["binary_compressed"]):
-        raise ReadError(
-            f"{path}, line {line}: DATA {' '.join(words)}, expected ascii, binary or "
-            "binary_compressed"
-        )
-    origin = _viewpoint(path, entries)
+        said = f"DATA {' '.join(words)}"
+        raise LineError(line, f"{said}, expected ascii, binary or binary_compressed")
+    origin = _viewpoint(*entries.get("VIEWPOINT", (0, ["0"] * 7)))
     return Header(
         tuple(names), kinds, tuple(counts), points, origin, words[0], start=position, lines=number
     )
 
 
-def _viewpoint(path: Path, entries: dict[str, tuple[int, list[str]]]) -> Array:
-    if "VIEWPOINT" not in entries:
-        return np.zeros(3)
-    line, words = entries["VIEWPOINT"]
+def _entry(entries: Entries, key: str) -> tuple[int, list[str]]:
+    if key not in entries:
+        raise ReadError(f"the header has no {key} line")
+    return entries[key]
+
+
+def _whole(entries: Entries, key: str, low: int, default: list[int] | None = None) -> list[int]:
+    """Read whole numbers, one at least."""
+    if key not in entries and default is not None:
+        return default
+    line, words = _entry(entries, key)
+    try:
+        values = [int(word) for word in words]
+    except ValueError:
+        values = []
+    if not values or min(values) < low or max(values) > MAX_PROMISED:
+        raise LineError(line, f"{key} {' '.join(words)}, expected whole numbers from {low}")
+    return values
+
+
+def _viewpoint(line: int, words: list[str]) -> Array:
     try:
         values = np.array([float(word) for word in words])
     except ValueError:
         values = np.zeros(0)
     if len(values) != 7 or not np.all(np.abs(values) <= LARGEST):
-        raise ReadError(
-            f"{path}, line {line}: VIEWPOINT {' '.join(words)}, expected seven numbers tx ty tz qw "
-            "qx qy qz"
-        )
+        said = f"VIEWPOINT {' '.join(words)}"
+        raise LineError(line, f"{said}, expected seven numbers tx ty tz qw qx qy qz")
     return values[:3]
 
 
-def _read_ascii(path: Path, body: bytes, header: Header) -> tuple[Columns, int]:
+def _read_ascii(body: bytes, header: Header) -> tuple[Columns, int]:
     """Read a text, and count the lines that the header does not promise."""
-    values = sum(header.counts)
+    promised, values = f"the header promises {header.points} points", sum(header.counts)
     # Each value takes a character and a blank or line end; the last line may lack its end.
     if len(body) + 1 < 2 * values * header.points:
-        raise ReadError(
-            f"{path}: the header promises {header.points} points of {values} values, the "
-            f"{len(body)} bytes after it cannot hold them"
-        )
-    table = read_table(path, body, values, line=header.lines + 1)
+        cannot = f"the {len(body)} bytes after it cannot hold them"
+        raise ReadError(f"{promised} of {values} values, {cannot}")
+    table = read_table(body, values, line=header.lines + 1)
     if len(table) < header.points:
-        raise ReadError(
-            f"{path}: the header promises {header.points} points, the file holds {len(table)} lines"
-        )
+        raise ReadError(f"{promised}, the file holds {len(table)} lines")
     points = table[: header.points]
     ends = np.cumsum(header.counts)
     names = header.record.names or ()
@@ -217,21 +212,19 @@ def _as_declared(values: Array, kind: str) -> NDArray[Any]:
         return typed if kind[1] == "f" or np.array_equal(typed, values) else values
 
 
-def _read_binary(path: Path, data: bytes, header: Header) -> tuple[Columns, int]:
+def _read_binary(body: memoryview, header: Header) -> tuple[Columns, int]:
     """Read records, and count those that the header does not promise; zeros are padding."""
     record = header.record
-    size, left = header.points * record.itemsize, len(data) - header.start
-    if left < size:
-        raise ReadError(
-            f"{path}: the header promises {header.points} points of {record.itemsize} bytes, "
-            f"{size} in all, the file holds {left} after it"
-        )
-    points = np.frombuffer(data, record, header.points, header.start)
-    rest = data[header.start + size :].rstrip(b"\0")
+    size = header.points * record.itemsize
+    if len(body) < size:
+        promised = f"{header.points} points of {record.itemsize} bytes, {size} in all"
+        raise ReadError(f"the header promises {promised}, the file holds {len(body)} after it")
+    points = np.frombuffer(body, record, header.points)
+    rest = bytes(body[size:]).rstrip(b"\0")
     return {name: points[name] for name in record.names or ()}, len(rest) // record.itemsize
 
 
-def _read_compressed(path: Path, data: bytes, header: Header) -> Columns:
+def _read_compressed(body: memoryview, header: Header) -> Columns:
     """Read compressed data, which are stored field by field, not point by point."""
     names = header.record.names or ()
     fields = list(zip(names, header.kinds, header.counts, strict=True))
@@ -241,7 +234,7 @@ def _read_compressed(path: Path, data: bytes, header: Header) -> Columns:
         header.points * sum(np.dtype(kind).itemsize * count for _, kind, count in layout): layout
         for layout in (bare, fields)
     }
-    plain = _decompress(path, data, header.start, sorted(sizes))
+    plain = _decompress(body, sorted(sizes))
     columns: dict[str, NDArray[Any]] = {}
     position = 0
     for name, kind, count in sizes[len(plain)]:
@@ -251,32 +244,26 @@ def _read_compressed(path: Path, data: bytes, header: Header) -> Columns:
     return columns
 
 
-def _decompress(path: Path, data: bytes, start: int, sizes: list[int]) -> bytes:
+def _decompress(body: memoryview, sizes: list[int]) -> bytes:
     import lzf
 
-    left = len(data) - start - LZF_SIZES
+    left = len(body) - LZF_SIZES
     if left < 0:
-        raise ReadError(f"{path}: ends before the two sizes of its compressed data")
-    compressed, plain_size = struct.unpack_from("<II", data, start)
-    if plain_size not in sizes:
-        raise ReadError(
-            f"{path}: its data decompress to {plain_size} bytes, the header promises {sizes[-1]}"
-        )
+        raise ReadError("ends before the two sizes of its compressed data")
+    compressed, size = struct.unpack_from("<II", body)
+    if size not in sizes:
+        raise ReadError(f"its data decompress to {size} bytes, the header promises {sizes[-1]}")
     if compressed > left:
-        raise ReadError(f"{path}: promises {compressed} bytes of compressed data, holds {left}")
-    if plain_size > MAX_LZF_RATIO * compressed:
-        raise ReadError(f"{path}: {compressed} bytes cannot decompress to {plain_size}")
-    first = start + LZF_SIZES
+        raise ReadError(f"promises {compressed} bytes of compressed data, holds {left}")
+    if size > MAX_LZF_RATIO * compressed:
+        raise ReadError(f"{compressed} bytes cannot decompress to {size}")
     try:
-        plain: bytes | None = lzf.decompress(data[first : first + compressed], plain_size)
+        plain: bytes | None = lzf.decompress(bytes(body[LZF_SIZES:][:compressed]), size)
     except ValueError as error:
-        raise ReadError(f"{path}: its compressed data are damaged ({error})") from None
-    if plain is None or len(plain) != plain_size:
-        have = "more" if plain is None else f"only {len(plain)}"
-        raise ReadError(
-            f"{path}: its compressed data are damaged: they decompress to {have}, not "
-            f"{plain_size} bytes"
-        )
+        raise ReadError(f"its compressed data are damaged ({error})") from None
+    if plain is None or len(plain) != size:
+        have = f"they decompress to {'more' if plain is None else f'only {len(plain)}'}"
+        raise ReadError(f"its compressed data are damaged: {have}, not {size} bytes")
     return plain
 
 
@@ -305,25 +292,21 @@ def pcd_of(cloud: PointCloud) -> bytes:
         ("ring", "<u2", cloud.ring),
         ("timestamp", "<f8", cloud.time),
     ]
-    fields = [(name, kind) for name, kind, column in columns if column is not None]
-    points = np.empty(len(cloud), np.dtype(fields))
-    for name, kind, column in columns:
-        if column is None:
-            continue
+    kept = [(name, kind, column) for name, kind, column in columns if column is not None]
+    for name, kind, column in kept:
         fits = np.iinfo(kind) if name == "ring" else np.finfo(kind)
         if column.size and not (fits.min <= column.min() and column.max() <= fits.max):
-            raise UsageError(
-                f"{name} runs from {column.min():g} to {column.max():g}, a PCD holds "
-                f"{fits.min:g} to {fits.max:g}"
-            )
-        points[name] = column
+            runs = f"{name} runs from {column.min():g} to {column.max():g}"
+            raise UsageError(f"{runs}, a PCD holds {fits.min:g} to {fits.max:g}")
+    points = records_of({name: column.astype(kind) for name, kind, column in kept})
+    kinds = [kind for _, kind, _ in kept]
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
-        "FIELDS " + " ".join(name for name, _ in fields),
-        "SIZE " + " ".join(kind[2] for _, kind in fields),
-        "TYPE " + " ".join(kind[1].upper() for _, kind in fields),
-        "COUNT " + " ".join("1" for _ in fields),
+        f"FIELDS {' '.join(name for name, *_ in kept)}",
+        f"SIZE {' '.join(kind[2] for kind in kinds)}",
+        f"TYPE {' '.join(kind[1].upper() for kind in kinds)}",
+        f"COUNT {' '.join('1' for _ in kinds)}",
         f"WIDTH {len(cloud)}",
         "HEIGHT 1",
         "VIEWPOINT " + " ".join(repr(float(v)) for v in cloud.origin) + " 1 0 0 0",

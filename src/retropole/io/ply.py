@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ..base.datatypes import PointCloud
 from ..base.errors import ReadError
+from .arrays import read_table
+from .failures import LineError
 from .fields import MAX_PROMISED, cloud_from_columns, left_out, read_whole
-from .table import read_table
 
 PLY_TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1"},
@@ -42,6 +43,11 @@ class _Element:
     count: int
     properties: list[_Property]
 
+    @property
+    def names(self) -> list[str]:
+        """Of its values, without the lists."""
+        return [own.name for own in self.properties if not own.length]
+
 
 def read_ply(path: Path) -> PointCloud:
     """Read the vertices of a PLY file; other elements, and lists, are skipped.
@@ -52,70 +58,69 @@ def read_ply(path: Path) -> PointCloud:
         Where the header or the data are not what they should be.
     """
     data = read_whole(path, "a PLY header")
-    encoding, elements, start, lines = _parse_header(path, data)
+    encoding, elements, start, lines = _parse_header(data)
     k = next((k for k, element in enumerate(elements) if element.name == "vertex"), None)
     if k is None:
         have = ", ".join(element.name for element in elements) or "none"
-        raise ReadError(f"{path}: the header has no element vertex; the elements are: {have}")
+        raise ReadError(f"the header has no element vertex; the elements are: {have}")
     before, vertex = elements[:k], elements[k]
     if vertex.count == 0:
-        raise ReadError(f"{path}: element vertex 0, expected at least one")
-    if not any(not prop.length for prop in vertex.properties):
-        raise ReadError(f"{path}: element vertex has no values, expected x, y and z at least")
+        raise ReadError("element vertex 0, expected at least one")
+    if not vertex.names:
+        raise ReadError("element vertex has no values, expected x, y and z at least")
     # Each value or list takes a byte, and in a text a blank or line end as well, but the last.
     least = sum(e.count * len(e.properties) for e in (*before, vertex))
     left = len(data) - start if encoding != "ascii" else (len(data) - start + 1) // 2
     if left < least:
-        raise ReadError(
-            f"{path}: the header promises {vertex.count} vertices and more, {least} values in "
-            f"all; the {len(data) - start} bytes after it cannot hold them"
-        )
+        promised = f"{vertex.count} vertices and more, {least} values in all"
+        cannot = f"the {len(data) - start} bytes after it cannot hold them"
+        raise ReadError(f"the header promises {promised}; {cannot}")
     if encoding == "ascii":
-        columns, rest = _read_ascii(path, data[start:], before, vertex, lines + 1)
+        columns, rest = _read_ascii(data[start:], before, vertex, lines + 1)
         more = sum(1 for line in BytesIO(rest) if line.strip())
     else:
-        for element in before:
-            _, start = _read_element(path, data, start, element, ORDERS[encoding])
-        columns, end = _read_element(path, data, start, vertex, ORDERS[encoding])
+        columns, end = {}, start
+        for element in (*before, vertex):
+            start = end
+            columns, end = _read_element(data, start, element, ORDERS[encoding])
         more = (len(data) - end) * vertex.count // (end - start)
-    cloud = cloud_from_columns(path, columns)
+    cloud = cloud_from_columns(columns)
     if more and vertex is elements[-1]:
         return replace(cloud, notes=(left_out(vertex.count, more),))
     return cloud
 
 
 def _read_element(
-    path: Path, data: bytes, start: int, element: _Element, order: str
+    data: bytes, start: int, element: _Element, order: str
 ) -> tuple[dict[str, NDArray[Any]], int]:
     """Read the values, not the lists, of all rows of a binary element; and give its end."""
     if not element.count or not element.properties:
         return {}, start
     # Lists mostly have the same length (triangles): then all rows are records like the first.
-    record, end = _record(path, data, start, element, order)
-    names = [prop.name for prop in element.properties if not prop.length]
+    record, end = _record(data, start, element, order)
     size = element.count * record.itemsize
     if start + size <= len(data):
         rows = np.frombuffer(data, record, element.count, start)
         lengths = [name for name in record.names or () if name.startswith("length ")]
         if all(np.all(rows[name] == rows[name][0]) for name in lengths):
-            return {name: rows[name] for name in names}, start + size
-    elif not any(prop.length for prop in element.properties):
+            return {name: rows[name] for name in element.names}, start + size
+    elif len(element.names) == len(element.properties):
         raise ReadError(
-            f"{path}: the header promises {element.count} of element {element.name}, {size} bytes "
-            f"from byte {start} on, the file holds {len(data) - start}"
+            f"the header promises {element.count} of element {element.name}, {size} bytes from "
+            f"byte {start} on, the file holds {len(data) - start}"
         )
-    columns: dict[str, list[Any]] = {name: [] for name in names}
+    columns: dict[str, list[Any]] = {name: [] for name in element.names}
     for _ in range(element.count):
-        record, end = _record(path, data, start, element, order)
+        record, end = _record(data, start, element, order)
         row = np.frombuffer(data, record, 1, start)[0]
-        for name in names:
+        for name in element.names:
             columns[name].append(row[name])
         start = end
     return {name: np.array(column) for name, column in columns.items()}, start
 
 
 def _record(
-    path: Path, data: bytes, start: int, element: _Element, order: str
+    data: bytes, start: int, element: _Element, order: str
 ) -> tuple[np.dtype[np.void], int]:
     """Give the data type of the row at `start`, with the length of its lists, and its end."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
@@ -125,35 +130,35 @@ def _record(
         if prop.length:
             kind = np.dtype(order + prop.length)
             if end + kind.itemsize > len(data):
-                raise ReadError(f"{path}: ends within element {element.name}")
-            # A name in the file has no blank, so these are not in use.
-            fields.append((f"length {k}", order + prop.length))
+                raise ReadError(f"ends within element {element.name}")
             count = int(np.frombuffer(data, kind, 1, end)[0])
             end += kind.itemsize
             if count < 0:
-                raise ReadError(f"{path}: element {element.name} has a list of {count} values")
+                raise ReadError(f"element {element.name} has a list of {count} values")
+            # A name in the file has no blank, so these are not in use.
+            fields.append((f"length {k}", order + prop.length))
             fields.append((f"list {k}", order + prop.kind, (count,)))
         else:
             fields.append((prop.name, order + prop.kind))
         end += count * np.dtype(prop.kind).itemsize
         if end > len(data):
-            raise ReadError(f"{path}: ends within element {element.name}")
+            raise ReadError(f"ends within element {element.name}")
     return np.dtype(fields), end
 
 
-def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]:
+def _parse_header(data: bytes) -> tuple[str, list[_Element], int, int]:
     end = re.search(rb"^end_header[ \t]*(\r\n|\n|\r)", data, re.MULTILINE)
     if end is None:
         # Old Macintosh files end their lines with a carriage return alone.
         end = re.search(rb"\rend_header[ \t]*\r", data)
     if data[:3] != b"ply" or end is None:
-        raise ReadError(f"{path}: expected a header from 'ply' to 'end_header'")
+        raise ReadError("expected a header from 'ply' to 'end_header'")
     encoding, elements = "", list[_Element]()
     header = data[: end.start()].decode("ascii", errors="replace")
     lines = header.replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
     names = set[str]()
     if len(lines) > MAX_HEADER:
-        raise ReadError(f"{path}: a header of {len(lines)} lines, expected {MAX_HEADER} at most")
+        raise ReadError(f"a header of {len(lines)} lines, expected {MAX_HEADER} at most")
     for number, line in enumerate(lines, 1):
         words = line.split()
         try:
@@ -177,17 +182,15 @@ def _parse_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, in
                 case _:
                     raise ValueError
         except (ValueError, KeyError, IndexError):
-            raise ReadError(
-                f"{path}, line {number}: {line.strip()[:60]!r}, expected format, element or "
-                "property as PLY has them"
-            ) from None
+            said = f"{line.strip()[:60]!r}, expected format, element or property as PLY has them"
+            raise LineError(number, said) from None
     if not encoding:
-        raise ReadError(f"{path}: the header has no format line, expected {', '.join(ORDERS)}")
+        raise ReadError(f"the header has no format line, expected {', '.join(ORDERS)}")
     return encoding, elements, end.end(), len(lines) + 1
 
 
 def _read_ascii(
-    path: Path, body: bytes, before: list[_Element], vertex: _Element, line: int
+    body: bytes, before: list[_Element], vertex: _Element, line: int
 ) -> tuple[dict[str, NDArray[Any]], bytes]:
     """Read the vertices of a text, and give what follows them."""
     # One row per line, as all writers have it; blank lines do not count.
@@ -204,31 +207,28 @@ def _read_ascii(
         if rows == skipped + vertex.count:
             break
     text = body[start:end]
-    names = [prop.name for prop in vertex.properties if not prop.length]
     line += lines_before
-    if any(prop.length for prop in vertex.properties):
+    if len(vertex.names) < len(vertex.properties):
         # Blank lines are kept, so that messages name the right line of the file.
         text = b"\n".join(
-            _without_lists(path, row, vertex, line + k) if row.strip() else b""
+            _without_lists(row, vertex, line + k) if row.strip() else b""
             for k, row in enumerate(BytesIO(text))
         )
     found = max(rows - skipped, 0)
     if found == vertex.count:
-        table = read_table(path, text, len(names), line=line)
+        table = read_table(text, len(vertex.names), line=line)
         found = len(table)
     if found != vertex.count:
-        raise ReadError(
-            f"{path}: holds {found} lines of vertices, the header promises {vertex.count}"
-        )
-    return {name: table[:, k] for k, name in enumerate(names)}, body[end:]
+        raise ReadError(f"holds {found} lines of vertices, the header promises {vertex.count}")
+    return dict(zip(vertex.names, table.T, strict=True)), body[end:]
 
 
-def _without_lists(path: Path, row: bytes, vertex: _Element, line: int) -> bytes:
+def _without_lists(row: bytes, vertex: _Element, line: int) -> bytes:
     words, kept = row.split(), list[bytes]()
     position = 0
     for prop in vertex.properties:
         if position >= len(words):
-            raise ReadError(f"{path}, line {line}: ends before property {prop.name}")
+            raise LineError(line, f"ends before property {prop.name}")
         word = words[position]
         position += 1
         if not prop.length:
@@ -236,7 +236,7 @@ def _without_lists(path: Path, row: bytes, vertex: _Element, line: int) -> bytes
         elif word.isdigit():
             position += int(word)
         else:
-            raise ReadError(f"{path}, line {line}: the length of list {prop.name} is not a number")
+            raise LineError(line, f"the length of list {prop.name} is not a number")
     if position != len(words):
-        raise ReadError(f"{path}, line {line}: holds {len(words)} values, expected {position}")
+        raise LineError(line, f"holds {len(words)} values, expected {position}")
     return b" ".join(kept)

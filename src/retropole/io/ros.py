@@ -7,6 +7,7 @@ definitions in a bag, if any, are not used. No ROS is needed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -96,19 +97,17 @@ def _frames(path: Path, topic: Topic, numbers: range) -> Iterator[Frame]:
                 yield _frame(path, topic, number, stamp, data, encoding)
             if number == numbers[-1]:
                 return
-        raise ReadError(
-            f"{path}: promises {counted(topic.count, 'message')} on {topic.name}, holds "
-            f"{number + 1}"
-        )
+        promised = f"promises {counted(topic.count, 'message')} on {topic.name}"
+        raise ReadError(f"{promised}, holds {number + 1}")
 
 
 def _frame(path: Path, topic: Topic, number: int, stamp: int, data: bytes, encoding: str) -> Frame:
-    where = f"{path}: message {number} of {topic.name}"
+    where = f"message {number} of {topic.name}"
     # The decoders let pass whatever is raised when bytes do not fit.
-    with reported(where, CLOUDS), naming(where):
+    with naming(where), reported(CLOUDS):
         message = _decoder(encoding)(data)
         columns = columns_of(message)
-    cloud = frame_from_columns(where, columns)
+    cloud = replace(frame_from_columns(where, columns), source=f"{path}: {where}")
     return Frame(number, cloud, stamp / NANOSECONDS, message.header.frame_id)
 
 

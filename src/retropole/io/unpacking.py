@@ -28,7 +28,7 @@ Spend = Callable[[int], None]
 """Counts bytes, and raises where a file has used up what it is allowed."""
 
 
-def allowance(path: Path, size: int, base: int = ALLOWED, ratio: int = ALLOWED_RATIO) -> Spend:
+def allowance(size: int, base: int = ALLOWED, ratio: int = ALLOWED_RATIO) -> Spend:
     """Make the account of a file of `size` bytes, with `base` bytes and `ratio` times its size."""
     allowed = base + ratio * size
     spent = 0
@@ -37,21 +37,17 @@ def allowance(path: Path, size: int, base: int = ALLOWED, ratio: int = ALLOWED_R
         nonlocal spent
         spent += count
         if spent > allowed:
-            raise ReadError(
-                f"{path}: its {size:,} bytes unpack to more than {allowed:,}, which no recording "
-                "does"
-            )
+            limit = f"its {size:,} bytes unpack to more than {allowed:,}"
+            raise ReadError(f"{limit}, which no recording does")
 
     return spend
 
 
-def unpacked(path: Path, kind: str, data: bytes, spend: Spend) -> bytes:
+def unpacked(kind: str, data: bytes, spend: Spend) -> bytes:
     """Decompress a chunk or a message.
 
     Parameters
     ----------
-    path
-        The file, for messages.
     kind
         ``bz2``, ``lz4`` or ``zstd``; anything else is not compressed.
     data
@@ -70,10 +66,8 @@ def unpacked(path: Path, kind: str, data: bytes, spend: Spend) -> bytes:
     out = io.BytesIO()
     for block in _blocks(kind, io.BytesIO(data), spend):
         if out.tell() + len(block) > MAX_UNPACKED:
-            raise ReadError(
-                f"{path}: {len(data):,} bytes of it unpack to more than {MAX_UNPACKED:,}, "
-                "which no chunk of a recording does"
-            )
+            limit = f"{len(data):,} bytes of it unpack to more than {MAX_UNPACKED:,}"
+            raise ReadError(f"{limit}, which no chunk of a recording does")
         out.write(block)
     return out.getvalue()
 

@@ -8,8 +8,7 @@ from ..base.quantities import UNKNOWN, counted, percent
 from ..result import BudgetEntry, ResultDoc
 from .certainty import radius_words, scene_words
 from .listings import columns
-from .markup import listed, table
-from .page import EMPTY, Html, fill, join
+from .page import EMPTY, Html, fill, join, listed, table
 from .poses import pose_parts, transform_matrix
 from .subject import LIDARS, Subject
 from .uncertainty import covariances, ranges, sources, states

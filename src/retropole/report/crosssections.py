@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..alignment.solver import Step, gauss_newton
+from ..alignment.solver import Solution, Step, gauss_newton
 from ..base import se3
 from ..base.datatypes import Array
 from .page import EMPTY, Html, fill, join
@@ -31,22 +31,6 @@ RESIDUAL_SCALE = 0.01
 
 SHOWN_RETURNS = 0.98
 """Share of the returns that a picture holds; strays are cut off."""
-
-
-@dataclass(frozen=True, eq=False)
-class Circle:
-    """A circle of known radius fitted to points.
-
-    Attributes
-    ----------
-    centre
-        (2,) in the plane and the units of the points.
-    converged
-        Whether the solver came to rest.
-    """
-
-    centre: Array
-    converged: bool
 
 
 def cross_sections(subject: Subject) -> Html:
@@ -79,7 +63,7 @@ class _Residuals:
     curvature: Array
 
 
-def fit_circle(flat: Array, radius: float, start: Array) -> Circle:
+def fit_circle(flat: Array, radius: float, start: Array) -> Solution[Array]:
     """Fit a circle of a given radius to points (N, 2), with weights against strays.
 
     Parameters
@@ -90,6 +74,11 @@ def fit_circle(flat: Array, radius: float, start: Array) -> Circle:
         Of the circle, metres; no step is longer.
     start
         (2,) centre to start from.
+
+    Returns
+    -------
+    Solution
+        Its point is the centre (2,), in the plane and the units of the points.
     """
 
     def linearise(centre: Array) -> _Residuals:
@@ -110,7 +99,7 @@ def fit_circle(flat: Array, radius: float, start: Array) -> Circle:
 
     found = gauss_newton(start, linearise, move, small, max_iterations=MAX_CIRCLE_ITERATIONS)
     assert found is not None
-    return Circle(found.point, found.converged)
+    return found
 
 
 def _figure(name: str, target: Array, source: Array, origin: Array, radius: float) -> Html:
@@ -122,7 +111,7 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
     towards = [s / max(float(np.linalg.norm(s)), 1e-9) for s in sensors]
     start = -np.mean(towards, axis=0) * radius * np.pi / 4
     circle = fit_circle(np.concatenate(flat), radius, start)
-    distances = np.linalg.norm(np.concatenate(flat) - circle.centre, axis=1)
+    distances = np.linalg.norm(np.concatenate(flat) - circle.point, axis=1)
     rms = float(np.sqrt(np.mean((distances - radius) ** 2)))
     half_width = float(max(3 * radius, np.quantile(distances, SHOWN_RETURNS)))
     scale = (HALF_PICTURE - 14) / half_width
@@ -130,7 +119,7 @@ def _figure(name: str, target: Array, source: Array, origin: Array, radius: floa
     dots = join(
         fill("return", colour=colour, x=x, y=y)
         for colour, points in zip(colours, flat, strict=True)
-        for x, y in ((points - circle.centre) * scale * [1, -1])
+        for x, y in ((points - circle.point) * scale * [1, -1])
         if max(abs(x), abs(y)) < HALF_PICTURE
     )
     inner, outer = HALF_PICTURE - 12, HALF_PICTURE - 2

@@ -11,8 +11,7 @@ from ..site.repetition import SpreadTest
 from .layout import legible, wrapped
 from .layout import table as text_table
 from .listings import Listing, columns
-from .markup import table
-from .page import EMPTY, Html, fill, fill_each, join
+from .page import EMPTY, Html, fill, fill_each, join, table
 from .render import render_page
 from .subject import LIDARS
 from .text import reason_lines

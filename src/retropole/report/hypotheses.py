@@ -1,14 +1,130 @@
-"""The ways of laying the poles of a pair on each other, and which of them the scene supports."""
+"""The ways of laying the poles of a pair on each other, and what decides between them."""
 
 from __future__ import annotations
 
-from ..result import HypothesisDoc, ResultDoc
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..base import se3
+from ..base.datatypes import Array
+from ..base.reasons import plain
+from ..matching.prior import MAX_SIGMAS, RotationPrior
+from ..result import DEFAULT_CONFIG, HypothesisDoc, ResultDoc
 from . import listings
 from .certainty import number
-from .hypotheses_text import deciding, pose_numbers, relative_words, standing
-from .markup import inline, listed, table
-from .page import EMPTY, Html, fill, fill_each, join
+from .listings import numbers
+from .page import EMPTY, Html, fill, fill_each, inline, join, listed, table
 from .subject import hypothesis_name
+
+OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
+"""Reasons that leave the choice to a person."""
+
+SAME_AXIS = math.radians(10.0)
+"""Within this of the vertical, or of level, an axis is called so, rad: it stands between poses that
+the poles alone give, and the normal of the ground that is taken for the vertical is off by some
+degrees, too."""
+
+LEAST_TURN = math.radians(1.0)
+"""Hypotheses that differ by less are not called turned, rad."""
+
+
+def standing(result: ResultDoc) -> list[tuple[str, HypothesisDoc]]:
+    """List the hypotheses between which a person may decide, by name; none where it is decided."""
+    if not any(reason.code in OPEN for reason in result.reasons):
+        return []
+    named = [
+        (hypothesis_name(k), each)
+        for k, each in enumerate(result.hypotheses)
+        if each.stands or each.chosen
+    ]
+    return named if len(named) > 1 else []
+
+
+def relative_words(result: ResultDoc, hypothesis: HypothesisDoc) -> str:
+    """Say how the source stands under a hypothesis, as against the first of all."""
+    T = hypothesis.T_target_source
+    first = result.hypotheses[0].T_target_source
+    turn = se3.log_so3(T[:3, :3] @ first[:3, :3].T)
+    angle, apart = float(np.linalg.norm(turn)), float(np.linalg.norm(T[:3, 3] - first[:3, 3]))
+    moved = f"moved by {apart:.1f} m"
+    if angle < LEAST_TURN:
+        return f"source {moved}"
+    axis = axis_words(turn / angle, result.vertical)
+    return f"source turned by {math.degrees(angle):.0f}° about {axis} and {moved}"
+
+
+def axis_words(axis: Array, vertical: Array | None) -> str:
+    """Name an axis (3,) by the vertical where that is known, else by the target's frame."""
+    if vertical is None:
+        k = int(np.argmax(np.abs(axis)))
+        if abs(axis[k]) >= math.cos(SAME_AXIS):
+            return f"the target's {'xyz'[k]} axis"
+        axis = axis * np.sign(axis[k])
+        return f"the axis ({', '.join(numbers(axis, 2))}) of the target's frame"
+    tilt = math.acos(min(1.0, abs(float(axis @ vertical))))
+    if tilt <= SAME_AXIS:
+        return "the vertical"
+    if tilt >= math.pi / 2 - SAME_AXIS:
+        return "a horizontal axis"
+    return f"an axis {math.degrees(tilt):.0f}° off the vertical"
+
+
+def deciding(result: ResultDoc, named: Sequence[tuple[str, HypothesisDoc]]) -> Iterator[str]:
+    """Name the options that would leave one of the hypotheses that stand, as marked-up sentences.
+
+    A rotation separates them where none within reach of it, 3 σ of the default, is within reach of
+    two: whatever it is, it then leaves one at most.
+    """
+    config, poses = result.config, [each.T_target_source for _, each in named]
+    sigma = math.radians(DEFAULT_CONFIG.prior_sigma_deg)
+    reach = f"{math.degrees(MAX_SIGMAS * sigma):.0f}°"
+    if not config.up and config.prior_rpy_deg is None:
+        upright = RotationPrior(None, sigma)
+        left = [name for (name, _), T in zip(named, poses, strict=True) if upright.allows(T)]
+        if len(left) == 1:
+            yield f"`--up`, if both LiDARs stand upright to within {reach}, leaves {left[0]}"
+    if config.prior_rpy_deg is None and _least_turn(poses) > 2 * MAX_SIGMAS * sigma:
+        instead = " instead of `--up`" if config.up else ""
+        known = f"if you know the angles to within {reach}"
+        yield f"`--prior-rpy-deg R P Y`{instead}, {known}, leaves one"
+    if config.hypothesis is None:
+        names = " | ".join(name for name, _ in named)
+        yield f"`--hypothesis {names}` takes the one that you know is right, with a warning"
+
+
+def _least_turn(poses: Sequence[Array]) -> float:
+    """The least angle between the rotations of any two poses, rad."""
+    return min(
+        se3.rotation_angle(one[:3, :3] @ other[:3, :3].T)
+        for k, one in enumerate(poses)
+        for other in poses[:k]
+    )
+
+
+def pose_numbers(hypothesis: HypothesisDoc) -> list[str]:
+    """Write roll, pitch and yaw in degrees and the translation in metres."""
+    T = hypothesis.T_target_source
+    angles = np.degrees(se3.rpy_from_rotation(T[:3, :3]))
+    return [*numbers(angles, 1), *numbers(T[:3, 3], 2)]
+
+
+def describe_standing(result: ResultDoc) -> list[str]:
+    """Write the hypotheses that stand for a terminal, a few lines; none where it is decided."""
+    named = standing(result)
+    if not named:
+        return []
+    lines = ["hypotheses that stand, roll pitch yaw in deg, x y z in m"]
+    widths = [max(len(pose_numbers(each)[k]) for _, each in named) for k in range(6)]
+    for name, each in named:
+        cells = [value.rjust(widths[k]) for k, value in enumerate(pose_numbers(each))]
+        mark = " *" if each.chosen else "  "
+        lines.append(f"  {name}{mark} {'  '.join(cells[:3])}    {'  '.join(cells[3:])}")
+        if each is not result.hypotheses[0]:
+            lines.append(f"       as against a: {relative_words(result, each)}")
+    lines += [f"  {plain(words)}" for words in deciding(result, named)]
+    return lines
 
 
 def hypotheses(result: ResultDoc | None) -> Html:

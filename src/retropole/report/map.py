@@ -11,8 +11,7 @@ from ..base.datatypes import Array
 from ..base.quantities import large, round_below
 from ..result.site import SiteDoc
 from .certainty import number
-from .markup import folded, table
-from .page import EMPTY, Html, fill, join
+from .page import EMPTY, Html, fill, folded, join, table
 from .plan import Plan
 from .subject import Subject, colour_class, pole_labels
 from .svg import FONT, Labels, short

@@ -13,8 +13,7 @@ from ..base.quantities import counted
 from ..base.reasons import explain
 from ..extraction.acceptance_shape import MIN_POLE_POINTS, MIN_POLE_RINGS
 from .listings import rejected_mark
-from .markup import inline
-from .page import EMPTY, Html, fill, fill_each, join
+from .page import EMPTY, Html, fill, fill_each, inline, join
 from .subject import LIDARS, Subject, pole_name
 
 SAME_DISTANCE = 0.3

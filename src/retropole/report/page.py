@@ -1,18 +1,34 @@
-"""Pages and their pieces: templates filled with text, style and code, which run no other code."""
+"""Pages and their pieces: templates filled with text, style and code, which run no other code.
+
+Whatever the pieces are given is escaped.
+"""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache
 from html import escape
 from importlib.resources import files
 from string import Template
 
+from ..base.quantities import UNKNOWN, error
+from ..base.reasons import unlinked
+from .listings import Listing
+
 PIECE = re.compile(r"^<!-- ([\w-]+) -->", re.MULTILINE)
 """What stands before each piece of `pieces.html`: its name."""
+
+
+NO_BREAK = "\u00a0"
+
+CODE = re.compile(r"`([^`]+)`")
+EMPHASIS = re.compile(r"\*([^*\s][^*]*)\*")
+
+SHOWN = 12
+"""So many rows of a long table are shown at once, the worst first; the page unfolds the others."""
 
 
 class Html(str):
@@ -97,3 +113,85 @@ def _source_of(text: str) -> str:
     """Name a script or a style by its hash: the page runs these and no others."""
     digest = hashlib.sha256(text.encode("utf-8")).digest()
     return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def plus_minus(sigma_m: float | None) -> str:
+    """Write a 1 σ as ``± 8.4 mm``, which no line break parts; a dash where there is none."""
+    text = error(sigma_m)
+    return text if text == UNKNOWN else f"± {text}".replace(" ", NO_BREAK)
+
+
+def share_styles() -> str:
+    """Style the bars of every length, in percent: the page allows no style of an element's own."""
+    return "\n".join(f"td.share-{percent} {{ --share: {percent}%; }}" for percent in range(101))
+
+
+def table(
+    caption: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    text: Collection[int] = (),
+    bars: Sequence[tuple[str, float]] = (),
+    links: Sequence[str] = (),
+) -> Html:
+    """Lay out a table that scrolls sideways on narrow screens.
+
+    Parameters
+    ----------
+    caption, header, rows
+        Every cell is escaped; the first of each row is its heading.
+    text
+        Columns of words, aligned left; all others but the first are numbers.
+    bars
+        Of each row, the class and the length, 0 to 1, of a bar behind its last cell.
+    links
+        Of each row, where its heading leads; empty for nowhere.
+    """
+    kinds = [Html(' class="text"') if k in text else EMPTY for k in range(len(header))]
+    head = (fill("th", kind=kind, text=name) for kind, name in zip(kinds, header, strict=True))
+    lengths = [(name, round(100 * min(max(share, 0), 1))) for name, share in bars]
+    ends = [fill("share", name=name, length=length) for name, length in lengths]
+    body = [
+        fill(
+            "tr",
+            heading=fill("a", to=link, text=row[0]) if link else row[0],
+            cells=join(
+                fill("td", kind=kind, text=cell)
+                for kind, cell in zip([*kinds[1:-1], end], row[1:], strict=True)
+            ),
+        )
+        for row, end, link in zip(
+            rows, ends or [kinds[-1]] * len(rows), links or [""] * len(rows), strict=True
+        )
+    ]
+    return fill("table", caption=caption, head=join(head), body=join(body))
+
+
+def listed(listing: Listing) -> Html:
+    """Lay out a table; of a long one the first `SHOWN` rows, the rest folded away."""
+    caption, header, rows, words = listing
+    if len(rows) <= SHOWN:
+        return table(caption, header, rows, words) if rows else EMPTY
+    rest = table(f"{caption}: the rest", header, rows[SHOWN:], words)
+    more = folded(f"{len(rows) - SHOWN} more", rest)
+    return fill("stack", body=join((table(caption, header, rows[:SHOWN], words), more)))
+
+
+def folded(summary: str, body: Html, *, is_open: bool = False) -> Html:
+    """Fold markup away under a summary; nothing where there is none."""
+    opened = Html(" open" if is_open else "")
+    return fill("details", opened=opened, summary=summary, body=body) if body else body
+
+
+def inline(markdown: str) -> Html:
+    """Turn a line of Markdown into HTML: code and emphasis, links by their words."""
+    # Escaped first: nothing in the text but these marks can become markup.
+    text = escape(unlinked(markdown))
+    # The odd parts are code, in which an asterisk is an asterisk.
+    parts = CODE.split(text)
+    return Html(
+        "".join(
+            f"<code>{part}</code>" if k % 2 else EMPHASIS.sub(r"<em>\1</em>", part)
+            for k, part in enumerate(parts)
+        )
+    )

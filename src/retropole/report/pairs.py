@@ -7,8 +7,7 @@ import numpy as np
 from ..result.site import SiteDoc
 from . import listings
 from .certainty import LIMIT_W, number
-from .markup import listed
-from .page import EMPTY, Html, fill, join
+from .page import EMPTY, Html, fill, join, listed
 from .subject import colour_class
 from .svg import FONT, Labels, short
 

@@ -78,23 +78,17 @@ def _clusters(detection: Detection | None) -> tuple[IntpArray, IntpArray]:
     return np.unique(poles), np.setdiff1d(rejected, poles)
 
 
-def _draw(ranges: Array, kept: IntpArray, budget: int) -> IntpArray:
-    """Choose points to show: those given, and a draw weighted by range from the others.
+def _draw(ranges: Array, others: IntpArray, room: int) -> IntpArray:
+    """Draw points by their range, as many as there is room for.
 
     A spinning LiDAR crowds its returns near itself; weights that grow with range leave the far
     ones, which carry the shape of the scene. The draw is by exponential keys (Efraimidis and
     Spirakis 2006) with a fixed seed: the same cloud gives the same page.
     """
-    others = np.ones(len(ranges), dtype=bool)
-    others[kept] = False
-    rest = np.flatnonzero(others)
-    room = max(budget - len(kept), 0)
-    if len(rest) > room:
-        rng = np.random.default_rng(0)
-        keys = rng.exponential(size=len(rest)) / np.maximum(ranges[rest], 1.0)
-        rest = np.sort(np.argpartition(keys, room)[:room]) if room else rest[:0]
-        rest = np.flatnonzero(others)[rest]
-    return np.concatenate([kept, rest])
+    if len(others) <= room or room == 0:
+        return others[:room]
+    keys = np.random.default_rng(0).exponential(size=len(others)) / np.maximum(ranges[others], 1.0)
+    return np.sort(others[np.argpartition(keys, room)[:room]])
 
 
 def pack_cloud(
@@ -113,21 +107,20 @@ def pack_cloud(
         At most this many points are packed.
     """
     offset = cloud.xyz - cloud.origin
-    squared = np.einsum("ij,ij->i", offset, offset)
-    near = squared <= MAX_SHOWN_RANGE**2
+    ranges = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+    near = ranges <= MAX_SHOWN_RANGE
     poles, rejected = (index[near[index]] for index in _clusters(detection))
     poles, rejected = poles[:max_points], rejected[: max(max_points - len(poles), 0)]
-    candidates = np.flatnonzero(near)
     kept = np.concatenate([poles, rejected])
-    position = np.zeros(len(cloud), dtype=np.intp)
-    position[candidates] = np.arange(len(candidates))
-    ranges = np.sqrt(squared[candidates])
-    shown = candidates[_draw(ranges, position[kept], max_points)]
+    rest = near.copy()
+    rest[kept] = False
+    drawn = _draw(ranges, np.flatnonzero(rest), max_points - len(kept))
+    shown = np.concatenate([kept, drawn])
 
     packed = pack_points(cloud.xyz[shown])
     seen = [pole.point for pole in detection.poles] if detection else []
     centre = np.mean([cloud.origin, *seen], axis=0)
-    spread = np.quantile(ranges, 0.75) if len(ranges) else DEFAULT_RANGE
+    spread = np.quantile(ranges[near], 0.75) if near.any() else DEFAULT_RANGE
     farthest = max((float(np.linalg.norm(p - cloud.origin)) for p in seen), default=0.0)
     return PackedCloud(
         xyz=packed.xyz,
@@ -137,7 +130,7 @@ def pack_cloud(
         on_poles=len(poles),
         shown=len(shown),
         total=len(cloud),
-        far=len(cloud) - len(candidates),
+        far=int(np.count_nonzero(~near)),
         origin=cloud.origin.tolist(),
         centre=centre.tolist(),
         radius=float(np.clip(max(spread, 1.5 * farthest), *SHOWN_RADIUS)),

@@ -10,8 +10,7 @@ from ..base.errors import RetropoleError
 from ..export import FORMATS, export_lines
 from . import listings
 from .certainty import number
-from .markup import folded, listed
-from .page import EMPTY, Html, fill, join
+from .page import EMPTY, Html, fill, folded, join, listed
 from .subject import LIDARS, Subject, colour_class
 from .uncertainty import uncertainty
 

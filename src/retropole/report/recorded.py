@@ -16,8 +16,7 @@ from . import listings
 from .certainty import number, radius_words
 from .crosssections import cross_sections
 from .listings import Listing, columns, left_out_words
-from .markup import folded, listed, table
-from .page import EMPTY, Html, fill, fill_each, join
+from .page import EMPTY, Html, fill, fill_each, folded, join, listed, table
 from .subject import Subject, pair_name
 
 UNFOLDED_CLUSTERS = 4

@@ -16,9 +16,8 @@ from .certificate import certificate
 from .hypotheses import hypotheses
 from .listings import Listing
 from .map import site_map
-from .markup import listed, share_styles
 from .missing import missing_poles
-from .page import EMPTY, Html, fill, fill_page, join
+from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
 from .pairs import pairs
 from .plan import plan_of
 from .poses import poses

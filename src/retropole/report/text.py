@@ -16,7 +16,7 @@ from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
 from . import listings
 from .certainty import fitness_words, statements
-from .hypotheses_text import describe_standing
+from .hypotheses import describe_standing
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
 from .subject import Subject, of_pair

@@ -13,8 +13,7 @@ from ..result import BudgetEntry, ResultDoc
 from ..result.site import LidarDoc
 from .certainty import BUDGET_RANGE, error_parts, number
 from .listings import Listing, numbers
-from .markup import folded, listed, plus_minus, table
-from .page import EMPTY, Html, fill, join
+from .page import EMPTY, Html, fill, folded, join, listed, plus_minus, table
 from .subject import LIDARS, Subject, colour_class
 
 STATES = (

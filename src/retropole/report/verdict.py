@@ -8,8 +8,7 @@ from ..base.quantities import counted
 from ..base.reasons import explain
 from ..result import ReasonDoc
 from .certainty import fitness_words, number, ranked_tests, statements, worst_lidar
-from .markup import inline, plus_minus
-from .page import EMPTY, Html, fill, fill_each, join
+from .page import EMPTY, Html, fill, fill_each, inline, join, plus_minus
 from .subject import Subject
 
 VERDICTS = {

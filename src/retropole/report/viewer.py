@@ -118,11 +118,8 @@ def colours(intensity: Array, threshold: float) -> NDArray[np.uint8]:
 
 def segments(poles: Sequence[Pole]) -> Array:
     """Both ends (K, 2, 3) of every pole."""
-    ends = [
-        [p.point - 0.5 * p.length * p.direction, p.point + 0.5 * p.length * p.direction]
-        for p in poles
-    ]
-    return np.array(ends, dtype=float).reshape(-1, 2, 3)
+    ends = [pole.point + np.outer([-0.5, 0.5], pole.length * pole.direction) for pole in poles]
+    return np.array(ends).reshape(-1, 2, 3)
 
 
 def describe(detection: Detection) -> str:

@@ -9,7 +9,6 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...base.datatypes import Array
 from ...base.errors import MissingExtraError
 from ...base.files import write_atomically
 
@@ -46,8 +45,3 @@ def save_figure(figure: Figure, path: Path) -> None:
     buffer = io.BytesIO()
     figure.savefig(buffer, format=path.suffix.lstrip(".") or "png")
     write_atomically(path, buffer.getvalue())
-
-
-def subsample(xyz: Array) -> Array:
-    """Keep every n-th point (N, 3), so that no more than `MAX_FIGURE_POINTS` are drawn."""
-    return xyz[:: 1 + (len(xyz) - 1) // MAX_FIGURE_POINTS]

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...base.datatypes import Array, Detection, IntArray, PointCloud
 from ...base.quantities import counted
-from .canvas import BLUE, GREY, ORANGE, RED, new_figure, save_figure, subsample
+from ...base.sampling import every_nth
+from .canvas import BLUE, GREY, MAX_FIGURE_POINTS, ORANGE, RED, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +62,7 @@ def draw_detection(cloud: PointCloud, detection: Detection, path: Path, *, title
     )
     middle, half_width = _frame(cloud, detection)
     offset = cloud.xyz - middle
-    drawn = subsample(offset[np.linalg.norm(offset, axis=1) < 1.5 * half_width])
+    drawn = every_nth(offset[np.linalg.norm(offset, axis=1) < 1.5 * half_width], MAX_FIGURE_POINTS)
     for axes, vertical in ((above, 1), (beside, 2)):
         axes.scatter(drawn[:, 0], drawn[:, vertical], s=0.4, c=GREY, linewidths=0, rasterized=True)
         _mark(axes, cloud, detection, middle, vertical, half_width)

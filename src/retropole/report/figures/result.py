@@ -10,7 +10,8 @@ import numpy as np
 
 from ...base import se3
 from ...base.datatypes import Array, PointCloud, Pole
-from .canvas import BLUE, GREEN, ORANGE, RED, new_figure, save_figure, subsample
+from ...base.sampling import every_nth
+from .canvas import BLUE, GREEN, MAX_FIGURE_POINTS, ORANGE, RED, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,7 +113,7 @@ def _draw_clouds(
     middle = _middle(target, poles)
     for cloud, color, name in ((target, BLUE, "target"), (source, ORANGE, "source")):
         near = np.abs(cloud.xyz - middle).max(axis=1) < SCENE_HALF_WIDTH
-        xyz = subsample(cloud.xyz[near])
+        xyz = every_nth(cloud.xyz[near], MAX_FIGURE_POINTS)
         style: dict[str, Any] = {"s": 0.6, "c": color, "linewidths": 0, "rasterized": True}
         above.scatter(xyz[:, 0], xyz[:, 1], label=name, **style)
         beside.scatter(xyz[:, 0], xyz[:, 2], **style)
