@@ -219,10 +219,10 @@ def refine_pair(
     best = max(ends, key=support_of)
     mahalanobis_sq = _denial(coarse, best, poles)
     if mahalanobis_sq > DOUBT:
-        starts = approaches_of_parts(coarse, first, ends, covariance)
+        starts = approaches_of_parts(problem, first, ends, covariance)
         ends += _converged(problem, starts, covariance)
         best = max(ends, key=support_of)
-        mahalanobis_sq = _denial(coarse, best, poles, within=True)
+        mahalanobis_sq = _denial(problem, best, poles, within=True)
     highest = best
     disagree = mahalanobis_sq > DISAGREE
     if disagree:
@@ -310,7 +310,7 @@ def _converged_anew(problem: RefinementProblem, best: End, covariance: Array) ->
 
     A wider search may leave a good minimum for one with less support.
     """
-    again = approach(problem.without_rings(), best.T, covariance)
+    again = approach(problem, best.T, covariance)
     starts = [best, again] if again.scene and elsewhere(again, [best]) else [best]
     return max(_converged(problem, starts, covariance), key=support_of, default=None)
 
