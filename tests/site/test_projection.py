@@ -74,12 +74,18 @@ def test_a_system_that_bends_angles_says_so_and_by_how_much() -> None:
 
 
 def test_a_place_that_a_system_is_not_meant_for_is_said() -> None:
-    # Norway uses zone 33 as far as Bergen; swapped coordinates of the Netherlands lie in Germany.
+    # Norway uses zone 33 as far as Bergen.
     assert "not meant for" in projection.grid_at(25833, np.radians([60.4, 5.3, 0.0])).words
     assert "not meant for" not in projection.grid_at(25832, np.radians([60.4, 6.3, 0.0])).words
-    frame = world.tangent_frame(28992, np.array([[470_000.0, 190_000.0, 0.0]]))
+    frame = world.tangent_frame(28992, np.array([[470_000.0, 690_000.0, 0.0]]))
     assert frame.geodetic is not None
     assert "are its coordinates right" in projection.grid_at(28992, frame.geodetic.array).words
+
+
+def test_coordinates_that_only_swapped_lie_where_a_system_is_used_are_refused() -> None:
+    # East and north of the Netherlands, swapped, lie in Germany.
+    with pytest.raises(UsageError, match="are east and north swapped"):
+        world.tangent_frame(28992, np.array([[470_000.0, 190_000.0, 0.0]]))
 
 
 def test_an_area_may_lie_across_180_degrees() -> None:
@@ -88,3 +94,17 @@ def test_an_area_may_lie_across_180_degrees() -> None:
     for longitude, is_inside in ((179.0, True), (-179.0, True), (0.0, False)):
         grid = projection.grid_at(3832, np.radians([0.1, longitude, 0.0]))
         assert grid.in_area == is_inside
+
+
+def test_gauss_krueger_with_north_first_is_told() -> None:
+    """As the register orders it: taken for east, it lies within 20° of where the system is used."""
+    system = projection.projected(31467)
+    right = np.array([[3_500_000.0, 5_600_000.0, 100.0], [3_520_000.0, 5_610_000.0, 100.0]])
+    assert projection.unproject(system, right).shape == (2, 3)
+    for east in (3_480_000.0, 3_500_000.0, 3_560_000.0):
+        for north in (5_250_000.0, 5_600_000.0, 6_000_000.0):
+            with pytest.raises(UsageError, match="are east and north swapped"):
+                projection.unproject(system, np.array([[north, east, 100.0]]))
+    # A neighbour's system is not told: north of 60° people use it far outside of its zone.
+    norway = projection.projected(25833)
+    assert projection.unproject(norway, np.array([[100_000.0, 7_000_000.0, 0.0]])).shape == (1, 3)

@@ -201,8 +201,14 @@ def _in_area(system: Projected, at: Array, beyond: float) -> NDArray[np.bool_]:
 
 
 def _check_area(system: Projected, at: Array, coordinates: Array) -> None:
-    """Refuse what lies far outside of where a system is used, as swapped coordinates do."""
+    """Refuse what lies far outside of where a system is used, or only swapped inside of it."""
     inside = _in_area(system, at, BEYOND_AREA)
+    if inside.all() and not _in_area(system, at, 0.0).any():
+        longitude, latitude = system.proj(
+            coordinates[:, 1], coordinates[:, 0], inverse=True, radians=True
+        )
+        swapped = np.column_stack([latitude, longitude, at[:, 2]])
+        inside &= not _in_area(system, swapped, 0.0).all()
     if not (inside.all() and np.isfinite(coordinates).all()):
         k = int(np.argmin(inside & np.isfinite(coordinates).all(axis=1)))
         degrees = ", ".join(f"{angle:.3f}" for angle in np.degrees(at[k, :2]))
