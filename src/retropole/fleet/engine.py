@@ -73,10 +73,14 @@ def run_task(data: bytes) -> bytes:
 def connected(scheduler: str | None = None, workers: int | None = None) -> Iterator[Any]:
     """Connect to a cluster; without an address, start one of processes on this machine.
 
+    Whoever may give tasks to a cluster runs code as its owner. One that is started here answers on
+    the loopback alone, by TLS, to who has the credential: made for it, in memory, and gone with it.
+
     Parameters
     ----------
     scheduler
-        Address of a Dask scheduler: ``tcp://host:8786``.
+        Address of a Dask scheduler: ``tls://host:8786``, with the credentials of Dask's own
+        configuration, or ``tcp://host:8786``.
     workers
         Number of local processes; None for one per processor.
 
@@ -87,7 +91,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     Raises
     ------
     MissingExtraError
-        Where Dask is not installed.
+        Where Dask is not installed, or what makes its credentials.
     UsageError
         Where there is no scheduler at the address, or no worker.
     """
@@ -95,6 +99,9 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         import dask
         import distributed
         from dask.system import CPU_COUNT
+        from distributed.security import Security
+
+        credentials: Any = None if scheduler else Security.temporary()
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
     # What becomes of a site is in its row; the log of a worker that died helps nobody.
@@ -103,6 +110,9 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         "distributed.worker.multiprocessing-method": "spawn",
         # A hundred times a second it would note what the worker does: it waits.
         "distributed.worker.profile.enabled": False,
+        # Servers of pages and metrics run all the same, and ask nobody for a credential: no pages.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
     }
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
@@ -118,8 +128,8 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
                         n_workers=CPU_COUNT if workers is None else workers,
                         threads_per_worker=1,
                         processes=True,
+                        security=credentials,
                         dashboard_address=None,
-                        # Its server of metrics runs all the same: for this machine alone.
                         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
                         silence_logs=logging.CRITICAL,
                     )
