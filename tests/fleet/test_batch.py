@@ -231,8 +231,8 @@ def test_reports_are_made_where_they_are_not(fleet: Path, tmp_path: Path) -> Non
 def test_progress_says_how_long(fleet: Path, out: Path) -> None:
     said: list[str] = []
     calibrate_fleet(find_sites([str(fleet)]), str(out), here, progress=said.append)
-    assert said[0].startswith("calibrate: 2 of 8 sites, about ")
-    assert said[-1] == "calibrate: 8 of 8 sites"
+    assert said[0].startswith("calibrate: 2 of 8, about ")
+    assert said[-1] == "calibrate: 8 of 8"
     assert "left" in batch.how_far("calibrate", 1, 10, 60.0)
 
 

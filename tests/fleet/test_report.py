@@ -10,6 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from retropole.api import explain
+from retropole.api.pages import inline
 from retropole.base.errors import ReadError
 from retropole.fleet.dataset import Row, write_partition
 from retropole.fleet.overview import Overview, Seen, overview_of
@@ -75,13 +77,15 @@ def test_it_counts_what_the_dataset_has(city: Path, overview: Overview) -> None:
     text = Page(html).text
     for status, count in overview.statuses.items():
         assert f"{status}{count:,} (" in text
-    found = {cells[0]: int(cells[3]) for cells in rows_of(html, "Sites by reason")}
+    found = {cells[0]: int(cells[4]) for cells in rows_of(html, "Sites by reason")}
     codes = [code for site in overview.sites for code in site.codes]
     assert found == {code: codes.count(code) for code in set(codes)}
-    failed = [site for site in overview.sites if site.status == "error"]
-    assert rows_of(html, "Sites that ended") == [
-        [site.id, site.codes[0], site.messages[0]] for site in failed
-    ]
+    for caption, status in (("Sites that were", "refused"), ("Sites that ended", "error")):
+        assert rows_of(html, caption) == [
+            [site.id, site.codes[0], site.messages[0]]
+            for site in overview.sites
+            if site.status == status
+        ]
     quantiles = dict(rows_of(html, "Predicted error"))
     errors = 1000 * np.array(overview.errors_at_range)
     found_mm = {name: float(each.removesuffix(" mm")) for name, each in quantiles.items()}
@@ -110,8 +114,10 @@ def test_the_worst_lead_to_their_own_reports(tmp_path: Path) -> None:
         for k, row in enumerate(rows)
     ]
     made[2] = msgspec.structs.replace(made[2], kind="site")
+    refused = {"status": "refused", "codes": ["ambiguous"], "sigma_30m_m": None}
+    made += [msgspec.structs.replace(rows[0], id=name, **refused) for name in ("no", "not")]
     out = write_made_up(tmp_path / "out", made)
-    for name in ("a b#1/report.html", "q:1/x/report.html"):
+    for name in ("a b#1/report.html", "q:1/x/report.html", "no/report.html"):
         (tmp_path / "reports" / name).parent.mkdir(parents=True)
         (tmp_path / "reports" / name).touch()
     page = tmp_path / "pages/fleet.html"
@@ -120,8 +126,17 @@ def test_the_worst_lead_to_their_own_reports(tmp_path: Path) -> None:
     assert [link for link in links if not link.startswith("#")] == [
         "./../reports/a%20b%231/report.html",
         "./../reports/q%3A1/x/report.html",
+        "./../reports/no/report.html",
     ]
     assert "Reports of single sites" not in page.read_text()
+
+
+def test_each_reason_says_what_to_do(overview: Overview) -> None:
+    known = {code: cells for code, *cells in rows_of(render_fleet(overview), "Sites by reason")}
+    advice = explain("ambiguous")
+    assert advice is not None
+    assert known["ambiguous"][1] == re.sub("<[^>]*>", "", inline(" ".join(advice.advice)))
+    assert "--retry --time-limit" in known["time_limit"][1]
 
 
 def test_a_dataset_its_reports_and_its_page_may_be_urls(city: Path) -> None:

@@ -183,6 +183,7 @@ def _in_words(summary: FleetSummary, *written: str) -> str:
     if summary.statuses.get("error"):
         lines.append("errors are tried again with --retry, or once their files are others")
     if summary.others:
-        lines.append(f"in the dataset besides: {counted(summary.others, 'site')} not in SITES")
+        others = counted(summary.others, "site")
+        lines.append(f"in the dataset, and its report, besides: {others} not in SITES")
     lines += [f"written: {printable(place)}" for place in written]
     return "\n".join(lines)

@@ -145,20 +145,21 @@ def fleet_check(
                 progress=progress,
             )
     if as_json:
-        show(json_line(found))
+        show(json_line(found, len(sites_found)))
     elif not quiet:
-        show(in_words(found))
+        show(in_words(found, len(sites_found)))
     if any(site.changes for site in found.sites):
         return EXIT_MOVED
     return 0 if any(site.is_told for site in found.sites) else EXIT_REFUSED
 
 
-def json_line(found: FleetCheck) -> str:
-    """Write what was found as one line of JSON; what is not known is null."""
+def json_line(found: FleetCheck, sites: int) -> str:
+    """Write what was found at so many sites as one line of JSON; what is not known is null."""
     return json_text(
         {
             "schema": SCHEMA,
-            "sites": len(found.sites),
+            "sites": sites,
+            "pairs": len(found.sites),
             "appended": found.appended,
             "changed": [
                 {"id": site.id, **_plain(site, event)}
@@ -197,8 +198,8 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
     }
 
 
-def in_words(found: FleetCheck) -> str:
-    """Write what was found as a person reads it: a line for each site that has something to say."""
+def in_words(found: FleetCheck, sites: int) -> str:
+    """Write what was found at so many sites: a line for each pair that has something to say."""
     lines = []
     for site in found.sites:
         said = [_said(site, event) for event in site.changes]
@@ -211,8 +212,9 @@ def in_words(found: FleetCheck) -> str:
             lines.append(printable(f"{site.id}: {'; '.join(said)}"))
     changed = sum(bool(site.changes) for site in found.sites)
     untold = sum(not site.is_told for site in found.sites)
+    pairs = "" if len(found.sites) == sites else f"{counted(len(found.sites), 'pair')} of "
     lines.append(
-        f"{counted(len(found.sites), 'site')}, {counted(found.appended, 'new check')}; changed "
+        f"{pairs}{counted(sites, 'site')}, {counted(found.appended, 'new check')}; changed "
         f"since their calibration: {changed}, not told: {untold}"
     )
     return "\n".join(lines)

@@ -53,7 +53,7 @@ class Overview:
     place
         Path or URL of the dataset.
     sites
-        Every site, in the order of the ids; messages only of those that ended in an error.
+        Every site, in the order of the ids; messages only of those without an answer.
     made_by
         How many rows each version, with the libraries that compute, has made.
     seconds
@@ -133,5 +133,5 @@ def overview_of(out: str) -> Overview:
 
 def _slim(row: Seen) -> Seen:
     """Leave out what no part of the page shows, thousands of times."""
-    messages = tuple(map(shortened, row.messages)) if row.status == "error" else ()
+    messages = tuple(map(shortened, row.messages)) if row.status in ("refused", "error") else ()
     return msgspec.structs.replace(row, messages=messages, version="", libraries="")
