@@ -15,7 +15,7 @@ from retropole.fleet.dataset import known_in, partition_of, read_rows, write_par
 from retropole.fleet.process import done
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.work import Task, task_of
-from tests.fleet.made_up import made_up_row, write_made_up
+from tests.fleet.made_up import made_up_row, names_in_first, write_made_up
 
 
 @pytest.fixture(params=["path", "file", "memory"])
@@ -110,7 +110,7 @@ def test_a_local_path_may_look_like_a_chain(tmp_path: Path) -> None:
 def test_columns_are_read_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     out = f"memory://{uuid.uuid4().hex}"
-    rows = [made_up_row(f"post-{k}", rng) for k in range(200)]
+    rows = [made_up_row(name, rng) for name in names_in_first(200)]
     long = [msgspec.structs.replace(row, document=rng.bytes(20_000).hex()) for row in rows]
     write_partition(out, "part-00.parquet", long, [])
     taken = 0

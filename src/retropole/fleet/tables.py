@@ -34,7 +34,10 @@ def parquet_of(rows: Iterable[Mapping[str, Any]], schema: Any) -> bytes:
     pa = arrow()
     sink = pa.BufferOutputStream()
     pa.parquet.write_table(
-        pa.Table.from_pylist(list(rows), schema=schema), sink, compression="zstd"
+        pa.Table.from_pylist(list(rows), schema=schema),
+        sink,
+        compression="zstd",
+        write_page_checksum=True,
     )
     data: bytes = sink.getvalue().to_pybytes()
     return data
@@ -69,7 +72,7 @@ def opened(
     pa = arrow()
     with open_file(place, most) as data:
         try:
-            file = pa.parquet.ParquetFile(data)
+            file = pa.parquet.ParquetFile(data, page_checksum_verification=True)
             has = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
             if schema and has != schema:
                 raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")
