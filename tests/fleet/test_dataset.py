@@ -102,6 +102,17 @@ def test_a_site_has_one_row_in_its_own_partition(tmp_path: Path) -> None:
             known_in(str(tmp_path))
 
 
+def test_an_answer_has_a_pose_and_nothing_else_has(tmp_path: Path) -> None:
+    row = full(B, np.random.default_rng(0))
+    for changes in (
+        {"status": "refused"},
+        {"lidars": []},
+        {"kind": "pair", "lidars": row.lidars * 2},
+    ):
+        with pytest.raises(ValueError, match="poses"):
+            Row(**msgspec.structs.asdict(row) | changes)
+
+
 def test_a_page_whose_bytes_changed_is_named(tmp_path: Path) -> None:
     write_partition(str(tmp_path), "part-00.parquet", [full(B, np.random.default_rng(0))], [])
     path = tmp_path / "answers/part-00.parquet"

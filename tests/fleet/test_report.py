@@ -16,7 +16,7 @@ from retropole.base.errors import ReadError
 from retropole.fleet.dataset import Row, write_partition
 from retropole.fleet.overview import Overview, Seen, overview_of
 from retropole.fleet.report import MOST_FAILED, WORST, render_fleet, write_fleet_report
-from tests.fleet.made_up import made_up_row, write_city, write_made_up
+from tests.fleet.made_up import made_up_row, names_in_first, write_city, write_made_up
 from tests.report.made_up import HOSTILE, Page
 
 MOST_BYTES = 3e6
@@ -109,12 +109,13 @@ def test_the_worst_stand_first(overview: Overview) -> None:
 def test_the_worst_lead_to_their_own_reports(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rows = [made_up_row(name, rng) for name in ("a b#1", "q:1/x", "plain")]
+    poses = next(row.lidars for row in rows if row.lidars)
     made = [
-        msgspec.structs.replace(row, status="ok", sigma_30m_m=0.03 - 0.01 * k)
+        msgspec.structs.replace(row, status="ok", lidars=poses, sigma_30m_m=0.03 - 0.01 * k)
         for k, row in enumerate(rows)
     ]
     made[2] = msgspec.structs.replace(made[2], kind="site")
-    refused = {"status": "refused", "codes": ["ambiguous"], "sigma_30m_m": None}
+    refused = {"status": "refused", "codes": ["ambiguous"], "lidars": [], "sigma_30m_m": None}
     made += [msgspec.structs.replace(rows[0], id=name, **refused) for name in ("no", "not")]
     out = write_made_up(tmp_path / "out", made)
     for name in ("a b#1/report.html", "q:1/x/report.html", "no/report.html"):
@@ -210,7 +211,11 @@ def test_what_is_no_dataset_is_an_error(city: Path, tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="is no dataset of a fleet"):
         overview_of(str(tmp_path))
     row = made_up_row("a", np.random.default_rng(0))
-    for changes in ({"latitude_rad": 9.0}, {"sigma_30m_m": float("nan")}, {"status": "fine"}):
+    for changes in (
+        {"latitude_rad": 9.0},
+        {"sigma_30m_m": float("nan")},
+        {"status": "fine", "lidars": []},
+    ):
         wrong: Row = msgspec.structs.replace(row, **changes)
         write_partition(str(tmp_path / "out"), "part-00.parquet", [wrong], [])
         with pytest.raises(ReadError, match=r"part-00\.parquet: damaged"):

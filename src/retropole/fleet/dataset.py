@@ -89,6 +89,12 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     version: str
     libraries: str
 
+    def __post_init__(self) -> None:
+        """Refuse an answer without a pose, and a pose without an answer."""
+        count = len(self.lidars)
+        if (self.status in ("ok", "warn")) != (count > 0) or (self.kind == "pair" and count > 1):
+            raise ValueError(f"a {self.kind} that is {self.status} with {count} poses")
+
 
 class Step(msgspec.Struct, frozen=True):
     """How long one step took."""
