@@ -103,10 +103,11 @@ def kill(
         time.sleep(dice.uniform(0.0, 0.02))
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
-    # Before our own first line, Python ends the process as it does: 128 + the number of the signal
-    # to a shell as well, without a word or with its own.
+    # Before our own first line and after our last, Python ends the process as it does: 128 + the
+    # number of the signal to a shell as well, without a word or with its own.
     assert "Traceback" not in errors or "retropole" not in errors, f"seed {seed}: {errors[-800:]}"
-    allowed = (*ends, CODES[number]) + (() if "retropole" in errors else (-number,))
+    is_told = "retropole: interrupted" in errors or "retropole: terminated" in errors
+    allowed = (*ends, CODES[number]) + (() if is_told else (-number,))
     assert process.returncode in allowed, f"seed {seed}: {process.returncode}"
     look(folder)
     left = list(folder.rglob(f"*{UNFINISHED}"))

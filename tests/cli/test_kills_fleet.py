@@ -61,7 +61,8 @@ def assert_whole(folder: Path) -> None:
     assert known_in(str(folder / "known")).keys() == IDS
     assert (folder / "network.parquet").read_bytes()[-4:] == b"PAR1"
     for name, rows in store.read(str(folder / "history")):
-        assert len(rows) == 1
+        # A check that found no answer is tried again, and has another row.
+        assert len([row for row in rows if row.status != "error"]) <= 1
         assert name in IDS
 
 
