@@ -160,8 +160,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
     folder, rng = tmp_path_factory.mktemp("whole"), np.random.default_rng(3)
     out = write_made_up(folder / "city", [made_up_row(name, rng) for name in names_in_first(8)])
     fleet = write_made_up_fleet(folder)
-    parts = [(out / part / FIRST).read_bytes() for part in (ANSWERS, RUNS)]
-    return Whole(*parts, fleet.dataset, fleet.nodes.read_text())
+    answers, runs = ((out / part / FIRST).read_bytes() for part in (ANSWERS, RUNS))
+    return Whole(answers, runs, fleet.dataset, fleet.nodes.read_text())
 
 
 def hold_site_file(folder: Path, dice: random.Random, whole: Whole) -> None:
@@ -171,8 +171,7 @@ def hold_site_file(folder: Path, dice: random.Random, whole: Whole) -> None:
     assert_calibrates(path)
     file = read_site_file(path)
     assert_taken(tomllib.loads(path.read_text()), msgspec.to_builtins(file))
-    names = [each.name for each in (*file.lidar, *file.surveyed_pole, *file.control_point)]
-    assert len(set(names)) == len(names)
+    assert len({each.name for each in file.lidar}) == len(file.lidar)
     assert all(len(each.recordings) == len(file.placements) for each in file.lidar)
 
 
@@ -267,7 +266,7 @@ def assert_edges(dataset: str, nodes: Path) -> None:
         se3.rigid(T)
         check_covariance("edge", C)
     for each in (graph.points.world, graph.points.seen, graph.points.covariance):
-        assert np.isfinite(each).all()
+        assert each is None or np.isfinite(each).all()
 
 
 def hold_nodes(folder: Path, dice: random.Random, whole: Whole) -> None:

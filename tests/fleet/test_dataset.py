@@ -1,6 +1,7 @@
 """Rows as Parquet, and back."""
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -104,11 +105,9 @@ def test_a_site_has_one_row_in_its_own_partition(tmp_path: Path) -> None:
 
 def test_an_answer_has_a_pose_and_nothing_else_has(tmp_path: Path) -> None:
     row = full(B, np.random.default_rng(0))
-    for changes in (
-        {"status": "refused"},
-        {"lidars": []},
-        {"kind": "pair", "lidars": row.lidars * 2},
-    ):
+    two = {"kind": "pair", "lidars": row.lidars * 2}
+    faults: list[dict[str, Any]] = [{"status": "refused"}, {"lidars": []}, two]
+    for changes in faults:
         with pytest.raises(ValueError, match="poses"):
             Row(**msgspec.structs.asdict(row) | changes)
 

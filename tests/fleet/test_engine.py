@@ -13,8 +13,7 @@ from typing import Any
 import msgspec
 import psutil
 import pytest
-from distributed import KilledWorker
-from distributed.security import Security
+from distributed import KilledWorker, Security
 
 from retropole.base.errors import RetropoleError, UsageError
 from retropole.fleet import engine
@@ -61,6 +60,8 @@ def said_at(address: tuple[str, int], context: ssl.SSLContext | None, words: byt
 
 
 def test_nobody_without_the_credential_is_served(tmp_path: Path) -> None:
+    other: Any = Security
+
     def context_of(security: Any) -> ssl.SSLContext:
         context: ssl.SSLContext = security.get_connection_args("client")["ssl_context"]
         return context
@@ -68,7 +69,7 @@ def test_nobody_without_the_credential_is_served(tmp_path: Path) -> None:
     before = listening()
     nobody = ssl._create_unverified_context()
     with connected(workers=2) as client:
-        own, another = context_of(client.security), context_of(Security.temporary())
+        own, another = context_of(client.security), context_of(other.temporary())
         another.verify_mode = ssl.CERT_NONE
         opened = listening() - before
         assert {host for host, _ in opened} == {"127.0.0.1"}

@@ -210,7 +210,7 @@ def test_ten_thousand_sites_stay_small() -> None:
 def test_what_is_no_dataset_is_an_error(city: Path, tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="is no dataset of a fleet"):
         overview_of(str(tmp_path))
-    row = made_up_row(*names_in_first(1), np.random.default_rng(0))
+    row = made_up_row(names_in_first(1)[0], np.random.default_rng(0))
     for changes in (
         {"latitude_rad": 9.0},
         {"sigma_30m_m": float("nan")},

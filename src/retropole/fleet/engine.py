@@ -99,9 +99,9 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         import dask
         import distributed
         from dask.system import CPU_COUNT
-        from distributed.security import Security
 
-        credentials: Any = None if scheduler else Security.temporary()
+        temporary: Any = distributed.Security.temporary
+        credentials = None if scheduler else temporary()
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
     # What becomes of a site is in its row; the log of a worker that died helps nobody.

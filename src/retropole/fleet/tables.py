@@ -164,7 +164,7 @@ def _csv(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[st
 
 def _parquet(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:
     """Read the rows of a Parquet list."""
-    with opened(place, "is not Parquet: {}") as file:
+    with opened(place, "is not Parquet that can be read: {}") as file:
         _check_columns(place, file.schema_arrow.names, columns, needed)
         for batch in file.iter_batches():
             yield from _to_microseconds(batch).to_pylist()

@@ -106,8 +106,8 @@ class Outcome(msgspec.Struct, frozen=True, tag=True):
 
 def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
     """Make the task of a site, to be done by a worker that computes as whoever asks does."""
-    about = {"environment": environment(), "protocols": other_protocols()}
-    return Task(site=site, time_limit=time_limit, **about, **given)
+    given = {"environment": environment(), "protocols": other_protocols(), **given}
+    return Task(site=site, time_limit=time_limit, **given)
 
 
 @cache
