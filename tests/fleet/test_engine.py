@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import ssl
+import stat
+import sys
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -91,6 +95,27 @@ def test_nobody_without_the_credential_is_served(tmp_path: Path) -> None:
             asked = f"GET /{page} HTTP/1.0\r\n\r\n".encode()
             for each in opened - {*greeting}:
                 assert said_at(each, None, asked).startswith(b"HTTP/1.1 404 ")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="each user has a folder for temporary files")
+def test_dask_imports_from_no_folder_that_others_write_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    # As another user would have it, before we came.
+    (tmp_path / "dask-scratch-space").mkdir()
+    (tmp_path / "dask-scratch-space").chmod(0o777)
+    before = {*sys.path}
+    with connected(workers=1) as client:
+        (at_worker,) = client.run(lambda: list(sys.path)).values()
+        added = [each for each in {*sys.path, *at_worker} - before if str(tmp_path) in each]
+    own = tmp_path / f"retropole-{os.getuid()}"
+    assert added
+    assert all(own in Path(each).parents for each in added)
+    assert stat.S_IMODE(own.stat().st_mode) == 0o700
+    own.chmod(0o777)
+    with pytest.raises(UsageError, match="other users write to it"), connected(workers=1):
+        pass
 
 
 class Future:

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import signal
+import stat
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -93,7 +97,8 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     MissingExtraError
         Where Dask is not installed, or what makes its credentials.
     UsageError
-        Where there is no scheduler at the address, or no worker.
+        Where there is no scheduler at the address, or no worker; or where other users write to the
+        folder of its temporary files.
     """
     try:
         import dask
@@ -105,7 +110,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
     # What becomes of a site is in its row; the log of a worker that died helps nobody.
-    config = {
+    config: dict[str, Any] = {
         "logging": {"distributed": "critical", "asyncio": "critical"},
         "distributed.worker.multiprocessing-method": "spawn",
         # A hundred times a second it would note what the worker does: it waits.
@@ -113,6 +118,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         # Servers of pages and metrics run all the same, and ask nobody for a credential: no pages.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
+        "temporary-directory": dask.config.get("temporary-directory", None) or _own_folder(),
     }
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
@@ -146,6 +152,25 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
             except TimeoutError:
                 raise UsageError(f"{scheduler}: the cluster has no worker") from None
             yield client
+
+
+def _own_folder() -> str:
+    """Name a folder for temporary files that no other user writes to: Dask imports from there.
+
+    Raises
+    ------
+    UsageError
+        Where another user has it.
+    """
+    if not hasattr(os, "getuid"):
+        # Where each user has a folder for temporary files.
+        return tempfile.gettempdir()
+    folder = Path(tempfile.gettempdir(), f"retropole-{os.getuid()}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o022:
+        raise UsageError(f"{folder}: other users write to it; remove it, or set TMPDIR")
+    return str(folder)
 
 
 @contextmanager
