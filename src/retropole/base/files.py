@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
 import re
@@ -164,7 +165,8 @@ def _alone_in(folder: Path, note: Path | None = None) -> Iterator[None]:
     except BlockingIOError:
         os.close(descriptor)
         who = "" if note is None else f" ({note.read_text()})"
-        raise OSError(f"{folder}: another run is writing to it{who}; nothing was written") from None
+        why = f"another run is writing to it{who}; nothing was written"
+        raise BlockingIOError(errno.EAGAIN, why, str(folder)) from None
     except OSError:
         pass
     try:
