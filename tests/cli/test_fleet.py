@@ -43,7 +43,7 @@ def test_what_it_says(fleet: Path, tmp_path: Path) -> None:
     assert told["statuses"] == {"error": 3, "ok": 1, "refused": 4}
     other = retropole_here("fleet", "calibrate", fleet.parent / "good", "--out", out, "--strict")
     assert other.returncode == 0
-    assert "in the dataset besides: 7 sites not in SITES" in other.stdout
+    assert "in the dataset, and its report, besides: 7 sites not in SITES" in other.stdout
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -2,14 +2,17 @@
 
 import json
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from retropole.cli.fleet_check import in_words, json_line
 from retropole.fleet.batch import calibrate_fleet
-from retropole.fleet.history.store import append, read
+from retropole.fleet.history.run import FleetCheck, changes_of
+from retropole.fleet.history.store import CheckRow, append, read
 from retropole.fleet.sites import find_sites
 from tests.cli.commands import retropole_here
 from tests.fleet.fleets import here, write_fleet
@@ -75,6 +78,14 @@ def test_a_site_that_changed_ends_with_its_own_code(
     assert (event["id"], event["kind"], event["new"]) == ("good", "step", False)
     np.testing.assert_allclose(event["size"], MOVED, atol=0.005)
     assert np.shape(event["covariance"]) == (6, 6)
+
+
+def test_pairs_are_not_called_sites() -> None:
+    row = CheckRow("a", datetime(2026, 3, 1, tzinfo=UTC), "cannot_tell")
+    found = FleetCheck(0, (changes_of([row]),) * 15)
+    assert in_words(found, 10).splitlines()[-1].startswith("15 pairs of 10 sites, 0 new checks; ")
+    told = json.loads(json_line(found, 10))
+    assert (told["sites"], told["pairs"]) == (10, 15)
 
 
 def test_nothing_told_is_not_nothing_found(fleet: Path, answers: Path, tmp_path: Path) -> None:

@@ -10,8 +10,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
+import psutil
 import pytest
 
 from retropole.base.files import UNFINISHED
@@ -32,6 +34,7 @@ def start(folder: Path, *words: object) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        start_new_session=True,
     )
 
 
@@ -77,12 +80,19 @@ def assert_whole(folder: Path) -> None:
     assert b"</robot>" in (folder / "robot.urdf").read_bytes()
 
 
-def kill(site: Path, folder: Path, seed: int) -> None:
-    """End a command at a random moment, look at what is there, and run it again."""
+def kill(
+    site: Path,
+    folder: Path,
+    seed: int,
+    commands: Mapping[str, tuple[object, ...]] = COMMANDS,
+    look: Callable[[Path], None] = assert_whole,
+    ends: Collection[int] = (0,),
+) -> str:
+    """End a command at a random moment, look at what is there, run it again, and name it."""
     dice = random.Random(seed)
-    name, number = dice.choice(list(COMMANDS)), dice.choice(list(CODES))
+    name, number = dice.choice(list(commands)), dice.choice(list(CODES))
     shutil.copytree(site, folder, dirs_exist_ok=True)
-    process = start(folder, *COMMANDS[name])
+    process = start(folder, *commands[name])
     # While modules are loaded, anywhere, and where files are written.
     when = dice.randrange(3)
     if when < 2:
@@ -93,19 +103,37 @@ def kill(site: Path, folder: Path, seed: int) -> None:
         time.sleep(dice.uniform(0.0, 0.02))
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
-    # Before our own first line, Python ends the process as it does: 128 + the number of the signal
-    # to a shell as well, without a word or with its own.
+    # Before our own first line and after our last, Python ends the process as it does: 128 + the
+    # number of the signal to a shell as well, without a word or with its own.
     assert "Traceback" not in errors or "retropole" not in errors, f"seed {seed}: {errors[-800:]}"
-    allowed = (0, CODES[number]) if "retropole" in errors else (0, CODES[number], -number)
+    is_told = "retropole: interrupted" in errors or "retropole: terminated" in errors
+    allowed = (*ends, CODES[number]) + (() if is_told else (-number,))
     assert process.returncode in allowed, f"seed {seed}: {process.returncode}"
-    assert_whole(folder)
+    look(folder)
     left = list(folder.rglob(f"*{UNFINISHED}"))
     assert not left or number == signal.SIGKILL, f"seed {seed}: {left}"
-    done = start(folder, *COMMANDS[name])
-    done.communicate(timeout=120)
-    assert done.returncode == 0, f"seed {seed}"
+    assert_no_process_of(process.pid)
+    done = start(folder, *commands[name])
+    _, errors = done.communicate(timeout=300)
+    assert done.returncode in ends, f"seed {seed}: {errors[-800:]}"
     assert not list(folder.rglob(f"*{UNFINISHED}")), f"seed {seed}"
-    assert_whole(folder)
+    look(folder)
+    return name
+
+
+def assert_no_process_of(session: int) -> None:
+    """Whatever a command has started ends soon after it."""
+    deadline = time.monotonic() + 30
+    while left := [pid for pid in psutil.pids() if session_of(pid) == session]:
+        assert time.monotonic() < deadline, [psutil.Process(pid).cmdline() for pid in left]
+        time.sleep(0.1)
+
+
+def session_of(process: int) -> int | None:
+    try:
+        return os.getsid(process)
+    except ProcessLookupError:
+        return None
 
 
 @pytest.mark.parametrize("seed", range(2, 6))

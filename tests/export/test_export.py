@@ -293,6 +293,27 @@ def test_reading_a_launch_file_runs_nothing(tmp_path: Path) -> None:
     assert ast.parse(text)
 
 
+NODE = "Node(executable='static_transform_publisher', arguments={})"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a" + ".b" * 9000, "no Python launch file"),
+        ("not " * 9000 + "a", "no Python launch file"),
+        (NODE.format("-" * 9000 + "1"), "no Python launch file"),
+        (NODE.format("5"), "not plain strings"),
+        (NODE.format("None"), "not plain strings"),
+        (NODE.format("{[]: 1}"), "not plain strings"),
+    ],
+)
+def test_a_launch_file_may_be_anything(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.launch.py"
+    path.write_text(text)
+    with pytest.raises(ReadError, match=said):
+        read_transform(path)
+
+
 # --- CloudCompare --------------------------------------------------------------------------------
 
 

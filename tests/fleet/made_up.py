@@ -29,6 +29,15 @@ HOW: tuple[tuple[Status, str, str, float], ...] = (
 """Status, code, message, and how often."""
 
 
+FIRST = "part-00.parquet"
+
+
+def names_in_first(count: int) -> list[str]:
+    """Give ids of sites that are all of one partition, the first."""
+    names = (f"post-{k}" for k in itertools.count())
+    return list(itertools.islice((n for n in names if partition_of(n) == FIRST), count))
+
+
 def made_up_row(name: str, rng: np.random.Generator, *, placed: bool = True) -> Row:
     """Make the row of a site, within 10 km of the middle of a city."""
     k = int(rng.choice(len(HOW), p=[share for *_, share in HOW]))

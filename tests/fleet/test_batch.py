@@ -48,6 +48,23 @@ def never(tasks: Iterator[Task]) -> Iterator[Outcome]:
     raise AssertionError(list(tasks))
 
 
+@pytest.mark.skipif(os.name == "nt", reason="the system has no such locks")
+def test_a_second_run_into_a_dataset_is_told_of_the_first(fleet: Path, tmp_path: Path) -> None:
+    sites, out = find_sites([str(fleet)]), tmp_path / "out"
+    met = []
+
+    def second_first(tasks: Iterator[Task]) -> Iterator[Outcome]:
+        with pytest.raises(OSError, match=rf"another run .* \(process {os.getpid()} on ") as caught:
+            calibrate_fleet(sites, str(out), never)
+        met.append(caught.value)
+        yield from here(tasks)
+
+    assert calibrate_fleet(sites, str(out), second_first).done == 7
+    assert len(met) == 1
+    # The first is over, or was killed: the note that it leaves keeps nobody away.
+    assert calibrate_fleet(sites, str(out), here).done == 1
+
+
 def test_every_site_has_its_row(out: Path) -> None:
     rows = rows_of(out)
     assert {name: row.status for name, row in rows.items()} == {
@@ -214,8 +231,8 @@ def test_reports_are_made_where_they_are_not(fleet: Path, tmp_path: Path) -> Non
 def test_progress_says_how_long(fleet: Path, out: Path) -> None:
     said: list[str] = []
     calibrate_fleet(find_sites([str(fleet)]), str(out), here, progress=said.append)
-    assert said[0].startswith("calibrate: 2 of 8 sites, about ")
-    assert said[-1] == "calibrate: 8 of 8 sites"
+    assert said[0].startswith("calibrate: 2 of 8, about ")
+    assert said[-1] == "calibrate: 8 of 8"
     assert "left" in batch.how_far("calibrate", 1, 10, 60.0)
 
 

@@ -1,6 +1,7 @@
 """Rows as Parquet, and back."""
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,9 +24,12 @@ from retropole.fleet.dataset import (
     write_partition,
 )
 from retropole.result import BudgetEntry, ErrorAtRange
+from tests.fleet.made_up import names_in_first
 
-EMPTY = Row(id="a", kind="pair", status="error", version="1", libraries="numpy 2")
-RUN = Run(id="a", started="2026-01-01T00:00:00", seconds=0.5, host="h", memory_bytes=1)
+A, B = names_in_first(2)
+
+EMPTY = Row(id=A, kind="pair", status="error", version="1", libraries="numpy 2")
+RUN = Run(id=A, started="2026-01-01T00:00:00", seconds=0.5, host="h", memory_bytes=1)
 
 
 def full(name: str, rng: np.random.Generator) -> Row:
@@ -42,8 +46,8 @@ def full(name: str, rng: np.random.Generator) -> Row:
             InputEntry(lidar="a", placement="1", path="p", sha256="1", sensor="OS1", points=3),
             InputEntry(lidar="b", placement="1", path="q"),
         ],
-        latitude_rad=rng.normal(),
-        longitude_rad=rng.normal(),
+        latitude_rad=rng.uniform(-1, 1),
+        longitude_rad=rng.uniform(-1, 1),
         frame="enu",
         lidars=[
             LidarEntry(
@@ -65,11 +69,11 @@ def full(name: str, rng: np.random.Generator) -> Row:
 
 def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
     rng, out = np.random.default_rng(0), str(tmp_path)
-    rows = [full("b", rng), EMPTY]
+    rows = [full(B, rng), EMPTY]
     write_partition(out, "part-00.parquet", rows, [RUN])
     assert read_rows(out, "part-00.parquet") == {row.id: row for row in rows}
-    assert read_runs(out, "part-00.parquet") == {"a": RUN}
-    assert known_in(out) == {"a": Known(None, "error"), "b": Known("k", "warn")}
+    assert read_runs(out, "part-00.parquet") == {A: RUN}
+    assert known_in(out) == {A: Known(None, "error"), B: Known("k", "warn")}
     assert read_rows(out, "part-01.parquet") == {}
     first = (tmp_path / "answers/part-00.parquet").read_bytes()
     write_partition(out, "part-00.parquet", rows[::-1], [])
@@ -82,7 +86,7 @@ def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
 def test_steps_come_back(tmp_path: Path) -> None:
     run = msgspec.structs.replace(RUN, steps=[Step("read", 0.1)], key="k", attempts=2)
     write_partition(str(tmp_path), "part-00.parquet", [EMPTY], [run])
-    assert read_runs(str(tmp_path), "part-00.parquet") == {"a": run}
+    assert read_runs(str(tmp_path), "part-00.parquet") == {A: run}
 
 
 def test_a_partition_follows_from_the_id_alone() -> None:
@@ -90,6 +94,33 @@ def test_a_partition_follows_from_the_id_alone() -> None:
     assert names[7] == partition_of("post-7")
     counts = np.unique(names, return_counts=True)[1]
     assert (len(counts), counts.max() < 30) == (256, True)
+
+
+def test_a_site_has_one_row_in_its_own_partition(tmp_path: Path) -> None:
+    for rows in ([EMPTY, EMPTY], [msgspec.structs.replace(EMPTY, id="elsewhere")]):
+        write_partition(str(tmp_path), "part-00.parquet", rows, [])
+        with pytest.raises(ReadError, match="a site is there twice, or in another's"):
+            known_in(str(tmp_path))
+
+
+def test_an_answer_has_a_pose_and_nothing_else_has(tmp_path: Path) -> None:
+    row = full(B, np.random.default_rng(0))
+    two = {"kind": "pair", "lidars": row.lidars * 2}
+    faults: list[dict[str, Any]] = [{"status": "refused"}, {"lidars": []}, two]
+    for changes in faults:
+        with pytest.raises(ValueError, match="poses"):
+            Row(**msgspec.structs.asdict(row) | changes)
+
+
+def test_a_page_whose_bytes_changed_is_named(tmp_path: Path) -> None:
+    write_partition(str(tmp_path), "part-00.parquet", [full(B, np.random.default_rng(0))], [])
+    path = tmp_path / "answers/part-00.parquet"
+    data = bytearray(path.read_bytes())
+    column = pq.ParquetFile(path).metadata.row_group(0).column(0)
+    data[column.data_page_offset + column.total_compressed_size // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(ReadError, match=r"part-00\.parquet: damaged"):
+        known_in(str(tmp_path))
 
 
 @pytest.mark.parametrize("damage", ["cut", "not", "foreign"])
@@ -106,8 +137,8 @@ def test_a_damaged_partition_is_named(tmp_path: Path, damage: str) -> None:
 
 def test_other_programs_read_it(tmp_path: Path) -> None:
     duckdb = pytest.importorskip("duckdb")
-    write_partition(str(tmp_path), "part-00.parquet", [full("b", np.random.default_rng(0))], [])
+    write_partition(str(tmp_path), "part-00.parquet", [full(B, np.random.default_rng(0))], [])
     query = f"select id, lidars[1].T[4], codes from '{tmp_path}/answers/*.parquet'"
     ((name, x, codes),) = duckdb.sql(query).fetchall()
-    assert (name, codes) == ("b", ["few_points", "small_margin"])
+    assert (name, codes) == (B, ["few_points", "small_margin"])
     assert isinstance(x, float)

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import ssl
+import stat
+import sys
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import psutil
 import pytest
-from distributed import KilledWorker
+from distributed import KilledWorker, Security
 
 from retropole.base.errors import RetropoleError, UsageError
 from retropole.fleet import engine
@@ -30,6 +38,84 @@ def test_two_workers_give_the_bytes_of_one_process(fleet: Path, tmp_path: Path) 
             )
     assert bytes_of(tmp_path / "there") == bytes_of(tmp_path / "here")
     assert summary.done == 1
+
+
+def listening() -> set[tuple[str, int]]:
+    """Give every address that this process and those it started listen at."""
+    here = psutil.Process()
+    return {
+        (link.laddr.ip, link.laddr.port)
+        for process in (here, *here.children(recursive=True))
+        for link in process.net_connections()
+        if link.status == psutil.CONN_LISTEN
+    }
+
+
+def said_at(address: tuple[str, int], context: ssl.SSLContext | None, words: bytes = b"") -> bytes:
+    """Connect, say something, and give what is said there first; nothing of one who hangs up."""
+    with (
+        suppress(ssl.SSLError, ConnectionError, TimeoutError),
+        socket.create_connection(address, 2) as plain,
+        context.wrap_socket(plain) if context else plain as talk,
+    ):
+        talk.sendall(words)
+        return talk.recv(100)
+    return b""
+
+
+def test_nobody_without_the_credential_is_served(tmp_path: Path) -> None:
+    other: Any = Security
+
+    def context_of(security: Any) -> ssl.SSLContext:
+        context: ssl.SSLContext = security.get_connection_args("client")["ssl_context"]
+        return context
+
+    before = listening()
+    nobody = ssl._create_unverified_context()
+    with connected(workers=2) as client:
+        own, another = context_of(client.security), context_of(other.temporary())
+        another.verify_mode = ssl.CERT_NONE
+        opened = listening() - before
+        assert {host for host, _ in opened} == {"127.0.0.1"}
+        # The scheduler, and two workers with what restarts each: they greet who has the credential.
+        greeting = [each for each in opened if said_at(each, own)]
+        assert len(greeting) == 5
+        for each in greeting:
+            assert [said_at(each, other, b"\0" * 64) for other in (None, nobody, another)] == [
+                b""
+            ] * 3
+        for page in (
+            "",
+            "status",
+            "metrics",
+            "health",
+            "info/main/workers.html",
+            "json/counts.json",
+        ):
+            asked = f"GET /{page} HTTP/1.0\r\n\r\n".encode()
+            for each in opened - {*greeting}:
+                assert said_at(each, None, asked).startswith(b"HTTP/1.1 404 ")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="each user has a folder for temporary files")
+def test_dask_imports_from_no_folder_that_others_write_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    # As another user would have it, before we came.
+    (tmp_path / "dask-scratch-space").mkdir()
+    (tmp_path / "dask-scratch-space").chmod(0o777)
+    before = {*sys.path}
+    with connected(workers=1) as client:
+        (at_worker,) = client.run(lambda: list(sys.path)).values()
+        added = [each for each in {*sys.path, *at_worker} - before if str(tmp_path) in each]
+    own = tmp_path / f"retropole-{os.getuid()}"
+    assert added
+    assert all(own in Path(each).parents for each in added)
+    assert stat.S_IMODE(own.stat().st_mode) == 0o700
+    own.chmod(0o777)
+    with pytest.raises(UsageError, match="other users write to it"), connected(workers=1):
+        pass
 
 
 class Future:

@@ -10,11 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from retropole.api import explain
+from retropole.api.pages import inline
 from retropole.base.errors import ReadError
 from retropole.fleet.dataset import Row, write_partition
 from retropole.fleet.overview import Overview, Seen, overview_of
 from retropole.fleet.report import MOST_FAILED, WORST, render_fleet, write_fleet_report
-from tests.fleet.made_up import made_up_row, write_city, write_made_up
+from tests.fleet.made_up import made_up_row, names_in_first, write_city, write_made_up
 from tests.report.made_up import HOSTILE, Page
 
 MOST_BYTES = 3e6
@@ -75,13 +77,15 @@ def test_it_counts_what_the_dataset_has(city: Path, overview: Overview) -> None:
     text = Page(html).text
     for status, count in overview.statuses.items():
         assert f"{status}{count:,} (" in text
-    found = {cells[0]: int(cells[3]) for cells in rows_of(html, "Sites by reason")}
+    found = {cells[0]: int(cells[4]) for cells in rows_of(html, "Sites by reason")}
     codes = [code for site in overview.sites for code in site.codes]
     assert found == {code: codes.count(code) for code in set(codes)}
-    failed = [site for site in overview.sites if site.status == "error"]
-    assert rows_of(html, "Sites that ended") == [
-        [site.id, site.codes[0], site.messages[0]] for site in failed
-    ]
+    for caption, status in (("Sites that were", "refused"), ("Sites that ended", "error")):
+        assert rows_of(html, caption) == [
+            [site.id, site.codes[0], site.messages[0]]
+            for site in overview.sites
+            if site.status == status
+        ]
     quantiles = dict(rows_of(html, "Predicted error"))
     errors = 1000 * np.array(overview.errors_at_range)
     found_mm = {name: float(each.removesuffix(" mm")) for name, each in quantiles.items()}
@@ -105,13 +109,16 @@ def test_the_worst_stand_first(overview: Overview) -> None:
 def test_the_worst_lead_to_their_own_reports(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rows = [made_up_row(name, rng) for name in ("a b#1", "q:1/x", "plain")]
+    poses = next(row.lidars for row in rows if row.lidars)
     made = [
-        msgspec.structs.replace(row, status="ok", sigma_30m_m=0.03 - 0.01 * k)
+        msgspec.structs.replace(row, status="ok", lidars=poses, sigma_30m_m=0.03 - 0.01 * k)
         for k, row in enumerate(rows)
     ]
     made[2] = msgspec.structs.replace(made[2], kind="site")
+    refused = {"status": "refused", "codes": ["ambiguous"], "lidars": [], "sigma_30m_m": None}
+    made += [msgspec.structs.replace(rows[0], id=name, **refused) for name in ("no", "not")]
     out = write_made_up(tmp_path / "out", made)
-    for name in ("a b#1/report.html", "q:1/x/report.html"):
+    for name in ("a b#1/report.html", "q:1/x/report.html", "no/report.html"):
         (tmp_path / "reports" / name).parent.mkdir(parents=True)
         (tmp_path / "reports" / name).touch()
     page = tmp_path / "pages/fleet.html"
@@ -120,8 +127,17 @@ def test_the_worst_lead_to_their_own_reports(tmp_path: Path) -> None:
     assert [link for link in links if not link.startswith("#")] == [
         "./../reports/a%20b%231/report.html",
         "./../reports/q%3A1/x/report.html",
+        "./../reports/no/report.html",
     ]
     assert "Reports of single sites" not in page.read_text()
+
+
+def test_each_reason_says_what_to_do(overview: Overview) -> None:
+    known = {code: cells for code, *cells in rows_of(render_fleet(overview), "Sites by reason")}
+    advice = explain("ambiguous")
+    assert advice is not None
+    assert known["ambiguous"][1] == re.sub("<[^>]*>", "", inline(" ".join(advice.advice)))
+    assert "--retry --time-limit" in known["time_limit"][1]
 
 
 def test_a_dataset_its_reports_and_its_page_may_be_urls(city: Path) -> None:
@@ -194,8 +210,12 @@ def test_ten_thousand_sites_stay_small() -> None:
 def test_what_is_no_dataset_is_an_error(city: Path, tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="is no dataset of a fleet"):
         overview_of(str(tmp_path))
-    row = made_up_row("a", np.random.default_rng(0))
-    for changes in ({"latitude_rad": 9.0}, {"sigma_30m_m": float("nan")}, {"status": "fine"}):
+    row = made_up_row(names_in_first(1)[0], np.random.default_rng(0))
+    for changes in (
+        {"latitude_rad": 9.0},
+        {"sigma_30m_m": float("nan")},
+        {"status": "fine", "lidars": []},
+    ):
         wrong: Row = msgspec.structs.replace(row, **changes)
         write_partition(str(tmp_path / "out"), "part-00.parquet", [wrong], [])
         with pytest.raises(ReadError, match=r"part-00\.parquet: damaged"):

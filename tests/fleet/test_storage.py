@@ -1,15 +1,21 @@
 """The same on every file system: what is written is read, listed, matched, copied and removed."""
 
 import uuid
+from io import BytesIO
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
+from fsspec.implementations.memory import MemoryFile
 
-from retropole.base.errors import ReadError
+from retropole.base.errors import ReadError, UsageError
 from retropole.fleet import storage
-from retropole.fleet.dataset import partition_of, read_rows
-from retropole.fleet.sites import find_sites
-from tests.fleet.made_up import made_up_row, write_made_up
+from retropole.fleet.dataset import known_in, partition_of, read_rows, write_partition
+from retropole.fleet.process import done
+from retropole.fleet.sites import FleetSite, find_sites
+from retropole.fleet.work import Task, task_of
+from tests.fleet.made_up import made_up_row, names_in_first, write_made_up
 
 
 @pytest.fixture(params=["path", "file", "memory"])
@@ -51,9 +57,7 @@ def test_pairs_and_site_files_are_found_in_a_folder(root: str) -> None:
 
 
 def test_a_dataset_has_the_same_bytes_everywhere(root: str, tmp_path: Path) -> None:
-    import numpy as np
-
-    from retropole.fleet.dataset import ANSWERS, write_partition
+    from retropole.fleet.dataset import ANSWERS
 
     row = made_up_row("post", np.random.default_rng(0))
     part = partition_of(row.id)
@@ -62,3 +66,61 @@ def test_a_dataset_has_the_same_bytes_everywhere(root: str, tmp_path: Path) -> N
     there = storage.below(storage.absolute(root), f"{ANSWERS}/{part}")
     assert storage.read_bytes(there) == (tmp_path / "here" / ANSWERS / part).read_bytes()
     assert read_rows(root, part) == {row.id: row}
+
+
+NOT_FOLLOWED = ("ftp://127.0.0.1/a", "jupyter://a", "dbfs://a", "webhdfs://a:1/b", "foo://a")
+CHAINS = ("simplecache::s3://a/b", "zip://a::ftp://b/c", "memory://a::ftp://b/c")
+
+
+@pytest.mark.parametrize("url", [*NOT_FOLLOWED, *CHAINS])
+def test_a_url_is_followed_only_where_its_protocol_is_allowed(url: str, tmp_path: Path) -> None:
+    for call in (storage.filesystem, storage.absolute, storage.exists, storage.read_bytes):
+        with pytest.raises(UsageError, match="expected a path, or a URL of s3, gs, abfs, memory"):
+            call(url)
+    path = tmp_path / "list.csv"
+    path.write_text(f"id,target,source\na,{url},b.pcd\nb,a.pcd,b.pcd\n")
+    first, second = find_sites([str(path)])
+    assert "expected a path, or a URL of" in first.fault
+    assert not second.fault
+
+
+def test_another_protocol_is_followed_where_it_is_asked_for() -> None:
+    site = FleetSite(id="a", kind="pair", target="github://a/b", source="github://a/c")
+    with storage.also_following(["github"]):
+        task = task_of(site, 9.0)
+        for call in (storage.filesystem, storage.read_bytes):
+            with pytest.raises(UsageError, match=r"github://a.*missing"):
+                call("github://a")
+        with pytest.raises(UsageError, match="chains"):
+            storage.filesystem("github::ftp://a")
+    # A worker follows what whoever gives the task does.
+    for each, said in ((task, "missing"), (task_of(site, 9.0), "expected a path")):
+        row = done(msgspec.msgpack.decode(msgspec.msgpack.encode(each), type=Task)).row
+        assert row is not None
+        assert said in row.messages[0]
+
+
+def test_a_local_path_may_look_like_a_chain(tmp_path: Path) -> None:
+    place = storage.below(str(tmp_path), "zip::a:b.txt")
+    storage.write_bytes(place, b"here")
+    assert storage.read_bytes(place) == b"here"
+    assert (tmp_path / "zip::a:b.txt").exists()
+
+
+def test_columns_are_read_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    out = f"memory://{uuid.uuid4().hex}"
+    rows = [made_up_row(name, rng) for name in names_in_first(200)]
+    long = [msgspec.structs.replace(row, document=rng.bytes(20_000).hex()) for row in rows]
+    write_partition(out, "part-00.parquet", long, [])
+    taken = 0
+
+    def read(file: MemoryFile, count: int | None = -1) -> bytes:
+        nonlocal taken
+        data = BytesIO.read(file, count)
+        taken += len(data)
+        return data
+
+    monkeypatch.setattr(MemoryFile, "read", read, raising=False)
+    assert known_in(out).keys() == {row.id for row in rows}
+    assert 0 < taken < 0.1 * sum(len(row.document or "") for row in long)

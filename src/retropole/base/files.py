@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
 import re
 import signal
+import socket
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 from .errors import ReadError
@@ -19,6 +22,9 @@ LARGEST_DOCUMENT = 2**24
 
 UNFINISHED = ".retropole-unfinished"
 """How the name of a file ends that is being written."""
+
+RUNNING = ".running"
+"""Name of the note of the last run that had a folder for itself."""
 
 unfinished: set[str] = set()
 """Files that are being written: whoever ends the process at once removes them first."""
@@ -122,15 +128,35 @@ def _is_file(place: Path) -> bool:
 
 
 @contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
+def run_alone(folder: Path) -> Iterator[None]:
+    """Keep other runs from a folder, which is made where there is none, from now on.
+
+    Raises
+    ------
+    OSError
+        Where another run has it: the message says which.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    note = folder / RUNNING
+    note.touch()
+    with _alone_in(folder, note):
+        since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+        with _named(note):
+            note.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {since}")
+        yield
+
+
+@contextmanager
+def _alone_in(folder: Path, note: Path | None = None) -> Iterator[None]:
     """Keep other processes from writing into a folder; the system lets go when a process ends.
 
+    With a note, which says who has it, that is locked: files may be written to the folder as ever.
     Where the system has no such locks, as on Windows and some network drives, there is none.
     """
     try:
         import fcntl
 
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(note or folder, os.O_RDONLY)
     except (ImportError, PermissionError):
         yield
         return
@@ -138,7 +164,9 @@ def _alone_in(folder: Path) -> Iterator[None]:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
-        raise OSError(f"{folder}: another run is writing to it; nothing was written") from None
+        who = "" if note is None else f" ({note.read_text()})"
+        why = f"another run is writing to it{who}; nothing was written"
+        raise BlockingIOError(errno.EAGAIN, why, str(folder)) from None
     except OSError:
         pass
     try:

@@ -101,6 +101,8 @@ def failure_of(error: Exception, command: str) -> Failure:
             place = error.filename or ("standard output" if unnamed else "")
             words = quoting(f"{place}: {error.strerror}" if place else str(error))
             check = "check that it exists and may be read or written, and that there is room"
+            if isinstance(error, BlockingIOError) and error.filename:
+                check = "wait until that run is over, or write to another folder"
             return Failure("system", words, (check,))
     raise error
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .common import EXIT_WARNED, json_text, progress_on_terminal, show, show_written
-from .fleet_check import check_cluster, cluster_options, fleet_check
+from .fleet_check import check_cluster, cluster_options, fleet_check, protocol_option
 from .fleet_network import fleet_network
 from .options import SENSORS, run_options
 
@@ -24,7 +24,7 @@ def fleet() -> None:
     \b
     Examples:
       retropole fleet calibrate recordings/ --out fleet
-      retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
+      retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tls://head:8786
       retropole fleet report fleet --out fleet.html
       retropole fleet check sites.csv --history history
       retropole fleet network fleet --nodes nodes.csv --out network.parquet
@@ -39,6 +39,7 @@ fleet.add_command(fleet_network)
 @click.argument("sites", nargs=-1, required=True, metavar="SITES...")
 @click.option("--out", required=True, metavar="DATASET", help="Folder or URL of the dataset.")
 @cluster_options
+@protocol_option
 @click.option("--reports", metavar="DIR", help="Folder or URL for result and report of each site.")
 @click.option("--report", metavar="FILE", help="Write the report of the fleet, one HTML page.")
 @click.option("--retry", is_flag=True, help="Try sites that ended in an error again.")
@@ -77,7 +78,7 @@ def calibrate(
     Examples:
       retropole fleet calibrate recordings/ --out fleet --report fleet.html
       retropole fleet calibrate 'posts/*/site.toml' --out fleet --reports reports --workers 8
-      retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tcp://head:8786
+      retropole fleet calibrate sites.csv --out s3://city/fleet --scheduler tls://head:8786
       retropole fleet calibrate sites.csv --out fleet --retry --time-limit 3600
 
     \b
@@ -135,6 +136,7 @@ def calibrate(
     metavar="DIR",
     help="Folder or URL to which 'fleet calibrate --reports' wrote: the page links there.",
 )
+@protocol_option
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def report(dataset: str, out: str, reports: str | None, quiet: bool) -> int:
     """Show the outcome of a fleet as one HTML page, from the DATASET of 'fleet calibrate'.
@@ -181,6 +183,7 @@ def _in_words(summary: FleetSummary, *written: str) -> str:
     if summary.statuses.get("error"):
         lines.append("errors are tried again with --retry, or once their files are others")
     if summary.others:
-        lines.append(f"in the dataset besides: {counted(summary.others, 'site')} not in SITES")
+        others = counted(summary.others, "site")
+        lines.append(f"in the dataset, and its report, besides: {others} not in SITES")
     lines += [f"written: {printable(place)}" for place in written]
     return "\n".join(lines)

@@ -25,7 +25,9 @@ SCHEMA = "retropole/fleet-check/1"
 def cluster_options(command: Command) -> Command:
     """Give a command --scheduler, --workers and --time-limit, for work that a Dask cluster does."""
     scheduler = click.option(
-        "--scheduler", metavar="ADDRESS", help="Of a Dask cluster: tcp://host:8786."
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Of a Dask cluster: tls://host:8786, or tcp:// in a network of your own.",
     )
     workers = click.option(
         "--workers",
@@ -38,6 +40,25 @@ def cluster_options(command: Command) -> Command:
         "--time-limit", type=kind, default=TIME_LIMIT, metavar="SECONDS", help="Of one site."
     )
     return scheduler(workers(time_limit(command)))
+
+
+def protocol_option(command: Command) -> Command:
+    """Give a command --protocol: URLs that it follows beside those of every command."""
+
+    def follow(context: click.Context, option: click.Parameter, names: tuple[str, ...]) -> None:
+        from ..fleet.storage import also_following
+
+        context.with_resource(also_following(names))
+
+    return click.option(
+        "--protocol",
+        multiple=True,
+        expose_value=False,
+        callback=follow,
+        metavar="NAME",
+        help="Follow URLs of this protocol of fsspec too, as ftp, wherever they are named: in "
+        "SITES as well.  [always: s3, gs, abfs, memory]",
+    )(command)
 
 
 def check_cluster(scheduler: str | None, workers: int | None) -> None:
@@ -60,6 +81,7 @@ def check_cluster(scheduler: str | None, workers: int | None) -> None:
     help="Of 'retropole fleet calibrate': holds the stored results, by the ids of the sites.",
 )
 @cluster_options
+@protocol_option
 @tolerance_options
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -93,7 +115,7 @@ def fleet_check(
     Examples:
       retropole fleet check tonight.csv --answers fleet --history history
       retropole fleet check tonight/ --answers fleet --history history --json
-      retropole fleet check sites.csv --history s3://city/history --scheduler tcp://head:8786
+      retropole fleet check sites.csv --history s3://city/history --scheduler tls://head:8786
 
     \b
     Exit code:
@@ -123,20 +145,21 @@ def fleet_check(
                 progress=progress,
             )
     if as_json:
-        show(json_line(found))
+        show(json_line(found, len(sites_found)))
     elif not quiet:
-        show(in_words(found))
+        show(in_words(found, len(sites_found)))
     if any(site.changes for site in found.sites):
         return EXIT_MOVED
     return 0 if any(site.is_told for site in found.sites) else EXIT_REFUSED
 
 
-def json_line(found: FleetCheck) -> str:
-    """Write what was found as one line of JSON; what is not known is null."""
+def json_line(found: FleetCheck, sites: int) -> str:
+    """Write what was found at so many sites as one line of JSON; what is not known is null."""
     return json_text(
         {
             "schema": SCHEMA,
-            "sites": len(found.sites),
+            "sites": sites,
+            "pairs": len(found.sites),
             "appended": found.appended,
             "changed": [
                 {"id": site.id, **_plain(site, event)}
@@ -175,8 +198,8 @@ def _plain(site: SiteChange, event: Event) -> dict[str, Any]:
     }
 
 
-def in_words(found: FleetCheck) -> str:
-    """Write what was found as a person reads it: a line for each site that has something to say."""
+def in_words(found: FleetCheck, sites: int) -> str:
+    """Write what was found at so many sites: a line for each pair that has something to say."""
     lines = []
     for site in found.sites:
         said = [_said(site, event) for event in site.changes]
@@ -189,8 +212,9 @@ def in_words(found: FleetCheck) -> str:
             lines.append(printable(f"{site.id}: {'; '.join(said)}"))
     changed = sum(bool(site.changes) for site in found.sites)
     untold = sum(not site.is_told for site in found.sites)
+    pairs = "" if len(found.sites) == sites else f"{counted(len(found.sites), 'pair')} of "
     lines.append(
-        f"{counted(len(found.sites), 'site')}, {counted(found.appended, 'new check')}; changed "
+        f"{pairs}{counted(sites, 'site')}, {counted(found.appended, 'new check')}; changed "
         f"since their calibration: {changed}, not told: {untold}"
     )
     return "\n".join(lines)

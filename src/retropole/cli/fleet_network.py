@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .common import EXIT_MOVED, EXIT_REFUSED, json_text, progress_on_terminal, show
+from .fleet_check import protocol_option
 
 if TYPE_CHECKING:
     from ..fleet.network.dataset import FleetNetwork
@@ -28,6 +29,7 @@ MOST_COMPONENTS = 10
     help="Which LiDAR of which site is which node, and surveyed points; .csv or .parquet.",
 )
 @click.option("--out", metavar="FILE", required=True, help="Parquet file to write, or its URL.")
+@protocol_option
 @click.option("--json", "as_json", is_flag=True, help="Print one line of JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def fleet_network(dataset: str, nodes: str, out: str, as_json: bool, quiet: bool) -> int:

@@ -98,8 +98,9 @@ def read_launch(data: bytes) -> list[Found]:
     """Read the publishers of a Python launch file from its syntax; nothing in it is run."""
     try:
         tree = ast.parse(data)
-    except (SyntaxError, ValueError) as error:
-        raise ReadError(f"no Python launch file: {error}") from None
+    # What nests deeper than Python's parser goes ends in either of the last two.
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ReadError(f"no Python launch file: {error or 'nested too deep'}") from None
     found = []
     for call in ast.walk(tree):
         if not isinstance(call, ast.Call):
@@ -110,10 +111,10 @@ def read_launch(data: bytes) -> list[Found]:
             continue
         try:
             words = ast.literal_eval(given["arguments"])
-        except (KeyError, ValueError):
-            raise ReadError(
-                f"line {call.lineno}: the arguments of {PROGRAM} are not plain strings"
-            ) from None
+        except (KeyError, TypeError, ValueError):
+            words = None
+        if not isinstance(words, list | tuple):
+            raise ReadError(f"line {call.lineno}: the arguments of {PROGRAM} are not plain strings")
         found.append(_ros2_arguments([str(word) for word in words]))
     return found
 

@@ -13,7 +13,7 @@ from ..api import quantities
 from . import TIME_LIMIT
 from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
-from .storage import absolute
+from .storage import absolute, alone_in
 from .work import Outcome, Task, lost, task_of
 
 Key = TypeVar("Key")
@@ -81,36 +81,39 @@ def calibrate_fleet(
     ReadError
         Where the dataset is damaged.
     OSError
-        Where it cannot be written.
+        Where it cannot be written, or another run is writing to it.
     """
     out = absolute(out)
     reports = None if reports is None else absolute(reports)
-    known = known_in(out)
-    others = known.keys() - {site.id for site in sites}
-    parts: dict[str, list[FleetSite]] = {partition_of(each): [] for each in others if drop_others}
-    for site in sorted(sites, key=lambda site: site.id):
-        parts.setdefault(partition_of(site.id), []).append(site)
+    with alone_in(out):
+        known = known_in(out)
+        others = known.keys() - {site.id for site in sites}
+        parts: dict[str, list[FleetSite]] = {
+            partition_of(each): [] for each in others if drop_others
+        }
+        for site in sorted(sites, key=lambda site: site.id):
+            parts.setdefault(partition_of(site.id), []).append(site)
 
-    # One that is to be tried again has no row that holds.
-    holds = {each: row.key for each, row in known.items() if not retry or row.status != "error"}
-    tasks = (
-        task_of(site, time_limit, known=holds.get(site.id), reports=reports)
-        for part in sorted(parts)
-        for site in parts[part]
-        if not site.fault
-    )
-    done = 0
-    statuses: Counter[str] = Counter()
-    codes: Counter[str] = Counter()
-    empty = {part: dict[str, Outcome]() for part, of_part in parts.items() if not of_part}
-    part_of = {site.id: part for part, of_part in parts.items() for site in of_part}
-    found = outcomes_of("calibrate", sites, doing(tasks), progress)
-    for part, outcomes in chain(empty.items(), whole_groups(found, part_of, {})):
-        rows = _write(out, part, outcomes, drop_others)
-        statuses.update(rows[site.id].status for site in parts[part])
-        codes.update(code for site in parts[part] for code in rows[site.id].codes)
-        done += sum(each.row is not None for each in outcomes.values())
-    done -= sum(bool(site.fault) for site in sites)
+        # One that is to be tried again has no row that holds.
+        holds = {each: row.key for each, row in known.items() if not retry or row.status != "error"}
+        tasks = (
+            task_of(site, time_limit, known=holds.get(site.id), reports=reports)
+            for part in sorted(parts)
+            for site in parts[part]
+            if not site.fault
+        )
+        done = 0
+        statuses: Counter[str] = Counter()
+        codes: Counter[str] = Counter()
+        empty = {part: dict[str, Outcome]() for part, of_part in parts.items() if not of_part}
+        part_of = {site.id: part for part, of_part in parts.items() for site in of_part}
+        found = outcomes_of("calibrate", sites, doing(tasks), progress)
+        for part, outcomes in chain(empty.items(), whole_groups(found, part_of, {})):
+            rows = _write(out, part, outcomes, drop_others)
+            statuses.update(rows[site.id].status for site in parts[part])
+            codes.update(code for site in parts[part] for code in rows[site.id].codes)
+            done += sum(each.row is not None for each in outcomes.values())
+        done -= sum(bool(site.fault) for site in sites)
     return FleetSummary(len(sites), done, len(others), dict(statuses), dict(codes))
 
 
@@ -177,7 +180,7 @@ def _write(out: str, part: str, outcomes: dict[str, Outcome], drop_others: bool)
 
 
 def how_far(step: str, done: int, count: int, seconds: float) -> str:
-    """Say how far it is, and how long the rest takes if it goes on so."""
+    """Say how far it is, of sites or of their pairs, and how long the rest takes if it goes on."""
     left = seconds / done * (count - done)
     rest = f", about {quantities.duration(left)} left" if left else ""
-    return f"{step}: {done} of {quantities.counted(count, 'site')}{rest}"
+    return f"{step}: {done:,} of {count:,}{rest}"

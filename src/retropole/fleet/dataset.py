@@ -8,13 +8,15 @@ differs from run to run, times and machines, lies beside it in ``runs/part-3f.pa
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Sequence
 from functools import cache
 from itertools import chain
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
+from msgspec import Meta
 
 from ..api import Array
 from ..base.errors import ReadError
@@ -37,6 +39,11 @@ AT_RANGE = 30.0
 """Where the errors of sites are compared, m."""
 
 Status = Literal["ok", "warn", "refused", "error"]
+
+Latitude = Annotated[float, Meta(ge=-math.pi / 2, le=math.pi / 2)]
+Longitude = Annotated[float, Meta(ge=-math.pi, le=2 * math.pi)]
+Length = Annotated[float, Meta(ge=0.0, le=1e12)]
+Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
 
 
 class InputEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,15 +79,21 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     site_file: str | None = None
     site_sha256: str | None = None
     inputs: list[InputEntry] = []
-    latitude_rad: float | None = None
-    longitude_rad: float | None = None
+    latitude_rad: Latitude | None = None
+    longitude_rad: Longitude | None = None
     frame: str | None = None
     lidars: list[LidarEntry] = []
-    sigma_30m_m: float | None = None
+    sigma_30m_m: Length | None = None
     document: str | None = None
     key: str | None = None
     version: str
     libraries: str
+
+    def __post_init__(self) -> None:
+        """Refuse an answer without a pose, and a pose without an answer."""
+        count = len(self.lidars)
+        if (self.status in ("ok", "warn")) != (count > 0) or (self.kind == "pair" and count > 1):
+            raise ValueError(f"a {self.kind} that is {self.status} with {count} poses")
 
 
 class Step(msgspec.Struct, frozen=True):
@@ -96,7 +109,7 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     id: str
     key: str | None = None
     started: str
-    seconds: float
+    seconds: Seconds
     steps: list[Step] = []
     host: str
     memory_bytes: int
@@ -182,9 +195,12 @@ def read_as(out: str, folder: str, partition: str, of: type[Of]) -> dict[str, Of
     with opened(place, "damaged ({})", LARGEST_PARTITION, FLEET_SCHEMA, AGAIN) as file:
         rows = file.read(columns=[*dict.fromkeys(("id", *of.__struct_fields__))]).to_pylist()
     try:
-        return {row["id"]: msgspec.convert(row, of) for row in rows}
+        found = {msgspec.convert(row["id"], str): msgspec.convert(row, of) for row in rows}
     except (KeyError, msgspec.ValidationError) as error:
         raise ReadError(f"{place}: damaged ({error}){AGAIN}") from None
+    if len(found) < len(rows) or any(partition_of(each) != partition for each in found):
+        raise ReadError(f"{place}: damaged (a site is there twice, or in another's place){AGAIN}")
+    return found
 
 
 def write_partition(out: str, partition: str, rows: Iterable[Row], runs: Iterable[Run]) -> None:

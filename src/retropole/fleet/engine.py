@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import signal
+import stat
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -73,10 +77,14 @@ def run_task(data: bytes) -> bytes:
 def connected(scheduler: str | None = None, workers: int | None = None) -> Iterator[Any]:
     """Connect to a cluster; without an address, start one of processes on this machine.
 
+    Whoever may give tasks to a cluster runs code as its owner. One that is started here answers on
+    the loopback alone, by TLS, to who has the credential: made for it, in memory, and gone with it.
+
     Parameters
     ----------
     scheduler
-        Address of a Dask scheduler: ``tcp://host:8786``.
+        Address of a Dask scheduler: ``tls://host:8786``, with the credentials of Dask's own
+        configuration, or ``tcp://host:8786``.
     workers
         Number of local processes; None for one per processor.
 
@@ -87,22 +95,30 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
     Raises
     ------
     MissingExtraError
-        Where Dask is not installed.
+        Where Dask is not installed, or what makes its credentials.
     UsageError
-        Where there is no scheduler at the address, or no worker.
+        Where there is no scheduler at the address, or no worker; or where other users write to the
+        folder of its temporary files.
     """
     try:
         import dask
         import distributed
         from dask.system import CPU_COUNT
+
+        temporary: Any = distributed.Security.temporary
+        credentials = None if scheduler else temporary()
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
     # What becomes of a site is in its row; the log of a worker that died helps nobody.
-    config = {
+    config: dict[str, Any] = {
         "logging": {"distributed": "critical", "asyncio": "critical"},
         "distributed.worker.multiprocessing-method": "spawn",
         # A hundred times a second it would note what the worker does: it waits.
         "distributed.worker.profile.enabled": False,
+        # Servers of pages and metrics run all the same, and ask nobody for a credential: no pages.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
+        "temporary-directory": dask.config.get("temporary-directory", None) or _own_folder(),
     }
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
@@ -118,8 +134,8 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
                         n_workers=CPU_COUNT if workers is None else workers,
                         threads_per_worker=1,
                         processes=True,
+                        security=credentials,
                         dashboard_address=None,
-                        # Its server of metrics runs all the same: for this machine alone.
                         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
                         silence_logs=logging.CRITICAL,
                     )
@@ -136,6 +152,25 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
             except TimeoutError:
                 raise UsageError(f"{scheduler}: the cluster has no worker") from None
             yield client
+
+
+def _own_folder() -> str:
+    """Name a folder for temporary files that no other user writes to: Dask imports from there.
+
+    Raises
+    ------
+    UsageError
+        Where another user has it.
+    """
+    if not hasattr(os, "getuid"):
+        # Where each user has a folder for temporary files.
+        return tempfile.gettempdir()
+    folder = Path(tempfile.gettempdir(), f"retropole-{os.getuid()}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o022:
+        raise UsageError(f"{folder}: other users write to it; remove it, or set TMPDIR")
+    return str(folder)
 
 
 @contextmanager

@@ -7,13 +7,21 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Annotated
 
 import msgspec
-from msgspec import Meta
 
 from ..base.errors import ReadError, shortened
-from .dataset import ANSWERS, RUNS, Status, partitions_in, read_as
+from .dataset import (
+    ANSWERS,
+    RUNS,
+    Latitude,
+    Length,
+    Longitude,
+    Seconds,
+    Status,
+    partitions_in,
+    read_as,
+)
 from .sites import Kind
 from .storage import absolute
 
@@ -29,9 +37,9 @@ class Seen(msgspec.Struct, frozen=True):
     status: Status
     codes: tuple[str, ...]
     messages: tuple[str, ...]
-    latitude_rad: Annotated[float, Meta(ge=-math.pi / 2, le=math.pi / 2)] | None
-    longitude_rad: Annotated[float, Meta(ge=-math.pi, le=2 * math.pi)] | None
-    sigma_30m_m: Annotated[float, Meta(ge=0)] | None
+    latitude_rad: Latitude | None
+    longitude_rad: Longitude | None
+    sigma_30m_m: Length | None
     version: str
     libraries: str
 
@@ -40,7 +48,7 @@ class _Took(msgspec.Struct, frozen=True):
     """What is taken of each run."""
 
     started: datetime
-    seconds: Annotated[float, Meta(ge=0, le=1e9)]
+    seconds: Seconds
     host: str
 
 
@@ -53,7 +61,7 @@ class Overview:
     place
         Path or URL of the dataset.
     sites
-        Every site, in the order of the ids; messages only of those that ended in an error.
+        Every site, in the order of the ids; messages only of those without an answer.
     made_by
         How many rows each version, with the libraries that compute, has made.
     seconds
@@ -133,5 +141,5 @@ def overview_of(out: str) -> Overview:
 
 def _slim(row: Seen) -> Seen:
     """Leave out what no part of the page shows, thousands of times."""
-    messages = tuple(map(shortened, row.messages)) if row.status == "error" else ()
+    messages = tuple(map(shortened, row.messages)) if row.status in ("refused", "error") else ()
     return msgspec.structs.replace(row, messages=messages, version="", libraries="")

@@ -25,6 +25,7 @@ import msgspec
 
 from ..base.errors import RetropoleError
 from .history.check import check_site
+from .storage import also_following
 from .work import Hashed, Outcome, Task, answer, lost
 
 LENGTH = struct.Struct("<I")
@@ -34,9 +35,10 @@ Message = Hashed | Outcome | None
 
 def done(task: Task, tell: Callable[[Hashed], None] = lambda hashed: None) -> Outcome:
     """Do a task: check a site against its stored result, or calibrate it as `work.answer` does."""
-    if task.check is None:
-        return answer(task, tell)
-    return Outcome(task.site.id, check=check_site(task.site, task.check, tell))
+    with also_following(task.protocols):
+        if task.check is None:
+            return answer(task, tell)
+        return Outcome(task.site.id, check=check_site(task.site, task.check, tell))
 
 
 def send(stream: IO[bytes], message: object) -> None:

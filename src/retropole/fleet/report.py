@@ -13,10 +13,10 @@ from urllib.parse import quote
 import numpy as np
 
 from ..api import explain, quantities
-from ..api.pages import EMPTY, Html, fill, fill_page, folded, join, share_styles, table
+from ..api.pages import EMPTY, Html, fill, fill_page, folded, inline, join, share_styles, table
 from ..base.errors import printable
 from ..result.folder import REPORT_FILE, SITE_REPORT_FILE
-from .dataset import AT_RANGE, FLEET_SCHEMA
+from .dataset import AT_RANGE, FLEET_SCHEMA, Status
 from .overview import Overview, Seen
 from .pictures import fleet_map, histogram
 from .storage import absolute, below, exists, folder_of, is_url, write_bytes
@@ -25,7 +25,7 @@ WORST = 20
 """So many of the largest errors are listed."""
 
 MOST_FAILED = 500
-"""So many errors are listed with their messages; a DuckDB query tells of more."""
+"""So many refusals, and errors, are listed with their messages; a DuckDB query tells of more."""
 
 EXAMPLES = 3
 """So many sites are named for each reason."""
@@ -33,17 +33,41 @@ EXAMPLES = 3
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
 ERRORS = {
-    "unreadable": "A file is absent, damaged or no recording",
-    "usage": "An option or a line of the list makes no sense",
-    "missing_extra": "A recording needs an extra",
-    "time_limit": "It took longer than its time limit",
-    "out_of_memory": "It took more memory than its worker has",
-    "killed": "Its process crashed or was ended, again and again",
-    "worker_lost": "Its workers died, again and again",
-    "system": "The worker's disk or system failed",
-    "internal": "A fault of this program",
+    "unreadable": (
+        "A file is absent, damaged or no recording",
+        "`retropole info FILE` says what a recording holds.",
+    ),
+    "usage": (
+        "An option or a line of the list makes no sense",
+        "Correct what the message names in the list, or in the site file.",
+    ),
+    "missing_extra": (
+        "A recording needs an extra",
+        "Install on every worker what the message names, then `--retry`.",
+    ),
+    "time_limit": (
+        "It took longer than its time limit",
+        "Read fewer frames, or give it longer: `--retry --time-limit SECONDS`.",
+    ),
+    "out_of_memory": (
+        "It took more memory than its worker has",
+        "Start fewer `--workers`, or set a smaller `max_points` in the list; then `--retry`.",
+    ),
+    "killed": (
+        "Its process crashed or was ended, again and again",
+        "`--retry` with fewer `--workers`; if that ends so too, a recording is damaged.",
+    ),
+    "worker_lost": ("Its workers died, again and again", "Look at the workers, then `--retry`."),
+    "system": (
+        "The worker's disk or system failed",
+        "Make room, or mend what the message names, then `--retry`.",
+    ),
+    "internal": (
+        "A fault of this program",
+        "Report it, with the message and the files of one such site.",
+    ),
 }
-"""What the code of a row that ended in an error means, in short; docs/fleet.md says more."""
+"""What the code of a row that ended in an error means, in short, and what to do about it."""
 
 
 def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: "") -> str:
@@ -67,7 +91,8 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         ("far", "Errors at 30 m", _far(overview)),
         ("worst", "Worst", _worst(overview, link)),
         ("reasons", "Reasons", _reasons(overview)),
-        ("errors", "Errors", _errors(overview)),
+        ("refused", "Refused", _without_answer(overview, "refused", link)),
+        ("errors", "Errors", _without_answer(overview, "error")),
         ("run", "This dataset", _dataset(overview)),
     )
     parts = [{"part": part, "title": title, "body": body} for part, title, body in every if body]
@@ -204,36 +229,48 @@ def _reasons(overview: Overview) -> Html:
             having.setdefault(code, []).append(site)
     if not having:
         return fill("p", text="No site has a reason: all are ok.")
-    rows, bars = [], []
+    rows, bars = list[tuple[object, ...]](), []
     for code, sites in sorted(having.items(), key=lambda each: (-len(each[1]), each[0])):
         named = [printable(site.id) for site in sites[:EXAMPLES]]
         more = ", …" if len(sites) > EXAMPLES else ""
-        rows.append((printable(code), _title(code), ", ".join(named) + more, f"{len(sites):,}"))
+        said, to_do = _explained(code)
+        found = ", ".join(named) + more
+        rows.append((printable(code), said, to_do, found, f"{len(sites):,}"))
         commonest = Counter(site.status for site in sites).most_common(1)[0][0]
         bars.append((commonest, len(sites) / len(overview.sites)))
-    header = ("code", "what it says", "for example", "sites")
-    return table("Sites by reason", header, rows, (1, 2), bars)
+    header = ("code", "what it says", "what to do", "for example", "sites")
+    return table("Sites by reason", header, rows, (1, 2, 3), bars)
 
 
-def _title(code: str) -> str:
+def _explained(code: str) -> tuple[str, Html]:
+    """Say what a code means, and what to do about it."""
     known = explain(code)
-    return ERRORS.get(code, quantities.UNKNOWN) if known is None else known.title
+    if known is not None:
+        return known.title, inline(" ".join(known.advice))
+    title, to_do = ERRORS.get(code, (quantities.UNKNOWN, quantities.UNKNOWN))
+    return title, inline(to_do)
 
 
-def _errors(overview: Overview) -> Html:
-    """List what ended in an error, with its message."""
-    failed = [site for site in overview.sites if site.status == "error"]
-    if not failed:
+def _without_answer(
+    overview: Overview, status: Status, link: Callable[[Seen], str] = lambda site: ""
+) -> Html:
+    """List what was refused, or ended in an error, with its message."""
+    sites = [site for site in overview.sites if site.status == status]
+    if not sites:
         return EMPTY
+    shown = sites[:MOST_FAILED]
     rows = [
         tuple(map(printable, (site.id, ", ".join(site.codes), " ".join(site.messages))))
-        for site in failed[:MOST_FAILED]
+        for site in shown
     ]
-    listed = table("Sites that ended in an error", ("site", "code", "message"), rows, (1, 2))
-    more = len(failed) - MOST_FAILED
-    body = join((listed, fill("fleet-more", count=f"{more:,}") if more > 0 else EMPTY))
-    summary = f"{quantities.counted(len(failed), 'site')} with messages"
-    return join((fill("fleet-again"), folded(summary, body, is_open=len(failed) <= WORST)))
+    caption = "Sites that were refused" if status == "refused" else "Sites that ended in an error"
+    header = ("site", "codes", "message")
+    body = [table(caption, header, rows, (1, 2), links=[link(site) for site in shown])]
+    if more := len(sites) - len(shown):
+        body.append(fill("fleet-more", count=f"{more:,}", status=status))
+    summary = f"{quantities.counted(len(sites), 'site')} with messages"
+    listed = folded(summary, join(body), is_open=len(sites) <= WORST)
+    return listed if status == "refused" else join((fill("fleet-again"), listed))
 
 
 def _dataset(overview: Overview) -> Html:

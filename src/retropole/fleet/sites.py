@@ -186,8 +186,8 @@ def _in_folder(folder: str, config: RunConfig) -> Iterator[FleetSite]:
 def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig) -> FleetSite:
     """Make a site of a row; what is wrong with it is its own matter, and ends nothing."""
     kind: Kind = "site" if "site" in given else "pair"
-    files = (*ROLES, "site", "result")
-    names = {key: below(folder, str(given[key])) for key in files if key in given}
+    files = [key for key in (*ROLES, "site", "result") if key in given]
+    names = {key: below(folder, str(given[key])) for key in files}
     expected = {"site"} if kind == "site" else set(ROLES)
     options = {key: value for key, value in given.items() if key in OPTIONS}
     position = _Position()
@@ -196,6 +196,10 @@ def _listed(name: str, folder: str, given: Mapping[str, Any], config: RunConfig)
         fault = "expected target and source, or site alone"
     elif kind == "site" and options:
         fault = f"{', '.join(options)}: of a site, its file says that"
+    try:
+        names = {key: absolute(place) for key, place in names.items()}
+    except UsageError as error:
+        fault = fault or str(error)
     try:
         position = msgspec.convert(given, _Position, strict=False)
         base = msgspec.structs.asdict(config)

@@ -6,19 +6,43 @@ A *place* is a path or a URL as text.
 from __future__ import annotations
 
 import errno
+import os
 import posixpath
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import MissingExtraError, ReadError, UsageError
-from ..base.files import write_atomically
+from ..base.errors import MissingExtraError, ReadError, RetropoleError, UsageError
+from ..base.files import run_alone, write_atomically
 
 LARGEST_LIST = 2**28
 """Bytes of a list of sites: a million lines of 250."""
+
+
+LOCAL = ("file", "local")
+PROTOCOLS = ("s3", "gs", "abfs", "memory")
+"""Of URLs that are followed: a list that others wrote shall not make a worker connect anywhere."""
+
+_others: ContextVar[tuple[str, ...]] = ContextVar("_others", default=())
+
+
+def other_protocols() -> tuple[str, ...]:
+    """Name the protocols that are followed beside `PROTOCOLS`."""
+    return _others.get()
+
+
+@contextmanager
+def also_following(protocols: Iterable[str]) -> Iterator[None]:
+    """Follow URLs of other protocols than `PROTOCOLS` too."""
+    token = _others.set(tuple(protocols))
+    try:
+        yield
+    finally:
+        _others.reset(token)
 
 
 def filesystem(place: str) -> tuple[Any, str]:
@@ -29,27 +53,50 @@ def filesystem(place: str) -> tuple[Any, str]:
     MissingExtraError
         Where fsspec is not installed.
     UsageError
-        Where fsspec does not know the scheme, or lacks what it needs for it.
+        Where URLs of this protocol are not followed, or fsspec lacks what it needs for them.
     """
     try:
         from fsspec.core import url_to_fs
+        from fsspec.implementations.local import LocalFileSystem
     except ImportError:
         raise MissingExtraError("fleet", "a fleet") from None
+    if not is_url(place):
+        return LocalFileSystem(), str(LocalFileSystem._strip_protocol(place))
+    _check_protocol(place)
     try:
         system, path = url_to_fs(place)
-    except (ImportError, ValueError) as error:
-        raise UsageError(f"{place}: {error}") from None
+    except Exception as error:
+        raise UsageError(f"{place}: {error or type(error).__name__}") from None
     return system, str(path)
+
+
+def _check_protocol(url: str) -> None:
+    """Refuse a URL that is not to be followed; of a chain (zip::ftp://…) any part connects."""
+    if "::" in url or url.partition("://")[0] not in (*PROTOCOLS, *other_protocols()):
+        raise UsageError(
+            f"{url}: expected a path, or a URL of {', '.join(PROTOCOLS)}; --protocol adds one of "
+            "fsspec's others, chains (::) are never followed"
+        )
 
 
 def is_url(place: str) -> bool:
     """Whether a place is a URL of another file system than the local one."""
-    return "://" in place and not place.startswith(("file://", "local://"))
+    protocol, sign, _ = place.partition("://")
+    return bool(sign) and protocol not in LOCAL
 
 
 def absolute(place: str) -> str:
-    """Write a local path whole, as workers in other folders need it; a URL as it is."""
-    return place if is_url(place) else filesystem(place)[1]
+    """Write a local path whole, as workers in other folders need it; a URL as it is.
+
+    Raises
+    ------
+    MissingExtraError, UsageError
+        As `filesystem`.
+    """
+    if is_url(place):
+        _check_protocol(place)
+        return place
+    return filesystem(place)[1]
 
 
 def below(folder: str, *names: str) -> str:
@@ -75,15 +122,27 @@ def folder_of(place: str) -> str:
 
 
 def exists(place: str) -> bool:
-    """Whether there is a file or a folder."""
-    system, path = filesystem(place)
-    return bool(system.exists(path))
+    """Whether there is a file or a folder.
+
+    Raises
+    ------
+    ReadError
+        Where the file system cannot be asked.
+    """
+    with _asked(place, "cannot be looked for") as (system, path):
+        return bool(system.exists(path))
 
 
 def is_folder(place: str) -> bool:
-    """Whether there is a folder."""
-    system, path = filesystem(place)
-    return bool(system.isdir(path))
+    """Whether there is a folder.
+
+    Raises
+    ------
+    ReadError
+        Where the file system cannot be asked.
+    """
+    with _asked(place, "cannot be looked for") as (system, path):
+        return bool(system.isdir(path))
 
 
 @contextmanager
@@ -92,6 +151,8 @@ def _asked(place: str, fault: str) -> Iterator[tuple[Any, str]]:
     system, path = filesystem(place)
     try:
         yield system, path
+    except RetropoleError:
+        raise
     except Exception as error:
         if getattr(error, "errno", None) == errno.ENOSPC:
             raise
@@ -168,19 +229,32 @@ def written(place: str) -> datetime:
     return last.astimezone(UTC).replace(microsecond=0)
 
 
-def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
-    """Read a file, and not more of it than one would have.
+@contextmanager
+def open_file(place: str, most: int = LARGEST_LIST) -> Iterator[Any]:
+    """Open a file to read; of a large one, parts can be read alone.
 
     Raises
     ------
     ReadError
-        Where it cannot be read or is longer.
+        Where it cannot be read, or is longer than one would be.
     """
     with _asked(place, "cannot be read") as (system, path), system.open(path, "rb") as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise ReadError(f"{place}: more than {most} bytes")
-    return bytes(data)
+        if file.seek(0, os.SEEK_END) > most:
+            raise ReadError(f"{place}: more than {most} bytes")
+        file.seek(0)
+        yield file
+
+
+def read_bytes(place: str, most: int = LARGEST_LIST) -> bytes:
+    """Read all of a file.
+
+    Raises
+    ------
+    ReadError
+        As `open_file`.
+    """
+    with open_file(place, most) as file:
+        return bytes(file.read())
 
 
 def write_bytes(place: str, data: bytes) -> None:
@@ -199,6 +273,11 @@ def write_bytes(place: str, data: bytes) -> None:
     with _changed(place) as (system, path):
         system.makedirs(posixpath.dirname(path), exist_ok=True)
         system.pipe_file(path, data)
+
+
+def alone_in(folder: str) -> AbstractContextManager[None]:
+    """Keep other runs from a folder, as `files.run_alone`; of a URL none can be kept away."""
+    return nullcontext() if is_url(folder) else run_alone(Path(absolute(folder)))
 
 
 def remove(place: str) -> None:

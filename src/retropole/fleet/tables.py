@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from ..base.errors import MissingExtraError, ReadError, quoting
-from .storage import LARGEST_LIST, read_bytes
+from .storage import LARGEST_LIST, open_file, read_bytes
 
 
 def arrow() -> Any:
@@ -34,7 +34,10 @@ def parquet_of(rows: Iterable[Mapping[str, Any]], schema: Any) -> bytes:
     pa = arrow()
     sink = pa.BufferOutputStream()
     pa.parquet.write_table(
-        pa.Table.from_pylist(list(rows), schema=schema), sink, compression="zstd"
+        pa.Table.from_pylist(list(rows), schema=schema),
+        sink,
+        compression="zstd",
+        write_page_checksum=True,
     )
     data: bytes = sink.getvalue().to_pybytes()
     return data
@@ -67,15 +70,16 @@ def opened(
         As `arrow`.
     """
     pa = arrow()
-    data = read_bytes(place, most)
-    try:
-        file = pa.parquet.ParquetFile(io.BytesIO(data))
-        has = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
-        if schema and has != schema:
-            raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")
-        yield file
-    except (pa.ArrowException, OSError) as error:
-        raise ReadError(f"{place}: {fault.format(error)}{remedy}") from None
+    with open_file(place, most) as data:
+        try:
+            file = pa.parquet.ParquetFile(data, page_checksum_verification=True)
+            has = (file.schema_arrow.metadata or {}).get(b"schema", b"").decode(errors="replace")
+            if schema and has != schema:
+                raise ReadError(f"{place}: not of the schema {schema} but {has!r}{remedy}")
+            yield file
+        # Values that Python cannot hold: times beyond its calendar, text that is no UTF-8.
+        except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
+            raise ReadError(f"{place}: {fault.format(error)}{remedy}") from None
 
 
 LISTS = (".csv", ".parquet")
@@ -118,6 +122,7 @@ def lines_of(place: str, columns: Sequence[str], needed: str) -> Iterator[Line]:
         name = str(cells.get(needed, ""))
         # That of a site is the name of a folder of reports.
         sound = len(name) <= LONGEST_NAME and name.isprintable() and "\\" not in name
+        sound &= isinstance(cells.get(needed), str | int)
         if not sound or any(part.strip() in ("", ".", "..") for part in name.split("/")):
             raise ReadError(
                 f"{place}: row {number}, {needed}: {quoting(name)!r}, expected a name of at most "
@@ -159,7 +164,17 @@ def _csv(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[st
 
 def _parquet(place: str, columns: Sequence[str], needed: str) -> Iterator[Mapping[str, Any]]:
     """Read the rows of a Parquet list."""
-    with opened(place, "is not Parquet: {}") as file:
+    with opened(place, "is not Parquet that can be read: {}") as file:
         _check_columns(place, file.schema_arrow.names, columns, needed)
         for batch in file.iter_batches():
-            yield from batch.to_pylist()
+            yield from _to_microseconds(batch).to_pylist()
+
+
+def _to_microseconds(batch: Any) -> Any:
+    """Round nanoseconds, which other programs write, to times that Python has."""
+    pa = arrow()
+    schema = batch.schema
+    for k, field in enumerate(schema):
+        if pa.types.is_timestamp(field.type) and field.type.unit == "ns":
+            schema = schema.set(k, field.with_type(pa.timestamp("us", field.type.tz)))
+    return batch.cast(schema, safe=False)

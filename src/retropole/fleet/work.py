@@ -26,7 +26,7 @@ from .dataset import FLEET_SCHEMA, InputEntry, Row, Run, Status, Step, answered,
 from .history.store import CheckRow
 from .local import LocalFiles, hash_of, local_files, pair_inputs
 from .sites import FleetSite
-from .storage import below, is_url, read_bytes, write_bytes
+from .storage import below, is_url, other_protocols, read_bytes, write_bytes
 
 if TYPE_CHECKING:
     from ..api.result import CalibrationResult
@@ -71,7 +71,8 @@ CODES: tuple[tuple[type[Exception], str], ...] = (
 class Task(msgspec.Struct, frozen=True, kw_only=True):
     """What a worker is told: the site, and the key of the row that there is of it.
 
-    With a `check` the site is held against its stored result, and not calibrated.
+    With a `check` the site is held against its stored result, and not calibrated. Of `protocols`
+    URLs are followed as by whoever gives it.
     """
 
     site: FleetSite
@@ -80,6 +81,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     reports: str | None = None
     time_limit: float
     environment: str
+    protocols: tuple[str, ...] = ()
 
 
 class Hashed(msgspec.Struct, frozen=True, tag=True):
@@ -104,7 +106,8 @@ class Outcome(msgspec.Struct, frozen=True, tag=True):
 
 def task_of(site: FleetSite, time_limit: float, **given: Any) -> Task:
     """Make the task of a site, to be done by a worker that computes as whoever asks does."""
-    return Task(site=site, time_limit=time_limit, environment=environment(), **given)
+    given = {"environment": environment(), "protocols": other_protocols(), **given}
+    return Task(site=site, time_limit=time_limit, **given)
 
 
 @cache
