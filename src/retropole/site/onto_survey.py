@@ -20,8 +20,8 @@ NEAR = 0.5
 off by as much before they are adjusted, and a blunder of a decimetre is to be found, not missed."""
 
 WITHIN = 0.3
-"""Returns on a pole lie between its surveyed ends, or so far beyond them, metres: a wrong end of
-the tape, and the poles' pose along the pole."""
+"""Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
+a wrong end of the tape, and the poles' pose along the pole."""
 
 SAMPLES = 5
 """Points on a surveyed pole that stand for returns when it is matched."""
@@ -216,7 +216,10 @@ def beside(end: Array, pole: SharedPole) -> float:
 
 
 def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
-    """Whether the returns on a pole lie between its surveyed ends, as far as these are known."""
+    """Whether the returns on a pole lie between its surveyed ends, most of them, as far as known.
+
+    Not all: height is what rough poses know least, and something bright on a pole makes it longer.
+    """
     if each.foot is None or each.top is None:
         (end,) = ends_of(each)
         along = (pole.extent - end) @ pole.direction
@@ -224,7 +227,8 @@ def _is_between(each: SurveyedPole, pole: SharedPole) -> bool:
         return bool(min(along.max(), -along.min()) < WITHIN)
     length = float(np.linalg.norm(each.top - each.foot))
     along = (pole.extent - each.foot) @ (each.top - each.foot) / length
-    return bool(along.min() > -WITHIN and along.max() < length + WITHIN)
+    between = min(along.max(), length) - max(along.min(), 0.0)
+    return bool(between > np.ptp(along) / 2)
 
 
 def _same(T: Array, other: Array, poles: Sequence[SharedPole]) -> bool:

@@ -17,15 +17,24 @@ from ..base.datatypes import Array
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
 from .description import Site, SurveyedPole
-from .onto_survey import Fit, ends_of, every_fit, farthest_beside, fixes_frame, pole_at, transformed
+from .onto_survey import (
+    NEAR,
+    Fit,
+    ends_of,
+    every_fit,
+    farthest_beside,
+    fixes_frame,
+    pole_at,
+    transformed,
+)
 from .shared import SharedPole
 
 UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 """Units that coordinates come in beside metres, metres each."""
 
 ROUGH = 0.1
-"""A survey all of which fits so well is not asked whether it would fit another way, metres: poses
-may be off by as much before they are adjusted."""
+"""A survey all of which fits so well is not asked whether it would fit another way, and one that
+fits worse is no frame of its own, metres: poses may be off by as much before they are adjusted."""
 
 MOST_RMS = 0.02
 """Ways of laying the survey on what is seen are told apart where one fits twice as well, or so well
@@ -71,7 +80,8 @@ def lay_on_survey(
 def _check_frames(site: Site, best: Fit, other: Fit, poles: Sequence[SharedPole]) -> None:
     """Refuse where what is not met by the best way fixes another frame by itself."""
     left = other.poles - best.poles, other.points - best.points
-    if not fixes_frame(site, *left):
+    if other.rms > ROUGH or not fixes_frame(site, *left):
+        # Two lines fit others by chance, but hardly so well.
         return
     at = np.array([pole.point for pole in poles]) if poles else np.zeros((1, 3))
     apart = se3.difference_at(best.T, other.T, at)
@@ -212,11 +222,12 @@ def _unmet_pole(site: Site, each: SurveyedPole, poles: Sequence[SharedPole]) -> 
                 {**values, "other": name},
             )
     gaps = [farthest_beside(each, pole) for pole in poles if pole.placement == each.placement]
-    if not gaps:
-        near = "the LiDARs see no pole there"
-    else:
-        near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} beside it"
+    near = "the LiDARs see no pole there"
+    if gaps:
         values["gap_m"] = min(gaps)
+        near = f"the nearest that the LiDARs see is {quantities.error(min(gaps))} beside it"
+    if gaps and min(gaps) < NEAR:
+        near = "what the LiDARs see there reaches beyond its surveyed ends"
     return Reason(
         "survey_unmet",
         f"no pole of placement {where} stands where {each.name} was surveyed ({near}), and it was "
