@@ -32,10 +32,6 @@ AGREE = 0.01
 """Part of its square that one may miss by still and agree: the poses of either side, which bend,
 are taken as certain."""
 
-PLIANT = 0.25
-"""Part of what chance allows within which an active control point fits a side that was turned as
-well: sound ones miss by 3 σ² on average, and chance allows 26."""
-
 PLAIN = 10.0
 """By how much more than chance allows a control point must miss for turns of its side to be tried,
 as a multiple of that χ²: turns that are no larger than chance fit everything."""
@@ -186,15 +182,28 @@ def _motions(graph: Graph, T: Array, k: int) -> Iterator[_Motion]:
     yield _Motion(shift, about, moved.covariance, False)
     if of.squares(T)[k] <= PLAIN * critical(of.freedom[some])[0]:
         return
-    near = np.argsort(np.sum((seen - seen[own]) ** 2, axis=1), kind="stable")
-    for others in combinations(near[near != own][:TRIED_POINTS].tolist(), 2):
-        three = np.array([own, *others])
-        spread = np.linalg.svd(seen[three] - seen[three].mean(axis=0), compute_uv=False)
-        if spread[1] > LEAST_LEVER:
-            G = laid(seen[three], world[three])
-            moved = _moved(graph, T, points[three], G, about, np.zeros(3, dtype=bool))
-            if moved.residual.ravel() @ moved.residual.ravel() <= critical(np.array([3]))[0]:
-                yield _Motion(G, about, moved.covariance, True)
+    order = np.argsort(np.sum((seen - seen[own]) ** 2, axis=1), kind="stable")
+    near = order[order != own][:TRIED_POINTS].tolist()
+    for others in (*combinations(near, 1), *combinations(near, 2)):
+        some = np.array([own, *others])
+        G = _laid_by(seen[some], world[some])
+        moved = _moved(graph, T, points[some], G, about, np.zeros(len(some), dtype=bool))
+        if moved.least <= critical(np.array([3]))[0]:
+            yield _Motion(G, about, moved.covariance, True)
+
+
+def _laid_by(seen: Array, world: Array) -> Array:
+    """Lay two points (2, 3) or three onto others, by the least turn where they leave one open."""
+    spread = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
+    if spread[1] > LEAST_LEVER:
+        return laid(seen, world)
+    a, b = (
+        (points[1] - points[0]) / np.linalg.norm(points[1] - points[0]) for points in (seen, world)
+    )
+    axis = np.cross(a, b)
+    angle = np.arctan2(np.linalg.norm(axis), a @ b)
+    R = se3.exp_so3(axis * angle / max(np.linalg.norm(axis), 1e-12))
+    return se3.from_rt(R, world.mean(axis=0) - R @ seen.mean(axis=0))
 
 
 def _contest(
@@ -223,7 +232,7 @@ def _contest(
         points = np.flatnonzero(active & (of.freedom == 3))
         second = np.zeros(len(points), dtype=bool)
         squares = _moved(graph, T, points, G, about, second).squares(covariance)
-        pliant = points[squares <= PLIANT * critical(np.array([3]))[0]]
+        pliant = points[squares <= critical(np.array([3]))[0]]
         stiff[pliant] = False
     # All that is moved is one, and all that stays.
     label = np.arange(size)
