@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from ...api import Array, BoolArray, IntArray, se3
 from .graph import LEAST_LEVER, Graph
-from .observations import with_ground
+from .observations import Observations, with_ground
 from .start import laid
 from .testing import critical
 
@@ -31,6 +31,12 @@ TRIED_POINTS = 12
 AGREE = 0.01
 """Part of its square that one may miss by still and agree: the poses of either side, which bend,
 are taken as certain."""
+
+HELPS = 0.25
+"""Part of its square that one may miss by where the motion is taken as it is. Not tuned."""
+
+NONE = np.zeros((6, 6))
+"""Covariance of a motion that is taken as it is."""
 
 PLAIN = 10.0
 """By how much more than chance allows a control point must miss for turns of its side to be tried,
@@ -76,6 +82,16 @@ class Contest:
 
 
 @dataclass(frozen=True, eq=False)
+class _Network:
+    """Observations (M,), which are active, what they miss (M,), poses with the ground behind."""
+
+    of: Observations
+    active: BoolArray
+    squares: Array
+    T: Array
+
+
+@dataclass(frozen=True, eq=False)
 class _Motion:
     """A motion ``G`` (4, 4) of one side, with its covariance (6, 6) about a point (3,).
 
@@ -115,12 +131,9 @@ class _Moved:
         return np.asarray((np.swapaxes(e, 1, 2) @ np.linalg.solve(S, e)).ravel())
 
 
-def _moved(
-    graph: Graph, T: Array, some: IntArray, G: Array, about: Array, first: BoolArray
-) -> _Moved:
+def _moved(network: _Network, some: IntArray, G: Array, about: Array, first: BoolArray) -> _Moved:
     """Hold observations (K,) against the poses, with the second end of each moved, or the first."""
-    of, count = graph.observed.only(some), len(some)
-    T = with_ground(T)
+    of, T, count = network.of.only(some), network.T, len(some)
     which = first[:, None, None]
     T_i, T_j = np.where(which, G, np.eye(4)) @ T[of.i], np.where(which, np.eye(4), G) @ T[of.j]
     ends = np.arange(count)
@@ -148,12 +161,13 @@ def find_contests(graph: Graph, active: BoolArray, T: Array) -> list[Contest]:
         return []
     # Where each lies: at the end that is a node for sure.
     place = T[of.j, :3, 3]
+    network = _Network(of, active, of.squares(T), with_ground(T))
     tree, found, done = cKDTree(place[out]), [], set[int]()
     for k in out.tolist():
         if k not in done:
             near = out[np.atleast_1d(tree.query(place[k], min(NEAREST, len(out)))[1])]
-            motions = _motions(graph, T, k)
-            contests = [_contest(graph, active, T, k, near, motion) for motion in motions]
+            motions = _motions(network, k)
+            contests = [_contest(network, k, near, motion) for motion in motions]
             some = [contest for contest in contests if contest is not None]
             if some:
                 found.append(max(some, key=lambda each: each.votes))
@@ -161,15 +175,15 @@ def find_contests(graph: Graph, active: BoolArray, T: Array) -> list[Contest]:
     return found
 
 
-def _motions(graph: Graph, T: Array, k: int) -> Iterator[_Motion]:
+def _motions(network: _Network, k: int) -> Iterator[_Motion]:
     """Motions of the second end of an observation that make it fit."""
-    of, some = graph.observed, np.array([k])
+    of, T, some = network.of, network.T, np.array([k])
     T_j = T[of.j[k]]
     if of.freedom[k] == 6:
-        T_moved = with_ground(T)[of.i[k]] @ of.T_i_j[k]
+        T_moved = T[of.i[k]] @ of.T_i_j[k]
         G, about = T_moved @ se3.inverse(T_j), T_moved[:3, 3]
         yield _Motion(
-            G, about, _moved(graph, T, some, G, about, np.array([False])).covariance, False
+            G, about, _moved(network, some, G, about, np.array([False])).covariance, False
         )
         return
     points = np.flatnonzero(of.freedom == 3)
@@ -177,17 +191,17 @@ def _motions(graph: Graph, T: Array, k: int) -> Iterator[_Motion]:
     seen = np.einsum("kab,kb->ka", node[:, :3, :3], of.seen[points]) + node[:, :3, 3]
     world, own = of.T_i_j[points, :3, 3], int(np.searchsorted(points, k))
     shift, about = se3.from_rt(np.eye(3), world[own] - seen[own]), world[own]
-    moved = _moved(graph, T, some, shift, about, np.array([False]))
+    moved = _moved(network, some, shift, about, np.array([False]))
     moved.by_motion[:, :, :3] = 0.0
     yield _Motion(shift, about, moved.covariance, False)
-    if of.squares(T)[k] <= PLAIN * critical(of.freedom[some])[0]:
+    if network.squares[k] <= PLAIN * critical(of.freedom[some])[0]:
         return
     order = np.argsort(np.sum((seen - seen[own]) ** 2, axis=1), kind="stable")
     near = order[order != own][:TRIED_POINTS].tolist()
     for others in (*combinations(near, 1), *combinations(near, 2)):
         some = np.array([own, *others])
         G = _laid_by(seen[some], world[some])
-        moved = _moved(graph, T, points[some], G, about, np.zeros(len(some), dtype=bool))
+        moved = _moved(network, points[some], G, about, np.zeros(len(some), dtype=bool))
         if moved.least <= critical(np.array([3]))[0]:
             yield _Motion(G, about, moved.covariance, True)
 
@@ -206,20 +220,20 @@ def _laid_by(seen: Array, world: Array) -> Array:
     return se3.from_rt(R, world.mean(axis=0) - R @ seen.mean(axis=0))
 
 
-def _contest(
-    graph: Graph, active: BoolArray, T: Array, k: int, near: IntArray, motion: _Motion
-) -> Contest | None:
+def _contest(network: _Network, k: int, near: IntArray, motion: _Motion) -> Contest | None:
     """Find what agrees with one that was left out, and the least cut that contradicts them."""
-    of, size = graph.observed, graph.nodes + 1
+    of, active, now, size = network.of, network.active, network.squares[near], len(network.T)
     G, about, covariance = motion.G, motion.about, motion.covariance
-    limit = np.maximum(critical(of.freedom[near]), AGREE * of.squares(T)[near])
+    limit = np.maximum(critical(of.freedom[near]), AGREE * now)
     # Of each end whether it is moved, 1, or stays, 2.
     side = np.zeros(size, dtype=np.int64)
     side[of.j[k]], side[of.i[k]] = 1, 2
     back = {k: False}
     for is_first in (False, True):
         first = np.full(len(near), is_first)
-        fits = _moved(graph, T, near, G, about, first).squares(covariance) <= limit
+        moved = _moved(network, near, G, about, first)
+        # What lies far off any small turn would make fit: the motion itself must help.
+        fits = (moved.squares(covariance) <= limit) & (moved.squares(NONE) <= HELPS * now)
         for o in near[fits].tolist():
             moves, stays = (of.i[o], of.j[o]) if is_first else (of.j[o], of.i[o])
             if side[moves] != 2 and side[stays] != 1:
@@ -231,7 +245,7 @@ def _contest(
     if motion.turned:
         points = np.flatnonzero(active & (of.freedom == 3))
         second = np.zeros(len(points), dtype=bool)
-        squares = _moved(graph, T, points, G, about, second).squares(covariance)
+        squares = _moved(network, points, G, about, second).squares(covariance)
         pliant = points[squares <= critical(np.array([3]))[0]]
         stiff[pliant] = False
     # All that is moved is one, and all that stays.
@@ -245,14 +259,14 @@ def _contest(
     agreeing, first = np.array([*back]), np.array([*back.values()])
     likelier = len(back) > len(lost)
     if len(back) == len(lost) == len(rivals) > 1:
-        before = _moved(graph, T, lost, np.eye(4), about, is_moved[i[lost]]).least
-        likelier = _moved(graph, T, agreeing, G, about, first).least < before
-    moved, is_moved = with_ground(T), is_moved[label]
+        before = _moved(network, lost, np.eye(4), about, is_moved[i[lost]]).least
+        likelier = _moved(network, agreeing, G, about, first).least < before
+    T, is_moved = network.T.copy(), is_moved[label]
     # The ground stays where it is.
     if is_moved[-1]:
         is_moved, G = ~is_moved, se3.inverse(G)
-    moved[is_moved] = G @ moved[is_moved]
-    return Contest(agreeing, rivals, pliant, lost, moved[:-1], likelier)
+    T[is_moved] = G @ T[is_moved]
+    return Contest(agreeing, rivals, pliant, lost, T[:-1], likelier)
 
 
 def _least_cut(
