@@ -13,7 +13,7 @@ from .model import State
 CLEAR = 6.0
 """Difference of twice the log likelihoods from which a step and a trend are told apart (ln 20)."""
 
-EventKind = Literal["step", "trend", "outlier", "unsettled"]
+EventKind = Literal["step", "trend", "outlier", "unsettled", "moved"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,17 +24,19 @@ class Event:
     ----------
     kind
         ``step``: the level changed; ``trend``: it changes steadily; ``outlier``: one check is off,
-        and the next is not; ``unsettled``: checks are off, and no two agree.
+        and the next is not; ``unsettled``: checks are off, and no two agree; ``moved``: two
+        checks in a row, or three, say by themselves that the site is not where it was.
     onset
         Number of the first check that shows it.
     found
         Number of the check that told.
     size
-        (6,) of a step, rad and m, or of a trend, per year; None of others.
+        (6,) of a step, rad and m, or of a trend, per year; of *moved*, the newest check's step from
+        the stored pose; None of others.
     covariance
         (6, 6) of it.
     statistic
-        Twice the log likelihood ratio against no change; of an outlier, its χ².
+        Twice the log likelihood ratio against no change; of an outlier, or *moved*, its χ².
     lead
         By how much that is more than of the other kind of change.
     """

@@ -163,7 +163,8 @@ def _observed(row: CheckRow, first: str | None) -> Observed:
     common = covariance - random
     values, vectors = np.linalg.eigh((common + common.T) / 2.0)
     common = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return Observed(days, np.array(row.step), random, common, row.used != first)
+    step, moved = np.array(row.step), row.status == "moved"
+    return Observed(days, step, random, common, row.used != first, moved)
 
 
 MONTH = re.compile(r"month=\d{4}-\d{2}")
