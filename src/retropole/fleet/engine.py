@@ -12,10 +12,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -41,6 +42,9 @@ PER_THREAD = 2
 ATTEMPTS = 3
 """How often a site is given out whose workers die or cannot work; each time, Dask gives up after
 several deaths."""
+
+Given = TypeVar("Given")
+Found = TypeVar("Found")
 
 _own = threading.local()
 
@@ -136,6 +140,28 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
             except TimeoutError:
                 raise UsageError(f"{scheduler}: the cluster has no worker") from None
             yield client
+
+
+def mapped(
+    client: Any, function: Callable[[Given], Found], given: Iterable[Given]
+) -> Iterator[Found]:
+    """Apply a function to each of some on the workers, in their order; here where that fails."""
+    most = PER_THREAD * max(sum(client.nthreads().values()), 1)
+    waiting: deque[tuple[Given, Any]] = deque()
+
+    def first() -> Found:
+        one, future = waiting.popleft()
+        with suppress(Exception):
+            found: Found = future.result()
+            return found
+        return function(one)
+
+    for one in given:
+        waiting.append((one, client.submit(function, one, pure=False)))
+        if len(waiting) >= most:
+            yield first()
+    while waiting:
+        yield first()
 
 
 @contextmanager
