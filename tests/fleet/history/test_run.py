@@ -1,5 +1,6 @@
 """All sites of a small fleet are checked: a row each, the same bytes whoever does the work."""
 
+import shutil
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -108,6 +109,19 @@ def test_the_same_again_adds_nothing_and_checks_nothing(
     assert {each.id for each in done if each.check is None} == known
     assert next(site for site in found.sites if site.id == "good").is_told
     assert files_of(checked) == before
+
+
+def test_a_damaged_history_is_named_and_ends_nothing(
+    checked: Path, city: Path, answers: str, tmp_path: Path
+) -> None:
+    history = tmp_path / "history"
+    shutil.copytree(checked, history)
+    append(str(history), [row(0, "good"), row(1, "good")])
+    for bad in set(history.rglob("*.parquet")) - {history / name for name in files_of(checked)}:
+        bad.write_bytes(bad.read_bytes()[:200])
+    found = check_fleet(find_sites([str(city)]), str(history), here, answers=answers, now=NOW)
+    assert len(found.sites) == 8
+    assert [f"{bad}" in found.damaged[0] for _ in found.damaged] == [True]
 
 
 def test_everything_may_be_in_an_object_store(city: Path, answers: str, checked: Path) -> None:

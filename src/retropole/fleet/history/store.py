@@ -29,6 +29,8 @@ SCHEMA = "retropole/history/1"
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
+STATUSES = ("same", "moved", "cannot_tell", "error")
+
 UNSETTLED = ("several_minima", "stored_fits_as_well", "scene_denies_stored", "swapped")
 """Codes of checks whose step is not to be trusted, for more than its size."""
 
@@ -120,11 +122,13 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     Raises
     ------
     ReadError
-        Where a step or covariance is none, or the row is not the one that its key names.
+        Where a status, step or covariance is none, or the row is not the one that its key names.
     """
     site = f"history, site {columns['id']!r}"
     try:
         row = msgspec.convert({**columns, "codes": columns["codes"] or ()}, CheckRow)
+        if row.status not in STATUSES:
+            raise ReadError(f"{site}: {row.status!r} is no status")
         if row.step is not None and not np.isfinite(row.step).all():
             raise ReadError(f"{site}, step: a number is not finite")
         for name, given in (("covariance", row.covariance), ("random", row.random)):
