@@ -104,7 +104,7 @@ def test_what_the_scene_alone_finds_may_lie_elsewhere() -> None:
 
 
 def test_a_drift_of_5_mm_a_day_is_told_by_the_second_check_that_says_moved() -> None:
-    # 35 mm a week, from the middle of one: neither a step nor quite a trend.
+    # 35 mm a week, from the middle of one on: neither a step nor quite a trend.
     drift = np.array([0.0, 0, 0, 0, 0.005, 0])
     for sigma in (0.5, 1.5):
         quiet = checks(16, seed=5)
@@ -114,12 +114,13 @@ def test_a_drift_of_5_mm_a_day_is_told_by_the_second_check_that_says_moved() -> 
                 one,
                 step=level + sigma * (one.step - level) + drift * max(7 * k - 66.5, 0),
                 random=sigma**2 * one.random,
-                moved=k >= 10,
+                moved=k >= 11,
             )
             for k, one in enumerate(quiet)
         ]
         assert not watch(seen[:10]).alarms
-        assert watch(seen[:12]).alarms
+        # By 52 and 87 mm: after two weeks and a half.
+        assert watch(seen[:13]).alarms
 
 
 def test_two_that_say_moved_on_the_same_side_are_an_alarm_and_lorries_are_none() -> None:
