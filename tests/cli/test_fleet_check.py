@@ -9,7 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from retropole.fleet.batch import calibrate_fleet
-from retropole.fleet.history.store import append, read
+from retropole.fleet.history.reading import read
+from retropole.fleet.history.store import append
 from retropole.fleet.sites import find_sites
 from tests.cli.commands import retropole_here
 from tests.fleet.fleets import here, write_fleet

@@ -35,7 +35,7 @@ class _Client:
 
     def result(self) -> int:
         if len(self.given) % 3 == 0:
-            raise KilledWorker("task", None, [], 3)
+            raise RuntimeError("the worker died")
         return -1
 
 

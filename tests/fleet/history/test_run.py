@@ -12,8 +12,9 @@ import pytest
 from retropole.base.errors import UsageError
 from retropole.fleet.engine import connected, outcomes
 from retropole.fleet.history import run
+from retropole.fleet.history.reading import read
 from retropole.fleet.history.run import changes_of, check_fleet
-from retropole.fleet.history.store import CheckRow, append, read
+from retropole.fleet.history.store import CheckRow, append
 from retropole.fleet.sites import find_sites
 from retropole.fleet.work import Outcome, Task, lost
 from tests.fleet.fleets import here, in_disorder

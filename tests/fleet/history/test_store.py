@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import ReadError
-from retropole.fleet.history.store import EPOCH, CheckRow, append, keys, schema
-from retropole.fleet.history.store import read as read_sites
+from retropole.fleet.history.reading import keys
+from retropole.fleet.history.reading import read as read_sites
+from retropole.fleet.history.store import EPOCH, CheckRow, append, schema
 from tests.fleet.history.checks import row
 
 pa = pytest.importorskip("pyarrow", reason="needs the extra fleet")

@@ -16,7 +16,7 @@ from ..dataset import partition_of, partitions_in, read_rows
 from ..sites import FleetSite
 from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
-from . import store
+from . import reading, store
 from .check import WatchedPair, lost_check, watched_pairs
 from .events import Event, Watched
 from .store import CheckRow, observed
@@ -74,7 +74,7 @@ class FleetCheck:
 
 
 Packed = tuple[bytes, dict[str, CheckRow]]
-"""Checks of some sites, `store.read_packed`, and the newest ones by the ids of sites."""
+"""Checks of some sites, `reading.read_packed`, and the newest ones by the ids of sites."""
 
 Replayed = tuple[list[SiteChange], list[ReadError]]
 
@@ -83,7 +83,7 @@ def replayed(packed: Packed) -> Replayed:
     """Tell what changed at some sites, and what is damaged of their rows; as a worker does it."""
     data, newest = packed
     damaged: list[ReadError] = []
-    own = store.unpacked(data, damaged.append)
+    own = reading.unpacked(data, damaged.append)
     return [changes_of(rows, newest.get(name)) for name, rows in own], damaged
 
 
@@ -152,7 +152,7 @@ def check_fleet(
     if len(by_id) < len(pairs):
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
     damaged: list[ReadError] = []
-    known = store.keys(history, by_id, damaged.append)
+    known = reading.keys(history, by_id, damaged.append)
     blank = Check(tolerance=tolerance, tried=tried)
 
     def tasks() -> Iterator[Task]:
@@ -195,7 +195,7 @@ def check_fleet(
         # Also what was checked before an interrupt.
         append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
-    packed = ((data, newest) for data in store.read_packed(history, by_id, damaged.append))
+    packed = ((data, newest) for data in reading.read_packed(history, by_id, damaged.append))
     changes: list[SiteChange] = []
     for found_here, damaged_here in replaying(replayed, packed):
         changes += found_here

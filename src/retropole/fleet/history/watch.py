@@ -18,10 +18,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from ...api import Array
-from .events import Event, Watched
+from .events import CHANCE, GATE, Event, Watched, from_stored, stays_moved
 from .model import (
     LEVEL,
-    LEVEL_FACTOR,
     YEAR,
     Changes,
     Kind,
@@ -36,12 +35,6 @@ from .model import (
     some,
     updated,
 )
-
-CHANCE = 0.001
-"""How often chance alone makes a check wait for another."""
-
-GATE = float(chdtri(6, CHANCE))
-"""χ²(6) beyond which a check waits."""
 
 THRESHOLDS = 42.0, 18.0
 """Twice the log likelihood ratio from which a step, and a trend, was found: trends of neighbouring
@@ -207,28 +200,12 @@ def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRES
             if len(waiting) > MOST_WAITING:
                 events.append(Event("unsettled", min(waiting), n))
                 runs, waiting = _lost(ahead, check), {}
-        if _stays_moved(checks[max(n - 2, 0) : n + 1]) and not Watched((*events,)).alarms:
+        if stays_moved(checks[max(n - 2, 0) : n + 1]) and not Watched((*events,)).alarms:
             size = check.random + check.common
             events.append(Event("moved", n - 1, n, check.step, size, from_stored(check)))
     best, state = runs.best, runs.state
     state = replace(state, mean=state.mean[best], covariance=state.covariance[best])
     return Watched(tuple(events), tuple(waiting), float(runs.scale[best]), state)
-
-
-def from_stored(check: Observed) -> float:
-    """χ²(6) of a check against the stored pose, whose error may be wider than stated."""
-    size = check.random + LEVEL_FACTOR**2 * check.common
-    return float(check.step @ np.linalg.solve(size, check.step))
-
-
-def _stays_moved(newest: Sequence[Observed]) -> bool:
-    """Whether the newest two checks say that the site moved, on the same side; or all three."""
-    moved = [one.moved and from_stored(one) > GATE for one in newest]
-    if len(newest) < 2 or not all(moved[-2:]):
-        return False
-    before, last = newest[-2:]
-    apart = replace(last, step=last.step - before.step)
-    return from_stored(apart) <= from_stored(last) or (len(moved) > 2 and all(moved))
 
 
 def _ahead(runs: _Runs, check: Observed, n: int) -> _Runs:
