@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import fsspec
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import UsageError
-from retropole.fleet.engine import connected, outcomes
+from retropole.fleet.engine import connected, mapped, outcomes
 from retropole.fleet.history import run
 from retropole.fleet.history.reading import read
 from retropole.fleet.history.run import changes_of, check_fleet
@@ -83,13 +84,16 @@ def test_two_workers_give_the_bytes_of_one_process(
     checked: Path, city: Path, answers: str, tmp_path: Path
 ) -> None:
     with connected(workers=2) as client:
-        check_fleet(
+        found = check_fleet(
             find_sites([str(city)]),
             str(tmp_path),
             lambda tasks: outcomes(client, tasks),
             answers=answers,
             now=NOW,
+            replaying=partial(mapped, client),
         )
+    assert [site.id for site in found.sites] == sorted(newest(str(checked)))
+    assert [site.is_told for site in found.sites].count(True) == 1
     assert files_of(tmp_path) == files_of(checked)
 
 
