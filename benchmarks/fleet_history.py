@@ -25,7 +25,7 @@ within a year by how much a check scatters. `--recorded N` has N simulated sites
 again, and checked as `retropole check` does, to see whether rows scatter as their covariance says.
 
     python benchmarks/fleet_history.py --tune --first 0
-    python benchmarks/fleet_history.py --sites 17 --first 3200
+    python benchmarks/fleet_history.py --sites 34 --first 3200
     python benchmarks/fleet_history.py --alarms --sites 50 --first 6000
     python benchmarks/fleet_history.py --recorded 6 --checks 12 --first 2000
 """
