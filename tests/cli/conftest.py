@@ -52,3 +52,4 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("retropole.fleet.engine.connected", connected)
     monkeypatch.setattr("retropole.fleet.engine.outcomes", lambda client, tasks: here(tasks))
+    monkeypatch.setattr("retropole.fleet.engine.mapped", lambda client, do, given: map(do, given))

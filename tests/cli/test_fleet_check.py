@@ -11,8 +11,9 @@ from msgspec.structs import replace
 
 from retropole.cli.fleet_check import in_words, json_line
 from retropole.fleet.batch import calibrate_fleet
+from retropole.fleet.history.reading import read
 from retropole.fleet.history.run import FleetCheck, changes_of
-from retropole.fleet.history.store import CheckRow, append, read
+from retropole.fleet.history.store import CheckRow, append
 from retropole.fleet.sites import find_sites
 from tests.cli.commands import retropole_here
 from tests.fleet.fleets import here, write_fleet
@@ -86,6 +87,31 @@ def test_pairs_are_not_called_sites() -> None:
     assert in_words(found, 10).splitlines()[-1].startswith("15 pairs of 10 sites, 0 new checks; ")
     told = json.loads(json_line(found, 10))
     assert (told["sites"], told["pairs"]) == (10, 15)
+
+
+def test_two_that_say_moved_and_what_is_damaged_are_said(
+    fleet: Path, answers: Path, tmp_path: Path
+) -> None:
+    words = ("fleet", "check", fleet.parent / "good", "--answers", answers, "--history", tmp_path)
+    retropole_here(*words)
+    ((_, (row,)),) = read(str(tmp_path))
+    assert row.step is not None
+    days = [replace(row, time=row.time.replace(year=2020, month=3, day=k)) for k in (1, 8, 15, 22)]
+    gone = [(row.step + k * 3 * MOVED).tolist() for k in (1.0, 2.2)]
+    moved = [
+        replace(one, step=step, status="moved") for one, step in zip(days[2:], gone, strict=True)
+    ]
+    append(str(tmp_path), [*days[:2], *moved])
+    bad = tmp_path / "month=2020-01" / "bad.parquet"
+    bad.parent.mkdir()
+    bad.write_bytes(b"PAR1")
+    done = retropole_here(*words)
+    assert done.returncode == 4
+    assert "good: moved since 2020-03-15: now rotation" in done.stdout
+    assert f"left out of the history: {bad}" in done.stdout
+    told = json.loads(retropole_here(*words, "--json").stdout)
+    assert "moved" in {each["kind"] for each in told["changed"]}
+    assert str(bad) in told["damaged"][0]
 
 
 def test_nothing_told_is_not_nothing_found(fleet: Path, answers: Path, tmp_path: Path) -> None:

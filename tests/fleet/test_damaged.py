@@ -33,7 +33,7 @@ from retropole.fleet.dataset import (
     read_rows,
     read_runs,
 )
-from retropole.fleet.history import store
+from retropole.fleet.history import reading, store
 from retropole.fleet.history.run import changes_of
 from retropole.fleet.network.dataset import find_network, read_nodes
 from retropole.fleet.overview import overview_of
@@ -284,8 +284,8 @@ def hold_history(folder: Path, dice: random.Random, whole: Whole) -> None:
     store.append(place, [check_row(k) for k in range(4)])
     (path,) = Path(place).rglob("*.parquet")
     path.write_bytes(damaged_table(path.read_bytes(), dice))
-    store.keys(place, ["lamp-1"])
-    for _, rows in store.read(place):
+    reading.keys(place, ["lamp-1"])
+    for _, rows in reading.read(place):
         assert all(row.step is None or np.isfinite(row.step).all() for row in rows)
         changes_of(rows)
 
@@ -326,12 +326,7 @@ def hold_many(kind: str, seeds: range, folder: Path, whole: Whole) -> None:
     assert 0.05 < came["taken"] / len(seeds) < 0.8, came
 
 
-# Text that is no UTF-8 in a history is read outside of what tells of it.
-KNOWN = pytest.mark.xfail(raises=AssertionError, strict=True, reason="history: UnicodeDecodeError")
-EVERY = [pytest.param(kind, marks=[KNOWN] * (kind == "history")) for kind in KINDS]
-
-
-@pytest.mark.parametrize("kind", EVERY)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_damaged_document_is_an_error_or_what_it_says(
     kind: str, tmp_path: Path, whole: Whole
 ) -> None:
@@ -339,6 +334,6 @@ def test_a_damaged_document_is_an_error_or_what_it_says(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", EVERY)
+@pytest.mark.parametrize("kind", KINDS)
 def test_many_damaged_documents(kind: str, tmp_path: Path, whole: Whole) -> None:
     hold_many(kind, range(100, 600), tmp_path, whole)

@@ -22,10 +22,41 @@ from distributed import KilledWorker, Security
 from retropole.base.errors import RetropoleError, UsageError
 from retropole.fleet import engine
 from retropole.fleet.batch import calibrate_fleet
-from retropole.fleet.engine import connected, outcomes, run_task
+from retropole.fleet.engine import connected, mapped, outcomes, run_task
 from retropole.fleet.sites import FleetSite, find_sites
 from retropole.fleet.work import Task, environment, lost
 from tests.fleet.fleets import bytes_of, here, shuffled
+
+
+class _Client:
+    """Workers of which every third dies."""
+
+    def __init__(self) -> None:
+        self.given: list[int] = []
+
+    def nthreads(self) -> dict[str, int]:
+        return {"a": 1, "b": 1}
+
+    def submit(self, function: Callable[[int], int], one: int, pure: bool) -> _Client:
+        self.given.append(one)
+        return self
+
+    def result(self) -> int:
+        if len(self.given) % 3 == 0:
+            raise RuntimeError("the worker died")
+        return -1
+
+
+def test_what_is_mapped_comes_in_order_and_is_done_here_where_a_worker_dies() -> None:
+    client = _Client()
+    found = list(mapped(client, lambda one: one, range(12)))
+    assert client.given == [*range(12)]
+    assert all(told in (-1, one) for one, told in enumerate(found))
+    assert {*found} > {-1}
+    # No more is given out than the workers take.
+    client = _Client()
+    next(mapped(client, lambda one: one, iter(range(100))))
+    assert len(client.given) == 4
 
 
 def test_two_workers_give_the_bytes_of_one_process(fleet: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -107,9 +108,10 @@ def fleet_check(
     when it was recorded; otherwise that is when the later of the two was written.
 
     Of each site all checks since it was calibrated count: a step is told when a second check
-    confirms it, a trend when enough have shown it. A single check that is off is no change.
+    confirms it, a trend when enough have shown it, and that the site moved when two checks in a row
+    say so. A single check that is off is no change.
     What the history has already is not checked again. What is wrong with one site is in its row,
-    and ends nothing.
+    and ends nothing; what is damaged of the history is named and left out.
 
     \b
     Examples:
@@ -120,12 +122,12 @@ def fleet_check(
     \b
     Exit code:
       0    no site has changed since it was calibrated
-      2    a list, an option, the dataset or the history is wrong, or there is no room
+      2    a list, an option or the dataset is wrong, or there is no room
       3    no site could be told
       4    a site has changed
       130  interrupted; what was checked is in the history
     """
-    from ..fleet.engine import connected, outcomes
+    from ..fleet.engine import connected, mapped, outcomes
     from ..fleet.history.run import check_fleet
     from ..fleet.sites import find_sites
 
@@ -143,6 +145,7 @@ def fleet_check(
                 tolerance=(rotation, translation),
                 time_limit=time_limit,
                 progress=progress,
+                replaying=partial(mapped, client),
             )
     if as_json:
         show(json_line(found, len(sites_found)))
@@ -181,6 +184,7 @@ def json_line(found: FleetCheck, sites: int) -> str:
                 for site in found.sites
                 if not site.is_told
             ],
+            "damaged": found.damaged,
         }
     )
 
@@ -210,6 +214,7 @@ def in_words(found: FleetCheck, sites: int) -> str:
             said.append(_untold(site.newest))
         if said:
             lines.append(printable(f"{site.id}: {'; '.join(said)}"))
+    lines += [printable(f"left out of the history: {fault}") for fault in found.damaged]
     changed = sum(bool(site.changes) for site in found.sites)
     untold = sum(not site.is_told for site in found.sites)
     pairs = "" if len(found.sites) == sites else f"{counted(len(found.sites), 'pair')} of "
@@ -235,6 +240,8 @@ def _said(site: SiteChange, event: Event) -> str:
         return f"checks that do not agree since {since}{new}"
     rotation = value_and_error(*lengths(event, slice(0, 3)), "rad")
     translation = value_and_error(*lengths(event, slice(3, 6)))
+    if event.kind == "moved":
+        return f"moved since {since}: now rotation {rotation}, translation {translation} (1 σ{new})"
     per = " a year" if event.kind == "trend" else ""
     unclear = "" if event.is_clear else ", or the other of step and trend"
     size = f"rotation {rotation}, translation {translation}{per}"

@@ -15,11 +15,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -45,6 +46,9 @@ PER_THREAD = 2
 ATTEMPTS = 3
 """How often a site is given out whose workers die or cannot work; each time, Dask gives up after
 several deaths."""
+
+Given = TypeVar("Given")
+Found = TypeVar("Found")
 
 _own = threading.local()
 
@@ -171,6 +175,28 @@ def _own_folder() -> str:
     if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o022:
         raise UsageError(f"{folder}: other users write to it; remove it, or set TMPDIR")
     return str(folder)
+
+
+def mapped(
+    client: Any, function: Callable[[Given], Found], given: Iterable[Given]
+) -> Iterator[Found]:
+    """Apply a function to each of some on the workers, in their order; here where that fails."""
+    most = PER_THREAD * max(sum(client.nthreads().values()), 1)
+    waiting: deque[tuple[Given, Any]] = deque()
+
+    def first() -> Found:
+        one, future = waiting.popleft()
+        with suppress(Exception):
+            found: Found = future.result()
+            return found
+        return function(one)
+
+    for one in given:
+        waiting.append((one, client.submit(function, one, pure=False)))
+        if len(waiting) >= most:
+            yield first()
+    while waiting:
+        yield first()
 
 
 @contextmanager

@@ -1,7 +1,9 @@
 """All sites of a small fleet are checked: a row each, the same bytes whoever does the work."""
 
+import shutil
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import fsspec
@@ -9,10 +11,11 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import UsageError
-from retropole.fleet.engine import connected, outcomes
+from retropole.fleet.engine import connected, mapped, outcomes
 from retropole.fleet.history import run
+from retropole.fleet.history.reading import read
 from retropole.fleet.history.run import changes_of, check_fleet
-from retropole.fleet.history.store import CheckRow, append, read
+from retropole.fleet.history.store import CheckRow, append
 from retropole.fleet.sites import find_sites
 from retropole.fleet.work import Outcome, Task, lost
 from tests.fleet.fleets import here, in_disorder
@@ -81,13 +84,16 @@ def test_two_workers_give_the_bytes_of_one_process(
     checked: Path, city: Path, answers: str, tmp_path: Path
 ) -> None:
     with connected(workers=2) as client:
-        check_fleet(
+        found = check_fleet(
             find_sites([str(city)]),
             str(tmp_path),
             lambda tasks: outcomes(client, tasks),
             answers=answers,
             now=NOW,
+            replaying=partial(mapped, client),
         )
+    assert [site.id for site in found.sites] == sorted(newest(str(checked)))
+    assert [site.is_told for site in found.sites].count(True) == 1
     assert files_of(tmp_path) == files_of(checked)
 
 
@@ -108,6 +114,19 @@ def test_the_same_again_adds_nothing_and_checks_nothing(
     assert {each.id for each in done if each.check is None} == known
     assert next(site for site in found.sites if site.id == "good").is_told
     assert files_of(checked) == before
+
+
+def test_a_damaged_history_is_named_and_ends_nothing(
+    checked: Path, city: Path, answers: str, tmp_path: Path
+) -> None:
+    history = tmp_path / "history"
+    shutil.copytree(checked, history)
+    append(str(history), [row(0, "good"), row(1, "good")])
+    for bad in set(history.rglob("*.parquet")) - {history / name for name in files_of(checked)}:
+        bad.write_bytes(bad.read_bytes()[:200])
+    found = check_fleet(find_sites([str(city)]), str(history), here, answers=answers, now=NOW)
+    assert len(found.sites) == 8
+    assert [f"{bad}" in found.damaged[0] for _ in found.damaged] == [True]
 
 
 def test_everything_may_be_in_an_object_store(city: Path, answers: str, checked: Path) -> None:

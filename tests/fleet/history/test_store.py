@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import ReadError
-from retropole.fleet.history.store import CheckRow, append, keys, schema
-from retropole.fleet.history.store import read as read_sites
+from retropole.fleet.history.reading import keys
+from retropole.fleet.history.reading import read as read_sites
+from retropole.fleet.history.store import EPOCH, CheckRow, append, schema
 from tests.fleet.history.checks import row
 
 pa = pytest.importorskip("pyarrow", reason="needs the extra fleet")
@@ -81,6 +82,44 @@ def test_what_is_damaged_is_said(tmp_path: Path) -> None:
     pq.write_table(changed, path)
     with pytest.raises(ReadError, match="not that of its key"):
         read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"covariance": [0.0] * 37},
+        {"step": None},
+        {"status": "gone"},
+        {"time": EPOCH},
+        {"key": "other"},
+        {"step": [float("nan")] * 6},
+        {"random": [-1.0] * 36},
+    ],
+)
+def test_a_row_that_is_none_is_named_with_its_file_and_left_out(
+    tmp_path: Path, bad: dict[str, object]
+) -> None:
+    append(str(tmp_path), [row(k) for k in range(3)])
+    (path,) = files(tmp_path)
+    rows = pq.ParquetFile(path).read().to_pylist()
+    pq.write_table(pa.Table.from_pylist([{**rows[0], **bad}, *rows[1:]], schema()), path)
+    told: list[ReadError] = []
+    ((_, left),) = read_sites(str(tmp_path), {"lamp-1"}, told.append)
+    assert {each.key for each in left} == {each["key"] for each in rows[1:]}
+    assert str(path) in str(told[0])
+    with pytest.raises(ReadError):
+        read(tmp_path)
+
+
+def test_a_file_that_is_damaged_is_named_and_left_out(tmp_path: Path) -> None:
+    append(str(tmp_path), [row(k) for k in range(6)])
+    first, _ = files(tmp_path)
+    first.write_bytes(first.read_bytes()[:100])
+    told: list[ReadError] = []
+    ((_, left),) = read_sites(str(tmp_path), None, told.append)
+    assert len(left) == 2
+    assert len(keys(str(tmp_path), {"lamp-1"}, told.append)["lamp-1"]) == 2
+    assert [str(first) in str(each) for each in told] == [True, True]
 
 
 def _written(folder: Path, data: bytes) -> Path:

@@ -101,3 +101,47 @@ def test_what_the_scene_alone_finds_may_lie_elsewhere() -> None:
         for k, one in enumerate(checks(30))
     ]
     assert not watch(seen).alarms
+
+
+def test_a_drift_of_5_mm_a_day_is_told_by_the_second_check_that_says_moved() -> None:
+    # 35 mm a week, from the middle of one on: neither a step nor quite a trend.
+    drift = np.array([0.0, 0, 0, 0, 0.005, 0])
+    for sigma in (0.5, 1.5):
+        quiet = checks(16, seed=5)
+        level = np.mean([one.step for one in quiet], axis=0)
+        seen = [
+            replace(
+                one,
+                step=level + sigma * (one.step - level) + drift * max(7 * k - 66.5, 0),
+                random=sigma**2 * one.random,
+                moved=k >= 11,
+            )
+            for k, one in enumerate(quiet)
+        ]
+        assert not watch(seen[:10]).alarms
+        # By 52 and 87 mm: after two weeks and a half.
+        assert watch(seen[:13]).alarms
+
+
+def test_two_that_say_moved_on_the_same_side_are_an_alarm_and_lorries_are_none() -> None:
+    def told(*sides: float) -> list[str]:
+        off = {20 + k: side for k, side in enumerate(sides)}
+        made = checks(21 + len(sides), lambda k: 3 * MOVED * off.get(k, 0.0))
+        seen = watch([replace(one, moved=k in off) for k, one in enumerate(made)])
+        return [event.kind for event in seen.alarms]
+
+    # That grows by as much again fits neither a step nor a single one that is off.
+    assert told(1.0, 2.0)
+    assert told(1.0, -1.0) == []
+    assert told(1.0) == []
+
+
+def test_a_first_check_that_is_off_is_an_outlier_and_what_follows_no_step() -> None:
+    seen = watch(checks(12, lambda k: 2 * MOVED * (k == 0)))
+    assert not seen.alarms
+    assert [(e.kind, e.onset) for e in seen.events] == [("outlier", 0)]
+
+
+def test_a_lorry_after_a_check_that_chance_put_aside_is_no_trend() -> None:
+    seen = watch(checks(24, lambda k: MOVED * (0.3 * (k == 20) + 2.0 * (k == 21))))
+    assert not seen.alarms

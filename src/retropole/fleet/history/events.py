@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.special import chdtri
 
 from ...api import Array
-from .model import State
+from .model import LEVEL_FACTOR, Observed, State
 
 CLEAR = 6.0
 """Difference of twice the log likelihoods from which a step and a trend are told apart (ln 20)."""
 
-EventKind = Literal["step", "trend", "outlier", "unsettled"]
+CHANCE = 0.001
+"""How often chance alone makes a check wait for another."""
+
+GATE = float(chdtri(6, CHANCE))
+"""χ²(6) beyond which a check waits."""
+
+EventKind = Literal["step", "trend", "outlier", "unsettled", "moved"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,17 +32,19 @@ class Event:
     ----------
     kind
         ``step``: the level changed; ``trend``: it changes steadily; ``outlier``: one check is off,
-        and the next is not; ``unsettled``: checks are off, and no two agree.
+        and the next is not; ``unsettled``: checks are off, and no two agree; ``moved``: two
+        checks in a row, or three, say by themselves that the site is not where it was.
     onset
         Number of the first check that shows it.
     found
         Number of the check that told.
     size
-        (6,) of a step, rad and m, or of a trend, per year; None of others.
+        (6,) of a step, rad and m, or of a trend, per year; of *moved*, the newest check's step from
+        the stored pose; None of others.
     covariance
         (6, 6) of it.
     statistic
-        Twice the log likelihood ratio against no change; of an outlier, its χ².
+        Twice the log likelihood ratio against no change; of an outlier, or *moved*, its χ².
     lead
         By how much that is more than of the other kind of change.
     """
@@ -78,3 +88,19 @@ class Watched:
     def alarms(self) -> tuple[Event, ...]:
         """The events that somebody should look at: any but a single check that is off."""
         return tuple(event for event in self.events if event.kind != "outlier")
+
+
+def from_stored(check: Observed) -> float:
+    """χ²(6) of a check against the stored pose, whose error may be wider than stated."""
+    size = check.random + LEVEL_FACTOR**2 * check.common
+    return float(check.step @ np.linalg.solve(size, check.step))
+
+
+def stays_moved(newest: Sequence[Observed]) -> bool:
+    """Whether the newest two checks say that the site moved, on the same side; or all three."""
+    moved = [one.moved and from_stored(one) > GATE for one in newest]
+    if len(newest) < 2 or not all(moved[-2:]):
+        return False
+    before, last = newest[-2:]
+    apart = replace(last, step=last.step - before.step)
+    return from_stored(apart) <= from_stored(last) or (len(moved) > 2 and all(moved))

@@ -76,6 +76,8 @@ class Observed:
         (6, 6) of it what all checks found the same way share, more or less.
     other
         Whether it was found another way than the first of the site.
+    moved
+        Whether it says by itself that the site moved: by more than its tolerance.
     """
 
     days: float
@@ -83,6 +85,7 @@ class Observed:
     random: Array
     common: Array
     other: bool = False
+    moved: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,14 +9,14 @@ from itertools import chain, groupby
 
 import msgspec
 
-from ...base.errors import UsageError
+from ...base.errors import ReadError, UsageError
 from .. import TIME_LIMIT
 from ..batch import Doing, outcomes_of, whole_groups
 from ..dataset import partition_of, partitions_in, read_rows
 from ..sites import FleetSite
 from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
-from . import store
+from . import reading, store
 from .check import WatchedPair, lost_check, watched_pairs
 from .events import Event, Watched
 from .store import CheckRow, observed
@@ -63,10 +63,31 @@ class SiteChange:
 
 @dataclass(frozen=True, eq=False)
 class FleetCheck:
-    """What a run did: how many checks were new to the history, and what it says of each site."""
+    """What a run did: how many checks were new to the history, and what it says of each site.
+
+    What of the history is damaged, and was left out, is named in `damaged`.
+    """
 
     appended: int
     sites: tuple[SiteChange, ...]
+    damaged: tuple[str, ...] = ()
+
+
+Packed = tuple[bytes, dict[str, CheckRow]]
+"""Checks of some sites, `reading.read_packed`, and the newest ones by the ids of sites."""
+
+Replayed = tuple[list[SiteChange], list[ReadError]]
+
+
+def replayed(packed: Packed) -> Replayed:
+    """Tell what changed at some sites, and what is damaged of their rows; as a worker does it."""
+    data, newest = packed
+    damaged: list[ReadError] = []
+    own = reading.unpacked(data, damaged.append)
+    return [changes_of(rows, newest.get(name)) for name, rows in own], damaged
+
+
+Replaying = Callable[[Callable[[Packed], Replayed], Iterator[Packed]], Iterable[Replayed]]
 
 
 def check_fleet(
@@ -79,6 +100,7 @@ def check_fleet(
     time_limit: float = TIME_LIMIT,
     now: datetime | None = None,
     progress: Callable[[str], None] = lambda step: None,
+    replaying: Replaying = map,
 ) -> FleetCheck:
     """Check sites, append to their history, and tell what changed.
 
@@ -101,6 +123,8 @@ def check_fleet(
         When the run begins: the time of sites whose files cannot be read. None takes the clock.
     progress
         Is told how many of the sites are checked, and when the rest may be.
+    replaying
+        What replays the history of sites: `engine.mapped` with its client, or `map` here.
 
     Raises
     ------
@@ -109,7 +133,7 @@ def check_fleet(
     UsageError
         Where `answers` is no dataset, or a site names another stored result.
     ReadError
-        Where the history or the dataset is damaged.
+        Where the dataset is damaged.
     OSError
         Where the history cannot be written.
     """
@@ -127,7 +151,8 @@ def check_fleet(
     by_id = {pair.site.id: pair.site for pair in pairs}
     if len(by_id) < len(pairs):
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
-    known = store.keys(history, by_id)
+    damaged: list[ReadError] = []
+    known = reading.keys(history, by_id, damaged.append)
     blank = Check(tolerance=tolerance, tried=tried)
 
     def tasks() -> Iterator[Task]:
@@ -170,8 +195,12 @@ def check_fleet(
         # Also what was checked before an interrupt.
         append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
-    changes = (changes_of(own, newest.get(name)) for name, own in store.read(history, by_id))
-    return FleetCheck(appended, tuple(changes))
+    packed = ((data, newest) for data in reading.read_packed(history, by_id, damaged.append))
+    changes: list[SiteChange] = []
+    for found_here, damaged_here in replaying(replayed, packed):
+        changes += found_here
+        damaged += damaged_here
+    return FleetCheck(appended, tuple(changes), tuple(dict.fromkeys(map(str, damaged))))
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:

@@ -7,11 +7,8 @@ new rows, named by the keys of its rows and written whole or not at all. Nothing
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Collection, Container, Iterable, Iterator
+from collections.abc import Container, Iterable
 from datetime import UTC, datetime, timedelta
-from itertools import groupby
-from operator import itemgetter
 from typing import Annotated, Any
 
 import msgspec
@@ -20,17 +17,22 @@ from msgspec import Meta
 
 from ...base.errors import ReadError
 from ...result.decoding import check_covariance
-from ..storage import below, names_in, write_bytes
-from ..tables import arrow, opened, parquet_of
+from ..storage import below, write_bytes
+from ..tables import arrow, parquet_of
 from .model import Observed
 
 SCHEMA = "retropole/history/1"
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
+STATUSES = ("same", "moved", "cannot_tell", "error")
+
 UNSETTLED = ("several_minima", "stored_fits_as_well", "scene_denies_stored", "swapped")
 """Codes of checks whose step is not to be trusted, for more than its size."""
 
+
+MOST_STEP = 1e6
+"""Steps of a pose are below this, rad and m: squares of larger ones leave what a number holds."""
 
 Step = Annotated[list[float], Meta(min_length=6, max_length=6)]
 Covariance = Annotated[list[float], Meta(min_length=36, max_length=36)]
@@ -119,13 +121,15 @@ def row_of(columns: dict[str, Any]) -> CheckRow:
     Raises
     ------
     ReadError
-        Where a step or covariance is none, or the row is not the one that its key names.
+        Where a status, step or covariance is none, or the row is not the one that its key names.
     """
     site = f"history, site {columns['id']!r}"
     try:
         row = msgspec.convert({**columns, "codes": columns["codes"] or ()}, CheckRow)
-        if row.step is not None and not np.isfinite(row.step).all():
-            raise ReadError(f"{site}, step: a number is not finite")
+        if row.status not in STATUSES:
+            raise ReadError(f"{site}: {row.status!r} is no status")
+        if row.step is not None and not np.abs(row.step).max() < MOST_STEP:
+            raise ReadError(f"{site}, step: no number below {MOST_STEP:g}")
         for name, given in (("covariance", row.covariance), ("random", row.random)):
             if (given is None) != (row.step is None):
                 raise ReadError(f"{site}: a step without its covariances")
@@ -163,13 +167,8 @@ def _observed(row: CheckRow, first: str | None) -> Observed:
     common = covariance - random
     values, vectors = np.linalg.eigh((common + common.T) / 2.0)
     common = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return Observed(days, np.array(row.step), random, common, row.used != first)
-
-
-MONTH = re.compile(r"month=\d{4}-\d{2}")
-
-LARGEST_FILE = 2**31
-"""Bytes of a file: 10,000 sites make 10 MB in an append."""
+    step, moved = np.array(row.step), row.status == "moved"
+    return Observed(days, step, random, common, row.used != first, moved)
 
 
 def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) -> int:
@@ -207,51 +206,6 @@ def append(folder: str, rows: Iterable[CheckRow], known: Container[str] = ()) ->
     return sum(map(len, months.values()))
 
 
-def keys(folder: str, ids: Container[str]) -> dict[str, set[str]]:
-    """Give the keys of the checks of some sites of a history."""
-    found: dict[str, set[str]] = {}
-    for place in _files(folder):
-        for row in _table(place, ["id", "key"]).to_pylist():
-            if row["id"] in ids:
-                found.setdefault(row["id"], set()).add(row["key"])
-    return found
-
-
-def read(folder: str, ids: Collection[str] | None = None) -> Iterator[tuple[str, list[CheckRow]]]:
-    """Read a history: the checks of each site in the order of time, sites in the order of ids.
-
-    Parameters
-    ----------
-    folder
-        Path or URL of the history; where there is none, it is empty.
-    ids
-        Sites to read; None reads all.
-
-    Yields
-    ------
-    tuple of str and list of CheckRow
-        One site at a time: of a large history the rows of all would not fit into memory.
-
-    Raises
-    ------
-    MissingExtraError
-        Without the extra ``fleet``.
-    ReadError
-        Where a file of it is damaged, or not of this schema.
-    """
-    pa = arrow()
-    from pyarrow import compute
-
-    some = compute.scalar(True) if ids is None else compute.field("id").isin(sorted(ids))
-    tables = (_table(place).filter(some) for place in _files(folder))
-    whole = pa.concat_tables([schema().empty_table(), *tables])
-    whole = whole.sort_by([(name, "ascending") for name in ("id", "time", "key")])
-    rows = (row for batch in whole.to_batches(max_chunksize=1000) for row in batch.to_pylist())
-    for name, own in groupby(rows, itemgetter("id")):
-        once = {row["key"]: row for row in own}
-        yield name, [row_of(row) for row in once.values()]
-
-
 def schema() -> Any:
     """Give the schema of the files."""
     pa = arrow()
@@ -263,16 +217,3 @@ def schema() -> Any:
     others |= dict.fromkeys((*hashes, "version"), text)
     columns = [pa.field(name, kind, nullable=False) for name, kind in always.items()]
     return pa.schema([*columns, *others.items()], metadata={"schema": SCHEMA})
-
-
-def _files(folder: str) -> Iterator[str]:
-    for month in filter(MONTH.fullmatch, names_in(folder)):
-        names = (name for name in names_in(below(folder, month)) if name.endswith(".parquet"))
-        yield from (below(folder, month, name) for name in names)
-
-
-def _table(place: str, columns: list[str] | None = None) -> Any:
-    with opened(place, "no history: {}", LARGEST_FILE, SCHEMA) as file:
-        if not file.schema_arrow.equals(schema()):
-            raise ReadError(f"{place}: its columns are not of the schema {SCHEMA}")
-        return file.read(columns)

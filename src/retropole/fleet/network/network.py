@@ -139,6 +139,14 @@ def _summed_up(graph: Graph, layout: Layout, found: Snooped) -> NetworkAdjustmen
     active, tests = found.active, found.tests
     alone = inseparable(graph, active, tests.freedom)
     doubtful = hanging(graph, active, found.components, set(chain.from_iterable(alone.values())))
+    rivals = {**found.rivals}
+    for contest in found.contests:
+        # What fits either way holds no side where it is.
+        stiff = active.copy()
+        stiff[contest.pliant] = False
+        doubtful |= hanging(graph, stiff, found.components, set(contest.rivals.tolist()))
+        for k in contest.back.tolist():
+            rivals[k] = (*contest.rivals.tolist(), *rivals.get(k, ()))
     cross = layout.turn(found.adjusted.covariance.pairs[layout.pair])
     shares = np.sum((tests.redundancy * graph.observed.freedom)[active])
     squares = graph.observed.squares(found.adjusted.T)[active].sum()
@@ -151,10 +159,10 @@ def _summed_up(graph: Graph, layout: Layout, found: Snooped) -> NetworkAdjustmen
     edges, known, points = tests.split(counts.values())
     left_out = []
     for k in np.flatnonzero(~active).tolist():
-        others = dict.fromkeys((*alone.get(k, ()), *found.rivals.get(k, ())))
-        rivals = tuple(named[rival] for rival in others if active[rival])
+        others = dict.fromkeys((*alone.get(k, ()), *rivals.get(k, ())))
+        others_named = tuple(named[rival] for rival in others if active[rival])
         w, chi2, freedom = float(tests.w[k]), float(tests.chi2[k]), int(tests.freedom[k])
-        left_out.append(LeftOut(*named[k], w, chi2, freedom, rivals))
+        left_out.append(LeftOut(*named[k], w, chi2, freedom, others_named))
     return NetworkAdjustment(
         found.adjusted.T,
         found.adjusted.covariance.diagonal,

@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from ...api import Array, BoolArray, IntArray, se3
 from .adjustment import SETTLED, AdjustedNetwork, Layout, adjust
+from .contests import Contest, find_contests
 from .graph import (
     Component,
     Graph,
@@ -235,6 +236,8 @@ class Snooped:
         Of all observations.
     rivals
         For some that were taken out, others that were as likely when it was.
+    contests
+        Of those left out that have as many votes as what stayed.
     rounds
         How often all was adjusted.
     settled
@@ -246,6 +249,7 @@ class Snooped:
     active: BoolArray
     tests: ObservationTests
     rivals: dict[int, tuple[int, ...]]
+    contests: list[Contest]
     rounds: int
     settled: bool
 
@@ -264,6 +268,8 @@ def snoop(graph: Graph, layout: Layout, T: Array) -> Snooped:
     active = connected(graph, squares <= PLAIN * critical(graph.observed.freedom), squares)
     rivals: dict[int, tuple[int, ...]] = {}
     tried: set[int] = set()
+    outvoted: set[frozenset[int]] = set()
+    contests: list[Contest] = []
     back = np.zeros(len(active), dtype=np.int64)
     until = ROUGHLY
     for rounds in range(1, MOST_ROUNDS + 1):
@@ -286,17 +292,23 @@ def snoop(graph: Graph, layout: Layout, T: Array) -> Snooped:
         # are wrong themselves: put back, they would bend all that is around them.
         alone = inseparable(graph, active, tests.freedom)
         out = against_consensus(alone, tried, partial(agrees, graph, active, T))
-        if rounds == MOST_ROUNDS or (not out and until == SETTLED):
+        contests = [] if out else find_contests(graph, active, T)
+        likelier = [each for each in contests if each.likelier and each.key not in outvoted]
+        if rounds == MOST_ROUNDS or (not out and not likelier and until == SETTLED):
             break
-        until = until if out else SETTLED
+        until = until if out or likelier else SETTLED
         wanted = active.copy()
+        if likelier:
+            most = max(likelier, key=lambda each: each.votes)
+            T, wanted[most.lost], wanted[most.back] = most.T, False, True
+            outvoted.add(most.key)
         for rival, instead in out.items():
             T = relaid(graph, active, T, rival, instead[0])
             wanted[rival], wanted[instead] = False, True
         tried |= out.keys()
         active = wanted
     settled = adjusted.settled and bool((wanted == active).all())
-    return Snooped(adjusted, components, active, tests, rivals, rounds, settled)
+    return Snooped(adjusted, components, active, tests, rivals, contests, rounds, settled)
 
 
 def worst_around(graph: Graph, chi2: Array, wrong: BoolArray) -> BoolArray:

@@ -191,11 +191,11 @@ def _onto_control(graph: Graph, components: tuple[Component, ...], T: Array) -> 
     T = T.copy()
     for some, component in zip(grouped(number[node], len(components)), components, strict=True):
         if len(some):
-            T[component.nodes] = _laid(source[some], target[some]) @ T[component.nodes]
+            T[component.nodes] = laid(source[some], target[some]) @ T[component.nodes]
     return T
 
 
-def _laid(source: Array, target: Array) -> Array:
+def laid(source: Array, target: Array) -> Array:
     """Rigid transform (4, 4) with the least sum of distances: what lies far off counts little."""
     weight = np.ones(len(source))
     for _ in range(20):
