@@ -49,6 +49,17 @@ def surveyed(n: int, rng: np.random.Generator) -> Graph:
     return Graph(3, edges, points=points_of(T, 1, 10.0 * rng.normal(size=(2 * n, 3)), rng, n))
 
 
+def spread(n: int, rng: np.random.Generator) -> Graph:
+    """The same where each of 2 n nodes that hold together has one point."""
+    T, count = poses(2 * n, rng), 2 * n
+    ends = np.array([[k, (k + apart) % count] for k in range(count) for apart in (1, 2, 3)])
+    world = T[:, :3, 3] + SIGMA * rng.normal(size=(count, 3))
+    world[n:] += AWAY
+    covariance = np.tile(np.eye(3) * SIGMA**2, (count, 1, 1))
+    edges = network_of(T, ends, rng).edges
+    return Graph(count, edges, points=ControlPoints(np.arange(count), world, covariance))
+
+
 def points_of(
     T: Array, node: int, seen: Array, rng: np.random.Generator, away: int = 0
 ) -> ControlPoints:
@@ -77,13 +88,13 @@ def renamed(graph: Graph, rng: np.random.Generator) -> tuple[IntArray, IntArray,
     )
 
 
-@pytest.mark.parametrize("scene", [parallel, star, surveyed])
+@pytest.mark.parametrize("scene", [parallel, star, surveyed, spread])
 @pytest.mark.parametrize("n", range(2, 11))
 def test_equal_votes_are_rivals_under_any_names(scene: object, n: int) -> None:
     assert callable(scene)
     rng = np.random.default_rng(n)
     graph: Graph = scene(n, rng)
-    kind = "edge" if scene is not surveyed else "control point"
+    kind = "control point" if scene in (surveyed, spread) else "edge"
     found = adjust_network(graph)
     out = {one.index for one in found.left_out}
     assert {one.kind for one in found.left_out} == {kind}
@@ -94,11 +105,13 @@ def test_equal_votes_are_rivals_under_any_names(scene: object, n: int) -> None:
     assert found.doubtful.any()
     number, order, points, other = renamed(graph, rng)
     again = adjust_network(other)
-    old = points if scene is surveyed else order
+    old = order if kind == "edge" else points
     assert {int(old[one.index]) for one in again.left_out} == out
     assert (again.doubtful[number] == found.doubtful).all()
     covariance = found.covariance + 1e-16 * np.eye(6)
-    assert in_sigma(found.T_world_node, again.T_world_node[number], covariance) < 0.01
+    # A rotation that two points leave open is that of the first node, whichever that is.
+    if not any(len(component.held) for component in found.components):
+        assert in_sigma(found.T_world_node, again.T_world_node[number], covariance) < 0.01
 
 
 @pytest.mark.parametrize("scene", [parallel, surveyed])
