@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from itertools import combinations
 
 import numpy as np
 
@@ -23,14 +23,18 @@ WITHIN = 0.3
 """Returns on a pole of which one end was surveyed lie on one side of it, or so far beyond, metres:
 a wrong end of the tape, and the poles' pose along the pole."""
 
+ROUGH = 0.1
+"""Poses may be off by as much before they are adjusted, metres: a survey that fits so well is laid
+no better, and one that fits worse is no frame of its own."""
+
 SAMPLES = 5
 """Points on a surveyed pole that stand for returns when it is matched."""
 
 LEAST_BASE = 0.3
 """Control points nearer to one line than this fix no frame, metres."""
 
-MOST_TRIPLES = 500
-"""Triples of control points that are tried: those of 15 points."""
+MOST_TRIPLES = 60
+"""Triples of control points that are tried, evenly of all there are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +71,12 @@ def every_fit(
     """Find the ways of laying what the LiDARs see on the survey, the one that meets most first."""
     fits: list[Fit] = []
     for T in (*_by_poles(site, poles), *_by_points(site, origins, poses)):
+        same = [k for k, other in enumerate(fits) if _same(T, other.T, poles)]
+        if same and fits[same[0]].rms < ROUGH:
+            continue
         fit = _fit(T, site, origins, poses, poles)
         if fit is None:
             continue
-        same = [k for k, other in enumerate(fits) if _same(fit.T, other.T, poles)]
         if not same:
             fits.append(fit)
         elif _order(fit) < _order(fits[same[0]]):
@@ -135,10 +141,13 @@ def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[
             known.append(point.at)
             seen.append(np.median(at, axis=0))
     a, b = np.array(known), np.array(seen)
-    triples = islice(combinations(range(len(known)), 3), MOST_TRIPLES)
-    for some in ([tuple(range(len(known)))] if len(known) > 3 else []) + list(triples):
-        T = _onto(a[list(some)], b[list(some)])
-        if T is not None:
+    every = list(combinations(range(len(known)), 3))
+    triples = every[:: 1 + len(every) // MOST_TRIPLES]
+    for some in ([tuple(range(len(known)))] if len(known) > 3 else []) + triples:
+        own = list(some)
+        T = _onto(a[own], b[own])
+        # Triangles of another shape are none of the same points.
+        if T is not None and se3.lengths(se3.apply(T, b[own]) - a[own]).max() < NEAR:
             yield T
 
 

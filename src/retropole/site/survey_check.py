@@ -19,6 +19,7 @@ from ..base.quantities import counted
 from .description import Site, SurveyedPole
 from .onto_survey import (
     NEAR,
+    ROUGH,
     Fit,
     ends_of,
     every_fit,
@@ -31,10 +32,6 @@ from .shared import SharedPole
 
 UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 """Units that coordinates come in beside metres, metres each."""
-
-ROUGH = 0.1
-"""A survey all of which fits so well is not asked whether it would fit another way, and one that
-fits worse is no frame of its own, metres: poses may be off by as much before they are adjusted."""
 
 MOST_RMS = 0.02
 """Ways of laying the survey on what is seen are told apart where one fits twice as well, or so well
