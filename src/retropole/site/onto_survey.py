@@ -136,7 +136,7 @@ def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[
     """Lay the control points that the LiDARs see on the surveyed ones, and every three of them."""
     known, seen = [], []
     for q, point in enumerate(site.points):
-        at = [there for _, there in _seen(site, q, origins, poses)]
+        at = [there for _, there in sightings_of(site, q, origins, poses)]
         if at:
             known.append(point.at)
             seen.append(np.median(at, axis=0))
@@ -151,7 +151,7 @@ def _by_points(site: Site, origins: Array, poses: dict[int, Array]) -> Iterator[
             yield T
 
 
-def _seen(
+def sightings_of(
     site: Site, point: int, origins: Array, poses: dict[int, Array]
 ) -> Iterator[tuple[int, Array]]:
     """Index of each sighting of a control point, and (3,) where it lies in the poses' frame."""
@@ -185,7 +185,7 @@ def _fit(
             gaps += [beside(end, found) for end in ends_of(each)]
             met.add(k)
     for q, point in enumerate(site.points):
-        for k, seen in _seen(site, q, origins, poses):
+        for k, seen in sightings_of(site, q, origins, poses):
             gap = float(np.linalg.norm(se3.apply(T, seen[None])[0] - point.at))
             if gap < NEAR:
                 gaps.append(gap)

@@ -26,6 +26,7 @@ from .onto_survey import (
     farthest_beside,
     fixes_frame,
     pole_at,
+    sightings_of,
     transformed,
 )
 from .shared import SharedPole
@@ -102,14 +103,16 @@ def _check_units(
     origins: Array,
     poses: dict[int, Array],
     poles: Sequence[SharedPole],
-    fits: Sequence[Fit],
+    fits: list[Fit],
 ) -> None:
     """Refuse where all, poles or control points fit better as a mirror image or in another unit."""
     if fits and fits[0].ends == _count_ends(site, poses) and fits[0].rms < ROUGH:
         return
-    for surveyed, points in ((site.poles, site.points), (site.poles, ()), ((), site.points)):
-        part = replace(site, poles=surveyed, points=points)
-        plain = every_fit(part, origins, poses, poles)
+    parts = [(site, fits)]
+    if site.poles and site.points:
+        for part in (replace(site, points=()), replace(site, poles=())):
+            parts.append((part, every_fit(part, origins, poses, poles)))
+    for part, plain in parts:
         for name, factor, mirrored in _other_ways():
             signs = np.array([-factor if mirrored else factor, factor, factor])
             found = every_fit(_rewritten(part, signs), origins, poses, poles)
@@ -186,12 +189,10 @@ def list_unmet(
         if k not in fit.poles:
             yield _unmet_pole(site, each, there)
     for q, point in enumerate(site.points):
-        seen = {
-            k: se3.apply(fit.T @ poses[sight.lidar], (sight.at - origins[sight.lidar])[None])[0]
-            for k, sight in enumerate(point.seen)
-            if sight.lidar in poses
+        gaps = {
+            k: float(np.linalg.norm(se3.apply(fit.T, seen[None])[0] - point.at))
+            for k, seen in sightings_of(site, q, origins, poses)
         }
-        gaps = {k: float(np.linalg.norm(at - point.at)) for k, at in seen.items()}
         off = {k: gap for k, gap in gaps.items() if (q, k) not in fit.sightings}
         if not off:
             continue
