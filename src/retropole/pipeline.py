@@ -19,7 +19,7 @@ from .base.datatypes import (
     Placement,
     PointCloud,
 )
-from .base.errors import Refusal
+from .base.errors import Refusal, warnings_and_notes
 from .base.sensors import Sensor
 from .base.timing import timed
 from .base.uncertainty import Confirmation, predicted_error, weakest_direction
@@ -52,6 +52,7 @@ def calibrate(
     prior: RotationPrior | None = None,
     by_hand: str | None = None,
     trust_poles: bool = False,
+    deceiving: float | None = None,
     candidates: bool = True,
     need: Need | None = None,
     progress: Callable[[str], None] = lambda step: None,
@@ -82,6 +83,9 @@ def calibrate(
         more than ``warn``.
     trust_poles
         Whether to take the poles' word where the scene has too little to confirm it.
+    deceiving
+        Share of recordings like these that deceive, for which the probability of a wrong answer is
+        stated; None takes what the times of both LiDARs allow.
     candidates
         Whether to try the candidate poles where the confirmed ones give no answer.
     need
@@ -143,7 +147,10 @@ def calibrate(
                 pose = (aligned if refined is None else refined).pose.T_target_source
                 # The same recordings give the same answer.
                 rng = np.random.default_rng(0)
-                confirmation = confirm(paired, pose, hypotheses[1:], rng, trusted=trust_poles)
+                others = hypotheses[1:]
+                confirmation = confirm(
+                    paired, pose, others, rng, trusted=trust_poles, deceiving=deceiving
+                )
                 check_confirmation(confirmation)
                 check_similarity(refined, placements, pose)
         except Refusal as refusal:
@@ -176,7 +183,8 @@ def state_answer(
     weakest = weakest_direction(
         pose.T_target_source, pose.covariance, aligned.axis_points, aligned.axis_directions
     )
-    reasons = tuple(weaknesses(paired, hypotheses, aligned, weakest, refined, confirmation))
+    found = weaknesses(paired, hypotheses, aligned, weakest, refined, confirmation)
+    reasons, notes = warnings_and_notes(found)
     return Calibration(
         status="warn" if reasons else "ok",
         reasons=reasons,
@@ -193,6 +201,7 @@ def state_answer(
         uncertainty=aligned.uncertainty if refined is None else refined.uncertainty,
         radius=aligned.radius,
         confirmation=confirmation,
+        notes=notes,
     )
 
 

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from retropole.base.datatypes import Calibration, PointCloud
-from retropole.base.uncertainty import BudgetEntry, Confirmation, RadiusEstimate, Uncertainty
+from retropole.base.uncertainty import (
+    DECEIVING,
+    BudgetEntry,
+    Confirmation,
+    RadiusEstimate,
+    Uncertainty,
+)
 from retropole.result import (
     InputDoc,
     ResultDoc,
@@ -68,6 +74,9 @@ def test_names_that_others_rely_on() -> None:
         "lead": 2.5,
         "vouched": True,
         "trusted": False,
+        "together": False,
+        "deceiving_share": DECEIVING,
+        "along": None,
         "probability_wrong": pytest.approx(STATED_CONFIRMATION.probability_wrong),
     }
 

@@ -8,7 +8,7 @@ import pytest
 from retropole.base.datatypes import Placement, PointCloud, Scan
 from retropole.base.errors import Reason
 from retropole.io.recordings import time_of_recording
-from retropole.scene.times import MAX_APART, other_times
+from retropole.scene.times import MAX_APART, other_times, recorded_together
 
 HOUR = 3600.0
 NOON = 1_700_000_000.0
@@ -54,6 +54,18 @@ def test_of_several_placements_the_one_is_named() -> None:
     (reason,) = other_times(pairs)
     assert reason.values["placement"] == 2
     assert "of placement 2" in reason.message
+
+
+def test_recordings_that_overlap_were_made_together() -> None:
+    """Only where both clocks show dates, and of every placement; whichever is the target."""
+    target, unknown = recorded_at(NOON, NOON + 10), PointCloud(np.ones((2, 3)))
+    for start, overlaps in ((-20.0, False), (-10.5, False), (-9.0, True), (9.0, True), (11, False)):
+        source = recorded_at(NOON + start, NOON + start + 10)
+        both = Placement(Scan(target), Scan(source)), Placement(Scan(source), Scan(target))
+        assert [recorded_together([each]) for each in both] == [overlaps] * 2
+        with_itself = Placement(Scan(target), Scan(target))
+        assert recorded_together([with_itself, both[0]]) == overlaps
+    assert not recorded_together([Placement(Scan(target), Scan(unknown))])
 
 
 def test_points_times_go_before_those_of_the_recorder() -> None:

@@ -21,10 +21,16 @@ from retropole.base.datatypes import (
     PoseEstimate,
     Scan,
 )
-from retropole.base.errors import Reason, Refusal
+from retropole.base.errors import Reason, Refusal, warnings_and_notes
 from retropole.base.se3 import PoseDifference
 from retropole.base.sensors import SENSORS
-from retropole.base.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
+from retropole.base.uncertainty import (
+    DECEIVING,
+    Confirmation,
+    RadiusEstimate,
+    Uncertainty,
+    WeakDirection,
+)
 from retropole.matching.placements import PairedPlacement
 from retropole.scene.agreement import (
     MAX_AXES_CHI2,
@@ -268,6 +274,26 @@ def test_an_answer_is_likelier_wrong_the_more_denies_it_and_the_less_it_leads() 
     missing = places(500, 0, 50, z_margin=3.0)
     assert chance(missing) == chance(found[2])
     assert all(0 < each < 1 for each in chances)
+
+
+def test_the_chance_that_an_answer_is_wrong_is_stated_for_a_share_that_deceives() -> None:
+    """Bayes: odds go with the odds of the share; what is seen of the scene is another factor."""
+    found = [places(500, 20, z_margin=margin) for margin in (0.5, 3.0)]
+    for share in (0.01, 0.2, 0.9):
+        stated = [structs.replace(each, deceiving=share) for each in found]
+        ratios = [
+            (chance(one) / (1 - chance(one))) / (chance(other) / (1 - chance(other)))
+            for one, other in zip(stated, found, strict=True)
+        ]
+        odds = share / (1 - share) / (DECEIVING / (1 - DECEIVING))
+        assert ratios == pytest.approx([odds, odds])
+
+
+def test_notes_are_no_reason_to_doubt() -> None:
+    few = Reason("few_points", "a pole has 8 returns", {})
+    moved = Reason("pole_moved", "pole 2 moved", {})
+    assert warnings_and_notes([few, moved, few]) == ((moved,), (few, few))
+    assert warnings_and_notes([]) == ((), ())
 
 
 @pytest.mark.parametrize("freedom", [2, 6])

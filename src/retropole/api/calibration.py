@@ -40,6 +40,7 @@ def calibrate(
     poles: int | None = None,
     refine: bool = DEFAULT_CONFIG.refine,
     trust_poles: bool = DEFAULT_CONFIG.trust_poles,
+    deceiving_share: float | None = None,
     need: float | None = None,
     at: float | None = None,
     up: bool = DEFAULT_CONFIG.up,
@@ -75,6 +76,10 @@ def calibrate(
         Whether the scene refines the pose that the poles give.
     trust_poles
         Whether you trust two poles where the scene has too little to confirm them.
+    deceiving_share
+        Share of recordings like yours that deceive, since poles were moved between them or other
+        objects taken for poles: ``probability_wrong`` is stated for it. None takes that of the
+        simulations behind the figure, or less where both LiDARs recorded at the same time.
     need, at
         How accurate the answer must be: no point up to `at` away, 30 m where it is None, lands
         further than `need` from its true place, metres. The verdict says whether that is 95 % sure.
@@ -158,6 +163,7 @@ def calibrate_with(
             poles=config.poles,
             scene=config.refine,
             trust_poles=config.trust_poles,
+            deceiving=config.deceiving_share,
             need=None if config.need_m is None else Need(config.need_m, config.at_m or DEFAULT_AT),
             by_hand=config.hypothesis,
             prior=rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg),

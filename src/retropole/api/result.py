@@ -56,8 +56,13 @@ class Result(Generic[AnyDoc]):
 
     @property
     def reasons(self) -> tuple[ReasonDoc, ...]:
-        """What is wrong or weak: code, message and values of each; empty when ok."""
+        """What is wrong or doubtful: code, message and values of each; empty when ok."""
         return tuple(self.document.reasons)
+
+    @property
+    def notes(self) -> tuple[ReasonDoc, ...]:
+        """What to know of an answer that makes it no less true, in the same form."""
+        return tuple(self.document.notes)
 
     def __repr__(self) -> str:
         """Say the verdict, what was found and the reasons, a line each."""

@@ -307,7 +307,7 @@ class Calibration:
     Attributes
     ----------
     status, reasons
-        ``ok``, ``warn`` or ``refused``; and what is wrong or weak, empty when ok.
+        ``ok``, ``warn`` or ``refused``; and what is wrong or doubtful, empty when ok.
     T_target_source, covariance
         (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
         target axes; None when refused.
@@ -328,6 +328,8 @@ class Calibration:
     confirmation, fitness
         What stands in the scene says of the pose, and whether it is as accurate as was asked for;
         None where it did not come to that, or nothing was asked for.
+    notes
+        What to know of an answer that makes it no less true.
     """
 
     status: Status
@@ -348,3 +350,4 @@ class Calibration:
     fitness: Fitness | None = None
     chosen: int = 0
     vertical: Array | None = None
+    notes: tuple[Reason, ...] = ()

@@ -5,10 +5,10 @@ The command line catches the errors in one place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from .reasons import Code, Prefix, prefixed
+from .reasons import Code, Prefix, is_note, prefixed
 
 LONGEST_MESSAGE = 300
 """Characters of a message that quotes what others wrote: a file, its name, an option."""
@@ -112,7 +112,7 @@ class Refusal(RetropoleError):
 
 @dataclass(frozen=True, eq=False)
 class Reason:
-    """Why a verdict is not a plain ok: a stable code, words with numbers, and the numbers."""
+    """What there is to say of an answer: a stable code, words with numbers, and the numbers."""
 
     code: Code
     message: str
@@ -121,3 +121,12 @@ class Reason:
     def prefixed(self, prefix: Prefix) -> Reason:
         """Give the same with a prefix in front of its code: ``stored_few_points``."""
         return Reason(prefixed(prefix, self.code), self.message, self.values)
+
+
+def warnings_and_notes(
+    found: Iterable[Reason],
+) -> tuple[tuple[Reason, ...], tuple[Reason, ...]]:
+    """Tell what makes an answer doubtful from what is to be known of it (``reasons.toml``)."""
+    every = tuple(found)
+    notes = tuple(each for each in every if is_note(each.code))
+    return tuple(each for each in every if not is_note(each.code)), notes

@@ -46,24 +46,25 @@ Code = Literal[
     "refused",
     # warning
     "not_confirmed",
-    "other_times",
     "sensor_doubtful",
     "pole_left_out",
     "not_converged",
     "small_margin",
     "chosen_by_hand",
+    "noisy_poles",
+    "poles_and_scene_disagree",
+    "radius_differs",
+    "several_minima",
+    "not_fit_for_purpose",
+    # note
+    "other_times",
     "doubtful_poles",
     "nearly_parallel_poles",
     "few_points",
     "few_rings",
-    "noisy_poles",
     "weak_direction",
     "offset_not_separable",
-    "poles_and_scene_disagree",
-    "radius_differs",
-    "several_minima",
     "one_place_decides",
-    "not_fit_for_purpose",
     # check
     "swapped",
     "poles_not_trusted",
@@ -184,6 +185,11 @@ def reasons() -> Mapping[str, Explanation]:
     return {
         code: text for group in tables().groups.values() for code, text in group.reasons.items()
     }
+
+
+def is_note(code: str) -> bool:
+    """Whether a code is something to know of an answer, and no reason to doubt it."""
+    return code in tables().groups["note"].reasons
 
 
 def explain(code: str) -> Explanation | None:

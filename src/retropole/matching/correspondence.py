@@ -97,6 +97,11 @@ def _alike(target: Pairs, source: Pairs) -> list[tuple[int, int]]:
     return [(int(rows[k]), int(columns[k])) for k in best]
 
 
+def are_alike(poles: Sequence[Pole], others: Sequence[Pole]) -> bool:
+    """Whether two of some poles may, within noise, stand to each other as two of the others do."""
+    return bool(_alike(all_pairs(poles), all_pairs(others)))
+
+
 def _angle_between(a: Array, b: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), abs(a @ b)))
 

@@ -117,13 +117,14 @@ def _describe(
     if answered:
         tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
     if verbose:
-        reasons = reasons_whole(site.status, site.reasons)
+        reasons = reasons_whole(site.status, [*site.reasons, *site.notes])
         poses, found = _poses(subject, len(site.lidars) + 2), [*_found(subject), *_more(subject)]
     else:
         room = LINES - len(head) - len(head_end) - len(said) - len(tail)
         # Header and at least three rows of what was found or where the LiDARs are.
         least = 13 if pair is not None and answered else min(len(site.lidars), 3) + 3
         reasons = reasons_within(site.status, site.reasons, room - least, report)
+        reasons += _notes_line(site.notes)
         poses = _poses(subject, room - len(reasons))
         left = room - len(reasons) - len(poses)
         found = _cut(_found(subject), left) if pair is not None or not answered else []
@@ -233,6 +234,12 @@ def reasons_within(status: str, reasons: Sequence[ReasonDoc], room: int, report:
     if len(shown) < len(cut):
         shown.append(f"  and {counted(len(cut) - len(shown), 'more reason')}")
     return shown + lines
+
+
+def _notes_line(notes: Sequence[ReasonDoc]) -> list[str]:
+    """Name the notes, on one line."""
+    codes = ", ".join(dict.fromkeys(note.code for note in notes))
+    return [shortened(f"  notes (-v says more): {codes}", WIDTH)] if codes else []
 
 
 def reason_lines(reason: ReasonDoc, actions: int = ACTIONS) -> list[str]:

@@ -8,7 +8,7 @@ from ..base.quantities import counted
 from ..base.reasons import explain
 from ..result import ReasonDoc
 from .certainty import fitness_words, number, ranked_tests, statements, worst_lidar
-from .page import EMPTY, Html, fill, fill_each, inline, join, plus_minus
+from .page import EMPTY, Html, fill, fill_each, folded, inline, join, plus_minus
 from .subject import Subject
 
 VERDICTS = {
@@ -43,6 +43,7 @@ def verdict(subject: Subject, notes: Sequence[str] = ()) -> Html:
         title += f": {counted(len(site.lidars), 'LiDAR')} in one frame"
     paths = tuple(item.path for item in site.inputs)
     items = join(reason_item(reason, paths) for reason in site.reasons)
+    of_notes = join(reason_item(note, paths) for note in site.notes)
     asked = fitness_words(subject)
     body = fill(
         "said-of-verdict",
@@ -50,11 +51,17 @@ def verdict(subject: Subject, notes: Sequence[str] = ()) -> Html:
         meaning=words.format(subject.frame),
         statements=fill_each("li", statements(subject)),
         reasons=fill("reasons", items=items) if items else "",
+        notes=folded(_notes_title(site.notes), fill("reasons", items=of_notes)) if of_notes else "",
         steps=_next_steps(subject),
     )
     kind = site.status if site.status in VERDICTS else "refused"
     box = verdict_box(kind, symbol, title, body, _tiles(subject))
     return join((fill_each("alert", notes), box))
+
+
+def _notes_title(notes: Sequence[ReasonDoc]) -> str:
+    titles = [known.title for known in (explain(note.code) for note in notes) if known is not None]
+    return f"{counted(len(notes), 'note')}: {'; '.join(dict.fromkeys(titles))}"
 
 
 def verdict_box(kind: str, symbol: str, title: str, body: Html, below: Html = EMPTY) -> Html:

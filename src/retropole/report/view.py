@@ -255,7 +255,7 @@ def _places(result: ResultDoc) -> list[MarkView]:
     """Places that alone decide a direction of the pose, each with the share that it holds."""
     return [
         MarkView(np.array([r.values[f"{axis}_m"] for axis in "xyz"]), f"{r.values['share']:.0%}")
-        for r in result.reasons
+        for r in (*result.reasons, *result.notes)
         if r.code == "one_place_decides"
     ]
 

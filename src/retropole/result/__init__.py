@@ -138,6 +138,7 @@ class ResultDoc(Document, frozen=True, eq=False, kw_only=True):
     schema: Literal["retropole/result/1"] = RESULT_SCHEMA
     status: Status
     reasons: list[ReasonDoc]
+    notes: list[ReasonDoc] = []
     T_target_source: Pose | None
     covariance: Covariance | None
     covariance_order: tuple[str, ...] = COVARIANCE_ORDER

@@ -14,6 +14,7 @@ from msgspec import Meta, inspect
 from ..base.bounded import Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
+from ..base.uncertainty import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
 from ..io.downsampling import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit
@@ -35,6 +36,7 @@ Angle = Annotated[float, Meta(ge=-360, le=360)]
 Poles = Annotated[int, Meta(ge=MIN_POLES, le=LARGEST_WHOLE)]
 NeededError = Annotated[float, Meta(gt=0, le=LARGEST_NEED)]
 Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
+DeceivingShare = Annotated[float, Meta(gt=0, le=0.99)]
 PriorSigma = Annotated[float, Meta(gt=0, le=180)]
 Seed = Annotated[int, Meta(ge=0, le=LARGEST_WHOLE)]
 Frames = tuple[int | None, int | None, int | None]
@@ -122,6 +124,14 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     trust_poles: Annotated[
         bool, told("Trust two poles where the scene has too little to confirm them.")
     ] = False
+    deceiving_share: Annotated[
+        DeceivingShare | None,
+        told(
+            "Share of recordings like these that deceive (poles that were moved in between, "
+            "other objects), for which probability_wrong is stated.  [default: "
+            f"{DECEIVING:.2f}, or {TOGETHER:g} where both recorded at the same time]"
+        ),
+    ] = None
     need_m: Annotated[
         NeededError | None,
         told(

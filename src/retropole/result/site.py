@@ -168,6 +168,7 @@ class SiteDoc(Document, frozen=True, eq=False, kw_only=True):
     name: Text
     status: Status
     reasons: list[ReasonDoc]
+    notes: list[ReasonDoc] = msgspec.field(default_factory=list)
     datum: Text
     frame: Frame
     reference: Count

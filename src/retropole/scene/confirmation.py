@@ -11,6 +11,7 @@ simulation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 from msgspec.structs import replace
@@ -19,12 +20,12 @@ from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
-from ..base.uncertainty import Confirmation
-from ..matching.correspondence import ANGLE_TOLERANCE, DISTANCE_TOLERANCE
-from ..matching.line_pairs import line_pair
+from ..base.uncertainty import DECEIVING, TOGETHER, Confirmation
+from ..matching.correspondence import are_alike
 from ..matching.placements import PairedPlacement
 from .consistency import Standing, consistency, standing_in
 from .shifts import NEAR, best_lifts, best_shifts
+from .times import recorded_together
 
 MAX_CONFLICTING, MIN_TOTAL = 0.2, 60
 """From this share on, of at least so many voxels, the scene conflicts with a pose. At the right
@@ -55,6 +56,7 @@ def confirm(
     rng: np.random.Generator,
     *,
     trusted: bool = False,
+    deceiving: float | None = None,
 ) -> Confirmation:
     """Hold an answer against what stands in the scene of all placements.
 
@@ -70,11 +72,14 @@ def confirm(
         Chooses the planes that are tried for the ground.
     trusted
         Whether the user trusts the poles.
+    deceiving
+        Share of recordings like these that deceive; None takes what the times of both allow.
     """
     scenes = scenes_of([each.placement for each in paired], rng)
     here = count(scenes, T)
     rivals = [other.match.T_target_source for other in others if other.match.exact]
-    poses = [*_displaced(scenes, T), *rivals[:MAX_RIVALS]]
+    shifted = [*_shifted(scenes, T)]
+    poses = [*shifted, *_turned(scenes, T), *rivals[:MAX_RIVALS]]
     margins, better = [], []
     fewer = [(target.downsampled(), source.downsampled()) for target, source in scenes]
     own = count(fewer, T)
@@ -87,8 +92,14 @@ def confirm(
         ):
             better.append((margins[-1], pose))
     points = np.concatenate([source.points for _, source in scenes])
+    together = recorded_together([each.placement for each in paired])
+    usual = TOGETHER if together else DECEIVING
+    least = int(np.argmin(margins)) if margins else len(shifted)
     return replace(
         here,
+        together=together,
+        deceiving=usual if deceiving is None else deceiving,
+        along=_way(T, shifted[least]) if least < len(shifted) else None,
         z_margin=min(margins, default=0.0),
         better_at=_apart(T, min(better, key=lambda each: each[0])[1], points) if better else None,
         redundant=_are_redundant(paired),
@@ -119,8 +130,8 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
     )
 
 
-def _displaced(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
-    """Poses beside a pose: the best shifts along the ground and off it, and turns about its normal.
+def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
+    """Poses beside a pose: the best shifts along the ground and off it.
 
     Off the ground only where the pose lifts the grounds off each other, and more coincides there:
     grounds that lie on each other conflict with all lifts, and are not among the points.
@@ -132,11 +143,21 @@ def _displaced(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterato
             shifts += [shift for shift in best_lifts(*clouds) if shift.gain > 1]
         for shift in shifts:
             yield se3.retract(T, np.r_[np.zeros(3), shift.step])
+
+
+def _turned(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
+    """Poses that are turned about the normal of the ground."""
     target, source = scenes[0]
     middle = se3.apply(T, np.median(source.points, axis=0)) if len(source.points) else T[:3, 3]
     for angle in (TURN, -TURN):
         R = se3.exp_so3(angle * target.up)
         yield se3.from_rt(R, middle - R @ middle) @ T
+
+
+def _way(T: Array, other: Array) -> Array:
+    """(3,) unit vector along which a pose is shifted from another."""
+    step = other[:3, 3] - T[:3, 3]
+    return np.asarray(step / np.linalg.norm(step))
 
 
 def _z_margin(here: Confirmation, there: Confirmation) -> float:
@@ -154,19 +175,16 @@ def _apart(T: Array, other: Array, points: Array) -> float:
 def _are_redundant(paired: Sequence[PairedPlacement]) -> bool:
     """Whether the poles check each other: three of them, or two placements that differ.
 
-    Files of two placements on one stand, mixed up, tell the same lie twice.
+    Files of two placements on one stand, mixed up, tell the same lie twice: both LiDARs must see
+    that the shapes differ by more than their noise.
     """
     if max(len(each.target_poles) for each in paired) > 2:
         return True
-    shapes = [
-        line_pair(first.point, first.direction, second.point, second.direction)
-        for first, second in (each.target_poles for each in paired if len(each.target_poles) == 2)
-    ]
+    two = [each for each in paired if len(each.target_poles) == 2]
     return any(
-        abs(one.angle - other.angle) > ANGLE_TOLERANCE
-        or abs(one.distance - other.distance) > DISTANCE_TOLERANCE
-        for one in shapes
-        for other in shapes
+        not are_alike(one.target_poles, other.target_poles)
+        and not are_alike(one.source_poles, other.source_poles)
+        for one, other in combinations(two, 2)
     )
 
 
@@ -217,15 +235,24 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
         f"{counted(found.agreeing, 'voxel off the ground agrees', 'voxels off the ground agree')} "
         f"with this pose, {counted(found.conflicting, 'conflicts with', 'conflict with')} it, "
         f"and it is better than others by {found.z_margin:.1f} σ. Of simulated answers like it, "
-        f"where a third of the recordings deceive, {100 * wrong:.1f} % are wrong "
-        f"({100 * MAX_WRONG:.0f} % are allowed). Two poles cannot check each other: add a third "
-        "pole or a second placement, or stand boxes or a car in view of both LiDARs",
+        f"where {found.deceiving_words}, {100 * wrong:.1f} % are wrong ({100 * MAX_WRONG:.0f} % "
+        f"are allowed). {_held_by_poles(found)}. If nobody touched them from one recording to the "
+        "other, --trust-poles says so; otherwise add a third pole or a second placement",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
             "missing": found.missing,
             "lead": found.z_margin or 0.0,
             "probability_wrong": wrong,
+            "deceiving_share": found.deceiving,
             "allowed": MAX_WRONG,
         },
     )
+
+
+def _held_by_poles(found: Confirmation) -> str:
+    """Say which direction the two poles alone hold, which cannot check each other."""
+    if found.along is None:
+        return "Two poles alone hold the pose"
+    x, y, z = found.along
+    return f"Two poles alone hold the pose along ({x:.1f}, {y:.1f}, {z:.1f}) of the target"

@@ -14,19 +14,30 @@ MAX_APART = 60.0
 set differ by less: GPS and atomic time by 18 and 37 s from that of computers."""
 
 
+def recorded_together(placements: Sequence[Placement]) -> bool:
+    """Whether both LiDARs recorded every placement at the same time, as far as their clocks say.
+
+    Nobody carries poles between recordings that overlap.
+    """
+    return all(apart is not None and apart < 0.0 for apart in (_apart(each) for each in placements))
+
+
+def _apart(placement: Placement) -> float | None:
+    """Seconds from the end of one recording to the start of the other; None where not known."""
+    target, source = (time_of_recording(scan.cloud) for scan in placement.scans)
+    if target is None or source is None:
+        return None
+    return max(target[0] - source[1], source[0] - target[1])
+
+
 def other_times(placements: Sequence[Placement]) -> Iterator[Reason]:
-    """Warn of placements that the two LiDARs recorded at other times, as far as their clocks say.
+    """Tell of placements that the two LiDARs recorded at other times, as far as their clocks say.
 
     What was moved in between looks the same as another pose.
     """
     for k, placement in enumerate(placements, 1):
-        target, source = (
-            time_of_recording(scan.cloud) for scan in (placement.target, placement.source)
-        )
-        if target is None or source is None:
-            continue
-        apart = max(target[0] - source[1], source[0] - target[1])
-        if apart > MAX_APART:
+        apart = _apart(placement)
+        if apart is not None and apart > MAX_APART:
             of = "" if len(placements) == 1 else f" of placement {k}"
             yield Reason(
                 "other_times",

@@ -228,7 +228,7 @@ class SiteCalibration:
     Attributes
     ----------
     status, reasons
-        ``ok``, ``warn`` or ``refused``; and what is wrong or weak, empty when ok.
+        ``ok``, ``warn`` or ``refused``; and what is wrong or doubtful, empty when ok.
     site
         What it started from.
     datum
@@ -245,6 +245,8 @@ class SiteCalibration:
         Poles in the frame of the site; what was checked.
     seconds
         Time of each step.
+    notes
+        What to know of an answer that makes it no less true.
     """
 
     status: Status
@@ -261,3 +263,4 @@ class SiteCalibration:
     tests: tuple[Test, ...]
     without: tuple[WithoutPlacement, ...]
     seconds: Mapping[str, float]
+    notes: tuple[Reason, ...] = ()

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from ..alignment.certainty import budget_of
 from ..alignment.unknowns import POSE
 from ..base.datatypes import Array
-from ..base.errors import Reason, Refusal
+from ..base.errors import Reason, Refusal, warnings_and_notes
 from ..base.timing import timed
 from ..base.uncertainty import predicted_error
 from ..scene.agreement import check_contradiction
@@ -151,7 +151,8 @@ def state_answer(
     poses, covariance = poses_in_clouds(end.T, adjusted.covariance, scans.origins)
     lidars = tuple(_lidar_pose(site, adjusted, i, T, covariance) for i, T in enumerate(poses))
     loops = tuple(close_loops(adjusted.solved, end))
-    reasons = (*found, *weaknesses(site, scans, adjusted, loops, lidars))
+    every = (*found, *weaknesses(site, scans, adjusted, loops, lidars))
+    reasons, notes = warnings_and_notes(every)
     return SiteCalibration(
         status="warn" if reasons else "ok",
         reasons=reasons,
@@ -167,6 +168,7 @@ def state_answer(
         tests=adjusted.tests,
         without=tuple(without_placements(adjusted.network, end, len(site.placements))),
         seconds=seconds,
+        notes=notes,
     )
 
 
