@@ -7,7 +7,11 @@ noise, half all the errors of a field. Prints Markdown tables: what came of each
 95 % interval (Clopper and Pearson 1934) of the wrong answers as a share of all draws, how the
 probability that they state compares with how often they are wrong, and what the scene says of them.
 
+With ``--times`` both clouds say when they were recorded: at the same time where the deception needs
+none in between, and ten minutes apart otherwise.
+
     python benchmarks/deception.py --draws 300
+    python benchmarks/deception.py --draws 30 --times
 
 Seeds below 1000 are for setting constants; those from 1000 on, where this starts, state figures.
 """
@@ -20,6 +24,7 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
@@ -198,6 +203,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=300, help="of each row")
     parser.add_argument("--first", type=int, default=FIRST_STATED_SEED, help="first seed")
+    parser.add_argument("--times", action="store_true", help="clouds say when they were recorded")
     parser.add_argument("--rows", nargs="*", help="only those whose name has one of these parts")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--save", type=Path, help="JSON file for a record of every draw")
@@ -214,7 +220,7 @@ def main() -> None:
         initializer=threadpool_limits,
         initargs=(1,),
     ) as pool:
-        for job, o in zip(jobs, pool.map(run, jobs), strict=True):
+        for job, o in zip(jobs, pool.map(partial(run, times=arguments.times), jobs), strict=True):
             if o is not None:
                 outcomes.append(o)
             if arguments.verbose:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -43,6 +43,10 @@ IN_THE_WAY, RELATIVE_IN_THE_WAY = 0.15, 0.02
 """A point stands in the way of the other LiDAR where it is this far, metres, and this part of its
 range before what that saw: far beyond the noise of both."""
 
+
+NOON, SWEEP, BETWEEN = 1.7e9, 0.1, 600.0
+"""Unix time of a recording, how long it took, and how much later the other was made where something
+happened in between, seconds."""
 
 TALL, TALL_DISTANCE = 0.3, 0.3
 """Points from so high above the true ground are not on it, metres, and are near each other where
@@ -90,6 +94,7 @@ class Outcome:
     returns: int
     status: str
     codes: tuple[str, ...]
+    notes: tuple[str, ...]
     rotation: float
     translation: float
     from_lie: tuple[float, float] | None
@@ -134,7 +139,8 @@ def draw(
     return None
 
 
-def run(job: tuple[str, int]) -> Outcome | None:
+def run(job: tuple[str, int], times: bool = False) -> Outcome | None:
+    """Draw, record and calibrate; with ``times`` of recording, which overlap where they may."""
     name, seed = job
     kind, start = KINDS[name], time.process_time()
     # Over 32 seeds every scene meets every pair of sensors with either noise.
@@ -155,6 +161,9 @@ def run(job: tuple[str, int]) -> Outcome | None:
         for pair in drawn.shots
     ]
     clouds = [both for both, _ in recordings]
+    if times:
+        later = 0.0 if kind.at_once else BETWEEN
+        clouds = [(timed(target, 0.0), timed(source, later)) for target, source in clouds]
     ready = time.process_time()
     answer = calibrate(*map(list, zip(*clouds, strict=True)), sensors=(first, second))
     done = time.process_time()
@@ -174,6 +183,7 @@ def run(job: tuple[str, int]) -> Outcome | None:
         min(returns for _, returns in recordings),
         answer.status,
         tuple(reason.code for reason in answer.reasons),
+        tuple(note.code for note in answer.notes),
         rotation,
         translation,
         None if drawn.lie is None else from_lie(answer, drawn.lie),
@@ -183,6 +193,11 @@ def run(job: tuple[str, int]) -> Outcome | None:
         None if T is None else scenery(clouds, poses, T),
         (ready - start, done - ready),
     )
+
+
+def timed(cloud: PointCloud, after: float) -> PointCloud:
+    """Say when a cloud was recorded: so many seconds after some time."""
+    return replace(cloud, recorded=(NOON + after, NOON + after + SWEEP))
 
 
 def from_lie(answer: Calibration, lie: Array) -> tuple[float, float] | None:

@@ -62,13 +62,15 @@ TWO, THREE = standing(2), standing(3)
 class Kind:
     """A row: what it draws of a site whose poles and surroundings are drawn so.
 
-    ``scene`` is None where the scenes come in turn.
+    ``scene`` is None where the scenes come in turn. ``at_once`` says that it needs no time between
+    the two recordings: nothing was carried, moved or bumped in between.
     """
 
     draw: Callable[[Site, np.random.Generator], Drawn | None]
     poles: DrawPoles = TWO
     around: Callable[[str, np.random.Generator], Surroundings] = place_of
     scene: str | None = None
+    at_once: bool = False
 
 
 def lidar_moved(site: Site, rng: np.random.Generator) -> Drawn | None:
@@ -208,25 +210,29 @@ def _symmetric_poles(rng: np.random.Generator, clear: tuple[float, float]) -> li
     return symmetric_poles(rng, DEFAULT_RADIUS)
 
 
-HONEST = {f"nothing wrong, {scene}": Kind(honest, scene=scene) for scene in SURROUNDINGS}
+HONEST = {
+    f"nothing wrong, {scene}": Kind(honest, scene=scene, at_once=True) for scene in SURROUNDINGS
+}
 KINDS: dict[str, Kind] = {
     "both poles carried elsewhere together": Kind(carried_elsewhere),
     "leaning pole turned about the upright one": Kind(turned_about_upright, upright_and_leaning),
-    "walker's band taken for a pole": Kind(walker_with_band, leaning_and_band),
+    "walker's band taken for a pole": Kind(walker_with_band, leaning_and_band, at_once=True),
     "one pole moved or leaned": Kind(one_pole_moved),
     "LiDAR moved between two placements": Kind(lidar_moved),
-    "one cloud mirrored": Kind(mirrored, at_times_meeting),
-    "one cloud scaled": Kind(scaled),
-    "poles at 90° that nearly meet": Kind(honest, at_right_angles),
-    "clouds cropped": Kind(cropped),
+    "one cloud mirrored": Kind(mirrored, at_times_meeting, at_once=True),
+    "one cloud scaled": Kind(scaled, at_once=True),
+    "poles at 90° that nearly meet": Kind(honest, at_right_angles, at_once=True),
+    "clouds cropped": Kind(cropped, at_once=True),
     "files of two places": Kind(other_place),
-    "second pole hidden from each, a decoy": Kind(decoy, upright_and_leaning),
+    "second pole hidden from each, a decoy": Kind(decoy, upright_and_leaning, at_once=True),
     "poles swapped by hand": Kind(swapped_by_hand, at_times_meeting),
     "one tape of three fallen off": Kind(tape_fallen_off, THREE),
     "LiDAR bumped while recording": Kind(bumped_while_recording),
-    "symmetric place with a box": Kind(symmetric_with_a_box, _symmetric_poles, symmetric_place),
+    "symmetric place with a box": Kind(
+        symmetric_with_a_box, _symmetric_poles, symmetric_place, at_once=True
+    ),
     "a truck between the recordings": Kind(truck_between),
-    "50 % outliers": Kind(half_outliers),
+    "50 % outliers": Kind(half_outliers, at_once=True),
     "two of three poles carried": Kind(two_of_three_carried, THREE),
     "poles carried along the place": Kind(carried_along),
     "poles nudged together": Kind(nudged),

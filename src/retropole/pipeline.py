@@ -22,7 +22,8 @@ from .base.datatypes import (
 from .base.errors import Refusal, warnings_and_notes
 from .base.sensors import Sensor
 from .base.timing import timed
-from .base.uncertainty import Confirmation, predicted_error, weakest_direction
+from .base.uncertainty import predicted_error, weakest_direction
+from .base.uncertainty.confirmation import Confirmation
 from .base.uncertainty.purpose import Need
 from .matching.placements import Chosen, PairedPlacement, align, leave_one_out
 from .matching.prior import RotationPrior

@@ -10,7 +10,8 @@ import pytest
 from msgspec.structs import replace
 
 import retropole as rp
-from retropole.base.uncertainty import Confirmation, RadiusEstimate
+from retropole.base.uncertainty import RadiusEstimate
+from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.io import write_pcd
 from retropole.result import encode
 from tests.api.clouds import calibrated, pair, refused

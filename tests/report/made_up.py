@@ -24,12 +24,12 @@ from retropole.base.datatypes import (
 )
 from retropole.base.uncertainty import (
     BudgetEntry,
-    Confirmation,
     RadiusEstimate,
     Uncertainty,
     WeakDirection,
     predicted_error,
 )
+from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.result import (
     HypothesisDoc,
     InputDoc,

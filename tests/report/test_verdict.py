@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from retropole.base.bounded import Status
 from retropole.base.reasons import plain, reasons
-from retropole.base.uncertainty import Confirmation
+from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.report.certainty import probability, statements
 from retropole.report.page import NO_BREAK

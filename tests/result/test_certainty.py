@@ -7,13 +7,8 @@ import numpy as np
 import pytest
 
 from retropole.base.datatypes import Calibration, PointCloud
-from retropole.base.uncertainty import (
-    DECEIVING,
-    BudgetEntry,
-    Confirmation,
-    RadiusEstimate,
-    Uncertainty,
-)
+from retropole.base.uncertainty import BudgetEntry, RadiusEstimate, Uncertainty
+from retropole.base.uncertainty.confirmation import DECEIVING, Confirmation
 from retropole.result import (
     InputDoc,
     ResultDoc,

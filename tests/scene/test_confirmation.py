@@ -10,7 +10,7 @@ from msgspec import structs
 
 from retropole.base import se3
 from retropole.base.datatypes import Calibration, Placement, Scan
-from retropole.base.uncertainty import Confirmation
+from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.matching.placements import PairedPlacement
 from retropole.pipeline import calibrate
 from retropole.scene.confirmation import MAX_WRONG, confirm, count, is_in_conflict, scenes_of

@@ -5,7 +5,7 @@ import pytest
 
 from retropole.base import se3
 from retropole.base.datatypes import PointCloud
-from retropole.base.uncertainty import Confirmation
+from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.extraction.poles import extract_poles
 from retropole.scene.consistency import (
     EXPECTED,

@@ -12,13 +12,8 @@ from retropole.base.errors import Reason
 from retropole.base.reasons import remedy, tables
 from retropole.base.sensors import SENSORS
 from retropole.base.systematic import RADIUS_KIND
-from retropole.base.uncertainty import (
-    BudgetEntry,
-    Confirmation,
-    Uncertainty,
-    floor,
-    predicted_error,
-)
+from retropole.base.uncertainty import BudgetEntry, Uncertainty, floor, predicted_error
+from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import USABLE, Need, displacement_bound
 from retropole.verdict.fitness import DOUBTS, judge
 

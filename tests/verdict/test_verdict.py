@@ -24,13 +24,8 @@ from retropole.base.datatypes import (
 from retropole.base.errors import Reason, Refusal, warnings_and_notes
 from retropole.base.se3 import PoseDifference
 from retropole.base.sensors import SENSORS
-from retropole.base.uncertainty import (
-    DECEIVING,
-    Confirmation,
-    RadiusEstimate,
-    Uncertainty,
-    WeakDirection,
-)
+from retropole.base.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
+from retropole.base.uncertainty.confirmation import DECEIVING, Confirmation
 from retropole.matching.placements import PairedPlacement
 from retropole.scene.agreement import (
     MAX_AXES_CHI2,

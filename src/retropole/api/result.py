@@ -17,7 +17,8 @@ from ..base.datatypes import Array, Placement
 from ..base.errors import ReadError
 from ..base.files import read_document, write_together
 from ..base.quantities import error
-from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty
+from ..base.uncertainty import RadiusEstimate, Uncertainty
+from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
 from ..export.documents import is_result
 from ..io.failures import naming, readable

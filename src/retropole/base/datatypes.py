@@ -18,7 +18,8 @@ from .errors import Reason, Refusal
 from .reasons import Code
 from .se3 import PoseDifference
 from .sensors import Sensor
-from .uncertainty import Confirmation, ErrorAtRange, RadiusEstimate, Uncertainty, WeakDirection
+from .uncertainty import ErrorAtRange, RadiusEstimate, Uncertainty, WeakDirection
+from .uncertainty.confirmation import Confirmation
 from .uncertainty.purpose import Fitness
 
 Array = NDArray[np.float64]
@@ -306,8 +307,8 @@ class Calibration:
 
     Attributes
     ----------
-    status, reasons
-        ``ok``, ``warn`` or ``refused``; and what is wrong or doubtful, empty when ok.
+    status, reasons, notes
+        ``ok``, ``warn`` or ``refused``; what is wrong or doubtful, empty when ok; and what to know.
     T_target_source, covariance
         (4, 4) maps source points into the target frame, and (6, 6) over ``[φ, δ]``, rad and m,
         target axes; None when refused.
@@ -319,17 +320,13 @@ class Calibration:
     vertical
         (3,) the ground's normal, target axes; None where not found, or one hypothesis alone stands.
     predicted_error, weakest
-        At several ranges; and the direction in which the pose is least certain; empty and None
-        when refused.
+        At several ranges; the direction in which it is least certain; empty and None when refused.
     placements, seconds
         What was recorded and found, one for each placement of the poles; and the time of each step.
     uncertainty, radius
         `covariance` in its two kinds, the error budget, and the poles' radius; None when refused.
     confirmation, fitness
-        What stands in the scene says of the pose, and whether it is as accurate as was asked for;
-        None where it did not come to that, or nothing was asked for.
-    notes
-        What to know of an answer that makes it no less true.
+        What stands in the scene says of the pose, and whether it is as accurate as asked; or None.
     """
 
     status: Status

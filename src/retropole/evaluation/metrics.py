@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from ..base import se3
 from ..base.datatypes import Array, Placement, PointCloud, Scan
 from ..base.errors import Refusal
-from ..base.uncertainty import Confirmation
+from ..base.uncertainty.confirmation import Confirmation
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import with_trusted_rings
 from ..scene.confirmation import count, scenes_of

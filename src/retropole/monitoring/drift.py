@@ -20,7 +20,8 @@ from ..base.datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstima
 from ..base.errors import Reason, Refusal, UsageError
 from ..base.sensors import Sensor
 from ..base.systematic import ErrorModel, sizes_of
-from ..base.uncertainty import Confirmation, Uncertainty
+from ..base.uncertainty import Uncertainty
+from ..base.uncertainty.confirmation import Confirmation
 from ..pipeline import calibrate
 from ..scene.confirmation import MAX_CONFLICTING, count, is_in_conflict, scenes_of
 from ..scene.preference import preferences

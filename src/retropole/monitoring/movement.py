@@ -21,7 +21,8 @@ from scipy.special import chdtrc
 from ..base import se3
 from ..base.datatypes import Array, PoseEstimate
 from ..base.errors import Reason
-from ..base.uncertainty import Confirmation, Uncertainty
+from ..base.uncertainty import Uncertainty
+from ..base.uncertainty.confirmation import Confirmation
 from .certainty import (
     FALSE_ALARM,
     MIN_POWER,

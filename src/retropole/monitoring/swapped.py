@@ -14,7 +14,7 @@ from ..base import se3
 from ..base.datatypes import Array, Placement
 from ..base.errors import Reason, Refusal
 from ..base.sensors import Sensor
-from ..base.uncertainty import Confirmation
+from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.sensor_pattern import check_sensor
 from ..scene.confirmation import MAX_CONFLICTING, MIN_TOTAL, count, is_in_conflict
 from ..scene.consistency import Standing

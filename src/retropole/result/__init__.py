@@ -31,8 +31,9 @@ from ..base.datatypes import Calibration, Hypothesis, Placement, Pole, PoseEstim
 from ..base.errors import Reason, Refusal
 from ..base.reasons import Code
 from ..base.uncertainty import BudgetEntry as BudgetEntry
-from ..base.uncertainty import Confirmation, RadiusEstimate, Uncertainty, WeakDirection
 from ..base.uncertainty import ErrorAtRange as ErrorAtRange
+from ..base.uncertainty import RadiusEstimate, Uncertainty, WeakDirection
+from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
 from ..base.version import __version__
 from .options import DEFAULT_CONFIG as DEFAULT_CONFIG

@@ -14,7 +14,7 @@ from msgspec import Meta, inspect
 from ..base.bounded import Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
-from ..base.uncertainty import DECEIVING, TOGETHER
+from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
 from ..io.downsampling import LEAST_POINTS, MAX_POINTS
 from ..io.units import Unit

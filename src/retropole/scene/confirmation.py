@@ -20,7 +20,7 @@ from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
 from ..base.quantities import counted
-from ..base.uncertainty import DECEIVING, TOGETHER, Confirmation
+from ..base.uncertainty.confirmation import DECEIVING, TOGETHER, Confirmation
 from ..matching.correspondence import are_alike
 from ..matching.placements import PairedPlacement
 from .consistency import Standing, consistency, standing_in

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from ..base import se3
 from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
 from ..base.sampling import every_nth
-from ..base.uncertainty import Confirmation
+from ..base.uncertainty.confirmation import Confirmation
 from .patch_pairs import labels_of
 from .registration import SAMPLE, voxel_downsample
 from .visibility import OWN_VEHICLE, RangeImage, cells_of, range_image, tree_of

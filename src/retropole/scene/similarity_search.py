@@ -10,7 +10,7 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array, Placement, PointCloud, Pole
 from ..base.errors import Refusal
-from ..base.uncertainty import Confirmation
+from ..base.uncertainty.confirmation import Confirmation
 from ..matching.correspondence import match_poles
 from ..matching.line_pairs import pair_starts
 from ..matching.similar import Change, changed_cloud, changed_pole, factors_of

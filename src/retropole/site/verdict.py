@@ -10,7 +10,7 @@ from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement
 from ..base.errors import Reason, Refusal
 from ..base.quantities import at_most
-from ..base.uncertainty import Confirmation
+from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import USABLE, Fitness, fitness, is_surely_met
 from ..matching.placements import PairedPlacement
 from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius

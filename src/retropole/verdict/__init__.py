@@ -11,7 +11,8 @@ from ..base import quantities
 from ..base.datatypes import Array, Calibration, Hypothesis, Placement, Pole, Scan
 from ..base.errors import Reason, Refusal
 from ..base.sensors import Sensor
-from ..base.uncertainty import Confirmation, WeakDirection
+from ..base.uncertainty import WeakDirection
+from ..base.uncertainty.confirmation import Confirmation
 from ..extraction.sensor_pattern import sensor_doubt
 from ..matching.confirmation import candidate_reasons
 from ..matching.correspondence import widest_angle

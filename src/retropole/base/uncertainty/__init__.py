@@ -6,12 +6,10 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from msgspec.structs import force_setattr
-from scipy.special import expit, logit
 
 from .. import se3
-from ..bounded import Count, Number, PartCovariance, Share, Size, Text, Vector
-from ..quantities import counted, error, percent
+from ..bounded import Number, PartCovariance, Share, Size, Text, Vector
+from ..quantities import error
 from ..se3 import Array
 
 MAD_TO_SIGMA = 1.4826
@@ -22,33 +20,6 @@ RANGES = (1.0, 10.0, 30.0, 60.0)
 
 LEVER = 10.0
 """Distance at which a rotation is counted beside a translation in the condition number, metres."""
-
-MAX_Z_MARGIN = 4.0
-"""A larger margin says no more: its σ takes voxels for independent, which neighbours are not."""
-
-CLEAR_Z_MARGIN = 1.5
-"""Up to this many σ a margin may be chance, and tells less for each σ than beyond."""
-
-PRIOR, PER_SHARE, PER_Z_MARGIN, PER_CLEAR_Z_MARGIN = -0.07, 0.42, -0.57, -2.1
-"""Of the log odds that an answer is wrong: for the share of the voxels that conflict with it (its
-logarithm), for its z-margin up to `CLEAR_Z_MARGIN`, and for the rest. A logistic regression of 366
-answers with two poles, 112 of them wrong (benchmarks/deception.py, seeds 100 to 129, before any
-was refused for its scene); with one slope for all, answers that were 0.1 σ better were confirmed,
-and 18 of 258 right ones of seeds 300 to 334 were not, with two 9. So it holds where as many
-recordings deceive as there; docs/accuracy.md shows how well, on other seeds."""
-
-DECEIVING = 112 / 366
-"""Share of the recordings that deceive, where nobody says otherwise: that of those answers."""
-
-TOGETHER = 0.05
-"""The same where both LiDARs recorded at the same time: poles cannot have been carried in between.
-What is left are other objects taken for poles, and clouds that were changed. Chosen: of the answers
-to such recordings (benchmarks/deception.py, seeds 100 to 135) none that is wrong is then confirmed,
-the nearest being a decoy on bare ground, with 4.5 %."""
-
-REDUNDANT = -4.0
-"""The same for poles that are redundant: of the answers with three or four poles in 1,000
-hard scenes (benchmarks/hard_scenes.py) none was wrong. A lie then takes poles carried as one."""
 
 FLOOR_ROTATION, FLOOR_TRANSLATION = float(np.radians(0.003)), 0.0008
 """1 σ about and along each axis that are not modelled, rad and m: bent housings, temperature,
@@ -153,114 +124,6 @@ class WeakDirection(msgspec.Struct, frozen=True, eq=False, rename={"sigma": "sig
     sigma: Size
     words: Text
     condition: Size
-
-
-class Confirmation(
-    msgspec.Struct,
-    frozen=True,
-    kw_only=True,
-    rename={
-        "better_at": "better_at_m",
-        "z_margin": "lead",
-        "redundant": "vouched",
-        "deceiving": "deceiving_share",
-    },
-):
-    """What stands in the scene says of a pose (docs/certainty.md, What stands in the scene).
-
-    Attributes
-    ----------
-    agreeing, contradicting
-        Voxels off the ground, of both clouds, that agree with the pose, and that stand where the
-        other LiDAR looked through.
-    contradicted
-        Share of the voxels that conflict with the pose; 0 where there is none. It follows from the
-        others.
-    missing
-        Voxels that should agree besides, by how much stands in both clouds.
-    better_at
-        How far away a pose lies under which the scene fits better, metres; None if none does.
-    z_margin
-        By how many σ the pose agrees better than the best of others beside it; None where it was
-        not held against any.
-    redundant
-        Whether a third pole, or a placement of another shape, checks the poles.
-    trusted
-        Whether the user does.
-    together
-        Whether both LiDARs recorded every placement at the same time, by their own clocks.
-    deceiving
-        Share of such recordings that deceive, which the next is stated for.
-    along
-        (3,) unit vector, target axes, along which the scene holds the pose least; None where that
-        is no shift, or nothing stands.
-    probability_wrong
-        Probability that the answer is off by more than 1° or 0.3 m, where so many recordings
-        deceive; None without a margin. It follows from the others.
-    """
-
-    agreeing: Count
-    contradicting: Count
-    contradicted: Share = 0.0
-    missing: Count = 0
-    better_at: Size | None = None
-    z_margin: Number | None = None
-    redundant: bool = False
-    trusted: bool = False
-    together: bool = False
-    deceiving: Share = DECEIVING
-    along: Vector | None = None
-    probability_wrong: Share | None = None
-
-    def __post_init__(self) -> None:
-        """Work out what follows: a document states it too, and is not trusted with it."""
-        force_setattr(self, "contradicted", self.conflicting / max(self.total, 1))
-        force_setattr(self, "probability_wrong", self._probability_wrong())
-
-    @property
-    def conflicting(self) -> int:
-        """Voxels that conflict with the pose, one way or the other."""
-        return self.contradicting + self.missing
-
-    @property
-    def total(self) -> int:
-        """Voxels that say anything."""
-        return self.agreeing + self.conflicting
-
-    def _probability_wrong(self) -> float | None:
-        if self.z_margin is None:
-            return None
-        share = np.log((self.conflicting + 1) / (self.total + 2))
-        margin = np.clip(self.z_margin, -MAX_Z_MARGIN, CLEAR_Z_MARGIN)
-        beyond = np.clip(self.z_margin, CLEAR_Z_MARGIN, MAX_Z_MARGIN) - CLEAR_Z_MARGIN
-        odds = PRIOR + PER_SHARE * share + PER_Z_MARGIN * margin + PER_CLEAR_Z_MARGIN * beyond
-        odds += REDUNDANT * self.redundant + logit(self.deceiving) - logit(DECEIVING)
-        return float(expit(odds))
-
-    @property
-    def words(self) -> str:
-        """The figures for a person: ``412 voxels agree, 3 conflict with it (0.7 %); …``."""
-        said = counted(self.agreeing, "voxel agrees", "voxels agree")
-        said += f", {counted(self.conflicting, 'conflicts with', 'conflict with')} it"
-        if self.total:
-            said += f" ({100 * self.contradicted:.1f} %)"
-        if self.better_at is not None:
-            said += f"; it fits better {self.better_at:.1f} m away"
-        wrong = self.probability_wrong
-        if wrong is None:
-            return said
-        # Fewer than a thousand answers set it: it is not known better than to a thousandth.
-        share = f"{100 * wrong:.1f} %" if wrong >= 0.001 else "less than 0.1 %"
-        at_once = "; both LiDARs recorded at the same time" if self.together else ""
-        return (
-            f"{said}{at_once}; of simulated answers like it, where {self.deceiving_words}, {share} "
-            "are wrong"
-        )
-
-    @property
-    def deceiving_words(self) -> str:
-        """For a person: ``31 % of the recordings deceive``."""
-        return f"{percent(self.deceiving)} of the recordings deceive"
 
 
 def source_words(name: str, sensor: str | None) -> str:
