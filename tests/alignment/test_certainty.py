@@ -4,23 +4,20 @@ import numpy as np
 import pytest
 
 from retropole.alignment.certainty import (
-    MAX_SCALE,
-    MIN_MEMBERS,
-    WORKING_SHARE,
     few_freedom,
     floors,
-    group_scales,
     parts_of_errors,
-    prior_precision,
     scatter_of_poles,
     solve_factor,
     uncertainty_of_pair,
-    working_sigma,
+)
+from retropole.alignment.error_sizes import (
+    prior_precision,
 )
 from retropole.alignment.factor import OF_SOURCE, PoleFactor, poses_of_pair
 from retropole.alignment.unknowns import POSE, Unknowns
 from retropole.base.datatypes import Array
-from retropole.base.systematic import ErrorModel, Groups
+from retropole.base.systematic import ErrorModel
 from retropole.base.uncertainty import (
     FLOOR_ROTATION,
     FLOOR_TRANSLATION,
@@ -166,49 +163,3 @@ def test_few_degrees_of_freedom_keep_what_is_stated() -> None:
     assert np.all(np.diff(widths) < 0)
     assert widths[-1] == pytest.approx(1.0, abs=1e-4)
     assert few_freedom(0.5) == few_freedom(3.0)
-
-
-def estimates(groups: Groups, sigma: Array, true: Array, noise: Array, seed: int) -> Array:
-    """Sizes that `group_scales` ends at, of errors that data with some noise show one by one."""
-    rng = np.random.default_rng(seed)
-    b = true[groups.label] * rng.normal(size=len(groups.label))
-    seen = b + noise * rng.normal(size=len(b))
-    found = sigma
-    for _ in range(5):
-        precision = prior_precision(groups, found)
-        variance = 1.0 / (precision + 1.0 / noise**2)
-        found = group_scales(groups, sigma, precision, variance / noise**2 * seen, variance)
-    return found
-
-
-def test_sizes_are_found_where_many_errors_show_them() -> None:
-    groups = Unknowns((np.arange(100), np.arange(100)), 0, 0).groups()
-    sigma = ErrorModel().sigmas(groups)
-    many = np.bincount(groups.label) >= MIN_MEMBERS
-    noise = 0.5 * sigma[groups.label]
-    found = np.mean([estimates(groups, sigma, 2 * sigma, noise, k) for k in range(10)], axis=0)
-    np.testing.assert_allclose(found[many] / sigma[many], 2.0, atol=0.2)
-    # Few errors do not tell their own size.
-    np.testing.assert_allclose(found[~many], sigma[~many], rtol=1e-12)
-
-
-def test_sizes_are_never_less_than_known_nor_boundless() -> None:
-    groups = Unknowns((np.arange(100), np.arange(100)), 0, 0).groups()
-    sigma = ErrorModel().sigmas(groups)
-    noise = 0.5 * sigma[groups.label]
-    np.testing.assert_array_equal(estimates(groups, sigma, 0.1 * sigma, noise, 0), sigma)
-    large = estimates(groups, sigma, 50 * sigma, noise, 0)
-    many = np.bincount(groups.label) >= MIN_MEMBERS
-    np.testing.assert_allclose(large[many], MAX_SCALE * sigma[many])
-    # Errors that the data do not show change nothing.
-    unseen = estimates(groups, sigma, 2 * sigma, 1e3 * sigma[groups.label], 0)
-    np.testing.assert_allclose(unseen, sigma, rtol=1e-3)
-
-
-def test_the_estimate_is_drawn_by_less_of_errors_that_only_poles_show() -> None:
-    alone = working_sigma(GROUPS, SIGMA, poles_alone=True)
-    np.testing.assert_allclose(alone, WORKING_SHARE * SIGMA)
-    with_scene = working_sigma(GROUPS, SIGMA, poles_alone=False)
-    hidden = np.array([kind.field in ("tape", "radius") for kind in GROUPS.kinds])
-    np.testing.assert_allclose(with_scene[hidden], WORKING_SHARE * SIGMA[hidden])
-    np.testing.assert_array_equal(with_scene[~hidden], SIGMA[~hidden])

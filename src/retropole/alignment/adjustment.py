@@ -24,17 +24,13 @@ from ..base.uncertainty import RadiusEstimate, Uncertainty
 from .axes_test import AxesTest, compare_axes
 from .certainty import (
     POLES,
-    WORKING_SHARE,
-    considered,
     floors,
-    group_scales,
     parts_of_errors,
-    prior_precision,
     scatter_of_poles,
     solve_factor,
     uncertainty_of_pair,
-    working_sigma,
 )
+from .error_sizes import WORKING_SHARE, considered, group_scales, prior_precision, working_sigma
 from .factor import OF_SOURCE, PoleFactor, poses_of_pair
 from .joint import JointPriors, Sight, maximise_joint, noise_of_start
 from .maximum import lines_of

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.systematic import ErrorModel
-from .certainty import considered, prior_precision, solve_factor
+from .certainty import solve_factor
+from .error_sizes import considered, prior_precision
 from .network import Network, factor_of
 
 RADIUS_MODEL, RADIUS_EDGE = 0.0015, 0.12

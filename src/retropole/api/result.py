@@ -34,7 +34,6 @@ from .stored import StoredInputs, placements_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 AnyDoc = TypeVar("AnyDoc", ResultDoc, SiteDoc)
 
 

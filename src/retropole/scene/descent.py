@@ -7,9 +7,9 @@ Minimised together over the steps x of all poses and the errors b of all LiDARs:
 with R, t the pose of one LiDAR of a pair in the other's frame, c_i the centre of a patch of the
 one, d_i of the other's surface near it, n_i the mean of their normals, and Λ, η what the poles (and
 a survey) say. A direction that the scenes do not hold (along a corridor, over open ground) has no
-part in the first sum and stays where the poles put it. The sizes of the errors are estimated too,
-never below what the manufacturer states. Coarse to fine: a patch looks for its partner as far as
-the pose is still uncertain there.
+part in the first sum and stays where the poles put it. The sizes of the errors are estimated too:
+what is stated is never below what the manufacturer states, what the estimate is drawn by may be.
+Coarse to fine: a patch looks for its partner as far as the pose is still uncertain there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from ..alignment.certainty import group_scales, prior_precision, working_sigma
+from ..alignment.error_sizes import drawn_sigma, group_scales, prior_precision, working_sigma
 from ..alignment.factor import PoleFactor
 from ..alignment.solver import MAX_ITERATIONS
 from ..alignment.unknowns import POSE
@@ -47,6 +47,9 @@ NARROWING, INFORMATION_SHARE = 0.06, 4.0
 """Patches look for their partners as far as so many times the variance that independent residuals
 would leave, and as this part, from step to step, of the variance that the poles left: narrowed at
 once, the search clings to whatever the first step found."""
+
+SIZINGS = 3
+"""So often the sizes of the errors follow an estimate that is drawn by them, to be stated."""
 
 SUPPORT_WIDTH = 0.01
 """Residual that halves the support of a pair when minima are compared, metres."""
@@ -87,8 +90,8 @@ class End:
         (L, 4, 4) where patches were paired and the terms of the scenes count from.
     errors
         (B,) of the LiDARs and the radius.
-    sigma
-        (G,) 1 σ of each group of errors.
+    sigma, drawn
+        (G,) 1 σ of each group of errors, as is stated, and as the next estimate is drawn by.
     precision
         (B,) of the prior that they were estimated with.
     inverse
@@ -105,6 +108,7 @@ class End:
     about: Array
     errors: Array
     sigma: Array
+    drawn: Array
     precision: Array
     inverse: Array
     search: Array
@@ -164,12 +168,20 @@ def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
     return _descend(problem, [each.sets for each in problem.scenes], near, covariance, STEP)
 
 
+def with_known_sizes(problem: RefinementProblem, end: End) -> End:
+    """Solve about an end with the errors as large as they are known to be, or were found."""
+    drawn = end.sigma
+    for _ in range(SIZINGS):
+        drawn = _solve(problem, end.about, end.scene, drawn).sigma
+    return _solve(problem, end.about, end.scene, drawn)
+
+
 class _Begin(NamedTuple):
     """From where a descent starts; see `End`."""
 
     T: Array
     search: Array
-    sigma: Array
+    drawn: Array
     iterations: int = 0
 
 
@@ -181,7 +193,7 @@ def _descend(
     tolerance: float,
 ) -> End:
     """Gauss–Newton steps of the poses, the errors and their sizes, until one is small."""
-    T, search, sigma, begun = begin.T, begin.search, begin.sigma, begin.iterations
+    T, search, drawn, begun = begin.T, begin.search, begin.drawn, begin.iterations
     before: Array | None = None
     unknowns = problem.factor.unknowns
     for iteration in range(begun + 1, begun + MAX_ITERATIONS + 1):
@@ -190,7 +202,7 @@ def _descend(
             for each, sets in zip(problem.scenes, scenes, strict=True)
         )
         terms = tuple(term for term in found if term is not None)
-        end = _solve(problem, T, terms, sigma)
+        end = _solve(problem, T, terms, drawn)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
         small = bool(np.abs(step).max() < tolerance)
         stride, before = _stride_of(step, np.diag(end.inverse)[: len(step)], before)
@@ -198,7 +210,7 @@ def _descend(
         T = end.T if small else _moved(T, stride * step)
         narrowed = NARROWING**iteration * covariance
         search = INFORMATION_SHARE * end.inverse[: len(step), : len(step)] + narrowed
-        sigma = end.sigma
+        drawn = end.drawn
         end = replace(end, T=T, search=search, converged=small, iterations=iteration)
         if small:
             break
@@ -225,9 +237,9 @@ def _stride_of(step: Array, variance: Array, before: Array | None) -> tuple[floa
     return 1.0 / min(max(1.0 - ratio, 1.0 / MAX_STRIDE), MAX_STRIDE), None
 
 
-def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], sigma: Array) -> End:
+def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], drawn: Array) -> End:
     """Solve the problem about some poses, and estimate the sizes of the errors."""
-    working = working_sigma(problem.groups, sigma, poles_alone=not terms)
+    working = working_sigma(problem.groups, drawn, poles_alone=not terms)
     precision = prior_precision(problem.groups, working)
     # The poles count from where they were expanded, the scenes' terms from here.
     factor = problem.factor.about(T)
@@ -242,9 +254,10 @@ def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], s
     inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     best = inverse @ gradient
     errors, variance = best[poses:], np.diag(inverse)[poses:]
-    sizes = group_scales(problem.groups, problem.known, precision, errors, variance)
+    shown = problem.groups, problem.known, precision, errors, variance
+    sizes = group_scales(*shown), drawn_sigma(*shown)
     search = inverse[:poses, :poses]
-    return End(_moved(T, best[:poses]), T, errors, sizes, precision, inverse, search, terms)
+    return End(_moved(T, best[:poses]), T, errors, *sizes, precision, inverse, search, terms)
 
 
 def inverse_of(information: Array) -> Array:

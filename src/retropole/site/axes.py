@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..alignment.adjustment import RADIUS_TOLERANCE
-from ..alignment.certainty import prior_precision
+from ..alignment.error_sizes import prior_precision
 from ..alignment.expansion import expand_lidar, semidefinite
 from ..alignment.joint import JointPriors, Sight, evaluate_joint
 from ..alignment.maximum import lines_of, maximise, start_noise

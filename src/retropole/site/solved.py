@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..alignment.certainty import Part, considered
+from ..alignment.certainty import Part
+from ..alignment.error_sizes import considered
 from ..alignment.network import Network, Observation, about
 from ..base.datatypes import Array
 from ..base.systematic import Groups
