@@ -42,7 +42,8 @@ class Outcome:
     """What came of one scene, and the CPU seconds of its drawing and its calibration.
 
     ``returns`` are the least that a LiDAR has on a pole. Off by ``rotation``, rad, and
-    ``translation``, m, ``squared`` Mahalanobis distance, and the ``error`` e_rt, m; nan without an answer.
+    ``translation``, m, ``squared`` Mahalanobis distance, and the ``error`` e_rt, m; nan without an
+    answer.
     """
 
     seed: int

@@ -25,6 +25,9 @@ Size = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 """A length, a time or a standard deviation."""
 
 Share = Annotated[float, Meta(ge=-1e-9, le=1 + 1e-9)]
+ShareOfSome = Annotated[float, Meta(gt=0, le=0.99)]
+"""Of which there are some, and others: its odds are finite and not zero."""
+
 """A part of one, with its rounding."""
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]

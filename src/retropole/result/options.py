@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple, get_args
 import msgspec
 from msgspec import Meta, inspect
 
-from ..base.bounded import Text
+from ..base.bounded import ShareOfSome, Text
 from ..base.datatypes import DEFAULT_RADIUS, MAX_RADIUS, MIN_RADIUS
 from ..base.sensors import SENSORS
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
@@ -36,7 +36,6 @@ Angle = Annotated[float, Meta(ge=-360, le=360)]
 Poles = Annotated[int, Meta(ge=MIN_POLES, le=LARGEST_WHOLE)]
 NeededError = Annotated[float, Meta(gt=0, le=LARGEST_NEED)]
 Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
-DeceivingShare = Annotated[float, Meta(gt=0, le=0.99)]
 PriorSigma = Annotated[float, Meta(gt=0, le=180)]
 Seed = Annotated[int, Meta(ge=0, le=LARGEST_WHOLE)]
 Frames = tuple[int | None, int | None, int | None]
@@ -125,7 +124,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         bool, told("Trust two poles where the scene has too little to confirm them.")
     ] = False
     deceiving_share: Annotated[
-        DeceivingShare | None,
+        ShareOfSome | None,
         told(
             "Share of recordings like these that deceive (poles that were moved in between, "
             "other objects), for which probability_wrong is stated.  [default: "

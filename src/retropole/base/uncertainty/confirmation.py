@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import force_setattr
 
-from ..bounded import Count, Number, Share, Size, Vector
+from ..bounded import Count, Number, Share, ShareOfSome, Size, Vector
 from ..quantities import counted, percent
 
 MAX_Z_MARGIN = 4.0
@@ -30,7 +30,7 @@ TOGETHER = 0.05
 """The same where both LiDARs recorded at the same time: poles cannot have been carried in between.
 What is left are other objects taken for poles, and clouds that were changed. Chosen: of the answers
 to such recordings (benchmarks/deception.py, seeds 100 to 135) none that is wrong is then confirmed,
-the nearest being a decoy on bare ground, with 4.5 %."""
+the nearest being a decoy on bare ground, with 4.6 %."""
 
 REDUNDANT = -4.0
 """The same for poles that are redundant: of the answers with three or four poles in 1,000
@@ -90,7 +90,7 @@ class Confirmation(
     redundant: bool = False
     trusted: bool = False
     together: bool = False
-    deceiving: Share = DECEIVING
+    deceiving: ShareOfSome = DECEIVING
     along: Vector | None = None
     probability_wrong: Share | None = None
 
