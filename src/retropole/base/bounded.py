@@ -25,10 +25,10 @@ Size = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 """A length, a time or a standard deviation."""
 
 Share = Annotated[float, Meta(ge=-1e-9, le=1 + 1e-9)]
-ShareOfSome = Annotated[float, Meta(gt=0, le=0.99)]
-"""Of which there are some, and others: its odds are finite and not zero."""
-
 """A part of one, with its rounding."""
+
+ShareOfSome = Annotated[float, Meta(gt=0, le=0.99)]
+"""A part of one that has odds: neither none nor all."""
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
