@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from ...api import Array, BoolArray
-from .model import COSINE, LEVEL, OTHER, PLAIN, SINE, SIZE, SLOPE, SLOW, Prediction, State
+from .model import LEVEL, PLAIN, SIZE, SLOPE, SLOW, Prediction, State
 
 STEP_WINDOW = 400.0
 TREND_WINDOW = 400.0
@@ -53,6 +53,9 @@ RAREST = 1e-280
 
 SIZE_ONE = np.eye(6)[:, ORDER]
 """(6, 6) a change of one in each of the six."""
+
+SLOPES = SIZE_ONE[:, :, None] * IS_TREND
+"""(6, 6, M) of trends at sites where none was found; of steps it is zero."""
 
 NOTHING_KNOWN = np.diag(np.repeat([1e-4, 1e-2], 3))
 """Information on a change that has no data yet: tiny, and keeps its size solvable."""
@@ -98,7 +101,7 @@ class Changes:
         if self.deviation.shape[1] == SIZE:
             return self
         deviation = np.pad(self.deviation, ((0, 0), (0, SIZE - PLAIN), (0, 0), (0, 0)))
-        deviation[:, SLOPE] = SIZE_ONE[:, :, None] * IS_TREND
+        deviation[:, SLOPE] = SLOPES
         return replace(self, deviation=deviation)
 
     def ratios(self) -> tuple[Array, Array]:
@@ -153,8 +156,8 @@ class Passed(NamedTuple):
     """
 
     years: Array
-    shown: Array
     kept: Array
+    through: Array
     gain: Array
     inverse: Array
     off: Array
@@ -162,8 +165,14 @@ class Passed(NamedTuple):
     def of(self, sites: Array | int, filters: Array) -> Passed:
         """Take one of all filters of each of some sites."""
         count = np.zeros_like(filters) + sites
-        own = (values[count, filters] for values in self[2:])
-        return Passed(self.years[count], self.shown[count], *own)
+        return Passed(self.years[count], *(values[count, filters] for values in self[1:]))
+
+    def whole(self) -> Passed:
+        """Give that of one filter of each site with all kinds of the state."""
+        more = (0, 0), (0, 0), (0, SIZE - PLAIN)
+        through = np.pad(self.through, more)
+        through[:, range(6), range(SLOPE.start, SLOPE.stop)] = self.years[:, None]
+        return self._replace(through=through, gain=np.pad(self.gain, more))
 
     def part(self, sites: slice) -> Passed:
         """Give those of some sites."""
@@ -172,7 +181,7 @@ class Passed(NamedTuple):
 
 def passed(ahead: Prediction) -> Passed:
     """Keep of a prediction what deviations pass through."""
-    return Passed(ahead.years, ahead.shown, ahead.kept, ahead.gain, ahead.inverse, ahead.off)
+    return Passed(ahead.years, ahead.kept, ahead.through, ahead.gain, ahead.inverse, ahead.off)
 
 
 def taken(changes: Changes, n: int, days: Array, check: Passed) -> Changes:
@@ -216,23 +225,22 @@ def _through(D: Array, check: Passed, steps: Slots, trends: Slots) -> tuple[Arra
     In the slots `steps` and `trends` one begins with it.
     """
     years, kept = check.years[:, None, None, None], check.kept[:, None, None, None]
-    level, slow = D[:, LEVEL].copy(), kept * D[:, SLOW]
+    flat = check.through @ D.reshape(*D.shape[:2], -1)
+    shown = flat.reshape(len(D), 6, *D.shape[2:])
     if D.shape[1] == PLAIN:
-        level[:, ORDER, range(6), MOST_STEPS:] += years[..., 0]
-    else:
-        level += years * D[:, SLOPE]
-    shown = level + slow
-    for kind in (COSINE, SINE) if D.shape[1] == PLAIN else (COSINE, SINE, OTHER):
-        shown += check.shown[:, kind.start // 6, None, None, None] * D[:, kind]
+        shown[:, ORDER, range(6), MOST_STEPS:] += years[..., 0]
     shown[steps[0], :, :, steps[1]] = SIZE_ONE
     shown[trends[0], :, :, trends[1]] = 0.0
-    after = (-check.gain @ shown.reshape(len(D), 6, -1)).reshape(D.shape)
+    after = (np.swapaxes(-check.gain, 1, 2) @ flat).reshape(D.shape)
     begun = after[steps[0], :, :, steps[1]]
     begun[:, LEVEL] += SIZE_ONE
-    after[:, LEVEL] += level
-    after[:, SLOW] += slow
-    for rest in (slice(COSINE.start, SINE.stop), slice(SLOW.stop, None)):
-        after[:, rest] += D[:, rest]
+    after[:, : SLOW.start] += D[:, : SLOW.start]
+    after[:, SLOW] += kept * D[:, SLOW]
+    if D.shape[1] == PLAIN:
+        after[:, ORDER, range(6), MOST_STEPS:] += years[..., 0]
+    else:
+        after[:, LEVEL] += years * D[:, SLOPE]
+        after[:, SLOW.stop :] += D[:, SLOW.stop :]
     after[steps[0], :, :, steps[1]] = begun
     slope = np.zeros((SIZE, 6))
     slope[SLOPE] = SIZE_ONE
@@ -243,11 +251,16 @@ def _through(D: Array, check: Passed, steps: Slots, trends: Slots) -> tuple[Arra
 def _tell(information: Array, vector: Array, shown: Array, check: Passed) -> None:
     """Add to normal equations, in place, what a check says that shows (S, 6, 6, M) of changes."""
     flat = shown.reshape(*shown.shape[:2], -1)
-    weighted = (check.inverse @ flat).reshape(shown.shape)
-    vector += np.moveaxis(np.einsum("si,sijm->sjm", check.off, weighted), 1, 0)
-    G, W = (np.ascontiguousarray(np.moveaxis(each, 0, 2)) for each in (shown, weighted))
+    weighted = check.inverse @ flat
+    towards = (check.inverse @ check.off[..., None]).swapaxes(1, 2) @ flat
+    vector += towards.reshape(len(flat), 6, -1).swapaxes(0, 1)
+    # Six by six, size by size, of all changes: sums of whole rows are quick.
+    G, W = (
+        np.ascontiguousarray(each.reshape(shown.shape).transpose(1, 2, 0, 3))
+        for each in (shown, weighted)
+    )
     for k in range(6):
-        information[k, k:] += (G[:, k, None] * W[:, k:]).sum(axis=0)
+        information[k, k:] += np.einsum("rsm,rjsm->jsm", G[:, k], W[:, k:])
 
 
 def rebuilt(changes: Changes, past: Iterable[tuple[int, Passed]], filters: int) -> Changes:
@@ -261,8 +274,8 @@ def rebuilt(changes: Changes, past: Iterable[tuple[int, Passed]], filters: int) 
     D, information, vector = fresh.deviation, fresh.information, fresh.vector
     for n, check in past:
         begins = [(onset == n) & (IS_TREND == is_trend) for is_trend in (False, True)]
-        more = D.shape[1] - check.gain.shape[1]
-        check = check._replace(gain=np.pad(check.gain, ((0, 0), (0, more), (0, 0))))
+        if check.gain.shape[-1] < D.shape[1]:
+            check = check.whole()
         D, shown = _through(D, check, *map(np.nonzero, begins))
         shown *= ((onset != NONE) & (onset <= n))[:, None, None]
         _tell(information, vector, shown, check)

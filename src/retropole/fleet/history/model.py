@@ -156,16 +156,16 @@ class Prediction:
         (S,) since what came before.
     kept
         (S, R) share of what varies slowly that is left of then.
-    shown
-        (S, 6) by how much each kind shows.
+    through
+        (S, R, 6, N) by how much of the state before shows in the check.
     varied
         (S, R, 6, 6) what has varied since.
     fresh
         (S, 6, 6) variance of what is found the other way for the first time.
     across
-        (S, R, N, 6) covariance of the state with the check.
+        (S, R, 6, N) covariance of the check with the state.
     gain
-        (S, R, N, 6) of the filter.
+        (S, R, 6, N) of the filter, transposed.
     inverse
         (S, R, 6, 6) information of the prediction.
     off
@@ -176,7 +176,7 @@ class Prediction:
 
     years: Array
     kept: Array
-    shown: Array
+    through: Array
     varied: Array
     fresh: Array
     across: Array
@@ -204,34 +204,35 @@ def predicted(
     varied = (1.0 - left**2) * (UNNAMED + share[:, None, None] * squared * random)
     first = np.asarray(check.other) & ~state.knows_other
     fresh = first[:, None, None] * (LEVEL_FACTOR**2 * check.common)
-    shown = weights(check)
-    kinds = state.mean.shape[-1] // 6
-    # Transitions scale each kind, but that a slope adds to the level: no matrix is needed.
-    passed = np.repeat(shown[:, None, :kinds], kept.shape[1], axis=1)
-    passed[..., SLOW.start // 6] = kept
-    if kinds > SLOPE.start // 6:
-        passed[..., SLOPE.start // 6] = years[:, None]
-    P = state.covariance.reshape(*state.covariance.shape[:-1], kinds, 6)
-    across = passed[..., None, 0, None] * P[..., 0, :]
-    for kind in range(1, kinds):
-        across += passed[..., None, kind, None] * P[..., kind, :]
-    across[..., SLOW, :] *= left
-    across[..., SLOW, :] += varied
-    if kinds > SLOPE.start // 6:
-        across[..., LEVEL, :] += years[:, None, None, None] * across[..., SLOPE, :]
-        across[..., OTHER, :] += fresh[:, None]
-    by_kind = across.reshape(*across.shape[:2], kinds, 6, 6)
-    S = np.einsum("sk,srkij->srij", shown[:, :kinds], by_kind) + squared * random
+    weight = weights(check)[:, None]
+    shown = _side_by_side(weight, state.mean.shape[-1])
+    # A transition scales each kind, but that a slope adds to the level.
+    weight = np.repeat(weight, kept.shape[1], axis=1)
+    weight[..., SLOW.start // 6] = kept
+    weight[..., SLOPE.start // 6] = years[:, None]
+    through = _side_by_side(weight, state.mean.shape[-1])
+    across = through @ state.covariance
+    across[..., SLOW] *= left
+    across[..., SLOW] += varied
+    if state.mean.shape[-1] == SIZE:
+        across[..., LEVEL] += years[:, None, None, None] * across[..., SLOPE]
+        across[..., OTHER] += fresh[:, None]
+    S = across @ np.swapaxes(shown, -1, -2) + squared * random
     inverse = np.linalg.inv(S)
     inverse = (inverse + np.swapaxes(inverse, -1, -2)) / 2.0
-    mean = state.mean.reshape(*state.mean.shape[:2], kinds, 6)
-    off = check.step[:, None] - np.einsum("srk,srki->sri", passed, mean)
-    chi2 = np.einsum("sri,srij,srj->sr", off, inverse, off)
-    gain = across @ inverse
+    off = check.step[:, None] - (through @ state.mean[..., None])[..., 0]
+    chi2 = ((inverse @ off[..., None])[..., 0] * off).sum(axis=-1)
     size = np.linalg.slogdet(S)[1]
-    return Prediction(
-        years, kept, shown, varied, fresh, across, gain, inverse, off, chi2, size
-    )
+    gain = inverse @ across
+    return Prediction(years, kept, through, varied, fresh, across, gain, inverse, off, chi2, size)
+
+
+def _side_by_side(weight: Array, size: int) -> Array:
+    """(..., 6, N) the identity for each kind of the state, times its weight (..., 6)."""
+    matrix = np.zeros((*weight.shape[:-1], 6, size))
+    for kind in range(size // 6):
+        matrix[..., range(6), range(6 * kind, 6 * kind + 6)] = weight[..., kind, None]
+    return matrix
 
 
 def updated(state: State, check: Observed, ahead: Prediction) -> State:
@@ -247,7 +248,7 @@ def updated(state: State, check: Observed, ahead: Prediction) -> State:
         P[..., LEVEL, :] += years[..., None] * P[..., SLOPE, :]
         P[..., :, LEVEL] += years[..., None] * P[..., :, SLOPE]
         P[..., OTHER, OTHER] += ahead.fresh[:, None]
-    mean += (ahead.gain @ ahead.off[..., None])[..., 0]
-    P -= ahead.gain @ np.swapaxes(ahead.across, -1, -2)
+    mean += (ahead.off[..., None, :] @ ahead.gain)[..., 0, :]
+    P -= np.swapaxes(ahead.gain, -1, -2) @ ahead.across
     knows = state.knows_other | np.asarray(check.other)
     return State(mean, P, np.array(check.days), knows)
