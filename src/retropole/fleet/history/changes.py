@@ -48,6 +48,9 @@ ORDER = [3, 4, 5, 0, 1, 2]
 """Of the six of a size, translation first: where it is eliminated first, what it tells alone is
 there on the way."""
 
+TOGETHER = 64
+"""Checks whose sums are taken together, where many are taken in again."""
+
 RAREST = 1e-280
 """Smaller probabilities are none to a computer."""
 
@@ -139,14 +142,12 @@ def as_six(alone: Array) -> Array:
     return np.asarray(chdtri(6, np.maximum(chdtrc(3, alone), RAREST)))
 
 
-def no_changes(sites: int, size: int = PLAIN) -> Changes:
+def no_changes(sites: int, size: int = PLAIN, slots: int = len(IS_TREND)) -> Changes:
     """Give sites no change at all."""
-    slots = sites, len(IS_TREND)
-    information = np.broadcast_to(NOTHING_KNOWN[..., None, None], (6, 6, *slots)).copy()
-    deviation = np.zeros((sites, size, 6, slots[1]))
-    return Changes(
-        np.full(slots, NONE), np.zeros(slots), deviation, information, np.zeros((6, *slots))
-    )
+    information = np.broadcast_to(NOTHING_KNOWN[..., None, None], (6, 6, sites, slots)).copy()
+    onset, days = np.full((sites, slots), NONE), np.zeros((sites, slots))
+    deviation, vector = np.zeros((sites, size, 6, slots)), np.zeros((6, sites, slots))
+    return Changes(onset, days, deviation, information, vector)
 
 
 class Passed(NamedTuple):
@@ -191,7 +192,7 @@ def taken(changes: Changes, n: int, days: Array, check: Passed) -> Changes:
     steps = np.full(len(onset), n % MOST_STEPS)
     trends = MOST_STEPS + (onset[:, IS_TREND] == NONE).argmax(axis=1)
     begins = (sites, steps), (sites, trends)
-    deviation, shown = _through(changes.deviation, check, *begins)
+    deviation, shown = _through(changes.deviation, check, IS_TREND, *begins)
     information, vector = changes.information.copy(), changes.vector.copy()
     for of, slots in begins:
         onset[of, slots], begin[of, slots] = n, days
@@ -219,16 +220,18 @@ Slots = tuple[Array, Array]
 """Numbers of sites, and of a slot of each."""
 
 
-def _through(D: Array, check: Passed, steps: Slots, trends: Slots) -> tuple[Array, Array]:
+def _through(
+    D: Array, check: Passed, is_trend: BoolArray, steps: Slots, trends: Slots
+) -> tuple[Array, Array]:
     """Pass deviations (S, N, 6, M) through a check; gives too how much of them it shows.
 
-    In the slots `steps` and `trends` one begins with it.
+    `is_trend` (M,) says what the slots hold; in the slots `steps` and `trends` one begins with it.
     """
     years, kept = check.years[:, None, None, None], check.kept[:, None, None, None]
     flat = check.through @ D.reshape(*D.shape[:2], -1)
     shown = flat.reshape(len(D), 6, *D.shape[2:])
     if D.shape[1] == PLAIN:
-        shown[:, ORDER, range(6), MOST_STEPS:] += years[..., 0]
+        shown[:, ORDER, range(6)] += years[..., 0] * is_trend
     shown[steps[0], :, :, steps[1]] = SIZE_ONE
     shown[trends[0], :, :, trends[1]] = 0.0
     after = (np.swapaxes(-check.gain, 1, 2) @ flat).reshape(D.shape)
@@ -237,7 +240,7 @@ def _through(D: Array, check: Passed, steps: Slots, trends: Slots) -> tuple[Arra
     after[:, : SLOW.start] += D[:, : SLOW.start]
     after[:, SLOW] += kept * D[:, SLOW]
     if D.shape[1] == PLAIN:
-        after[:, ORDER, range(6), MOST_STEPS:] += years[..., 0]
+        after[:, ORDER, range(6)] += years[..., 0] * is_trend
     else:
         after[:, LEVEL] += years * D[:, SLOPE]
         after[:, SLOW.stop :] += D[:, SLOW.stop :]
@@ -263,20 +266,32 @@ def _tell(information: Array, vector: Array, shown: Array, check: Passed) -> Non
         information[k, k:] += np.einsum("rsm,rjsm->jsm", G[:, k], W[:, k:])
 
 
-def rebuilt(changes: Changes, past: Iterable[tuple[int, Passed]], filters: int) -> Changes:
-    """Give the same changes of one site as others of its filters see them, each as a site.
+def rebuilt(start: Changes, is_trend: BoolArray, past: Iterable[tuple[int, Passed]]) -> Changes:
+    """Take checks in again, of sites whose changes that are to be known in the end are named.
 
-    `past` has the numbers of the checks that were taken in, from the first onset on, and what these
-    filters made of them.
+    `start` has the onsets of these, in slots for `is_trend` (M,), and is else as it was before the
+    checks; `past` has the number of each, from the first that any of the sites lacks on.
     """
-    onset = np.repeat(changes.onset, filters, axis=0)
-    fresh = no_changes(filters, changes.deviation.shape[1])
-    D, information, vector = fresh.deviation, fresh.information, fresh.vector
+    onset, D = start.onset, start.deviation
+    shown, weighted, off = [], [], []
     for n, check in past:
-        begins = [(onset == n) & (IS_TREND == is_trend) for is_trend in (False, True)]
+        begins = [np.nonzero((onset == n) & (is_trend == each)) for each in (False, True)]
         if check.gain.shape[-1] < D.shape[1]:
             check = check.whole()
-        D, shown = _through(D, check, *map(np.nonzero, begins))
-        shown *= ((onset != NONE) & (onset <= n))[:, None, None]
-        _tell(information, vector, shown, check)
-    return Changes(onset, np.repeat(changes.days, filters, axis=0), D, information, vector)
+        D, one = _through(D, check, is_trend, *begins)
+        one *= ((onset != NONE) & (onset <= n))[:, None, None]
+        shown.append(one)
+        weighted.append((check.inverse @ one.reshape(*one.shape[:2], -1)).reshape(one.shape))
+        off.append(check.off)
+    information, vector = start.information, start.vector
+    for k in range(0, len(off), TOGETHER):
+        some = slice(k, k + TOGETHER)
+        # All that the checks show of a change in one: (S, M, 6, 6 checks).
+        G, W = (
+            np.array(each[some]).transpose(1, 4, 3, 0, 2).reshape(*onset.shape, 6, -1)
+            for each in (shown, weighted)
+        )
+        beyond = np.array(off[some]).transpose(1, 0, 2).reshape(len(onset), 1, -1, 1)
+        information = information + np.moveaxis(G @ np.swapaxes(W, -1, -2), (2, 3), (0, 1))
+        vector = vector + np.moveaxis((W @ beyond)[..., 0], 2, 0)
+    return replace(start, deviation=D, information=information, vector=vector)

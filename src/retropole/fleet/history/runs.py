@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -134,34 +135,46 @@ class Past(NamedTuple):
     took: BoolArray
     passed: Passed
 
-    def of(self, s: int) -> Past:
-        """Give that of one site."""
-        return Past(self.n, self.took[s : s + 1], self.passed.part(slice(s, s + 1)))
-
 
 def first_onset(changes: Changes) -> float:
     """Give the first check with which one of the changes began."""
-    return float(np.where(changes.onset == NONE, np.inf, changes.onset).min())
+    return float(np.where(changes.onset == NONE, np.inf, changes.onset).min(initial=np.inf))
 
 
-def as_seen_by(filters: Array, changes: Changes, past: Iterable[Past]) -> Changes:
-    """Give the changes of one site as some of its filters see them, each as a site of its own."""
-    first = first_onset(changes)
-    checks = (one for one in past if one.n >= first and one.took[0])
-    return rebuilt(changes, ((one.n, one.passed.of(0, filters)) for one in checks), len(filters))
+Seen = Iterator[tuple[int, Passed]]
+"""Numbers of checks of a site, and what some of its filters made of each."""
 
 
-def adopted(own: Runs, m: int, past: Iterable[Past]) -> Runs:
-    """Put a change into the state of one site: from now on it is part of what is expected."""
+def seen_by(filters: Array, past: Iterable[Past], s: int, first: float) -> Seen:
+    """Give what some filters of a site made of the checks that were taken in, from a first on."""
+    return (
+        (one.n, one.passed.of(s, filters)) for one in past if one.n >= first and one.took[s]
+    )
+
+
+def as_told_by(filter: int, changes: Changes, past: Iterable[Past], s: int) -> Changes:
+    """Give the changes of one site as another of its filters sees them."""
+    blank = no_changes(1, changes.deviation.shape[1])
+    start = replace(blank, onset=changes.onset, days=changes.days)
+    return rebuilt(start, IS_TREND, seen_by(np.array([filter]), past, s, first_onset(changes)))
+
+
+def adopted(own: Runs, m: int, past: Iterable[Past], s: int, newest: Iterable[Past]) -> Runs:
+    """Put a change into the state of one site: from now on it is part of what is expected.
+
+    `past` is of all sites, of which it is s, and `newest` of its checks that are not in there.
+    """
     if IS_TREND[m]:
         own = own.whole()
-    onset = np.where(np.arange(len(IS_TREND)) == m, own.changes.onset, NONE)
-    filters = np.arange(own.likelihood.shape[1])
-    seen = as_seen_by(filters, replace(own.changes, onset=onset), past)
+    filters, onset = np.arange(own.likelihood.shape[1]), own.changes.onset[0, m]
+    blank = no_changes(len(filters), own.changes.deviation.shape[1], 1)
+    start = replace(blank, onset=np.full((len(filters), 1), onset))
+    checks = seen_by(filters, past, s, onset), seen_by(filters, newest, 0, onset)
+    seen = rebuilt(start, IS_TREND[m : m + 1], chain(*checks))
     mean, P = own.state.mean.copy(), own.state.covariance.copy()
     for r in filters:
-        size, covariance = seen.size(r, m)
-        D = seen.deviation[r, :, :, m][:, ORDER]
+        size, covariance = seen.size(r, 0)
+        D = seen.deviation[r, :, :, 0][:, ORDER]
         mean[0, r] += D @ size
         P[0, r] += D @ covariance @ D.T
     state = replace(own.state, mean=mean, covariance=P)

@@ -13,14 +13,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 
 import numpy as np
 
 from .changes import passed
 from .events import GATE, Event, Expected, Watched, from_stored, stays_moved
 from .model import Observed, together
-from .runs import Past, Runs, adopted, as_seen_by, begin, first_onset, lost
+from .runs import Past, Runs, adopted, as_told_by, begin, first_onset, lost
 from .search import THRESHOLDS, Branch, confirmed, found, may_be_found, needed
 
 MOST_WAITING = 6
@@ -158,8 +157,7 @@ def _advanced(
     telling = np.where(aside, runs.best, after.best)
     for s in np.flatnonzero(telling != runs.telling).tolist():
         changes = runs.changes.of(slice(s, s + 1))
-        own = as_seen_by(telling[s : s + 1], changes, (one.of(s) for one in past))
-        runs.changes.put(s, own)
+        runs.changes.put(s, as_told_by(int(telling[s]), changes, past, s))
     runs = replace(runs, telling=telling)
     after = replace(after, changes=runs.changes, telling=telling.copy()).taken(ahead, check, n)
     singles = np.array([one.singles for one in told])
@@ -174,11 +172,11 @@ def _advanced(
             taken_off = {**told[s].waiting, n: float(off[s])}
             branch = confirmed(own, told[s].checks, taken_off, needs)
         else:
-            branch = found(result, own.changes, (newest.of(s),), n - 1, needs)
+            took = Past(n, newest.took[one], newest.passed.part(one))
+            branch = found(result, own.changes, (took,), n - 1, needs)
         if branch is not None:
             told[s].tell(branch, n)
-            earlier = (each.of(s) for each in past)
-            own = adopted(branch.runs, branch.change, chain(earlier, branch.taken))
+            own = adopted(branch.runs, branch.change, past, s, branch.taken)
         elif off[s] <= GATE:
             # The filter has not taken in those that wait: they are left out for good.
             told[s].are_outliers(told[s].waiting, n)
