@@ -93,6 +93,10 @@ class Changes:
         parts = (self.information[:, :, sites], self.vector[:, sites])
         return Changes(self.onset[sites], self.days[sites], self.deviation[sites], *parts)
 
+    def copy(self) -> Changes:
+        """Give the same in arrays of their own."""
+        return Changes(*(values.copy() for values in vars(self).values()))
+
     def put(self, s: int, one: Changes) -> None:
         """Set those of one site, in place."""
         for name in ("onset", "days", "deviation"):

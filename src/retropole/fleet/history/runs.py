@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...api import Array, BoolArray
-from .changes import IS_TREND, NONE, ORDER, Changes, Passed, no_changes, passed, rebuilt, taken
+from .changes import IS_TREND, NONE, NOTHING_KNOWN, ORDER, Changes, Passed, no_changes, passed, rebuilt, taken
 from .events import GATE
-from .model import LEVEL, Observed, Prediction, State, first_state, predicted, updated
+from .model import LEVEL, SIZE, Observed, Prediction, State, first_state, predicted, updated
 
 SCALE, SCALE_CHECKS = 1.25, 8.0
 """What a site's random scatter is taken for beside what is stated, in σ, before it has told: and
@@ -152,11 +152,23 @@ def seen_by(filters: Array, past: Iterable[Past], s: int, first: float) -> Seen:
     )
 
 
-def as_told_by(filter: int, changes: Changes, past: Iterable[Past], s: int) -> Changes:
-    """Give the changes of one site as another of its filters sees them."""
-    blank = no_changes(1, changes.deviation.shape[1])
-    start = replace(blank, onset=changes.onset, days=changes.days)
-    return rebuilt(start, IS_TREND, seen_by(np.array([filter]), past, s, first_onset(changes)))
+def as_told_by(
+    filter: int, changes: Changes, past: Iterable[Past], s: int, known: tuple[float, Changes] | None
+) -> Changes:
+    """Give the changes of one site, which is s, as another of its filters sees them.
+
+    `known` are those that this filter saw up to a check, with its number.
+    """
+    since, start = known or (NONE, no_changes(1, changes.deviation.shape[1]))
+    if changes.deviation.shape[1] == SIZE:
+        start = start.whole()
+    start = replace(start, onset=changes.onset, days=changes.days)
+    information, vector = start.information.copy(), start.vector.copy()
+    anew = changes.onset[0] > since
+    information[:, :, 0, anew], vector[:, 0, anew] = NOTHING_KNOWN[..., None], 0.0
+    start = replace(start, information=information, vector=vector)
+    first = max(since + 1, first_onset(changes))
+    return rebuilt(start, IS_TREND, seen_by(np.array([filter]), past, s, first))
 
 
 def adopted(own: Runs, m: int, past: Iterable[Past], s: int, newest: Iterable[Past]) -> Runs:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .changes import passed
+from .changes import Changes, passed
 from .events import GATE, Event, Expected, Watched, from_stored, stays_moved
 from .model import Observed, together
 from .runs import Past, Runs, adopted, as_told_by, begin, first_onset, lost
@@ -28,11 +28,20 @@ MOST_WAITING = 6
 
 @dataclass(eq=False)
 class _Told:
-    """What is told of a site so far: events, and the χ² of checks that wait by their numbers."""
+    """What is told of a site so far.
+
+    Attributes
+    ----------
+    waiting
+        χ² of the checks that wait, by their numbers.
+    known
+        Of filters that told, the changes as they saw them up to a check, with its number.
+    """
 
     checks: Observed
     events: list[Event] = field(default_factory=list)
     waiting: dict[int, float] = field(default_factory=dict)
+    known: dict[int, tuple[float, Changes]] = field(default_factory=dict)
 
     @property
     def singles(self) -> int:
@@ -156,8 +165,11 @@ def _advanced(
     after = runs.told(ahead)
     telling = np.where(aside, runs.best, after.best)
     for s in np.flatnonzero(telling != runs.telling).tolist():
-        changes = runs.changes.of(slice(s, s + 1))
-        runs.changes.put(s, as_told_by(int(telling[s]), changes, past, s))
+        changes, known = runs.changes.of(slice(s, s + 1)).copy(), told[s].known
+        # Filters that are about as likely take turns.
+        known[int(runs.telling[s])] = n - 1, changes
+        to = int(telling[s])
+        runs.changes.put(s, as_told_by(to, changes, past, s, known.get(to)))
     runs = replace(runs, telling=telling)
     after = replace(after, changes=runs.changes, telling=telling.copy()).taken(ahead, check, n)
     singles = np.array([one.singles for one in told])
@@ -186,6 +198,8 @@ def _advanced(
         else:
             own = lost(own, check[one])
         newest.took[s] = False
+        if branch is not None or not told[s].waiting:
+            told[s].known = {}
         if own.state.mean.shape[-1] > after.state.mean.shape[-1]:
             after = after.whole()
         elif own.state.mean.shape[-1] < after.state.mean.shape[-1]:
