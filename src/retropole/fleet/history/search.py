@@ -129,65 +129,82 @@ class Branch:
         return tuple(one.n for one in self.taken)
 
 
+@dataclass(frozen=True, eq=False)
+class With:
+    """Runs of one site that took some checks in.
+
+    Attributes
+    ----------
+    before
+        The changes before the last of these.
+    runs
+        After it.
+    taken
+        What the filters made of the checks.
+    surprise
+        Sum of their χ².
+    """
+
+    before: Changes
+    runs: Runs
+    taken: tuple[Past, ...]
+    surprise: float
+
+
 def confirmed(
-    runs: Runs, checks: Observed, off: Mapping[int, float], needed: Needed
+    runs: Runs, newest: With, checks: Observed, off: Mapping[int, float], needed: Needed
 ) -> Branch | None:
     """Find the change by which the newest check, with those that wait or without, is no surprise.
 
-    `runs` are of one site, `checks` all of its, and `off` is the χ² of each against what was
-    expected, the newest last.
+    `runs` are of one site, `newest` the same with the newest check, `checks` all of the site, and
+    `off` is the χ² of each that is off or new against what was expected, the newest last.
     """
     *waiting, n = off
     likely: list[Branch] = []
     whole = [(*waiting, n)] if len(waiting) > 1 else []
     for numbers in ((n,), *((k, n) for k in waiting), *whole):
-        before, after, taken, surprises = _with_all(runs, checks, numbers)
-        alone = numbers[-2] if len(numbers) > 1 else n - 1
-        branch = found(after, before, taken, alone, needed)
-        if branch is None or not _explains(runs.changes, branch, surprises):
+        all_in = newest if len(numbers) == 1 else _with_all(runs, checks, numbers)
+        branch = found(all_in, numbers[-2] if len(numbers) > 1 else n - 1, needed)
+        if branch is None or not _explains(runs.changes, branch, all_in):
             continue
         fading = min(off[k] for k in numbers) <= WEAKER * branch.event.statistic
+        alone = numbers[-2] if len(numbers) > 1 else n - 1
         if branch.event.onset != alone or not fading:
             likely.append(branch)
     return max(likely, key=lambda one: one.event.statistic, default=None)
 
 
-def _with_all(
-    runs: Runs, checks: Observed, numbers: Sequence[int]
-) -> tuple[Changes, Runs, tuple[Past, ...], list[float]]:
-    """Take checks in as if none were off; gives what was before the last, and the χ² of each."""
-    taken, surprises = [], []
+def _with_all(runs: Runs, checks: Observed, numbers: Sequence[int]) -> With:
+    """Take checks in as if none were off."""
+    taken, surprise = [], 0.0
     for k in numbers:
         check, before = checks[k : k + 1], runs.changes
         ahead = runs.ahead(check)
         runs = runs.taken(ahead, check, k)
         taken.append(Past(k, np.ones(1, dtype=bool), passed(ahead)))
-        surprises.append(float(ahead.chi2[0, runs.telling[0]]))
-    return before, runs, tuple(taken), surprises
+        surprise += float(ahead.chi2[0, runs.telling[0]])
+    return With(before, runs, tuple(taken), surprise)
 
 
-def _explains(before: Changes, branch: Branch, surprises: Sequence[float]) -> bool:
+def _explains(before: Changes, branch: Branch, all_in: With) -> bool:
     """Tell whether under a change the checks that were taken in are no surprise."""
     event, m = branch.event, branch.change
     same = bool(before.onset[0, m] == event.onset)
     # What the change explained before these checks is none of their surprise.
     already = float(before.statistics()[0, m]) if same else 0.0
-    left = sum(surprises) - (event.statistic - already)
-    freedom = 6 * len(surprises) - (0 if same else 6)
+    left = all_in.surprise - (event.statistic - already)
+    freedom = 6 * len(all_in.taken) - (0 if same else 6)
     return bool(left <= chdtri(freedom, CHANCE))
 
 
-def found(
-    runs: Runs, before: Changes, taken: tuple[Past, ...], alone: int, needed: Needed
-) -> Branch | None:
+def found(all_in: With, alone: int, needed: Needed) -> Branch | None:
     """Find the likeliest change that matters, of those that two checks show, and days enough.
 
-    `runs` are of one site, and have `taken` in some checks; `before` is what was known before the
-    last. A step that begins with the check `alone` is shown by two.
+    A step that begins with the check `alone` is shown by two.
     """
-    n, changes = taken[-1].n, runs.changes
+    n, runs, before = all_in.taken[-1].n, all_in.runs, all_in.before
+    changes, onset = runs.changes, runs.changes.onset[0]
     least, two, short = (each[0] for each in _least(changes, runs.state.days, alone, needed))
-    onset = changes.onset[0]
     statistics = np.where(onset < n, changes.statistics()[0], 0.0)
     if (short & (statistics > least)).any():
         # Before the newest check it showed already: no single one that is off makes a trend.
@@ -206,5 +223,5 @@ def found(
             others = statistics[IS_TREND != IS_TREND[m]]
             lead = float(statistics[m] - others.max(initial=0.0))
             event = Event(kind, int(onset[m]), n, size, covariance, float(statistics[m]), lead)
-            return Branch(runs, taken, m, event)
+            return Branch(runs, all_in.taken, m, event)
     return None

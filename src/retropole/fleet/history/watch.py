@@ -20,7 +20,7 @@ from .changes import Changes, passed
 from .events import GATE, Event, Expected, Watched, from_stored, stays_moved
 from .model import Observed, together
 from .runs import Past, Runs, adopted, as_told_by, begin, first_onset, lost
-from .search import THRESHOLDS, Branch, confirmed, found, may_be_found, needed
+from .search import THRESHOLDS, Branch, With, confirmed, found, may_be_found, needed
 
 MOST_WAITING = 6
 """Checks that may wait. If no two of as many agree, the place has become another."""
@@ -180,12 +180,16 @@ def _advanced(
         one = slice(s, s + 1)
         needs = *at_least[:2], at_least[2][one], at_least[3][one]
         own, result = runs.of(one), after.of(one)
+        took = Past(n, newest.took[one], newest.passed.part(one))
         if aside[s]:
-            taken_off = {**told[s].waiting, n: float(off[s])}
-            branch = confirmed(own, told[s].checks, taken_off, needs)
+            # What is off shall not yet tell how the site scatters.
+            untold = replace(own, state=result.state, changes=result.changes)
+            all_in = With(own.changes, untold, (took,), float(off[s]))
+            waiting = {**told[s].waiting, n: float(off[s])}
+            branch = confirmed(own, all_in, told[s].checks, waiting, needs)
         else:
-            took = Past(n, newest.took[one], newest.passed.part(one))
-            branch = found(result, own.changes, (took,), n - 1, needs)
+            all_in = With(own.changes, result, (took,), float(off[s]))
+            branch = found(all_in, n - 1, needs)
         if branch is not None:
             told[s].tell(branch, n)
             own = adopted(branch.runs, branch.change, past, s, branch.taken)
