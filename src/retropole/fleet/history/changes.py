@@ -229,30 +229,33 @@ def _through(
 ) -> tuple[Array, Array]:
     """Pass deviations (S, N, 6, M) through a check; gives too how much of them it shows.
 
-    `is_trend` (M,) says what the slots hold; in the slots `steps` and `trends` one begins with it.
+    `is_trend` (M,) says what the slots hold, trends last; in the slots `steps` and `trends` one begins with it.
     """
-    years, kept = check.years[:, None, None, None], check.kept[:, None, None, None]
-    flat = check.through @ D.reshape(*D.shape[:2], -1)
-    shown = flat.reshape(len(D), 6, *D.shape[2:])
-    if D.shape[1] == PLAIN:
-        shown[:, ORDER, range(6)] += years[..., 0] * is_trend
-    shown[steps[0], :, :, steps[1]] = SIZE_ONE
-    shown[trends[0], :, :, trends[1]] = 0.0
-    after = (np.swapaxes(-check.gain, 1, 2) @ flat).reshape(D.shape)
-    begun = after[steps[0], :, :, steps[1]]
-    begun[:, LEVEL] += SIZE_ONE
-    after[:, : SLOW.start] += D[:, : SLOW.start]
-    after[:, SLOW] += kept * D[:, SLOW]
-    if D.shape[1] == PLAIN:
-        after[:, ORDER, range(6)] += years[..., 0] * is_trend
-    else:
-        after[:, LEVEL] += years * D[:, SLOPE]
-        after[:, SLOW.stop :] += D[:, SLOW.stop :]
-    after[steps[0], :, :, steps[1]] = begun
-    slope = np.zeros((SIZE, 6))
+    size = D.shape[1]
+    through = np.zeros((len(D), size + 6, size))
+    # After the check first, and below what shows in it: all in one product.
+    after, shows = through[:, :size], through[:, size:]
+    shows[:] = check.through
+    np.matmul(np.swapaxes(-check.gain, 1, 2), check.through, out=after)
+    kept = np.ones((len(D), size))
+    kept[:, SLOW] = check.kept[:, None]
+    after[:, range(size), range(size)] += kept
+    if size == SIZE:
+        after[:, range(6), range(SLOPE.start, SLOPE.stop)] += check.years[:, None]
+    both = (through @ D.reshape(len(D), size, -1)).reshape(len(D), size + 6, 6, -1)
+    begin = np.zeros((len(D), size + 6, 6))
+    begin[:, :size] = -np.swapaxes(check.gain, 1, 2)[..., ORDER]
+    begin[:, LEVEL] += SIZE_ONE
+    begin[:, size:] = SIZE_ONE
+    if size == PLAIN:
+        # The slope of a trend, which is not in there, has added to the level.
+        sloped = check.years[:, None, None, None] * begin[..., None]
+        both[..., np.count_nonzero(~is_trend) :] += sloped
+    both[steps[0], :, :, steps[1]] = begin[steps[0]]
+    slope = np.zeros((SIZE + 6, 6))
     slope[SLOPE] = SIZE_ONE
-    after[trends[0], :, :, trends[1]] = slope[: D.shape[1]]
-    return after, shown
+    both[trends[0], :, :, trends[1]] = slope if size == SIZE else 0.0
+    return both[:, :size], both[:, size:]
 
 
 def _tell(information: Array, vector: Array, shown: Array, check: Passed) -> None:
