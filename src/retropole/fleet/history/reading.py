@@ -14,6 +14,7 @@ import numpy as np
 from ...base.errors import ReadError
 from ..storage import below, names_in
 from ..tables import arrow, opened
+from .columns import PLACE
 from .store import SCHEMA, CheckRow, row_of, schema
 
 MONTH = re.compile(r"month=\d{4}-\d{2}")
@@ -26,10 +27,6 @@ READERS = 8
 
 TOGETHER = 20
 """Sites that are packed together: 5 MB at 365 checks each."""
-
-PLACE = "place"
-"""Column of the file that a row was read of; no file has it."""
-
 
 def _raise(error: ReadError) -> None:
     raise error
@@ -74,28 +71,29 @@ def read(
     ReadError
         Of what is damaged, without `tell`.
     """
-    for data in read_packed(folder, ids, tell):
+    for _, data in read_packed(folder, ids, tell):
         yield from unpacked(data, tell)
 
 
 def read_packed(
     folder: str, ids: Collection[str] | None = None, tell: Tell = _raise
-) -> Iterator[bytes]:
+) -> Iterator[tuple[list[str], bytes]]:
     """Read a history as `read` does, `TOGETHER` sites at a time, for another process to unpack."""
     pa = arrow()
     place = pa.field(PLACE, pa.dictionary(pa.int32(), pa.string()))
     tables = _tables(folder, ids, tell)
     whole = pa.concat_tables([schema().append(place).empty_table(), *tables]).unify_dictionaries()
     whole = whole.sort_by([(name, "ascending") for name in ("id", "time", "key")])
-    counts = whole["id"].value_counts().field("counts").to_pylist()
-    ends = np.cumsum([0, *counts]).tolist()
+    counts = whole["id"].value_counts()
+    names = counts.field("values").to_pylist()
+    ends = np.cumsum([0, *counts.field("counts").to_pylist()]).tolist()
     ends = [*ends[:-1:TOGETHER], ends[-1]]
-    for start, end in pairwise(ends):
+    for k, (start, end) in enumerate(pairwise(ends)):
         sink = pa.BufferOutputStream()
         with pa.ipc.new_stream(sink, whole.schema) as stream:
             stream.write_table(whole.slice(start, end - start))
         data: bytes = sink.getvalue().to_pybytes()
-        yield data
+        yield names[TOGETHER * k : TOGETHER * (k + 1)], data
 
 
 def unpacked(data: bytes, tell: Tell = _raise) -> Iterator[tuple[str, list[CheckRow]]]:

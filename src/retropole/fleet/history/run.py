@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, groupby
@@ -18,9 +18,10 @@ from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
 from . import reading, store
 from .check import WatchedPair, lost_check, watched_pairs
+from .columns import histories
 from .events import Event, Watched
 from .store import CheckRow, observed
-from .watch import watch
+from .watch import watch, watch_all
 
 FLUSH = 100
 """Sites whose rows are appended together: an interrupt loses no more than these."""
@@ -83,8 +84,13 @@ def replayed(packed: Packed) -> Replayed:
     """Tell what changed at some sites, and what is damaged of their rows; as a worker does it."""
     data, newest = packed
     damaged: list[ReadError] = []
-    own = reading.unpacked(data, damaged.append)
-    return [changes_of(rows, newest.get(name)) for name, rows in own], damaged
+    found = [*histories(data, damaged.append)]
+    told = iter(watch_all([one.checks for one in found if one.checks is not None]))
+    changes = []
+    for one in found:
+        watched = Watched() if one.checks is None else next(told)
+        changes.append(SiteChange(one.id, one.times, watched, newest.get(one.id, one.newest)))
+    return changes, damaged
 
 
 Replaying = Callable[[Callable[[Packed], Replayed], Iterator[Packed]], Iterable[Replayed]]
@@ -195,12 +201,33 @@ def check_fleet(
         # Also what was checked before an interrupt.
         append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
-    packed = ((data, newest) for data in reading.read_packed(history, by_id, damaged.append))
+    changes, damaged_too = replay(history, by_id, replaying, newest)
+    faults = dict.fromkeys(map(str, damaged + damaged_too))
+    return FleetCheck(appended, tuple(changes), tuple(faults))
+
+
+def replay(
+    history: str,
+    ids: Collection[str],
+    replaying: Replaying = map,
+    newest: Mapping[str, CheckRow] | None = None,
+) -> tuple[list[SiteChange], list[ReadError]]:
+    """Tell what changed at sites, in the order of their ids, and what of the history is damaged.
+
+    `newest` is of a run what came of each site, by its id.
+    """
+    damaged: list[ReadError] = []
+    own = newest or {}
+
+    def packed() -> Iterator[Packed]:
+        for names, data in reading.read_packed(history, ids, damaged.append):
+            yield data, {name: own[name] for name in names if name in own}
+
     changes: list[SiteChange] = []
-    for found_here, damaged_here in replaying(replayed, packed):
+    for found_here, damaged_here in replaying(replayed, packed()):
         changes += found_here
         damaged += damaged_here
-    return FleetCheck(appended, tuple(changes), tuple(dict.fromkeys(map(str, damaged))))
+    return sorted(changes, key=lambda site: site.id), damaged
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:

@@ -106,8 +106,10 @@ def watch_all(
     Parameters
     ----------
     sites
-        Of each all checks in one, their number in front; one at least.
+        Of each all checks in one, their number in front: one check at least.
     """
+    if not sites:
+        return []
     counts = np.array([len(checks.step) for checks in sites])
     order = np.argsort(-counts, kind="stable").tolist()
     told = [_Told(sites[s]) for s in order]
