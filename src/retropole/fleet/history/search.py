@@ -152,23 +152,24 @@ class With:
 
 
 def confirmed(
-    runs: Runs, newest: With, checks: Observed, off: Mapping[int, float], needed: Needed
+    runs: Runs, newest: With | None, checks: Observed, off: Mapping[int, float], needed: Needed
 ) -> Branch | None:
     """Find the change by which the newest check, with those that wait or without, is no surprise.
 
-    `runs` are of one site, `newest` the same with the newest check, `checks` all of the site, and
-    `off` is the χ² of each that is off or new against what was expected, the newest last.
+    `runs` are of one site, `newest` the same with the newest check where that alone may tell a
+    change, `checks` all of the site, and `off` is the χ² of each that is off or new against what
+    was expected, the newest last.
     """
     *waiting, n = off
     likely: list[Branch] = []
     whole = [(*waiting, n)] if len(waiting) > 1 else []
-    for numbers in ((n,), *((k, n) for k in waiting), *whole):
-        all_in = newest if len(numbers) == 1 else _with_all(runs, checks, numbers)
-        branch = found(all_in, numbers[-2] if len(numbers) > 1 else n - 1, needed)
+    tried = [] if newest is None else [(newest, n - 1)]
+    several = (*((k, n) for k in waiting), *whole)
+    for all_in, alone in (*tried, *((_with_all(runs, checks, each), each[-2]) for each in several)):
+        branch = found(all_in, alone, needed)
         if branch is None or not _explains(runs.changes, branch, all_in):
             continue
-        fading = min(off[k] for k in numbers) <= WEAKER * branch.event.statistic
-        alone = numbers[-2] if len(numbers) > 1 else n - 1
+        fading = min(off[one.n] for one in all_in.taken) <= WEAKER * branch.event.statistic
         if branch.event.onset != alone or not fading:
             likely.append(branch)
     return max(likely, key=lambda one: one.event.statistic, default=None)

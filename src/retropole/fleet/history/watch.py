@@ -177,8 +177,8 @@ def _advanced(
     singles = np.array([one.singles for one in told])
     at_least = needed(thresholds, singles, n)
     newest = Past(n, np.ones(len(told), dtype=bool), passed(ahead))
-    looked_at = aside | may_be_found(after.changes, after.state.days, n, at_least)
-    for s in np.flatnonzero(looked_at).tolist():
+    may_tell = may_be_found(after.changes, after.state.days, n, at_least)
+    for s in np.flatnonzero(aside | may_tell).tolist():
         one = slice(s, s + 1)
         needs = *at_least[:2], at_least[2][one], at_least[3][one]
         own, result = runs.of(one), after.of(one)
@@ -188,7 +188,8 @@ def _advanced(
             untold = replace(own, state=result.state, changes=result.changes)
             all_in = With(own.changes, untold, (took,), float(off[s]))
             waiting = {**told[s].waiting, n: float(off[s])}
-            branch = confirmed(own, all_in, told[s].checks, waiting, needs)
+            alone = all_in if may_tell[s] else None
+            branch = confirmed(own, alone, told[s].checks, waiting, needs)
         else:
             all_in = With(own.changes, result, (took,), float(off[s]))
             branch = found(all_in, n - 1, needs)
