@@ -16,7 +16,6 @@ import numpy as np
 
 from ...api import Array, BoolArray
 from ...base.errors import ReadError
-from ..tables import arrow
 from .model import Observed
 from .store import EPOCH, MOST_STEP, STATUSES, CheckRow, is_usable, key_of, row_of
 
@@ -52,7 +51,7 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """Rows in the order of ids and times, as arrays and lists of n."""
+    """Rows as arrays and lists of n."""
 
     rows: Any
     ids: list[str]
@@ -68,9 +67,8 @@ class _Columns:
     random: Array
 
 
-def histories(data: bytes, tell: Callable[[ReadError], None]) -> Iterator[History]:
-    """Give what was packed, `reading.read_packed`, of each site; rows that are none are told."""
-    table = arrow().ipc.open_stream(data).read_all().combine_chunks()
+def histories(table: Any, tell: Callable[[ReadError], None]) -> Iterator[History]:
+    """Give what `reading.tables` read of each site, in the order of ids; what is no row is told."""
     columns, is_sound = _columns(table)
     for k in np.flatnonzero(~is_sound).tolist():
         fault = _fault(table, k)
@@ -78,9 +76,11 @@ def histories(data: bytes, tell: Callable[[ReadError], None]) -> Iterator[Histor
             is_sound[k] = True
         else:
             tell(fault)
-    for _, own in groupby(np.flatnonzero(is_sound).tolist(), lambda k: columns.ids[k]):
+    ids, times, keys = columns.ids, columns.times, columns.keys
+    order = sorted(np.flatnonzero(is_sound).tolist(), key=lambda k: (ids[k], times[k], keys[k]))
+    for _, own in groupby(order, lambda k: ids[k]):
         # The same check may be there twice.
-        yield _history(columns, [*{columns.keys[k]: k for k in own}.values()])
+        yield _history(columns, [*{keys[k]: k for k in own}.values()])
 
 
 def _fault(table: Any, k: int) -> ReadError | None:
