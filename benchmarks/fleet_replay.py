@@ -26,8 +26,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import psutil
-from fleet_history import TUNE, Law, drawn
 
+from fleet_history import TUNE, Law, drawn
 from retropole.fleet.engine import connected, mapped
 from retropole.fleet.history.run import FLUSH, replay
 from retropole.fleet.history.store import CheckRow, columns_of, flat, schema
@@ -120,11 +120,10 @@ def cpu() -> dict[str, float]:
 
 def replay_all(folder: str, ids: list[str], workers: int) -> None:
     before, start = cpu(), time.perf_counter()
-    with memory_sampled() as most:
-        with connected(workers=workers) as client:
-            ready = time.perf_counter()
-            found, damaged = replay(folder, ids, partial(mapped, client))
-            seconds = time.perf_counter() - ready
+    with memory_sampled() as most, connected(workers=workers) as client:
+        ready = time.perf_counter()
+        found, damaged = replay(folder, ids, partial(mapped, client))
+        seconds = time.perf_counter() - ready
     used = {name: seconds - before[name] for name, seconds in cpu().items()}
     checks = sum(len(site.times) for site in found)
     changed = sum(bool(site.changes) for site in found)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from ...api import Array, BoolArray
-from .model import LEVEL, PLAIN, SIZE, SLOPE, SLOW, Prediction, State
+from .model import LEVEL, PLAIN, SIZE, SLOPE, SLOW, Prediction
 
 STEP_WINDOW = 400.0
 TREND_WINDOW = 400.0

@@ -5,7 +5,6 @@ What is plainly sound is not looked at row by row; any other row is read as `sto
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -200,7 +199,9 @@ def common_of(covariance: Array, random: Array) -> Array:
 
 def _history(columns: _Columns, rows: Sequence[int]) -> History:
     """Put together what the rows of one site say, which are in the order of time."""
-    last = max(rows, key=lambda k: (columns.statuses[k] != "error", columns.times[k], columns.keys[k]))
+    last = max(
+        rows, key=lambda k: (columns.statuses[k] != "error", columns.times[k], columns.keys[k])
+    )
     (newest,) = columns.rows.slice(last, 1).drop_columns([PLACE]).to_pylist()
     stored = [columns.stored[k] for k in rows if columns.stored[k]][-1:]
     usable = [

@@ -217,7 +217,9 @@ def replay(
 
     def seen() -> Iterator[Seen]:
         read = reading.tables(history, ids, damaged.append, known)
-        for found in _together(chain.from_iterable(histories(each, damaged.append) for each in read)):
+        for found in _together(
+            chain.from_iterable(histories(each, damaged.append) for each in read)
+        ):
             under_way.append(found)
             yield [one.checks for one in found if one.checks is not None]
 

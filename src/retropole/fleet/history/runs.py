@@ -10,7 +10,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ...api import Array, BoolArray
-from .changes import IS_TREND, NONE, NOTHING_KNOWN, ORDER, Changes, Passed, no_changes, passed, rebuilt, taken
+from .changes import (
+    IS_TREND,
+    NONE,
+    NOTHING_KNOWN,
+    ORDER,
+    Changes,
+    Passed,
+    no_changes,
+    passed,
+    rebuilt,
+    taken,
+)
 from .events import GATE
 from .model import LEVEL, SIZE, Observed, Prediction, State, first_state, predicted, updated
 
@@ -147,9 +158,7 @@ Seen = Iterator[tuple[int, Passed]]
 
 def seen_by(filters: Array, past: Iterable[Past], s: int, first: float) -> Seen:
     """Give what some filters of a site made of the checks that were taken in, from a first on."""
-    return (
-        (one.n, one.passed.of(s, filters)) for one in past if one.n >= first and one.took[s]
-    )
+    return ((one.n, one.passed.of(s, filters)) for one in past if one.n >= first and one.took[s])
 
 
 def as_told_by(

@@ -221,7 +221,7 @@ def found(all_in: With, alone: int, needed: Needed) -> Branch | None:
         quick = (two[m] or short[m]) and statistics[m] <= SURE
         if any(np.linalg.norm(so_far[part]) >= one for part, one in (LARGE if quick else LEAST)):
             kind: Literal["step", "trend"] = "trend" if IS_TREND[m] else "step"
-            others = statistics[IS_TREND != IS_TREND[m]]
+            others = statistics[IS_TREND[m] != IS_TREND]
             lead = float(statistics[m] - others.max(initial=0.0))
             event = Event(kind, int(onset[m]), n, size, covariance, float(statistics[m]), lead)
             return Branch(runs, all_in.taken, m, event)

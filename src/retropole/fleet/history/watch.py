@@ -79,9 +79,7 @@ class _Told:
             self.events.append(Event("moved", n - 1, n, check.step, size, from_stored(check)))
 
 
-def watch(
-    checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRESHOLDS
-) -> Watched:
+def watch(checks: Sequence[Observed], *, thresholds: tuple[float, float] = THRESHOLDS) -> Watched:
     """Replay the checks of a site and tell what changed.
 
     Parameters
