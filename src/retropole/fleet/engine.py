@@ -125,8 +125,8 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         # Servers of pages and metrics run all the same, and ask nobody for a credential: no pages.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
-        # With Dask's own, each large array that is freed is given back, and its pages are cleared for
-        # the next: of the replay of a history half as much time again.
+        # With Dask's own, each large array that is freed is given back, and the pages of the next
+        # are cleared: of the replay of a history half as much time again.
         "distributed.nanny.pre-spawn-environ": {
             **dask.config.get("distributed.nanny.pre-spawn-environ"),
             "MALLOC_TRIM_THRESHOLD_": KEPT,

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from ...api import Array, BoolArray
+from ...api import Array, BoolArray, IntArray
 from .model import LEVEL, PLAIN, SIZE, SLOPE, SLOW, Prediction
 
 STEP_WINDOW = 400.0
@@ -167,7 +167,7 @@ class Passed(NamedTuple):
     inverse: Array
     off: Array
 
-    def of(self, sites: Array | int, filters: Array) -> Passed:
+    def of(self, sites: IntArray | int, filters: IntArray) -> Passed:
         """Take one of all filters of each of some sites."""
         count = np.zeros_like(filters) + sites
         return Passed(self.years[count], *(values[count, filters] for values in self[1:]))
@@ -194,7 +194,7 @@ def taken(changes: Changes, n: int, days: Array, check: Passed) -> Changes:
     onset, begin = _kept(changes, n, days), changes.days.copy()
     sites = np.arange(len(onset))
     steps = np.full(len(onset), n % MOST_STEPS)
-    trends = MOST_STEPS + (onset[:, IS_TREND] == NONE).argmax(axis=1)
+    trends = np.asarray(MOST_STEPS + (onset[:, IS_TREND] == NONE).argmax(axis=1))
     begins = (sites, steps), (sites, trends)
     deviation, shown = _through(changes.deviation, check, IS_TREND, *begins)
     information, vector = changes.information.copy(), changes.vector.copy()
@@ -220,8 +220,13 @@ def _kept(changes: Changes, n: int, days: Array) -> Array:
     return np.where(keep, onset, NONE)
 
 
-Slots = tuple[Array, Array]
+Slots = tuple[IntArray, IntArray]
 """Numbers of sites, and of a slot of each."""
+
+
+def _slots(which: BoolArray) -> Slots:
+    sites, slots = np.nonzero(which)
+    return sites, slots
 
 
 def _through(
@@ -229,7 +234,8 @@ def _through(
 ) -> tuple[Array, Array]:
     """Pass deviations (S, N, 6, M) through a check; gives too how much of them it shows.
 
-    `is_trend` (M,) says what the slots hold, trends last; in the slots `steps` and `trends` one begins with it.
+    `is_trend` (M,) says what the slots hold, trends last; in the slots `steps` and `trends` one
+    begins with it.
     """
     size = D.shape[1]
     through = np.zeros((len(D), size + 6, size))
@@ -282,10 +288,10 @@ def rebuilt(start: Changes, is_trend: BoolArray, past: Iterable[tuple[int, Passe
     onset, D = start.onset, start.deviation
     shown, weighted, off = [], [], []
     for n, check in past:
-        begins = [np.nonzero((onset == n) & (is_trend == each)) for each in (False, True)]
+        steps, trends = ((onset == n) & (is_trend == each) for each in (False, True))
         if check.gain.shape[-1] < D.shape[1]:
             check = check.whole()
-        D, one = _through(D, check, is_trend, *begins)
+        D, one = _through(D, check, is_trend, _slots(steps), _slots(trends))
         one *= ((onset != NONE) & (onset <= n))[:, None, None]
         shown.append(one)
         weighted.append((check.inverse @ one.reshape(*one.shape[:2], -1)).reshape(one.shape))
