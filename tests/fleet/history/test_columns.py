@@ -128,9 +128,8 @@ def test_a_time_beyond_the_calendar_is_told(tmp_path: Path) -> None:
     table = pq.ParquetFile(path).read()
     k = table.schema.get_field_index("time")
     micros = pa.array([2**62, *table["time"].cast("int64").to_pylist()[1:]])
-    pq.write_table(
-        table.set_column(k, table.schema.field(k), micros.cast(table.schema.field(k).type)), path
-    )
+    field = table.schema.field(k)
+    pq.write_table(table.set_column(k, field, micros.cast(field.type)), path)
     told: list[ReadError] = []
     (found,) = (
         each for table in reading.tables(str(tmp_path)) for each in histories(table, told.append)

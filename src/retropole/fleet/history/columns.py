@@ -175,7 +175,7 @@ def _numbers(column: Any, count: int) -> tuple[Array, BoolArray]:
 
 
 def is_positive(C: Array) -> BoolArray:
-    """Whether symmetric matrices (n, 6, 6) are surely positive definite; one that hardly is is not."""
+    """Whether symmetric matrices (n, 6, 6) are surely positive definite."""
     variances = np.einsum("nii->ni", C)
     is_one = (variances > 0.0).all(axis=1) & np.isfinite(variances).all(axis=1)
     scale = np.sqrt(np.where(is_one[:, None], variances, 1.0))
@@ -184,7 +184,7 @@ def is_positive(C: Array) -> BoolArray:
         is_one &= A[k, k] > SURELY
         pivot = np.where(is_one, A[k, k], 1.0)
         A[k + 1 :, k + 1 :] -= (A[k, k + 1 :] / pivot)[:, None] * A[k, k + 1 :]
-    return is_one
+    return np.asarray(is_one)
 
 
 def common_of(covariance: Array, random: Array) -> Array:
@@ -199,9 +199,8 @@ def common_of(covariance: Array, random: Array) -> Array:
 
 def _history(columns: _Columns, rows: Sequence[int]) -> History:
     """Put together what the rows of one site say, which are in the order of time."""
-    last = max(
-        rows, key=lambda k: (columns.statuses[k] != "error", columns.times[k], columns.keys[k])
-    )
+    times, keys, statuses = columns.times, columns.keys, columns.statuses
+    last = max(rows, key=lambda k: (statuses[k] != "error", times[k], keys[k]))
     (newest,) = columns.rows.slice(last, 1).drop_columns([PLACE]).to_pylist()
     stored = [columns.stored[k] for k in rows if columns.stored[k]][-1:]
     usable = [
@@ -210,14 +209,14 @@ def _history(columns: _Columns, rows: Sequence[int]) -> History:
         if is_usable(bool(columns.has_step[k]), columns.statuses[k], columns.codes[k])
         and (not stored or columns.stored[k] == stored[0])
     ]
-    times = tuple(columns.times[k] for k in usable)
+    own = tuple(times[k] for k in usable)
     checks = None
     if usable:
-        days = np.array([(time - EPOCH) / timedelta(days=1) for time in times])
+        days = np.array([(time - EPOCH) / timedelta(days=1) for time in own])
         other = [columns.used[k] != columns.used[usable[0]] for k in usable]
         moved = [columns.statuses[k] == "moved" for k in usable]
         random = columns.random[usable]
         common = common_of(columns.covariance[usable], random)
         step = columns.step[usable]
         checks = Observed(days, step, random, common, np.array(other), np.array(moved))
-    return History(columns.ids[last], row_of(newest), times, checks)
+    return History(columns.ids[last], row_of(newest), own, checks)

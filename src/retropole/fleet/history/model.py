@@ -218,11 +218,11 @@ def predicted(
         across[..., LEVEL] += years[:, None, None, None] * across[..., SLOPE]
         across[..., OTHER] += fresh[:, None]
     S = across @ np.swapaxes(shown, -1, -2) + squared * random
-    inverse = np.linalg.inv(S)
+    inverse = np.asarray(np.linalg.inv(S), float)
     inverse = (inverse + np.swapaxes(inverse, -1, -2)) / 2.0
     off = check.step[:, None] - (through @ state.mean[..., None])[..., 0]
     chi2 = ((inverse @ off[..., None])[..., 0] * off).sum(axis=-1)
-    size = np.linalg.slogdet(S)[1]
+    size = np.asarray(np.linalg.slogdet(S)[1], float)
     gain = inverse @ across
     return Prediction(years, kept, through, varied, fresh, across, gain, inverse, off, chi2, size)
 

@@ -151,7 +151,7 @@ def tables(
 def _groups(
     holding: Mapping[str, list[str]], files: Mapping[str, Held]
 ) -> Iterator[frozenset[str]]:
-    """Split sites into groups of at most so many rows, or one; those that share files are together."""
+    """Split sites into groups of at most so many rows, or one; sites that share files first."""
     group: set[str] = set()
     rows, last = 0.0, ""
     for name in sorted(holding, key=lambda name: (holding[name][-1], name)):

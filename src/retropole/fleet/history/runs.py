@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...api import Array, BoolArray
+from ...base.datatypes import IntArray
 from .changes import (
     IS_TREND,
     NONE,
@@ -62,15 +63,17 @@ class Runs:
     weight: Array
     state: State
     changes: Changes
-    telling: Array
+    telling: IntArray
 
     @property
     def scale(self) -> Array:
+        """(S, R) scatter of the sites beside what is stated, in σ."""
         return np.asarray(np.sqrt(self.total / self.weight[:, None]))
 
     @property
-    def best(self) -> Array:
-        return np.asarray(self.likelihood.argmax(axis=1))
+    def best(self) -> IntArray:
+        """(S,) the likeliest filters."""
+        return np.asarray(self.likelihood.argmax(axis=1), np.int64)
 
     def of(self, sites: slice) -> Runs:
         """Give those of some sites."""
@@ -156,7 +159,7 @@ Seen = Iterator[tuple[int, Passed]]
 """Numbers of checks of a site, and what some of its filters made of each."""
 
 
-def seen_by(filters: Array, past: Iterable[Past], s: int, first: float) -> Seen:
+def seen_by(filters: IntArray, past: Iterable[Past], s: int, first: float) -> Seen:
     """Give what some filters of a site made of the checks that were taken in, from a first on."""
     return ((one.n, one.passed.of(s, filters)) for one in past if one.n >= first and one.took[s])
 
@@ -187,13 +190,13 @@ def adopted(own: Runs, m: int, past: Iterable[Past], s: int, newest: Iterable[Pa
     """
     if IS_TREND[m]:
         own = own.whole()
-    filters, onset = np.arange(own.likelihood.shape[1]), own.changes.onset[0, m]
+    filters, onset = np.arange(own.likelihood.shape[1], dtype=np.int64), own.changes.onset[0, m]
     blank = no_changes(len(filters), own.changes.deviation.shape[1], 1)
     start = replace(blank, onset=np.full((len(filters), 1), onset))
     checks = seen_by(filters, past, s, onset), seen_by(filters, newest, 0, onset)
     seen = rebuilt(start, IS_TREND[m : m + 1], chain(*checks))
     mean, P = own.state.mean.copy(), own.state.covariance.copy()
-    for r in filters:
+    for r in filters.tolist():
         size, covariance = seen.size(r, 0)
         D = seen.deviation[r, :, :, 0][:, ORDER]
         mean[0, r] += D @ size

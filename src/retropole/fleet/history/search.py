@@ -98,7 +98,7 @@ def may_be_found(changes: Changes, days: Array, n: int, needed: Needed) -> BoolA
     # A χ² of three degrees of freedom counts by how rare it is.
     soon, late = chdtri(3, chdtrc(6, [max(needed[1], QUICK_TREND), needed[1]]))
     beyond = (both > ROUNDED * least) | (IS_TREND & (alone > ROUNDED * np.where(short, soon, late)))
-    return (beyond & (changes.onset != NONE) & (changes.onset < n)).any(axis=1)
+    return np.asarray((beyond & (changes.onset != NONE) & (changes.onset < n)).any(axis=1))
 
 
 ROUNDED = 1.0 - 1e-9
@@ -126,6 +126,7 @@ class Branch:
 
     @property
     def numbers(self) -> tuple[int, ...]:
+        """Of the checks that were taken in."""
         return tuple(one.n for one in self.taken)
 
 

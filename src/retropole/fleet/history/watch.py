@@ -71,7 +71,7 @@ class _Told:
         return False
 
     def may_have_moved(self, n: int) -> None:
-        """Tell whether the checks up to n say themselves that the site moved, where nothing does."""
+        """Tell whether checks up to n say by themselves that the site moved, where nothing does."""
         newest = [self.checks[k] for k in range(max(n - 2, 0), n + 1)]
         if stays_moved(newest) and not Watched((*self.events,)).alarms:
             check = newest[-1]
