@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from ...api import Array, BoolArray
-from ...base.datatypes import IntArray
+from ...api import Array, BoolArray, IntArray
 from .model import LEVEL, PLAIN, SIZE, SLOPE, SLOW, Prediction
 
 STEP_WINDOW = 400.0

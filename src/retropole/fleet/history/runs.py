@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...api import Array, BoolArray
-from ...base.datatypes import IntArray
+from ...api import Array, BoolArray, IntArray
 from .changes import (
     IS_TREND,
     NONE,
