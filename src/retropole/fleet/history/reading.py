@@ -42,10 +42,17 @@ Tell = Callable[[ReadError], None]
 
 @dataclass(frozen=True)
 class Contents:
-    """What a history has of some sites: keys of the checks of each, and which files have which."""
+    """What a history has of some sites: keys of the checks of each, and which files have which.
 
-    keys: dict[str, set[str]] = field(default_factory=dict)
+    Of millions of checks the keys are kept as text: as sets they would need four times the memory.
+    """
+
+    keys: dict[str, bytearray] = field(default_factory=dict)
     files: dict[str, Held] = field(default_factory=dict)
+
+    def keys_of(self, name: str) -> set[str]:
+        """Give the keys of the checks of a site."""
+        return set(self.keys.get(name, b"").decode().split("\n")) - {""}
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,7 @@ def _look(
         if keys:
             for name, key in zip(names, table["key"].to_pylist(), strict=True):
                 if name in own:
-                    found.keys.setdefault(name, set()).add(key)
+                    found.keys.setdefault(name, bytearray()).extend(f"{key}\n".encode())
 
 
 def read(

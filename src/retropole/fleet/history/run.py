@@ -152,7 +152,6 @@ def check_fleet(
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
     damaged: list[ReadError] = []
     held = reading.contents(history, by_id, damaged.append)
-    known = held.keys
     blank = Check(tolerance=tolerance, tried=tried)
 
     def tasks() -> Iterator[Task]:
@@ -165,7 +164,7 @@ def check_fleet(
                     blank,
                     document=stored[pair.origin].document if stored else None,
                     lidars=pair.lidars,
-                    known=sorted(known.get(pair.site.id, ())),
+                    known=sorted(held.keys_of(pair.site.id)),
                 )
                 yield task_of(pair.site, time_limit, check=check)
 
@@ -180,7 +179,7 @@ def check_fleet(
             elif one.row is not None:
                 new.append(lost_check(by_id[one.id], blank, one.row))
         newest.update((row.id, row) for row in new)
-        return store.append(history, new, set().union(*(known.get(row.id, ()) for row in new)))
+        return store.append(history, new, set().union(*(held.keys_of(row.id) for row in new)))
 
     # Rows come in any order: those of the same sites are appended together, so that the files of
     # the history are the same whatever the workers.
