@@ -210,25 +210,25 @@ def heavy(freedom: float, shape: int | tuple[int, int], rng: np.random.Generator
 
 
 def passing(white: Array, kept: float) -> Array:
-    """Make rows (WEEKS, 6) that keep so much of the one before, of the same variance."""
+    """Make rows (n, 6) that keep so much of the one before, of the same variance."""
     noise = white.copy()
     for k in range(1, len(noise)):
         noise[k] = kept * noise[k - 1] + np.sqrt(1.0 - kept**2) * white[k]
     return noise
 
 
-def scatter(law: Law, rng: np.random.Generator) -> Array:
-    """Draw what each check errs by (WEEKS, 6), with the covariance of unit axes."""
-    white = rng.normal(size=(WEEKS, 6))
+def scatter(law: Law, rng: np.random.Generator, count: int = WEEKS) -> Array:
+    """Draw what each check errs by (count, 6), with the covariance of unit axes."""
+    white = rng.normal(size=(count, 6))
     if law.tails is not None:
-        shape = (WEEKS, 6 if law.apart else 1)
+        shape = (count, 6 if law.apart else 1)
         white = white * heavy(law.tails, shape, rng)
     noise = passing(white, law.correlation)
     if law.weather:
-        slow = passing(rng.normal(size=(WEEKS, 6)), float(np.exp(-7.0 / law.weather)))
+        slow = passing(rng.normal(size=(count, 6)), float(np.exp(-7.0 / law.weather)))
         noise = np.sqrt(0.5) * (noise + slow)
-    noise *= np.exp(law.uneven * rng.normal(size=(WEEKS, 1)) - law.uneven**2)
-    off = rng.random(WEEKS) < law.lorries
+    noise *= np.exp(law.uneven * rng.normal(size=(count, 1)) - law.uneven**2)
+    off = rng.random(count) < law.lorries
     for k in np.flatnonzero(off):
         way = rng.normal(size=6)
         noise[k] += rng.uniform(10, 30) * way / np.linalg.norm(way)
@@ -236,7 +236,7 @@ def scatter(law: Law, rng: np.random.Generator) -> Array:
 
 
 def annual(law: Law, days: Array, rng: np.random.Generator) -> Array:
-    """Draw what moves with the seasons (WEEKS, 6), rad and m."""
+    """Draw what moves with the seasons (n, 6), rad and m."""
     size = np.r_[direction(rng) * np.radians(0.005) / 0.001, direction(rng)] * law.season
     phase = 2 * np.pi * days[:, None] / YEAR + rng.uniform(0, 2 * np.pi, 6)
     # A fortnight is 2π / 26 of a year.
@@ -244,8 +244,10 @@ def annual(law: Law, days: Array, rng: np.random.Generator) -> Array:
     return np.asarray(size * course)
 
 
-def drawn(law: Law, change: str, seed: int) -> tuple[list[Observed], float]:
-    """Draw a site's checks, and the day of its change (of a step: of the check before)."""
+def drawn(
+    law: Law, change: str, seed: int, count: int = WEEKS, apart: float = 7.0
+) -> tuple[list[Observed], float]:
+    """Draw a site's checks, so many days apart, and when it changed (a step: the check before)."""
     rng = np.random.default_rng([16, seed])
     sigmas = np.repeat([np.exp(rng.uniform(*np.log(each))) for each in SIGMAS], 3)
     # A rotation about a far centre moves the origin: both parts correlate.
@@ -253,25 +255,25 @@ def drawn(law: Law, change: str, seed: int) -> tuple[list[Observed], float]:
     A *= (sigmas / np.linalg.norm(A, axis=1))[:, None]
     common = 1.5 * A @ A.T + 2.0 * floor()
     level, other = (np.linalg.cholesky(common) @ rng.normal(size=6) for _ in range(2))
-    spread = np.exp(0.2 * rng.normal(size=WEEKS))
-    noise = spread[:, None] * (scatter(law, rng) @ A.T)
-    days = 20000.0 + 7.0 * np.arange(WEEKS) + rng.uniform(-0.2, 0.2, WEEKS)
+    spread = np.exp(0.2 * rng.normal(size=count))
+    noise = spread[:, None] * (scatter(law, rng, count) @ A.T)
+    days = 20000.0 + apart * np.arange(count) + rng.uniform(-0.2, 0.2, count)
     days += rng.uniform(0, YEAR)
     season = annual(law, days, rng)
-    moved, since = np.zeros((WEEKS, 6)), np.inf
+    moved, since = np.zeros((count, 6)), np.inf
     if change == "step":
-        k = int(rng.integers(12, WEEKS - 4))
+        k = int(rng.integers(12, count - 4))
         part, size_of = ((slice(0, 3), STEP[0]), (slice(3, 6), STEP[1]))[int(rng.integers(2))]
         moved[k:, part], since = size_of * direction(rng), days[k - 1]
     elif change == "drift":
         since = days[int(rng.integers(0, 50))]
         along = np.maximum(days - since, 0.0) / YEAR
         moved[:, 3:] = DRIFT * along[:, None] * direction(rng)
-    there = rng.random(WEEKS) >= law.missing
+    there = rng.random(count) >= law.missing
     if law.gap:
-        start = int(rng.integers(0, WEEKS - law.gap))
+        start = int(rng.integers(0, count - law.gap))
         there[start : start + law.gap] = False
-    by_scene = rng.random(WEEKS) < law.other
+    by_scene = rng.random(count) < law.other
     by_scene[0] = False
     there[0] = True
     checks = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from retropole.base.errors import ReadError
-from retropole.fleet.history.reading import keys
+from retropole.fleet.history.reading import contents
 from retropole.fleet.history.reading import read as read_sites
 from retropole.fleet.history.store import EPOCH, CheckRow, append, schema
 from tests.fleet.history.checks import row
@@ -41,7 +41,7 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
 
 def test_the_same_check_twice_adds_nothing(tmp_path: Path) -> None:
     append(str(tmp_path), [row(k) for k in range(3)])
-    before, (known,) = files(tmp_path), keys(str(tmp_path), {"lamp-1"}).values()
+    before, known = files(tmp_path), contents(str(tmp_path), {"lamp-1"}).keys_of("lamp-1")
     assert append(str(tmp_path), [row(k) for k in range(3)], known) == 0
     assert files(tmp_path) == before
     assert append(str(tmp_path), [row(k) for k in range(4)], known) == 1
@@ -51,7 +51,9 @@ def test_the_same_check_twice_adds_nothing(tmp_path: Path) -> None:
 def test_the_keys_of_some_sites(tmp_path: Path) -> None:
     rows = [row(k) for k in range(6)]
     append(str(tmp_path), [*rows, row(0, "lamp-2")])
-    assert keys(str(tmp_path), {"lamp-1"}) == {"lamp-1": {one.key for one in rows}}
+    found = contents(str(tmp_path), {"lamp-1"})
+    assert found.keys_of("lamp-1") == {one.key for one in rows}
+    assert found.keys_of("lamp-2") == set()
 
 
 def test_the_same_rows_are_the_same_bytes(tmp_path: Path) -> None:
@@ -118,7 +120,7 @@ def test_a_file_that_is_damaged_is_named_and_left_out(tmp_path: Path) -> None:
     told: list[ReadError] = []
     ((_, left),) = read_sites(str(tmp_path), None, told.append)
     assert len(left) == 2
-    assert len(keys(str(tmp_path), {"lamp-1"}, told.append)["lamp-1"]) == 2
+    assert len(contents(str(tmp_path), {"lamp-1"}, told.append).keys_of("lamp-1")) == 2
     assert [str(first) in str(each) for each in told] == [True, True]
 
 

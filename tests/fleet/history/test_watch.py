@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from retropole.fleet.history.model import SLOPE, YEAR
-from retropole.fleet.history.watch import MOST_WAITING, watch
+from retropole.fleet.history.model import SLOPE, YEAR, together
+from retropole.fleet.history.watch import MOST_WAITING, watch, watch_all
 from tests.fleet.history.checks import MOVED, SIGMA, checks
 
 ROTATED = np.array([0.0, np.radians(0.3), 0, 0, 0, 0])
@@ -145,3 +145,31 @@ def test_a_first_check_that_is_off_is_an_outlier_and_what_follows_no_step() -> N
 def test_a_lorry_after_a_check_that_chance_put_aside_is_no_trend() -> None:
     seen = watch(checks(24, lambda k: MOVED * (0.3 * (k == 20) + 2.0 * (k == 21))))
     assert not seen.alarms
+
+
+def test_sites_beside_each_other_are_watched_as_each_alone() -> None:
+    rng = np.random.default_rng(3)
+    sites = []
+    for seed in range(7):
+        seen = checks(
+            (90, 3, 60, 90, 1, 75, 40)[seed],
+            lambda k, seed=seed: MOVED * (k >= 30) if seed % 2 else MOVED * max(k - 20, 0) / 20,
+            seed=seed,
+        )
+        for k in np.flatnonzero(rng.random(len(seen)) < 0.04):
+            seen[k] = replace(seen[k], step=seen[k].step + 20 * SIGMA * rng.normal(size=6))
+        sites.append([replace(one, other=seed > 4 and k % 3 == 2) for k, one in enumerate(seen)])
+    beside = watch_all([together(seen) for seen in sites])
+    kinds = {event.kind for one in beside for event in one.events}
+    assert {"step", "trend", "outlier"} <= kinds
+    for seen, ours in zip(sites, beside, strict=True):
+        alone = watch(seen)
+        assert ours.waiting == alone.waiting
+        assert [(one.kind, one.onset, one.found) for one in ours.events] == [
+            (one.kind, one.onset, one.found) for one in alone.events
+        ]
+        assert ours.state is not None
+        assert alone.state is not None
+        np.testing.assert_allclose(ours.scale, alone.scale, rtol=1e-9)
+        sigma = np.sqrt(np.maximum(np.diag(alone.state.covariance), 1e-30))
+        np.testing.assert_allclose(ours.state.mean / sigma, alone.state.mean / sigma, atol=1e-6)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ...api import Array
-from .model import LEVEL_FACTOR, Observed, State
+from .model import LEVEL_FACTOR, Observed
 
 CLEAR = 6.0
 """Difference of twice the log likelihoods from which a step and a trend are told apart (ln 20)."""
@@ -64,6 +64,20 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
+class Expected:
+    """What the likeliest filter of a site expects: mean (36,) and covariance (36, 36) of its state.
+
+    `days` is the time of the newest check that it took in; `knows_other` whether one was found the
+    other way.
+    """
+
+    mean: Array
+    covariance: Array
+    days: float
+    knows_other: bool
+
+
+@dataclass(frozen=True, eq=False)
 class Watched:
     """What the checks of a site say so far.
 
@@ -82,7 +96,7 @@ class Watched:
     events: tuple[Event, ...] = ()
     waiting: tuple[int, ...] = ()
     scale: float = 1.0
-    state: State | None = None
+    state: Expected | None = None
 
     @property
     def alarms(self) -> tuple[Event, ...]:

@@ -11,24 +11,26 @@ A check k at time t gives a step ``y_k`` (6,) from the stored pose. It is modell
 - *other*: what a pose found the other way (by the scene alone, where poles gave the first) differs.
 - *e*: drawn anew in each check, with the random part of its covariance times a scale.
 
-A Kalman filter predicts each step from those before. A change is a deviation of the state: of the
-level at a *step*, of the slope where a *trend* begins. How such a deviation passes into all later
-predictions is linear and known, so that its size follows by least squares (Willsky and Jones 1976).
+A Kalman filter predicts each step from those before. Filters of several sites, and several of each
+site, run beside each other.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
-from scipy.special import chdtrc, chdtri
 
 from ...api import Array, BoolArray, floor
 
-LEVEL, SLOPE, COSINE, SINE, SLOW, OTHER = (slice(6 * k, 6 * k + 6) for k in range(6))
+LEVEL, COSINE, SINE, SLOW, SLOPE, OTHER = (slice(6 * k, 6 * k + 6) for k in range(6))
 SIZE = 36
 """The state: six quantities of each kind."""
+
+PLAIN = 24
+"""As many are other than zero, where no trend was found and no check was found the other way."""
 
 YEAR = 365.25
 """Days."""
@@ -40,29 +42,18 @@ SEASON = np.r_[np.full(3, np.radians(0.015)), np.full(3, 0.002)]
 """1 σ of the cosine and of the sine, rad and m: a steel mast of 6 m that is 30 K warmer on one side
 than a year's mean differs in length by 2 mm."""
 
-TRANSLATION = slice(3, 6)
-"""Of the six."""
-
-RAREST = 1e-280
-"""Smaller probabilities are none to a computer."""
-
 LEVEL_FACTOR = 1.5
 """How much wider than stated the stored pose's error may be, in σ."""
 
 UNNAMED = floor()
 """(6, 6) of unmodelled errors."""
 
-IDENTITY = np.eye(6)
-
-NOTHING_KNOWN = np.diag(np.repeat([1e-2, 1e-4], 3))
-"""Information on a change that has no data yet: tiny, and keeps its size solvable."""
-
 Kind = Literal["step", "trend"]
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """A check that gave a step.
+    """A check that gave a step; or several, each value with their axes in front.
 
     Attributes
     ----------
@@ -80,205 +71,184 @@ class Observed:
         Whether it says by itself that the site moved: by more than its tolerance.
     """
 
-    days: float
+    days: Array | float
     step: Array
     random: Array
     common: Array
-    other: bool = False
-    moved: bool = False
+    other: BoolArray | bool = False
+    moved: BoolArray | bool = False
+
+    def __getitem__(self, k: int | slice) -> Observed:
+        """Give some of several along the first axis."""
+        return Observed(*(values[k] for values in vars(self).values()))
+
+
+def together(checks: Sequence[Observed]) -> Observed:
+    """Put checks into one, their number in front."""
+    return Observed(*(np.array([vars(one)[name] for one in checks]) for name in vars(checks[0])))
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The filter after a check: mean (36,) and covariance (36, 36) of the state, and its time.
+    """The filters of S sites, R beside each other of each, after a check of each.
 
-    Several filters that run beside each other, R, are (R, 36) and (R, 36, 36).
+    Attributes
+    ----------
+    mean
+        (S, R, N) of the state. N is `PLAIN` while no site needs the other kinds, and else `SIZE`.
+    covariance
+        (S, R, N, N) of it.
+    days
+        (S,) their times.
+    knows_other
+        (S,) whether a check of the site was found the other way.
     """
 
     mean: Array
     covariance: Array
-    days: float
-    knows_other: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Changes:
-    """Changes that may have begun, one for each onset and kind, as the filter sees them.
-
-    Attributes
-    ----------
-    onset
-        (M,) number of the check from which on.
-    days
-        (M,) its time.
-    is_trend
-        (M,) whether the slope changed, or the level.
-    deviation
-        (M, 36, 6) by how much the state is off from the filter's, for a change of size one.
-    information, vector
-        (M, 6, 6) and (M, 6) the normal equations of the size. Of several filters that run beside
-        each other these three have their number R behind M.
-    """
-
-    onset: Array
     days: Array
-    is_trend: BoolArray
-    deviation: Array
-    information: Array
-    vector: Array
+    knows_other: BoolArray
 
-    def statistics(self) -> Array:
-        """(M,) twice the log likelihood ratio of each change against none: χ²(6) where none was.
-
-        A trend may be one of translation alone, as of a foundation that settles, which three
-        degrees of freedom tell; it counts as the χ²(6) that chance exceeds as often.
-        """
-        both = self._ratio(slice(0, 6))
-        alone = np.where(self.is_trend, self._ratio(TRANSLATION), 0.0)
-        return np.asarray(np.maximum(both, chdtri(6, np.maximum(chdtrc(3, alone), RAREST))))
-
-    def size(self, m: int) -> tuple[Array, Array]:
-        """(6,) the most likely size of a change, per year of a trend, and its (6, 6) covariance."""
-        covariance = np.asarray(np.linalg.inv(self.information[m]), float)
-        return (covariance @ self.vector[m][..., None])[..., 0], covariance
-
-    def of(self, run: int) -> Changes:
-        """Give those of one of several filters."""
-        parts = self.deviation[:, run], self.information[:, run], self.vector[:, run]
-        return Changes(self.onset, self.days, self.is_trend, *parts)
-
-    def _ratio(self, part: slice) -> Array:
-        """(M,) the same where nothing but a part of the six changed."""
-        vector = self.vector[..., part, None]
-        sizes = np.linalg.solve(self.information[..., part, part], vector)
-        return np.asarray((sizes * vector).sum(axis=(-2, -1)))
+    def whole(self) -> State:
+        """Give the same with all kinds."""
+        more = SIZE - self.mean.shape[-1]
+        if not more:
+            return self
+        none = [(0, 0)] * 2
+        return replace(
+            self,
+            mean=np.pad(self.mean, [*none, (0, more)]),
+            covariance=np.pad(self.covariance, [*none, (0, more), (0, more)]),
+        )
 
 
-def no_changes(*runs: int) -> Changes:
-    """Give no change at all; of so many filters that run beside each other."""
-    none = np.zeros(0)
-    shapes = np.zeros((0, *runs, SIZE, 6)), np.zeros((0, *runs, 6, 6)), np.zeros((0, *runs, 6))
-    return Changes(none, none, none.astype(bool), *shapes)
+def first_state(first: Observed, share: Array) -> State:
+    """Give what is known before the first checks (S,): stored poses may err by what is stated.
 
-
-def begin(changes: Changes, check: int, days: float, *, kinds: tuple[Kind, ...]) -> Changes:
-    """Add the changes that begin with a check."""
-    runs, count = changes.vector.shape[1:-1], len(kinds)
-    deviation = np.zeros((count, *runs, SIZE, 6))
-    for m, kind in enumerate(kinds):
-        deviation[m, ..., SLOPE if kind == "trend" else LEVEL, :] = IDENTITY
-    fresh = Changes(
-        np.full(count, check),
-        np.full(count, days),
-        np.array(kinds) == "trend",
-        deviation,
-        np.broadcast_to(NOTHING_KNOWN, (count, *runs, 6, 6)),
-        np.zeros((count, *runs, 6)),
-    )
-    both = zip(vars(changes).values(), vars(fresh).values(), strict=True)
-    return Changes(*map(np.concatenate, both))
-
-
-def some(changes: Changes, keep: BoolArray) -> Changes:
-    """Keep some of the changes: a mask (M,)."""
-    return changes if keep.all() else Changes(*(values[keep] for values in vars(changes).values()))
-
-
-def first_state(first: Observed, share: float | Array) -> State:
-    """Give what is known before the first check: the stored pose may err by what is stated.
-
-    Of what varies slowly the variance is the floor of unmodelled errors, and a share of a check's
-    random part; of several shares (R,) it is that of as many filters.
+    Of what varies slowly the variance is the floor of unmodelled errors, and a share (R,) of a
+    check's random part.
     """
-    shares = np.asarray(share)[..., None, None]
-    mean = np.zeros((*shares.shape[:-2], SIZE))
-    covariance = np.zeros((*mean.shape, SIZE))
-    covariance[..., LEVEL, LEVEL] = LEVEL_FACTOR**2 * first.common
+    mean = np.zeros((len(first.step), len(share), PLAIN))
+    covariance = np.zeros((*mean.shape, PLAIN))
+    covariance[..., LEVEL, LEVEL] = LEVEL_FACTOR**2 * first.common[:, None]
     covariance[..., COSINE, COSINE] = covariance[..., SINE, SINE] = np.diag(SEASON**2)
-    covariance[..., SLOW, SLOW] = UNNAMED + shares * first.random
-    return State(mean, covariance, first.days)
-
-
-def predicted(
-    state: State,
-    changes: Changes,
-    check: Observed,
-    scale: float | Array,
-    share: float | Array,
-    slow_time: float | Array = SLOW_TIME,
-) -> tuple[State, Changes]:
-    """Bring the state, and what each change makes of it, to the time of a check.
-
-    `scale` is that of the random part, in σ, and `share` as for `first_state`; what varies slowly
-    forgets within `slow_time`, days.
-    """
-    years = (check.days - state.days) / YEAR
-    kept = np.exp(-(check.days - state.days) / np.asarray(slow_time))[..., None, None]
-    F = np.zeros((*kept.shape[:-2], SIZE, SIZE))
-    F[...] = np.eye(SIZE)
-    F[..., LEVEL, SLOPE] = years * IDENTITY
-    F[..., SLOW, SLOW] *= kept
-    P = F @ state.covariance @ np.swapaxes(F, -1, -2)
-    deviation = changes.deviation.copy()
-    deviation[..., LEVEL, :] += years * deviation[..., SLOPE, :]
-    deviation[..., SLOW, :] *= kept
-    varied = np.asarray(np.square(scale) * share)[..., None, None] * check.random
-    P[..., SLOW, SLOW] += (1.0 - kept**2) * (UNNAMED + varied)
-    if check.other and not state.knows_other:
-        P[..., OTHER, OTHER] += LEVEL_FACTOR**2 * check.common
-    knows = state.knows_other or check.other
-    mean = (F @ state.mean[..., None])[..., 0]
-    ahead = State(mean, P, check.days, knows)
-    return ahead, replace(changes, deviation=deviation)
+    covariance[..., SLOW, SLOW] = UNNAMED + share[:, None, None] * first.random[:, None]
+    return State(mean, covariance, np.array(first.days), np.zeros(len(mean), dtype=bool))
 
 
 def weights(check: Observed) -> Array:
-    """(6,) by how much each kind of the state shows in a check."""
-    angle = 2.0 * np.pi * check.days / YEAR
-    return np.array([1.0, 0.0, np.cos(angle), np.sin(angle), 1.0, float(check.other)])
+    """(..., 6) by how much each kind of the state shows in a check."""
+    angle = 2.0 * np.pi * np.asarray(check.days) / YEAR
+    shown = np.zeros((*angle.shape, 6))
+    for kind, value in ((LEVEL, 1.0), (COSINE, np.cos(angle)), (SINE, np.sin(angle)), (SLOW, 1.0)):
+        shown[..., kind.start // 6] = value
+    shown[..., OTHER.start // 6] = check.other
+    return shown
 
 
-class Surprise(NamedTuple):
-    """χ²(6) of a check against what was predicted, and the logarithm of that one's determinant."""
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What S sites' filters make of their next checks, before they take them in.
 
+    Attributes
+    ----------
+    years
+        (S,) since what came before.
+    kept
+        (S, R) share of what varies slowly that is left of then.
+    through
+        (S, R, 6, N) by how much of the state before shows in the check.
+    varied
+        (S, R, 6, 6) what has varied since.
+    fresh
+        (S, 6, 6) variance of what is found the other way for the first time.
+    across
+        (S, R, 6, N) covariance of the check with the state.
+    gain
+        (S, R, 6, N) of the filter, transposed.
+    inverse
+        (S, R, 6, 6) information of the prediction.
+    off
+        (S, R, 6) by what the check is off from it.
+    chi2, log_size
+        (S, R) χ²(6) of that, and the logarithm of the determinant of its covariance.
+    """
+
+    years: Array
+    kept: Array
+    through: Array
+    varied: Array
+    fresh: Array
+    across: Array
+    gain: Array
+    inverse: Array
+    off: Array
     chi2: Array
     log_size: Array
 
 
-def updated(
-    state: State, changes: Changes, check: Observed, scale: float | Array
-) -> tuple[State, Changes, Surprise]:
-    """Take a check in; gives the surprise too. The state is that of the check's time."""
-    H = np.kron(weights(check), IDENTITY)
-    PH = state.covariance @ H.T
-    S = H @ PH + np.asarray(np.square(scale))[..., None, None] * check.random
-    inverse = np.linalg.inv(S)
+def predicted(
+    state: State, check: Observed, scale: Array, share: Array, slow_time: Array
+) -> Prediction:
+    """Predict the checks of S sites.
+
+    `scale` (S, R) is that of the random part, in σ, and `share` (R,) as for `first_state`; what
+    varies slowly forgets within `slow_time` (R,), days. Where a check is found the other way, or a
+    trend was, the state must be whole.
+    """
+    since = np.asarray(check.days) - state.days
+    years, kept = since / YEAR, np.exp(-since[:, None] / slow_time)
+    squared = np.square(scale)[..., None, None]
+    random = check.random[:, None]
+    left = kept[..., None, None]
+    varied = (1.0 - left**2) * (UNNAMED + share[:, None, None] * squared * random)
+    first = np.asarray(check.other) & ~state.knows_other
+    fresh = first[:, None, None] * (LEVEL_FACTOR**2 * check.common)
+    weight = weights(check)[:, None]
+    shown = _side_by_side(weight, state.mean.shape[-1])
+    # A transition scales each kind, but that a slope adds to the level.
+    weight = np.repeat(weight, kept.shape[1], axis=1)
+    weight[..., SLOW.start // 6] = kept
+    weight[..., SLOPE.start // 6] = years[:, None]
+    through = _side_by_side(weight, state.mean.shape[-1])
+    across = through @ state.covariance
+    across[..., SLOW] *= left
+    across[..., SLOW] += varied
+    if state.mean.shape[-1] == SIZE:
+        across[..., LEVEL] += years[:, None, None, None] * across[..., SLOPE]
+        across[..., OTHER] += fresh[:, None]
+    S = across @ np.swapaxes(shown, -1, -2) + squared * random
+    inverse = np.asarray(np.linalg.inv(S), float)
     inverse = (inverse + np.swapaxes(inverse, -1, -2)) / 2.0
-    gain = PH @ inverse
-    off = (check.step - state.mean @ H.T)[..., None]
-    P = state.covariance - gain @ np.swapaxes(PH, -1, -2)
-    P = (P + np.swapaxes(P, -1, -2)) / 2.0
-    after = replace(state, mean=state.mean + (gain @ off)[..., 0], covariance=P)
-    weighted = inverse @ off
-    chi2 = np.asarray((off * weighted).sum(axis=(-2, -1)))
-    told = Surprise(chi2, np.linalg.slogdet(S)[1])
-    shown = H @ changes.deviation
-    across = np.swapaxes(shown, -1, -2) @ inverse
-    changes = replace(
-        changes,
-        deviation=changes.deviation - gain @ shown,
-        information=changes.information + across @ shown,
-        vector=changes.vector + (across @ off)[..., 0],
-    )
-    return after, changes, told
+    off = check.step[:, None] - (through @ state.mean[..., None])[..., 0]
+    chi2 = ((inverse @ off[..., None])[..., 0] * off).sum(axis=-1)
+    size = np.asarray(np.linalg.slogdet(S)[1], float)
+    gain = inverse @ across
+    return Prediction(years, kept, through, varied, fresh, across, gain, inverse, off, chi2, size)
 
 
-def adopted(state: State, changes: Changes, m: int) -> State:
-    """Put a change into the state: from now on it is part of what is expected."""
-    size, covariance = changes.size(m)
-    D = changes.deviation[m]
-    return replace(
-        state,
-        mean=state.mean + (D @ size[..., None])[..., 0],
-        covariance=state.covariance + D @ covariance @ np.swapaxes(D, -1, -2),
-    )
+def _side_by_side(weight: Array, size: int) -> Array:
+    """(..., 6, N) the identity for each kind of the state, times its weight (..., 6)."""
+    matrix = np.zeros((*weight.shape[:-1], 6, size))
+    for kind in range(size // 6):
+        matrix[..., range(6), range(6 * kind, 6 * kind + 6)] = weight[..., kind, None]
+    return matrix
+
+
+def updated(state: State, check: Observed, ahead: Prediction) -> State:
+    """Take checks in that were predicted."""
+    mean, P = state.mean.copy(), state.covariance.copy()
+    left, years = ahead.kept[..., None], ahead.years[:, None, None]
+    mean[..., SLOW] *= left
+    P[..., SLOW, :] *= left[..., None]
+    P[..., :, SLOW] *= left[..., None]
+    P[..., SLOW, SLOW] += ahead.varied
+    if mean.shape[-1] == SIZE:
+        mean[..., LEVEL] += years * mean[..., SLOPE]
+        P[..., LEVEL, :] += years[..., None] * P[..., SLOPE, :]
+        P[..., :, LEVEL] += years[..., None] * P[..., :, SLOPE]
+        P[..., OTHER, OTHER] += ahead.fresh[:, None]
+    mean += (ahead.off[..., None, :] @ ahead.gain)[..., 0, :]
+    P -= np.swapaxes(ahead.gain, -1, -2) @ ahead.across
+    knows = state.knows_other | np.asarray(check.other)
+    return State(mean, P, np.array(check.days), knows)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, groupby
@@ -18,12 +19,21 @@ from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
 from . import reading, store
 from .check import WatchedPair, lost_check, watched_pairs
+from .columns import History, histories
 from .events import Event, Watched
+from .model import Observed
 from .store import CheckRow, observed
-from .watch import watch
+from .watch import watch, watch_all
 
 FLUSH = 100
 """Sites whose rows are appended together: an interrupt loses no more than these."""
+
+TOGETHER = 20
+"""Sites that are replayed beside each other: of 10 what the calls of NumPy cost shows, of 40 that a
+processor's cache does not hold them."""
+
+MOST_TOGETHER = 12_000
+"""Checks of these: 8 MB that are sent to a worker, and 50 MB while it replays them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,21 +83,10 @@ class FleetCheck:
     damaged: tuple[str, ...] = ()
 
 
-Packed = tuple[bytes, dict[str, CheckRow]]
-"""Checks of some sites, `reading.read_packed`, and the newest ones by the ids of sites."""
+Seen = list[Observed]
+"""The checks of some sites, of each in one."""
 
-Replayed = tuple[list[SiteChange], list[ReadError]]
-
-
-def replayed(packed: Packed) -> Replayed:
-    """Tell what changed at some sites, and what is damaged of their rows; as a worker does it."""
-    data, newest = packed
-    damaged: list[ReadError] = []
-    own = reading.unpacked(data, damaged.append)
-    return [changes_of(rows, newest.get(name)) for name, rows in own], damaged
-
-
-Replaying = Callable[[Callable[[Packed], Replayed], Iterator[Packed]], Iterable[Replayed]]
+Replaying = Callable[[Callable[[Seen], list[Watched]], Iterator[Seen]], Iterable[list[Watched]]]
 
 
 def check_fleet(
@@ -152,7 +151,7 @@ def check_fleet(
     if len(by_id) < len(pairs):
         raise UsageError("a pair of a site is called as another site is: call that one otherwise")
     damaged: list[ReadError] = []
-    known = reading.keys(history, by_id, damaged.append)
+    held = reading.contents(history, by_id, damaged.append)
     blank = Check(tolerance=tolerance, tried=tried)
 
     def tasks() -> Iterator[Task]:
@@ -165,7 +164,7 @@ def check_fleet(
                     blank,
                     document=stored[pair.origin].document if stored else None,
                     lidars=pair.lidars,
-                    known=sorted(known.get(pair.site.id, ())),
+                    known=sorted(held.keys_of(pair.site.id)),
                 )
                 yield task_of(pair.site, time_limit, check=check)
 
@@ -180,7 +179,7 @@ def check_fleet(
             elif one.row is not None:
                 new.append(lost_check(by_id[one.id], blank, one.row))
         newest.update((row.id, row) for row in new)
-        return store.append(history, new, set().union(*(known.get(row.id, ()) for row in new)))
+        return store.append(history, new, set().union(*(held.keys_of(row.id) for row in new)))
 
     # Rows come in any order: those of the same sites are appended together, so that the files of
     # the history are the same whatever the workers.
@@ -195,12 +194,55 @@ def check_fleet(
         # Also what was checked before an interrupt.
         append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
-    packed = ((data, newest) for data in reading.read_packed(history, by_id, damaged.append))
+    changes, damaged_too = replay(history, by_id, replaying, newest, held)
+    faults = dict.fromkeys(map(str, damaged + damaged_too))
+    return FleetCheck(appended, tuple(changes), tuple(faults))
+
+
+def replay(
+    history: str,
+    ids: Collection[str],
+    replaying: Replaying = map,
+    newest: Mapping[str, CheckRow] | None = None,
+    known: reading.Contents | None = None,
+) -> tuple[list[SiteChange], list[ReadError]]:
+    """Tell what changed at sites, in the order of their ids, and what of the history is damaged.
+
+    `newest` is of a run what came of each site, by its id, and `known` what the history had before.
+    """
+    damaged: list[ReadError] = []
+    own = newest or {}
+    under_way: deque[list[History]] = deque()
+
+    def seen() -> Iterator[Seen]:
+        read = reading.tables(history, ids, damaged.append, known)
+        for found in _together(
+            chain.from_iterable(histories(each, damaged.append) for each in read)
+        ):
+            under_way.append(found)
+            yield [one.checks for one in found if one.checks is not None]
+
     changes: list[SiteChange] = []
-    for found_here, damaged_here in replaying(replayed, packed):
-        changes += found_here
-        damaged += damaged_here
-    return FleetCheck(appended, tuple(changes), tuple(dict.fromkeys(map(str, damaged))))
+    for told in map(iter, replaying(watch_all, seen())):
+        for one in under_way.popleft():
+            watched = Watched() if one.checks is None else next(told)
+            changes.append(SiteChange(one.id, one.times, watched, own.get(one.id, one.newest)))
+    return sorted(changes, key=lambda site: site.id), damaged
+
+
+def _together(found: Iterable[History]) -> Iterator[list[History]]:
+    """Put sites together that are replayed beside each other."""
+    some: list[History] = []
+    for one in found:
+        if some and sum(len(each.times) for each in (*some, one)) > MOST_TOGETHER:
+            yield some
+            some = []
+        some.append(one)
+        if len(some) == TOGETHER:
+            yield some
+            some = []
+    if some:
+        yield some
 
 
 def changes_of(rows: Sequence[CheckRow], newest: CheckRow | None = None) -> SiteChange:

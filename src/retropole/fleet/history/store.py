@@ -7,7 +7,7 @@ new rows, named by the keys of its rows and written whole or not at all. Nothing
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Container, Iterable
+from collections.abc import Collection, Container, Iterable
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
@@ -93,16 +93,28 @@ class CheckRow(msgspec.Struct, frozen=True):
         A check that ended in an error does not stand for one that succeeds.
         """
         hashes = self.stored_sha256, self.target_sha256, self.source_sha256
-        failure = ("error", *self.codes) if self.status == "error" else ()
-        words = "\n".join((self.id, self.time.astimezone(UTC).isoformat(), *hashes, *failure))
-        return hashlib.sha256(words.encode()).hexdigest()
+        return key_of(self.id, self.time.astimezone(UTC), hashes, self.status, self.codes)
 
     @property
     def is_usable(self) -> bool:
         """Whether its step says where the site stands: a check too weak to say *same* does."""
-        if self.step is None or self.status == "error" or set(self.codes) & set(UNSETTLED):
-            return False
-        return self.status != "cannot_tell" or "too_weak" in self.codes
+        return is_usable(self.step is not None, self.status, self.codes)
+
+
+def key_of(
+    name: str, time: datetime, hashes: Iterable[str], status: str, codes: Iterable[str]
+) -> str:
+    """Give the key of a check, of the columns that make it this one; the time is UTC."""
+    failure = ("error", *codes) if status == "error" else ()
+    words = "\n".join((name, time.isoformat(), *hashes, *failure))
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+def is_usable(has_step: bool, status: str, codes: Collection[str]) -> bool:
+    """Whether a check says where its site stands."""
+    if not has_step or status == "error" or (codes and not set(codes).isdisjoint(UNSETTLED)):
+        return False
+    return status != "cannot_tell" or "too_weak" in codes
 
 
 def flat(value: Any) -> Any:
