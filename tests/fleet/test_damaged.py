@@ -284,7 +284,7 @@ def hold_history(folder: Path, dice: random.Random, whole: Whole) -> None:
     store.append(place, [check_row(k) for k in range(4)])
     (path,) = Path(place).rglob("*.parquet")
     path.write_bytes(damaged_table(path.read_bytes(), dice))
-    reading.keys(place, ["lamp-1"])
+    reading.contents(place, ["lamp-1"])
     for _, rows in reading.read(place):
         assert all(row.step is None or np.isfinite(row.step).all() for row in rows)
         changes_of(rows)

@@ -45,10 +45,14 @@ def history(tmp_path: Path) -> str:
     return str(tmp_path)
 
 
+def raised(error: ReadError) -> None:
+    raise error
+
+
 def test_columns_say_what_rows_do(history: str) -> None:
     rows = dict(reading.read(history))
     (table,) = reading.tables(history)
-    found = list(histories(table, pytest.fail))
+    found = list(histories(table, raised))
     assert [one.id for one in found] == [*rows] == ["lamp-1", "lamp-2", "lamp-3"]
     for one in found:
         expected = observed(rows[one.id])

@@ -51,7 +51,7 @@ def replayed(seen: Sequence[Observed]) -> tuple[State, Changes, list[Past], floa
         state = updated(state, check, ahead)
         past.append(Past(n, np.ones(1, dtype=bool), passed(ahead)))
         through = passed(ahead).of(0, np.array([0]))
-        changes = taken(changes, n, check.days, through)
+        changes = taken(changes, n, np.asarray(check.days), through)
         surprises += float(ahead.chi2[0, 0])
     return state, changes, past, surprises
 
@@ -132,7 +132,9 @@ def test_kinds_that_nothing_needs_change_nothing() -> None:
         for state, changes in (plain, whole):
             ahead = predicted(state, check, np.ones((1, 2)), SHARES, SLOW_TIME)
             through = passed(ahead).of(0, np.array([0]))
-            after.append((updated(state, check, ahead), taken(changes, n, check.days, through)))
+            after.append(
+                (updated(state, check, ahead), taken(changes, n, np.asarray(check.days), through))
+            )
         plain, whole = after
     np.testing.assert_allclose(plain[0].whole().mean, whole[0].mean, atol=1e-14)
     there = plain[1].onset[0] != NONE

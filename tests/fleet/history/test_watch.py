@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from retropole.base.datatypes import Array
 from retropole.fleet.history.model import SLOPE, YEAR, together
 from retropole.fleet.history.watch import MOST_WAITING, watch, watch_all
 from tests.fleet.history.checks import MOVED, SIGMA, checks
@@ -147,15 +148,20 @@ def test_a_lorry_after_a_check_that_chance_put_aside_is_no_trend() -> None:
     assert not seen.alarms
 
 
+def stepped(k: int) -> Array:
+    return MOVED * (k >= 30)
+
+
+def drifted(k: int) -> Array:
+    return MOVED * max(k - 20, 0) / 20
+
+
 def test_sites_beside_each_other_are_watched_as_each_alone() -> None:
     rng = np.random.default_rng(3)
     sites = []
     for seed in range(7):
-        seen = checks(
-            (90, 3, 60, 90, 1, 75, 40)[seed],
-            lambda k, seed=seed: MOVED * (k >= 30) if seed % 2 else MOVED * max(k - 20, 0) / 20,
-            seed=seed,
-        )
+        count = (90, 3, 60, 90, 1, 75, 40)[seed]
+        seen = checks(count, stepped if seed % 2 else drifted, seed=seed)
         for k in np.flatnonzero(rng.random(len(seen)) < 0.04):
             seen[k] = replace(seen[k], step=seen[k].step + 20 * SIGMA * rng.normal(size=6))
         sites.append([replace(one, other=seed > 4 and k % 3 == 2) for k, one in enumerate(seen)])
