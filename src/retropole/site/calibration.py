@@ -25,12 +25,13 @@ from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
 from .description import Site
+from .linked import check_linked
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
 from .shared import SharedPole, same_poles, shared_poles
 from .solved import axes_of
 from .swapped import check_places, check_swapped
-from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
+from .verdict import check_decided, confirm_links, fitness_of, weaknesses
 from .without import without_placements
 
 

@@ -106,7 +106,8 @@ def _check_units(
     fits: list[Fit],
 ) -> None:
     """Refuse where all, poles or control points fit better as a mirror image or in another unit."""
-    if fits and fits[0].ends == _count_ends(site, poses) and fits[0].rms < ROUGH:
+    if fits and fits[0].ends == _count_ends(site, poses) and fits[0].rms <= 2.0 * MOST_RMS:
+        # Nothing fits clearly better. Points near one plane do as a mirror image of themselves.
         return
     parts = [(site, fits)]
     if site.poles and site.points:
