@@ -12,16 +12,16 @@ control points, poles of both, or points alone. The contradictions take turns as
   ``pole``, ``files``: as in `site_blunders`;
 - ``none``: nothing is wrong.
 
-A pose is wrong beyond 1° and 0.15 m. Of *named*, the right code with the right name counts: of the
-survey's item, of the LiDAR, of both LiDARs whose recordings are swapped, and of a pole one that
-stands within `NEAR` of it. One of the wider codes (`WIDER`) is printed apart. Whether the others
-check a contradiction at all, `contradiction_checks` judges by the truth. A site that is refused with
+A pose is wrong beyond 1° and 0.15 m. Of *named*, the right code and name count: of the survey's
+item, of the LiDAR, of both LiDARs whose recordings are swapped, and of a pole one that stands
+within `NEAR` of it. One of the wider codes (`WIDER`) is printed apart. Whether the others check a
+contradiction at all, `contradiction_checks` judges by the truth. A site that is refused with
 another code is calibrated without the contradiction, too, but for bumped poles and swapped files,
 which are recorded so: where it is refused then as well (*unanswered*), the contradiction never came
 into question.
 
 Seeds below 1000 are for tuning, from 3000 on they state a figure once: what was looked at of 3000
-to 3275 has changed the calibration since. What was set on tuning seeds here: nothing.
+to 3275, 5000 to 5102 and 5400 to 5496 has changed the calibration since. What was set on tuning seeds here: nothing.
 """
 
 from __future__ import annotations
@@ -322,7 +322,7 @@ def main() -> None:
 def table(rows: Sequence[Row]) -> None:
     """Print what was said of each kind, and of all."""
     print(
-        "\n| wrong | sites | checkable | named of these | refused without it too | other codes | of the others named "
+        "\n| wrong | sites | checkable | named of these | unanswered | other codes | others named "
         "| ok | wrong poses | wrong ok | refused | what was said |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|")

@@ -83,8 +83,8 @@ CASES = (
     Case("step of 3 cm in week 4", "corridor", step=0.03),
     Case("step of 3 cm, by the scene", "street", step=0.03, poles=False),
     Case("step of 1 cm in week 4", "harbor", step=0.01),
-    Case("lorry beside the poles", "harbor", lorry="poles"),
-    Case("lorry in view", "street", lorry="view"),
+    Case("lorry beside the poles in week 5", "harbor", lorry="poles"),
+    Case("lorry in view in week 5", "street", lorry="view"),
 )
 
 
@@ -179,7 +179,7 @@ def watched(case: Case, seed: int, folder: Path, weeks: int = WEEKS) -> Outcome:
     for week in range(1, weeks + 1):
         here = pair
         if case.lorry and week == LORRY_WEEK:
-            here = replace(pair, surroundings=[*pair.surroundings, lorry(pair, case.lorry)])
+            here = replace(pair, surfaces=(lorry(pair, case.lorry), *pair.surfaces))
         moved = np.r_[np.zeros(3), case.moved(week) * way]
         again = record_again(here, rng, moved=moved, poles=case.poles)
         new = folder / f"week-{week}"
