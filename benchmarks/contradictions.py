@@ -21,7 +21,7 @@ which are recorded so: where it is refused then as well (*unanswered*), the cont
 into question.
 
 Seeds below 1000 are for tuning, from 3000 on they state a figure once: what was looked at of 3000
-to 3275, 5000 to 5102 and 5400 to 5496 has changed the calibration since. What was set on tuning
+to 3275, 5000 to 5102, 5400 to 5496 and 5800 to 5886 has changed the calibration since. What was set on tuning
 seeds here: nothing.
 """
 
@@ -195,7 +195,6 @@ def one(seed: int) -> Row | None:
         if wrong in ("pole", "files"):
             simulated, blunder = simulate_blunder(kind, rng, wrong, **options)  # type: ignore[arg-type]
             site, words, name = simulated.as_site(), blunder.name, ""
-            # The same recordings but for what is wrong cannot be made again.
             sound_site = site
         else:
             simulated = simulate_site(kind, rng, survey=survey, **options)  # type: ignore[arg-type]
@@ -230,7 +229,8 @@ def one(seed: int) -> Row | None:
         true[lidar] = true[lidar] @ se3.inverse(T)
         right = right or _is_right(found, true, surveyed)
     words = f"{kind} {words}"
-    sound = found.status != "refused" or named or calibrate_site(sound_site).status != "refused"
+    sound = found.status != "refused" or named or blunder is not None
+    sound = sound or calibrate_site(sound_site).status != "refused"
     return Row(seed, wrong, words, found.status, codes, right, named, checkable, sound, messages)
 
 
@@ -334,7 +334,7 @@ def table(rows: Sequence[Row]) -> None:
             if row.wrong == wrong or (wrong, row.wrong != "none") == ("all", True)
         ]
         checked = [row for row in own if row.checkable]
-        lost = sum(not row.sound and row.wrong not in ("pole", "files") for row in checked)
+        lost = sum(not row.sound for row in checked)
         wider = sum(not row.named and bool({*row.codes} & {*WIDER}) for row in checked)
         said = Counter(code for row in own for code in {*row.codes} & {*CODES[row.wrong], *WIDER})
         words = ", ".join(f"`{code}` {count}" for code, count in said.most_common())

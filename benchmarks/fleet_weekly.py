@@ -30,6 +30,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -93,12 +94,12 @@ class Week:
     """What a run of the command said: its exit code, and its JSON line."""
 
     code: int
-    said: dict[str, object]
+    said: dict[str, Any]
 
     @property
-    def events(self) -> list[dict[str, object]]:
+    def events(self) -> list[dict[str, Any]]:
         """What it says has changed."""
-        return list(self.said.get("changed", []))  # type: ignore[call-overload]
+        return list(self.said.get("changed", []))
 
 
 @dataclass(frozen=True)
@@ -208,7 +209,7 @@ def said(week: Week) -> str:
     """Say shortly what a run said."""
     words = [str(event["kind"]) for event in week.events]
     words += ["not confirmed"] if week.said.get("not_confirmed") else []
-    for one in week.said.get("not_told", []):  # type: ignore[attr-defined]
+    for one in week.said.get("not_told", []):
         words.append(f"{one['status']} ({', '.join(one['codes'])})")
     return " + ".join(words) or str(week.said.get("error", ""))[:60]
 
@@ -231,7 +232,7 @@ def row_of(outcome: Outcome) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print what came of each site."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--first", type=int, default=8000, help="first seed")
     parser.add_argument("--cases", type=int, nargs="*", help="numbers of some of them")
     asked = parser.parse_args(arguments)

@@ -87,14 +87,15 @@ def calibrate_site(
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
                 # Rough poses may be off by more than poles of few returns lie apart, and returns
-                # that lie beside a pole under them pull no more.
+                # that lie beside a pole under them pull no more; what of a survey they did not meet
+                # may be met now.
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.
                     adjusted = adjust_without_survey(recorded, choices.best.poses, poles)
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
-                if misfit or not same_poles(again, poles):
+                if misfit or adjusted.datum.unmet or not same_poles(again, poles):
                     adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
             with step("test"):
                 adjusted, blunders = without_blunders(recorded, adjusted)

@@ -63,8 +63,9 @@ def lay_on_survey(
     best, *others = fits
     for other in others:
         _check_frames(site, best, other, poles)
-    rivals = [fit for fit in others if fit.ends == best.ends]
-    if rivals and rivals[0].rms < 2.0 * max(best.rms, MOST_RMS):
+    alike = 2.0 * max(best.rms, MOST_RMS)
+    rivals = [fit for fit in others if fit.ends >= best.ends and fit.rms < alike]
+    if rivals:
         raise Refusal(
             "survey_ambiguous",
             f"what was surveyed fits what the LiDARs see in {1 + len(rivals)} ways, to "
@@ -134,7 +135,8 @@ def _is_better(fit: Fit, plain: Fit, ends: int) -> bool:
     if fit.ends == plain.ends:
         return plain.rms > 2.0 * max(fit.rms, MOST_RMS)
     # All of it, or more than a pole or a point that is wrong by itself.
-    return plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
+    meets_more = plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
+    return meets_more and fit.rms < max(ROUGH, plain.rms)
 
 
 def _count_ends(site: Site, poses: dict[int, Array]) -> int:
