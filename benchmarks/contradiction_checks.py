@@ -44,7 +44,6 @@ from retropole.base.datatypes import Array
 from retropole.base.systematic import STATED_WIDTH
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.description import SurveyedPole
-from site_blunders import SEPARABLE, Blunder
 
 SEEN = 0.005
 """1 σ of what a LiDAR sees of an end of a pole across it, and of a control point, metres: what the
@@ -52,6 +51,9 @@ simulation states of control points."""
 
 LEVEL, PER_FREEDOM, POWER = 6.5, 7.0, 0.8
 """Of the calibration's tests, w and χ² for each degree of freedom; and of detection."""
+
+SEPARABLE = 25.0
+"""χ² by which no other contradiction explains it as well: 5 σ, as in `site_blunders`."""
 
 RADIUS_LEVEL = 3.0
 """Of the calibration's test of the radius, σ."""
@@ -154,7 +156,9 @@ class Design:
             if some:
                 yield self._free(each.name, some)
         for p, k in sorted({one.pole for one in self.values if one.pole is not None}):
-            who = sorted({one.lidar for _, one in own if one.pole == (p, k)} - {None})
+            who = sorted(
+                {one.lidar for _, one in own if one.pole == (p, k) and one.lidar is not None}
+            )
             for size in range(1, len(who)):
                 for part in combinations(who, size):
                     yield self._common(pole_name(p, k), (p, k), part)
@@ -194,7 +198,8 @@ class Design:
     def is_checkable(self, name: str, moved: Array) -> bool:
         """Whether a change (N, 1) of the values by something of a name is found, and told."""
         left = self.left(moved)[:, 0]
-        own, rivals = [], []
+        own: list[tuple[float, int]] = []
+        rivals: list[tuple[float, int]] = []
         for error in self.errors():
             explained = _explained(self.left(error.columns), error.columns, left)
             (own if error.name == name else rivals).append((explained, error.freedom))
@@ -286,18 +291,17 @@ def coordinates_are_checkable(true: Sequence[Array], written: Sequence[Array]) -
     return chi2 > least_found(max(a.size - 6, 1))
 
 
-def pole_is_checkable(site: SimulatedSite, blunder: Blunder) -> bool:
-    """Whether a pole is that was bumped between two recordings."""
-    assert blunder.moved is not None
-    assert blunder.pole is not None
+def pole_is_checkable(
+    site: SimulatedSite, pole: tuple[int, int], lidars: Sequence[int], T: Array
+) -> bool:
+    """Whether a pole (placement and number) is that some LiDARs saw moved by (4, 4)."""
     design = Design(site)
-    at = blunder.placements[0], blunder.pole
     moved = {
-        k: (se3.apply(blunder.moved, one.at[None])[0] - one.at)[:, None]
+        k: (se3.apply(T, one.at[None])[0] - one.at)[:, None]
         for k, one in enumerate(design.values)
-        if one.pole == at and one.lidar in blunder.lidars
+        if one.pole == pole and one.lidar in lidars
     }
-    return bool(moved) and design.is_checkable(pole_name(*at), design.whitened(moved))
+    return bool(moved) and design.is_checkable(pole_name(*pole), design.whitened(moved))
 
 
 def lidar_is_checkable(site: SimulatedSite, lidar: int) -> bool:
@@ -324,4 +328,4 @@ def radius_is_checkable(site: SimulatedSite) -> bool:
                     footprint = STATED_WIDTH * sensor.divergence * away / 2
                     precision += 1.0 / (edge**2 + footprint**2)
     z = float(brentq(lambda x: ndtr(x) - POWER, 0.0, 5.0))
-    return site.radius * np.sqrt(precision) > RADIUS_LEVEL + z
+    return bool(site.radius * np.sqrt(precision) > RADIUS_LEVEL + z)

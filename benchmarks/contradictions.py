@@ -21,8 +21,8 @@ which are recorded so: where it is refused then as well (*unanswered*), the cont
 into question.
 
 Seeds below 1000 are for tuning, from 3000 on they state a figure once: what was looked at of 3000
-to 3275, 5000 to 5102, 5400 to 5496 and 5800 to 5886 has changed the calibration since. What was set on tuning
-seeds here: nothing.
+to 3275, 5000 to 5102, 5400 to 5496 and 5800 to 5886 has changed the calibration since. What was set
+on tuning seeds here: nothing.
 """
 
 from __future__ import annotations
@@ -210,8 +210,11 @@ def one(seed: int) -> Row | None:
         return None
     if wrong == "lidar":
         checkable = lidar_is_checkable(simulated, lidar)
+    elif blunder is not None and blunder.pole is not None and blunder.moved is not None:
+        which = blunder.placements[0], blunder.pole
+        checkable = pole_is_checkable(simulated, which, blunder.lidars, blunder.moved)
     elif blunder is not None:
-        checkable = blunder.checked if wrong == "files" else pole_is_checkable(simulated, blunder)
+        checkable = blunder.checked
     else:
         checkable = _is_checkable(simulated, site, wrong, name)
     found = calibrate_site(site)
