@@ -114,6 +114,24 @@ def test_points_near_a_plane_do_not_hide_a_mirror_image(seed: int, height: float
     assert "mirror image" in refused.value.message
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_a_mirror_image_shows_through_poses_that_are_rough(seed: int) -> None:
+    """All of it, to 0.15 m, is more than three points of five that fit to a decimetre."""
+    known, _ = mirrored_plane(seed, 2.5)
+    rng = np.random.default_rng(seed)
+    rough = [
+        replace(
+            point,
+            seen=tuple(replace(own, at=own.at + rng.normal(0, 0.09, 3)) for own in point.seen),
+        )
+        for point in known
+    ]
+    with pytest.raises(Refusal) as refused:
+        told(site([], tuple(rough)), [])
+    assert refused.value.code == "survey_contradicts"
+    assert "mirror image" in refused.value.message
+
+
 def test_a_sighting_that_is_off_is_named() -> None:
     T = se3.random(np.random.default_rng(1))
     known = points(T)

@@ -31,7 +31,7 @@ from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, vi
 from .shared import SharedPole, same_poles, shared_poles
 from .solved import axes_of
 from .swapped import check_places, check_swapped
-from .verdict import check_decided, confirm_links, fitness_of, weaknesses
+from .verdict import check_decided, confirm_links, fitness_of, radius_denied, weaknesses
 from .without import without_placements
 
 
@@ -98,6 +98,8 @@ def calibrate_site(
                 if misfit or adjusted.datum.unmet or not same_poles(again, poles):
                     adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
             with step("test"):
+                # Whatever is refused from here on, a radius that the returns deny may be why.
+                blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
                 adjusted = search_as_pair(recorded, adjusted)
             with step("confirm"):

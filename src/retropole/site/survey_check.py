@@ -25,6 +25,7 @@ from .onto_survey import (
     every_fit,
     farthest_beside,
     fixes_frame,
+    order,
     pole_at,
     sightings_of,
     transformed,
@@ -136,7 +137,7 @@ def _is_better(fit: Fit, plain: Fit, ends: int) -> bool:
         return plain.rms > 2.0 * max(fit.rms, MOST_RMS)
     # All of it, or more than a pole or a point that is wrong by itself.
     meets_more = plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
-    return meets_more and fit.rms < max(ROUGH, plain.rms)
+    return meets_more and order(fit) < order(plain)
 
 
 def _count_ends(site: Site, poses: dict[int, Array]) -> int:

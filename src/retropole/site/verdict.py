@@ -173,7 +173,7 @@ def weaknesses(
 ) -> Iterator[Reason]:
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
     yield from _by_lidars(site, scans, adjusted)
-    yield from check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
+    yield from radius_denied(adjusted)
     yield from check_agreement(adjusted.refined)
     yield from check_minima(adjusted.refined)
     yield from check_decisive(adjusted.refined)
@@ -187,6 +187,11 @@ def weaknesses(
             {"stage": "site", "iterations": adjusted.end.iterations},
         )
     yield from _not_fit(site, lidars)
+
+
+def radius_denied(adjusted: Adjusted) -> Iterator[Reason]:
+    """Say where the returns conflict with the radius that was given."""
+    return check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
 
 
 def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
