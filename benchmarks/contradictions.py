@@ -21,8 +21,8 @@ which are recorded so: where it is refused then as well (*unanswered*), the cont
 into question.
 
 Seeds below 1000 are for tuning, from 3000 on they state a figure once: what was looked at of 3000
-to 3275, 5000 to 5102, 5400 to 5496, 5800 to 5886 and 6200 to 6529 has changed the calibration since.
-What was set on tuning seeds here: nothing.
+to 3275, 5000 to 5102, 5400 to 5496, 5800 to 5886 and 6200 to 6529 has changed the calibration
+since. What was set on tuning seeds here: nothing.
 """
 
 from __future__ import annotations
