@@ -23,10 +23,12 @@ stated; 5000 to 5049 were looked at before the last change.
 Prints Markdown tables: false alarms, steps and drifts of each law, and the drifts that are found
 within a year by how much a check scatters. `--recorded N` has N simulated sites recorded again and
 again, and checked as `retropole check` does, to see whether rows scatter as their covariance says.
+`--bound` says how soon a drift of 1 mm a day can be told at all, by `fleet_bound`.
 
     python benchmarks/fleet_history.py --tune --first 0
     python benchmarks/fleet_history.py --sites 34 --first 3200
     python benchmarks/fleet_history.py --alarms --sites 50 --first 6000
+    python benchmarks/fleet_history.py --bound
     python benchmarks/fleet_history.py --recorded 6 --checks 12 --first 2000
 """
 
@@ -45,6 +47,7 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.special import chdtrc
 
+from fleet_bound import bound_table
 from retropole.api import floor
 from retropole.base.datatypes import Array, PoseEstimate
 from retropole.fleet.history.events import Watched
@@ -489,12 +492,16 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=3200, help="first seed")
     parser.add_argument("--tune", action="store_true", help="the laws that set the constants")
     parser.add_argument("--alarms", action="store_true", help="drifts and steps, told how soon")
+    parser.add_argument("--bound", action="store_true", help="how soon a drift can be told at all")
     parser.add_argument("--laws", nargs="*", help="some of them")
     parser.add_argument("--changes", nargs="*", default=["none", "step", "drift"])
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--recorded", type=int, metavar="N", help="sites to simulate and check")
     parser.add_argument("--checks", type=int, default=12, help="of each of these")
     arguments = parser.parse_args()
+    if arguments.bound:
+        bound_table(arguments.first)
+        return
     if arguments.alarms:
         alarm_table(arguments.first, arguments.sites)
         return

@@ -25,7 +25,7 @@ from retropole.site.blunders import (
 )
 from retropole.site.calibration import calibrate_site
 from retropole.site.description import Site
-from tests.site.adjusting import Steps, between, made, made_wrong, off, poses_of
+from tests.site.adjusting import Steps, between, made, made_wrong, off, poses_of, with_lidar
 
 FIVE_SIGMA = 39.6
 """χ² with 6 degrees of freedom is above this as often as a normal number beyond five σ."""
@@ -147,6 +147,37 @@ def test_refusals_of_what_is_left_are_no_answer(
     with pytest.raises(Refusal) as refused:
         without_blunders(steps.recorded, replace(steps.adjusted, tests=tests))
     assert refused.value.code == "site_inconsistent"
+
+
+def only_seen_by(site: Site, simulated: SimulatedSite, lidar: int, pole: int) -> Site:
+    """Take a pole of the first placement out of the recordings of all other LiDARs."""
+    label = len(simulated.surroundings) + pole
+    for i, (own, labels) in enumerate(zip(site.lidars, simulated.labels, strict=True)):
+        (first, second), (where, _) = own.clouds, labels
+        assert first is not None
+        assert where is not None
+        if i != lidar:
+            site = with_lidar(site, i, clouds=(first.select(where != label), second))
+    return site
+
+
+@pytest.mark.parametrize("pole", [0, 1])
+def test_a_surveyed_pole_that_one_lidar_alone_sees_is_named_as_a_whole(pole: int) -> None:
+    """It has no test of its own as a pole, and neither end explains what both do."""
+    simulated = made(survey=Survey((0, 1)))
+    site = only_seen_by(simulated.as_site(), simulated, 1, pole)
+    poles = list(site.poles)
+    foot, top = poles[pole].foot, poles[pole].top
+    assert foot is not None
+    assert top is not None
+    across = np.cross(top - foot, [0.0, 0.0, 1.0])
+    by = 0.2 * across / np.linalg.norm(across)
+    poles[pole] = structs.replace(poles[pole], foot=foot + by, top=top + by)
+    found = calibrate_site(replace(site, poles=tuple(poles)))
+    told = [each for each in found.reasons if each.code in ("survey_outlier", "survey_unmet")]
+    assert [each.values["observation"] for each in told] == [poles[pole].name]
+    assert not {each.code for each in found.reasons} & {"pole_moved", "recording_left_out"}
+    check_true(found, simulated)
 
 
 @pytest.mark.slow

@@ -289,3 +289,19 @@ def test_poles_stand_where_they_are_adjusted(
     assert 0.2 < np.median(distances) < 2.5
     assert 0.1 < np.median(turns) < 2.5
     assert max(distances + turns) < 4.0
+
+
+def test_a_refusal_says_that_the_returns_deny_the_radius(
+    simulated: SimulatedSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which may be why nothing fits."""
+
+    def refuse(recorded: Recorded, first: Adjusted) -> tuple[Adjusted, list[Reason]]:
+        raise Refusal("site_inconsistent", "nothing fits", {})
+
+    monkeypatch.setattr(calibration, "without_blunders", refuse)
+    site = simulated.as_site()
+    found = calibrate_site(replace(site, radius=2.0 * site.radius))
+    assert [reason.code for reason in found.reasons] == ["site_inconsistent", "radius_differs"]
+    sound = calibrate_site(site)
+    assert [reason.code for reason in sound.reasons] == ["site_inconsistent"]

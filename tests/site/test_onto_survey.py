@@ -8,7 +8,7 @@ from retropole.base import se3
 from retropole.base.datatypes import Array
 from retropole.base.errors import Refusal
 from retropole.site.description import ControlPoint, Frame, Sighting, Site, SiteLidar, SurveyedPole
-from retropole.site.onto_survey import pole_at, transformed
+from retropole.site.onto_survey import NEAR, Fit, order, pole_at, transformed
 from retropole.site.shared import SharedPole
 from retropole.site.survey_check import lay_on_survey
 from tests.site.adjusting import Steps
@@ -122,6 +122,20 @@ def test_the_pole_that_was_surveyed_is_the_one_there() -> None:
         # Beyond its end, on the same line, is another pole.
         away = 3.0 * (each.top - each.foot)
         assert pole_at(replace(each, foot=each.foot + away, top=each.top + away), found) is None
+
+
+def test_what_most_is_met_by_well_comes_first() -> None:
+    """Not what one more is met by to half a metre, nor what little is met by exactly."""
+
+    def fit(ends: int, rms: float) -> Fit:
+        return Fit(np.eye(4), frozenset(), frozenset(), ends, rms)
+
+    exact, drawn, chance = fit(10, 0.037), fit(11, 0.257), fit(4, 0.002)
+    rough = fit(14, 0.12)
+    assert sorted([drawn, chance, exact, rough], key=order) == [rough, exact, drawn, chance]
+    assert order(fit(10, 0.01)) < order(fit(10, 0.02))
+    # What is met at the limit is as good as nothing.
+    assert order(fit(10, NEAR))[0] == order(fit(0, 0.0))[0] == 0.0
 
 
 def test_a_pole_in_another_frame_and_back(steps: Steps) -> None:

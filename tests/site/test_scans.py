@@ -8,12 +8,8 @@ from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.simulation.sites import SimulatedSite
 from retropole.site.scans import (
-    SAME_PLACE,
-    Views,
-    elsewhere,
     find_scans,
     poses_in_clouds,
-    same_place,
 )
 from tests.numeric import numeric_jacobian
 from tests.site.adjusting import Steps, with_lidar
@@ -60,26 +56,6 @@ def test_recordings_can_be_left_out(steps: Steps) -> None:
     assert isinstance(scene, PointCloud)
     assert isinstance(whole, PointCloud)
     assert len(scene) == len(left.used(1)[0].cloud) < len(whole)
-
-
-def test_one_place_is_told_from_another(steps: Steps) -> None:
-    every = steps.views.every
-    for i in range(3):
-        for j in range(3):
-            one, other = every[i][0], every[j][1]
-            assert one is not None
-            assert other is not None
-            assert (same_place(one, other) >= SAME_PLACE) == (i == j)
-
-
-def test_a_recording_from_elsewhere_is_outvoted_by_two(steps: Steps) -> None:
-    (a, b), (c, d) = steps.views.every[:2]
-    assert elsewhere(Views(((a, b),)), 0) == set()
-    assert elsewhere(Views(((a, b, c),)), 0) == {2}
-    assert elsewhere(Views(((c, a, None, b),)), 0) == {0}
-    # Which of two it is, nothing tells.
-    assert elsewhere(Views(((a, d),)), 0) == {0, 1}
-    assert elsewhere(Views(((a, None),)), 0) == set()
 
 
 def test_poses_in_the_clouds_frames_and_their_covariance() -> None:

@@ -74,6 +74,64 @@ def test_a_point_that_is_off_is_named(off: float) -> None:
         assert unmet[0].values["gap_m"] == pytest.approx(off, rel=0.02)
 
 
+def test_one_more_that_is_met_to_half_a_metre_is_no_better_than_all_others_exactly() -> None:
+    """A point that is off a little more than what is met draws all of a survey along."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        T = se3.random(rng)
+        known = points(T)
+        way = rng.normal(size=3)
+        for off in (0.51, 0.6, 0.8):
+            moved = list(known)
+            moved[1] = replace(known[1], at=known[1].at + off * way / np.linalg.norm(way))
+            found, unmet = told(site(poles(), tuple(moved)), seen(poles(), T))
+            assert se3.difference(found, T).translation < 0.01
+            assert [reason.values["observation"] for reason in unmet] == ["C1"]
+
+
+def mirrored_plane(seed: int, height: float) -> tuple[list[ControlPoint], Array]:
+    """Points of which a plane is the mirror image of itself but for so much, x and y exchanged."""
+    rng = np.random.default_rng(seed)
+    T = se3.random(rng)
+    at = np.column_stack([rng.uniform(-8, 8, (5, 2)), height * np.array([0, 1, 0, 1, 0.5])])
+    found = []
+    for k, true in enumerate(at):
+        sights = tuple(
+            Sighting(i, se3.apply(se3.inverse(T @ pose), true[None])[0], 0.005)
+            for i, pose in POSES.items()
+        )
+        found.append(ControlPoint(f"C{k}", true[[1, 0, 2]], 0.005, sights))
+    return found, T
+
+
+@pytest.mark.parametrize(("seed", "height"), [(2, 0.6), (2, 0.9), (4, 0.3), (1, 0.6)])
+def test_points_near_a_plane_do_not_hide_a_mirror_image(seed: int, height: float) -> None:
+    """Upside down they fit to a decimetre, as a mirror image exactly."""
+    known, _ = mirrored_plane(seed, height)
+    with pytest.raises(Refusal) as refused:
+        told(site([], tuple(known)), [])
+    assert refused.value.code == "survey_contradicts"
+    assert "mirror image" in refused.value.message
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_a_mirror_image_shows_through_poses_that_are_rough(seed: int) -> None:
+    """All of it, to 0.15 m, is more than three points of five that fit to a decimetre."""
+    known, _ = mirrored_plane(seed, 2.5)
+    rng = np.random.default_rng(seed)
+    rough = [
+        replace(
+            point,
+            seen=tuple(replace(own, at=own.at + rng.normal(0, 0.09, 3)) for own in point.seen),
+        )
+        for point in known
+    ]
+    with pytest.raises(Refusal) as refused:
+        told(site([], tuple(rough)), [])
+    assert refused.value.code == "survey_contradicts"
+    assert "mirror image" in refused.value.message
+
+
 def test_a_sighting_that_is_off_is_named() -> None:
     T = se3.random(np.random.default_rng(1))
     known = points(T)

@@ -10,12 +10,12 @@ from retropole.base.errors import Reason, Refusal
 from retropole.base.uncertainty.purpose import Need
 from retropole.site.answer import LidarPose, LoopClosure
 from retropole.site.choice import Choice, Choices
+from retropole.site.linked import check_linked
 from retropole.site.pairs import Pair
 from retropole.site.verdict import (
     CHECKED,
     OPEN,
     check_decided,
-    check_linked,
     confirm_links,
     fitness_of,
     weaknesses,

@@ -239,11 +239,14 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
                     found.setdefault(("pole", k), max(own, key=lambda test: test.chi2))
     worst = list(found.values())[:MOST_TRIED]
     suspects: list[tuple[str, Test]] = [(test.kind, test) for test in worst]
-    suspects += [
-        ("survey of a pole", test)
-        for test in worst
-        if test.kind == "pole" and _is_surveyed(now.datum, test.pole)
-    ]
+    # A pole that one LiDAR alone sees has no test of its own: those of its ends stand for it.
+    of_end = {end.name: end.axis for end in now.datum.surveyed.ends}
+    of_pole: dict[int, Test] = {}
+    for test in sorted(worst, key=lambda test: test.kind != "pole"):
+        pole = test.pole if test.kind == "pole" else of_end.get(test.name)
+        if pole is not None and _is_surveyed(now.datum, pole):
+            of_pole.setdefault(pole, replace(test, pole=pole))
+    suspects += [("survey of a pole", test) for test in of_pole.values()]
     rank = TAKES_ALONG.index
     for kind, test in sorted(suspects, key=lambda s: rank(s[0]) if s[0] in TAKES_ALONG else -1):
         yield (
@@ -251,7 +254,7 @@ def _suspects(site: Site, now: Adjusted) -> Iterator[Suspect]:
         )
 
 
-def _is_surveyed(datum: Datum, pole: int | None) -> bool:
+def _is_surveyed(datum: Datum, pole: int) -> bool:
     """Whether both ends of a pole count, so that neither alone explains what both do."""
     return sum(end.axis == pole for end in datum.surveyed.ends) > 1
 

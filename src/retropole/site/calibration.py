@@ -25,12 +25,13 @@ from .choice import Choices, choose_poses, linked_groups
 from .closures import close_loops
 from .datum import find_datum
 from .description import Site
+from .linked import check_linked
 from .pairs import Pair, find_pairs, poles_of
 from .scans import SiteScans, Views, find_scans, patches_of, poses_in_clouds, views_of
 from .shared import SharedPole, same_poles, shared_poles
 from .solved import axes_of
 from .swapped import check_places, check_swapped
-from .verdict import check_decided, check_linked, confirm_links, fitness_of, weaknesses
+from .verdict import check_decided, confirm_links, fitness_of, radius_denied, weaknesses
 from .without import without_placements
 
 
@@ -86,16 +87,19 @@ def calibrate_site(
                 recorded = Recorded(site, scans, patches, scene_pairs(patches, groups[0]))
                 adjusted = adjust(recorded, datum)
                 # Rough poses may be off by more than poles of few returns lie apart, and returns
-                # that lie beside a pole under them pull no more.
+                # that lie beside a pole under them pull no more; what of a survey they did not meet
+                # may be met now.
                 misfit = worst_test(adjusted.tests) is not None
                 if misfit and (site.poles or site.points):
                     # A survey that is wrong has pulled at the poses.
                     adjusted = adjust_without_survey(recorded, choices.best.poses, poles)
                 poses = dict(enumerate(adjusted.end.T))
                 again = shared_poles(scans, poses, site.radius)
-                if misfit or not same_poles(again, poles):
+                if misfit or adjusted.datum.unmet or not same_poles(again, poles):
                     adjusted = adjust(recorded, find_datum(site, scans.origins, poses, again))
             with step("test"):
+                # Whatever is refused from here on, a radius that the returns deny may be why.
+                blunders = list(radius_denied(adjusted))
                 adjusted, blunders = without_blunders(recorded, adjusted)
                 adjusted = search_as_pair(recorded, adjusted)
             with step("confirm"):

@@ -14,11 +14,8 @@ from ..scene.disambiguation import SCORING_SAMPLE, SCORING_VOXEL
 from ..scene.patches import Patches, surface_patches
 from ..scene.scans import find_poles
 from ..scene.static import check_static, check_still
-from ..scene.visibility import View, compare_views, view_of
+from ..scene.visibility import View, view_of
 from .description import Site, SiteLidar
-
-SAME_PLACE = 0.5
-"""Least share of points that two recordings of one LiDAR have in common where it stood still."""
 
 Recording = tuple[int, int]
 """Index of a LiDAR and of a placement."""
@@ -135,28 +132,6 @@ def views_of(scans: SiteScans) -> Views:
             for row in scans.recorded
         )
     )
-
-
-def same_place(one: View, other: View) -> float:
-    """Share of points, in both directions, that two recordings have in common as they are."""
-    return compare_views(one, other, np.eye(4), within=0.5, limit=0.5).overlap
-
-
-def elsewhere(views: Views, lidar: int) -> set[int]:
-    """Placements whose recording does not show the place that a LiDAR stands at.
-
-    With three recordings or more, those that agree with less than half of the others; with two that
-    differ, both.
-    """
-    known = [(p, view) for p, view in enumerate(views.every[lidar]) if view is not None]
-    count = np.zeros(len(known))
-    for a in range(len(known)):
-        for b in range(a):
-            agrees = same_place(known[a][1], known[b][1]) >= SAME_PLACE
-            count[[a, b]] += agrees
-    return {
-        p for (p, _), agreeing in zip(known, count, strict=True) if 2 * agreeing < len(known) - 1
-    }
 
 
 def poses_in_clouds(T: Array, covariance: Array, origins: Array) -> tuple[Array, Array]:

@@ -25,6 +25,7 @@ from .onto_survey import (
     every_fit,
     farthest_beside,
     fixes_frame,
+    order,
     pole_at,
     sightings_of,
     transformed,
@@ -63,8 +64,9 @@ def lay_on_survey(
     best, *others = fits
     for other in others:
         _check_frames(site, best, other, poles)
-    rivals = [fit for fit in others if fit.ends == best.ends]
-    if rivals and rivals[0].rms < 2.0 * max(best.rms, MOST_RMS):
+    alike = 2.0 * max(best.rms, MOST_RMS)
+    rivals = [fit for fit in others if fit.ends >= best.ends and fit.rms < alike]
+    if rivals:
         raise Refusal(
             "survey_ambiguous",
             f"what was surveyed fits what the LiDARs see in {1 + len(rivals)} ways, to "
@@ -106,7 +108,8 @@ def _check_units(
     fits: list[Fit],
 ) -> None:
     """Refuse where all, poles or control points fit better as a mirror image or in another unit."""
-    if fits and fits[0].ends == _count_ends(site, poses) and fits[0].rms < ROUGH:
+    if fits and fits[0].ends == _count_ends(site, poses) and fits[0].rms <= 2.0 * MOST_RMS:
+        # Nothing fits clearly better. Points near one plane do as a mirror image of themselves.
         return
     parts = [(site, fits)]
     if site.poles and site.points:
@@ -133,7 +136,8 @@ def _is_better(fit: Fit, plain: Fit, ends: int) -> bool:
     if fit.ends == plain.ends:
         return plain.rms > 2.0 * max(fit.rms, MOST_RMS)
     # All of it, or more than a pole or a point that is wrong by itself.
-    return plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
+    meets_more = plain.ends < fit.ends == ends or fit.ends > plain.ends + 2
+    return meets_more and order(fit) < order(plain)
 
 
 def _count_ends(site: Site, poses: dict[int, Array]) -> int:

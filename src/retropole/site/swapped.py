@@ -11,14 +11,18 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TypeVar
 
+import numpy as np
+
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
+from ..base.quantities import error
 from .choice import Choice, choose_poses, linked_groups
 from .description import Site
 from .pairs import Pair, find_pairs, poles_of
-from .scans import SAME_PLACE, Recording, SiteScans, Views, elsewhere, same_place
+from .scans import Recording, SiteScans, Views
 from .shared import shared_poles
+from .standing import Moved, elsewhere, shows_same
 
 T = TypeVar("T")
 Rows = tuple[tuple[T, ...], ...]
@@ -35,22 +39,41 @@ def check_places(site: Site, views: Views) -> None:
         place, ``lidar_moved`` elsewhere.
     """
     names = [lidar.name for lidar in site.lidars]
-    apart = {i: away for i in range(len(names)) if (away := elsewhere(views, i))}
+    apart = {i: away for i in range(len(names)) if (away := elsewhere(views.every[i]))}
     for i, j in combinations(apart, 2):
-        both = [p for p in sorted(apart[i] & apart[j]) if _show_each_other(views, i, j, p)]
+        both = [
+            p for p in sorted(apart[i].keys() & apart[j].keys()) if _show_each_other(views, i, j, p)
+        ]
         if both:
             # Of two LiDARs with two placements it may have been in either.
             where = " or ".join(site.placements[p] for p in both)
             first, second = (f"{names[k]} in placement {where}" for k in (i, j))
             raise _swap_refusal(first, second, "show each other's place")
     for i, away in apart.items():
-        which = ", ".join(site.placements[p] for p in sorted(away))
-        raise Refusal(
+        raise _moved_refusal(names[i], [site.placements[p] for p in sorted(away)], away)
+
+
+def _moved_refusal(name: str, placements: Sequence[str], away: dict[int, Moved | None]) -> Refusal:
+    """Say that a LiDAR does not stand where it stood, by how much, or that it is another place."""
+    which = ", ".join(placements)
+    values: dict[str, float | int | str] = {"lidar": name, "placements": which}
+    steps = [step for step in away.values() if step is not None]
+    if len(steps) < len(away):
+        return Refusal(
             "lidar_moved",
-            f"the recordings of {names[i]} do not all show one place, placement {which} does not: "
+            f"the recordings of {name} do not all show one place, placement {which} does not: "
             "did it move, or is the file another LiDAR's? Give it another name after a move",
-            {"lidar": names[i], "placements": which},
+            values,
         )
+    most = max(steps, key=lambda step: step.rotation + step.translation)
+    turned = float(np.degrees(most.rotation))
+    return Refusal(
+        "lidar_moved",
+        f"{name} moved between its recordings, by {turned:.1f}° and {error(most.translation)} "
+        f"(placement {which}): they show one place from where it stood before and after; give it "
+        "another name after the move",
+        values | {"turned_deg": turned, "moved_m": most.translation},
+    )
 
 
 def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
@@ -59,9 +82,7 @@ def _show_each_other(views: Views, i: int, j: int, p: int) -> bool:
     for own, other in ((i, j), (j, i)):
         here = views.every[own][p]
         there = [view for q, view in enumerate(views.every[other]) if q != p and view is not None]
-        found.append(
-            here is not None and any(same_place(here, view) >= SAME_PLACE for view in there)
-        )
+        found.append(here is not None and any(shows_same(here, view) for view in there))
     return all(found)
 
 
@@ -143,7 +164,7 @@ def check_swapped(
             continue
         tried = replace(scans, by_lidar=_swapped(scans.by_lidar, one, other))
         seen = Views(_swapped(views.every, one, other))
-        if any(elsewhere(seen, lidar) for lidar in {one[0], other[0]}):
+        if any(elsewhere(seen.every[lidar]) for lidar in {one[0], other[0]}):
             # In each other's place they would not show where those LiDARs stand.
             continue
         if _share_poles(tried, choice, site.radius, one, other):

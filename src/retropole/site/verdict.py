@@ -34,40 +34,6 @@ CHECKED = 0.01
 among coarse ones has 0.04 to 0.09 (benchmarks/real_site.py), and is checked."""
 
 
-def check_linked(
-    site: Site, scans: SiteScans, groups: Sequence[Sequence[int]], pairs: Sequence[Pair]
-) -> None:
-    """Refuse a site that falls into groups, or has no two LiDARs with poles.
-
-    Raises
-    ------
-    Refusal
-        ``too_few_lidars`` or ``disconnected``; of two LiDARs why they have no pose.
-    """
-    if len(groups) == 1:
-        return
-    if len(site.lidars) == 2:
-        # As of a pair: what keeps it from an answer is no matter of the site.
-        for refusal in (*(refusal for _, refusal in scans.faults), pairs[0].refusal):
-            if refusal is not None:
-                raise Refusal(refusal.code, refusal.message, refusal.values)
-    named = "; ".join(", ".join(site.lidars[i].name for i in group) for group in groups)
-    first = next((pair.refusal for pair in pairs if pair.refusal is not None), None)
-    why = "" if first is None else f" ({first.message})"
-    if len(groups[0]) < 2:
-        raise Refusal(
-            "too_few_lidars",
-            f"no two LiDARs see the same two poles in one placement{why}",
-            {"lidars": len(site.lidars)},
-        )
-    raise Refusal(
-        "disconnected",
-        f"the LiDARs fall into {len(groups)} groups that share no two poles: {named}; add a "
-        "placement with two poles that LiDARs of both groups see",
-        {"groups": len(groups), "names": named},
-    )
-
-
 def check_decided(
     site: Site, choices: Choices, pairs: Sequence[Pair], poles: Sequence[Array]
 ) -> None:
@@ -207,7 +173,7 @@ def weaknesses(
 ) -> Iterator[Reason]:
     """Say what makes an answer weak: open loops, what nothing checks, what is not accurate."""
     yield from _by_lidars(site, scans, adjusted)
-    yield from check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
+    yield from radius_denied(adjusted)
     yield from check_agreement(adjusted.refined)
     yield from check_minima(adjusted.refined)
     yield from check_decisive(adjusted.refined)
@@ -221,6 +187,11 @@ def weaknesses(
             {"stage": "site", "iterations": adjusted.end.iterations},
         )
     yield from _not_fit(site, lidars)
+
+
+def radius_denied(adjusted: Adjusted) -> Iterator[Reason]:
+    """Say where the returns conflict with the radius that was given."""
+    return check_radius(adjusted.aligned.radius, adjusted.aligned.radius_conflict)
 
 
 def _by_lidars(site: Site, scans: SiteScans, adjusted: Adjusted) -> Iterator[Reason]:
@@ -272,10 +243,16 @@ def _poor_fit(site: Site, adjusted: Adjusted) -> Iterator[Reason]:
     values: dict[str, float | int | str] = {"w": worst.w, "chi2": worst.chi2, "allowed": POOR}
     if worst.pole is not None:
         values |= place_of(site, adjusted.datum.poles[worst.pole])
+    why = "did a pole move a little, or is the LiDAR worse than its data sheet?"
+    surveyed = worst.pole is not None and adjusted.datum.poles[worst.pole].surveyed is not None
+    if worst.kind in ("survey", "control point"):
+        why = "check its coordinates"
+    elif surveyed:
+        why = "did it move a little, or is it surveyed a little wrongly?"
     yield Reason(
         "misfit",
         f"{worst.name} fits the others poorly (w {worst.w:.1f}, {POOR:g} is the most to expect): "
-        "did a pole move a little, or is the LiDAR worse than its data sheet?",
+        + why,
         {"observation": worst.name, **values},
     )
 
