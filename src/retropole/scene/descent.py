@@ -49,7 +49,8 @@ would leave, and as this part, from step to step, of the variance that the poles
 once, the search clings to whatever the first step found."""
 
 SIZINGS = 3
-"""So often the sizes of the errors follow an estimate that is drawn by them, to be stated."""
+"""So often the sizes of the errors follow the estimate that is drawn by them, at each step: with none
+a descent takes 20 steps, with 1, 2, 3 and 5 it takes 15, 12, 11 and 10 (24 hard scenes)."""
 
 SUPPORT_WIDTH = 0.01
 """Residual that halves the support of a pair when minima are compared, metres."""
@@ -170,10 +171,10 @@ def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
 
 def with_known_sizes(problem: RefinementProblem, end: End) -> End:
     """Solve about an end with the errors as large as they are known to be, or were found."""
-    drawn = end.sigma
+    equations, sigma = _equations(problem, end.about, end.scene), end.sigma
     for _ in range(SIZINGS):
-        drawn = _solve(problem, end.about, end.scene, drawn).sigma
-    return _solve(problem, end.about, end.scene, drawn)
+        sigma = _at_sizes(problem, equations, sigma).sigma
+    return _at_sizes(problem, equations, sigma)
 
 
 class _Begin(NamedTuple):
@@ -237,21 +238,44 @@ def _stride_of(step: Array, variance: Array, before: Array | None) -> tuple[floa
     return 1.0 / min(max(1.0 - ratio, 1.0 / MAX_STRIDE), MAX_STRIDE), None
 
 
-def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], drawn: Array) -> End:
-    """Solve the problem about some poses, and estimate the sizes of the errors."""
-    working = working_sigma(problem.groups, drawn, poles_alone=not terms)
-    precision = prior_precision(problem.groups, working)
+class _Equations(NamedTuple):
+    """Normal equations of poses and errors about some poses, without the prior of the errors."""
+
+    T: Array
+    information: Array
+    gradient: Array
+    terms: tuple[SceneTerm, ...]
+
+
+def _equations(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...]) -> _Equations:
     # The poles count from where they were expanded, the scenes' terms from here.
     factor = problem.factor.about(T)
-    poses, free = factor.unknowns.poses, factor.estimated
     information, gradient = factor.information, factor.vector
-    index = np.arange(poses, len(gradient))
-    information[index, index] += precision
     for term in terms:
         information[np.ix_(term.place, term.place)] += term.information
         np.add.at(gradient, term.place, term.slope_without_errors)
-    inverse = np.zeros_like(information)
-    inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
+    return _Equations(T, information, gradient, terms)
+
+
+def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], drawn: Array) -> End:
+    """Solve the problem about some poses, and estimate the sizes of the errors with it."""
+    equations = _equations(problem, T, terms)
+    for _ in range(SIZINGS if terms else 0):
+        drawn = _at_sizes(problem, equations, drawn).drawn
+    return _at_sizes(problem, equations, drawn)
+
+
+def _at_sizes(problem: RefinementProblem, equations: _Equations, drawn: Array) -> End:
+    """Solve with errors that are drawn by some sizes, and say which sizes that shows."""
+    T, information, gradient, terms = equations
+    working = working_sigma(problem.groups, drawn, poles_alone=not terms)
+    precision = prior_precision(problem.groups, working)
+    poses, free = problem.factor.unknowns.poses, problem.factor.estimated
+    whole = information.copy()
+    index = np.arange(poses, len(gradient))
+    whole[index, index] += precision
+    inverse = np.zeros_like(whole)
+    inverse[np.ix_(free, free)] = inverse_of(whole[np.ix_(free, free)])
     best = inverse @ gradient
     errors, variance = best[poses:], np.diag(inverse)[poses:]
     shown = problem.groups, problem.known, precision, errors, variance
