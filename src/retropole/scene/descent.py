@@ -49,8 +49,8 @@ would leave, and as this part, from step to step, of the variance that the poles
 once, the search clings to whatever the first step found."""
 
 SIZINGS = 3
-"""So often the sizes of the errors follow the estimate that is drawn by them, at each step: with none
-a descent takes 20 steps, with 1, 2, 3 and 5 it takes 15, 12, 11 and 10 (24 hard scenes)."""
+"""So often the sizes of the errors follow the estimate that is drawn by them, at each step: with
+none a descent takes 20 steps, with 1, 2, 3 and 5 it takes 15, 12, 11 and 10 (24 hard scenes)."""
 
 SUPPORT_WIDTH = 0.01
 """Residual that halves the support of a pair when minima are compared, metres."""
