@@ -67,7 +67,7 @@ AXES = np.array([[4.0, -1, 0], [4.0, 1, 0]]), np.array([[0, 0, 1.0], [0.5, 0, 0.
 
 NO_PATCHES = surface_patches(PointCloud(np.ones((1, 3))))
 TWO, NOTHING = np.stack([np.eye(4)] * 2), np.zeros(0)
-NOWHERE = End(TWO, TWO, NOTHING, NOTHING, NOTHING, NOTHING, np.eye(12), np.eye(12), ())
+NOWHERE = End(TWO, TWO, NOTHING, NOTHING, NOTHING, np.eye(12), np.eye(12), ())
 
 
 def an_alignment(noise: float = 0.01, sigma: float = 0.01, if_known: float = 0.01) -> BeamAlignment:

@@ -7,9 +7,9 @@ Minimised together over the steps x of all poses and the errors b of all LiDARs:
 with R, t the pose of one LiDAR of a pair in the other's frame, c_i the centre of a patch of the
 one, d_i of the other's surface near it, n_i the mean of their normals, and Λ, η what the poles (and
 a survey) say. A direction that the scenes do not hold (along a corridor, over open ground) has no
-part in the first sum and stays where the poles put it. The sizes of the errors are estimated too:
-what is stated is never below what the manufacturer states, what the estimate is drawn by may be.
-Coarse to fine: a patch looks for its partner as far as the pose is still uncertain there.
+part in the first sum and stays where the poles put it. The sizes of the errors are estimated too,
+never below what the manufacturer states. Coarse to fine: a patch looks for its partner as far as
+the pose is still uncertain there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from ..alignment.error_sizes import drawn_sigma, group_scales, prior_precision, working_sigma
+from ..alignment.error_sizes import group_scales, prior_precision, working_sigma
 from ..alignment.factor import PoleFactor
 from ..alignment.solver import MAX_ITERATIONS
 from ..alignment.unknowns import POSE
@@ -47,10 +47,6 @@ NARROWING, INFORMATION_SHARE = 0.06, 4.0
 """Patches look for their partners as far as so many times the variance that independent residuals
 would leave, and as this part, from step to step, of the variance that the poles left: narrowed at
 once, the search clings to whatever the first step found."""
-
-SIZINGS = 3
-"""So often the sizes of the errors follow the estimate that is drawn by them, at each step: with
-none a descent takes 20 steps, with 1, 2, 3 and 5 it takes 15, 12, 11 and 10 (24 hard scenes)."""
 
 SUPPORT_WIDTH = 0.01
 """Residual that halves the support of a pair when minima are compared, metres."""
@@ -91,8 +87,8 @@ class End:
         (L, 4, 4) where patches were paired and the terms of the scenes count from.
     errors
         (B,) of the LiDARs and the radius.
-    sigma, drawn
-        (G,) 1 σ of each group of errors, as is stated, and as the next estimate is drawn by.
+    sigma
+        (G,) 1 σ of each group of errors.
     precision
         (B,) of the prior that they were estimated with.
     inverse
@@ -109,7 +105,6 @@ class End:
     about: Array
     errors: Array
     sigma: Array
-    drawn: Array
     precision: Array
     inverse: Array
     search: Array
@@ -169,20 +164,12 @@ def converge(problem: RefinementProblem, near: End, covariance: Array) -> End:
     return _descend(problem, [each.sets for each in problem.scenes], near, covariance, STEP)
 
 
-def with_known_sizes(problem: RefinementProblem, end: End) -> End:
-    """Solve about an end with the errors as large as they are known to be, or were found."""
-    equations, sigma = _equations(problem, end.about, end.scene), end.sigma
-    for _ in range(SIZINGS):
-        sigma = _at_sizes(problem, equations, sigma).sigma
-    return _at_sizes(problem, equations, sigma)
-
-
 class _Begin(NamedTuple):
     """From where a descent starts; see `End`."""
 
     T: Array
     search: Array
-    drawn: Array
+    sigma: Array
     iterations: int = 0
 
 
@@ -194,7 +181,7 @@ def _descend(
     tolerance: float,
 ) -> End:
     """Gauss–Newton steps of the poses, the errors and their sizes, until one is small."""
-    T, search, drawn, begun = begin.T, begin.search, begin.drawn, begin.iterations
+    T, search, sigma, begun = begin.T, begin.search, begin.sigma, begin.iterations
     before: Array | None = None
     unknowns = problem.factor.unknowns
     for iteration in range(begun + 1, begun + MAX_ITERATIONS + 1):
@@ -203,7 +190,7 @@ def _descend(
             for each, sets in zip(problem.scenes, scenes, strict=True)
         )
         terms = tuple(term for term in found if term is not None)
-        end = _solve(problem, T, terms, drawn)
+        end = _solve(problem, T, terms, sigma)
         step = np.concatenate([se3.local(a, b) for a, b in zip(T, end.T, strict=True)])
         small = bool(np.abs(step).max() < tolerance)
         stride, before = _stride_of(step, np.diag(end.inverse)[: len(step)], before)
@@ -211,7 +198,7 @@ def _descend(
         T = end.T if small else _moved(T, stride * step)
         narrowed = NARROWING**iteration * covariance
         search = INFORMATION_SHARE * end.inverse[: len(step), : len(step)] + narrowed
-        drawn = end.drawn
+        sigma = end.sigma
         end = replace(end, T=T, search=search, converged=small, iterations=iteration)
         if small:
             break
@@ -238,50 +225,26 @@ def _stride_of(step: Array, variance: Array, before: Array | None) -> tuple[floa
     return 1.0 / min(max(1.0 - ratio, 1.0 / MAX_STRIDE), MAX_STRIDE), None
 
 
-class _Equations(NamedTuple):
-    """Normal equations of poses and errors about some poses, without the prior of the errors."""
-
-    T: Array
-    information: Array
-    gradient: Array
-    terms: tuple[SceneTerm, ...]
-
-
-def _equations(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...]) -> _Equations:
+def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], sigma: Array) -> End:
+    """Solve the problem about some poses, and estimate the sizes of the errors."""
+    working = working_sigma(problem.groups, sigma, poles_alone=not terms)
+    precision = prior_precision(problem.groups, working)
     # The poles count from where they were expanded, the scenes' terms from here.
     factor = problem.factor.about(T)
+    poses, free = factor.unknowns.poses, factor.estimated
     information, gradient = factor.information, factor.vector
+    index = np.arange(poses, len(gradient))
+    information[index, index] += precision
     for term in terms:
         information[np.ix_(term.place, term.place)] += term.information
         np.add.at(gradient, term.place, term.slope_without_errors)
-    return _Equations(T, information, gradient, terms)
-
-
-def _solve(problem: RefinementProblem, T: Array, terms: tuple[SceneTerm, ...], drawn: Array) -> End:
-    """Solve the problem about some poses, and estimate the sizes of the errors with it."""
-    equations = _equations(problem, T, terms)
-    for _ in range(SIZINGS if terms else 0):
-        drawn = _at_sizes(problem, equations, drawn).drawn
-    return _at_sizes(problem, equations, drawn)
-
-
-def _at_sizes(problem: RefinementProblem, equations: _Equations, drawn: Array) -> End:
-    """Solve with errors that are drawn by some sizes, and say which sizes that shows."""
-    T, information, gradient, terms = equations
-    working = working_sigma(problem.groups, drawn, poles_alone=not terms)
-    precision = prior_precision(problem.groups, working)
-    poses, free = problem.factor.unknowns.poses, problem.factor.estimated
-    whole = information.copy()
-    index = np.arange(poses, len(gradient))
-    whole[index, index] += precision
-    inverse = np.zeros_like(whole)
-    inverse[np.ix_(free, free)] = inverse_of(whole[np.ix_(free, free)])
+    inverse = np.zeros_like(information)
+    inverse[np.ix_(free, free)] = inverse_of(information[np.ix_(free, free)])
     best = inverse @ gradient
     errors, variance = best[poses:], np.diag(inverse)[poses:]
-    shown = problem.groups, problem.known, precision, errors, variance
-    sizes = group_scales(*shown), drawn_sigma(*shown)
+    sizes = group_scales(problem.groups, problem.known, precision, errors, variance)
     search = inverse[:poses, :poses]
-    return End(_moved(T, best[:poses]), T, errors, *sizes, precision, inverse, search, terms)
+    return End(_moved(T, best[:poses]), T, errors, sizes, precision, inverse, search, terms)
 
 
 def inverse_of(information: Array) -> Array:

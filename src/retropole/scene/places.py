@@ -25,16 +25,13 @@ from ..alignment.certainty import (
 )
 from ..base import se3
 from ..base.datatypes import Array, IntArray
-from .descent import End, RefinementProblem, with_known_sizes
+from .descent import End, RefinementProblem
 from .patch_pairs import CLUSTER_SIDE, labels_of
 from .terms import SceneTerm
 
 PLACE_BIAS = 0.0005
 """1 σ of what all patches of one place have in common, metres: a wall that is not flat, and the
 downsampling, which keeps more of the far tail of the noise than of the middle."""
-
-SIZES = "unknown sizes of the LiDARs' errors"
-"""What the budget calls the distance from the answer to that of errors as large as they may be."""
 
 SCATTER, FLAT = "scatter of the surfaces", "surfaces that are not flat"
 """What the budget calls the two parts of the scenes."""
@@ -164,10 +161,6 @@ def parts_of_surfaces(end: End) -> list[Part]:
 def parts_of(problem: RefinementProblem, end: End, scatter: str = POLES) -> tuple[Part, ...]:
     """Say what every source of error does to all poses.
 
-    The errors of the LiDARs may be as large as they are known to be, also where the answer has
-    taken them for smaller: then the true pose is normal about the answer x' of all that the data
-    tell, with covariance C, and about the given one, x, no wider than ``C + (x − x')(x − x')ᵀ``.
-
     Parameters
     ----------
     problem, end
@@ -175,12 +168,10 @@ def parts_of(problem: RefinementProblem, end: End, scatter: str = POLES) -> tupl
     scatter
         What that of the poles' returns is called.
     """
-    factor, whole = problem.factor.about(end.T), with_known_sizes(problem, end)
-    apart = [se3.local(one, other) for one, other in zip(end.T, whole.T, strict=True)]
+    factor = problem.factor.about(end.T)
     return (
-        *parts_of_errors(problem.groups, whole.sigma, whole.precision, whole.inverse, whole.errors),
-        *parts_of_surfaces(whole),
-        scatter_of_poles(scatter, factor, whole.inverse),
-        part_of(SIZES, np.concatenate(apart)[:, None]),
+        *parts_of_errors(problem.groups, end.sigma, end.precision, end.inverse, end.errors),
+        *parts_of_surfaces(end),
+        scatter_of_poles(scatter, factor, end.inverse),
         *floors(end.T, factor.free),
     )
