@@ -8,6 +8,7 @@ at once. Half of the families may set constants (`TUNING`), and state no figure;
     python benchmarks/coverage.py --families stating --runs 300 --first 1000
     python benchmarks/coverage.py --families stating --only field --scenes square --runs 100 \
         --first 1000
+    python benchmarks/coverage.py --families stating --runs 60 --first 1000 --measured
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import argparse
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -24,6 +25,8 @@ from scipy.stats import chi2
 
 from retropole.base import se3
 from retropole.base.datatypes import Array
+from retropole.base.sensors import Sensor
+from retropole.base.systematic import sizes_of
 from retropole.base.uncertainty import predicted_error
 from retropole.evaluation.metrics import e_rt
 from retropole.pipeline import calibrate
@@ -90,6 +93,22 @@ STATING: Mapping[str, NoiseModel] = {
 }
 """Families that state the figures."""
 
+DRAWN = {"zero": "zero_offset", "tape": "retro_bias", "ring_range": "ring_bias"}
+"""Names of errors in `NoiseModel`, where they are others than in `Sizes`."""
+
+LEAST_MEASURED = 0.2
+"""Part of what is assumed of a sensor, below which nobody measured its errors."""
+
+
+def measured(sensor: Sensor, noise: NoiseModel) -> Sensor:
+    """Say of a sensor how large the errors of a family are, as a file of a user would."""
+    errors = {
+        name: max(float(getattr(noise, DRAWN.get(name, name))), LEAST_MEASURED * assumed)
+        for name, assumed in asdict(sizes_of(sensor)).items()
+        if name != "width"
+    }
+    return replace(sensor, errors=errors)
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -106,8 +125,8 @@ class Outcome:
     e_rt: tuple[float, float]
 
 
-def run(job: tuple[str, NoiseModel, int, tuple[str, ...], bool]) -> Outcome:
-    family, noise, seed, scenes, unknown = job
+def run(job: tuple[str, NoiseModel, int, tuple[str, ...], str]) -> Outcome:
+    family, noise, seed, scenes, named = job
     scene = scenes[seed % len(scenes)]
     target, source = SENSORS[(seed // len(SCENES)) % len(SENSORS)]
     if scene not in SCENES:
@@ -123,7 +142,11 @@ def run(job: tuple[str, NoiseModel, int, tuple[str, ...], bool]) -> Outcome:
         )
     except SimulationError:
         return Outcome(family, scene, seed, "no scene", (), nothing, nothing, nothing, nothing)
-    sensors = (None, None) if unknown else pair.sensors
+    sensors: tuple[Sensor | None, Sensor | None] = pair.sensors
+    if named != "by name":
+        sensors = (None, None)
+    if named == "measured":
+        sensors = measured(pair.sensors[0], noise), measured(pair.sensors[1], noise)
     answer = calibrate(pair.target, pair.source, sensors=sensors)
     codes = tuple(reason.code for reason in answer.reasons)
     if answer.poles is None:
@@ -158,12 +181,24 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=40, help="of each family")
     parser.add_argument("--first", type=int, default=0, help="first seed; from 1000 up to state")
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--unknown", action="store_true", help="do not name the sensors")
+    known = parser.add_mutually_exclusive_group()
+    for flag, text in (
+        ("unknown", "do not name the sensors"),
+        ("measured", "say how large the errors of each family are"),
+    ):
+        known.add_argument(
+            f"--{flag}",
+            dest="named",
+            action="store_const",
+            const=flag,
+            default="by name",
+            help=text,
+        )
     parser.add_argument("--verbose", action="store_true", help="print the runs outside the region")
     arguments = parser.parse_args()
     families = TUNING if arguments.families == "tuning" else STATING
     jobs = [
-        (name, noise, arguments.first + k, tuple(arguments.scenes), arguments.unknown)
+        (name, noise, arguments.first + k, tuple(arguments.scenes), arguments.named)
         for name, noise in families.items()
         if not arguments.only or any(part in name for part in arguments.only)
         for k in range(arguments.runs)

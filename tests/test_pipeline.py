@@ -2,14 +2,18 @@
 
 import time
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from retropole.base import se3
 from retropole.base.datatypes import Array, Calibration, PointCloud
 from retropole.base.errors import Refusal
+from retropole.base.sensors import Sensor
+from retropole.base.systematic import sizes_of
+from retropole.base.uncertainty import predicted_error
 from retropole.matching.placements import Chosen, PlacementHypotheses
 from retropole.pipeline import calibrate
 from retropole.scene import icp_refinement
@@ -71,6 +75,31 @@ def test_a_refusal_carries_what_the_scene_says_once_it_was_asked() -> None:
     earlier = calibrate(pair.target, PointCloud(pair.source.xyz))
     assert_refused(earlier, "no_intensity")
     assert earlier.confirmation is None
+
+
+def stated_with(pair: SimulatedPair, sensors: tuple[Sensor, Sensor]) -> float:
+    """1 σ at 30 m of an answer whose stated region holds the truth, metres."""
+    refined = calibrate(pair.target, pair.source, sensors=sensors).refined
+    assert refined is not None
+    assert refined.covariance is not None
+    off = se3.local(refined.T_target_source, pair.T_target_source)
+    assert off @ np.linalg.solve(refined.covariance, off) < chi2.isf(0.001, 6)
+    return predicted_error(refined.covariance, (30.0,))[0].sigma_m
+
+
+def measured(sensor: Sensor, share: float) -> Sensor:
+    """The same, with errors that were measured to be a part of what is usual."""
+    sizes = asdict(sizes_of(sensor))
+    return replace(sensor, errors={name: share * size for name, size in sizes.items()})
+
+
+def test_the_smaller_errors_were_measured_the_less_is_stated(corridor: SimulatedPair) -> None:
+    of = corridor.sensors
+    whole, half = (
+        stated_with(corridor, (measured(of[0], k), measured(of[1], k))) for k in (1, 0.5)
+    )
+    assert 1.1 < whole / half < 2.0
+    assert stated_with(corridor, of) == pytest.approx(whole, rel=1e-9)
 
 
 def test_moving_both_clouds_moves_the_answer(corridor: SimulatedPair) -> None:

@@ -61,6 +61,16 @@ def test_a_long_file_is_taken_as_it_stands() -> None:
     assert site.need.at_m == 30.0
 
 
+def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "rear.toml").write_text('like = "XT32"')
+    path = tmp_path / "site.toml"
+    path.write_text(HEAD + LIDARS + 'sensor = "rear.toml"')
+    assert read_site_file(path).lidar[1].sensor == str(tmp_path / "rear.toml")
+    (tmp_path / "rear.toml").unlink()
+    with pytest.raises(ReadError, match=r"lidar mast-b, sensor: .*rear.toml"):
+        read_site_file(path)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

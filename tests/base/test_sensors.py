@@ -1,5 +1,9 @@
 """The sensor table and the threshold that a cloud gives by itself."""
 
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,11 +12,13 @@ from hypothesis import strategies as st
 from retropole.base.errors import UsageError
 from retropole.base.sensors import (
     SENSORS,
+    ListedErrors,
     auto_threshold,
     find_sensor,
     lower_thresholds,
     threshold_for,
 )
+from retropole.base.systematic import sizes_of
 from retropole.simulation import simulate_pair
 
 NAMES = (
@@ -96,3 +102,83 @@ def test_lower_thresholds_descend_to_where_dim_tape_stands_out(glints: int) -> N
     assert max(values) < chosen.value
     assert 40 < min(values) < 100, "above the diffuse returns, below the tape"
     assert lower_thresholds(intensity, threshold_for(intensity, None, 230.0)) == ()
+
+
+LIKE = 'like = "XT32"\n'
+WHOLE = """
+noise_m = 0.01
+divergence_mrad = 2.0
+range_m = [0.5, 120.0]
+threshold = 200.0
+threshold_source = "measured"
+source = "manual"
+elevations_deg = [5.0, [-14, -10, 5]]
+azimuth_step_deg = 0.2
+accuracy_m = 0.03
+"""
+
+
+def a_file(folder: Path, text: str) -> str:
+    path = folder / "front.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_file_is_like_a_model_in_all_it_does_not_say(tmp_path: Path) -> None:
+    name = a_file(tmp_path, LIKE + "noise_m = 0.002\n[errors]\nzero_m = 0.001\nbend_deg = 0.001")
+    given, model = find_sensor(name), SENSORS["XT32"]
+    assert given.name == name
+    assert given.range_noise == 0.002
+    np.testing.assert_array_equal(given.elevations, model.elevations)
+    same = replace(given, name="", aliases=(), range_noise=0.0, errors={}, elevations=np.zeros(0))
+    of_model = replace(model, name="", aliases=(), range_noise=0.0, elevations=np.zeros(0))
+    assert {**vars(same), "elevations": 0} == {**vars(of_model), "elevations": 0}
+    sizes = replace(sizes_of(model), zero=0.001, bend=float(np.radians(0.001)))
+    assert sizes_of(given) == sizes
+
+
+def test_every_size_of_an_error_can_be_measured(tmp_path: Path) -> None:
+    names = ListedErrors.__struct_fields__
+    text = LIKE + "[errors]\n" + "\n".join(f"{name} = 0.001" for name in names)
+    sizes = asdict(sizes_of(find_sensor(a_file(tmp_path, text))))
+    assert len(sizes) == len(names)
+    assert set(sizes.values()) == {0.001, float(np.radians(0.001))}
+
+
+def test_a_file_may_describe_a_model_that_is_not_known(tmp_path: Path) -> None:
+    sensor = find_sensor(a_file(tmp_path, WHOLE))
+    np.testing.assert_allclose(np.degrees(sensor.elevations), [-14, -13, -12, -11, -10, 5])
+    assert sizes_of(sensor).zero == pytest.approx(0.01)
+    assert sensor.points == 6 * 1800
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "missing required field"),
+        ("x = ", "front.toml"),
+        ('like = "XT3"', "no sensor is called 'XT3'"),
+        ('like = "front.toml"', "no sensor is called 'front'"),
+        ("like = 3", "no sensor is called '3'"),
+        (LIKE + "nose_m = 1.0", "nose_m"),
+        (LIKE + "noise_m = nan", "above zero"),
+        (LIKE + "range_m = [5.0, 1.0]", "above zero"),
+        (LIKE + "elevations_deg = []", "expected elevations_deg"),
+        (LIKE + "elevations_deg = [[0, 1, 0]]", "expected elevations_deg"),
+        (LIKE + "elevations_deg = [[0, 1, 999999999]]", "expected elevations_deg"),
+        (LIKE + "elevations_deg = [nan]", "90°"),
+        (LIKE + "rosette_deg = [0, 100]\npoints = 9", "90°"),
+        ('like = "Mid-360"\npoints = 0', "points"),
+        (LIKE + "[errors]\nzero_m = -0.001", "errors.zero_m"),
+        (LIKE + "[errors]\nzero_m = nan", "errors.zero_m"),
+        (LIKE + "[errors]\nzero = 0.001", "zero"),
+    ],
+)
+def test_what_describes_no_sensor_is_told(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(told)):
+        find_sensor(a_file(tmp_path, text))
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"none\.toml"):
+        find_sensor(str(tmp_path / "none.toml"))

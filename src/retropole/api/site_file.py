@@ -19,7 +19,7 @@ from msgspec import Meta
 from ..base.datatypes import DEFAULT_RADIUS
 from ..base.errors import ReadError, RetropoleError
 from ..base.se3 import FARTHEST
-from ..base.sensors import sensor_or_auto
+from ..base.sensors import is_sensor_file, sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
 from ..io.downsampling import MAX_POINTS
@@ -164,11 +164,11 @@ def read_site_file(path: Path) -> SiteFile:
     with naming(path):
         with path.open("rb") as file:
             data = file.read(LARGEST_SITE_FILE + 1)
-        return decode_site_file(data)
+        return decode_site_file(data, path.parent)
 
 
-def decode_site_file(data: bytes) -> SiteFile:
-    """Take a site file from its bytes.
+def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
+    """Take a site file from its bytes; sensors that it names by files are in its folder.
 
     Raises
     ------
@@ -189,6 +189,13 @@ def decode_site_file(data: bytes) -> SiteFile:
         site = msgspec.convert(raw, SiteFile)
     except msgspec.ValidationError as error:
         raise ReadError(_in_words(str(error), raw)) from None
+    lidars = [
+        msgspec.structs.replace(lidar, sensor=str(folder / lidar.sensor))
+        if is_sensor_file(lidar.sensor)
+        else lidar
+        for lidar in site.lidar
+    ]
+    site = msgspec.structs.replace(site, lidar=lidars)
     for fault in _faults(site):
         raise ReadError(fault)
     return site

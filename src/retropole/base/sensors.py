@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib.resources import files
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -49,6 +52,9 @@ class Sensor:
     range_accuracy, retro_accuracy
         What the manufacturer states for the range, ± metres, and for that of retro-reflectors; None
         where nothing is.
+    errors
+        1 σ of the systematic errors of this very instrument, by the names of `systematic.Sizes`;
+        empty where nobody measured them.
     """
 
     name: str
@@ -68,18 +74,49 @@ class Sensor:
     source: str
     range_accuracy: float | None = None
     retro_accuracy: float | None = None
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+
+Size = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+MOST_RINGS = 1024
+
+
+class ListedErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """1 σ of the systematic errors of an instrument, as a file has them; all may be left out."""
+
+    zero_m: Size | None = None
+    scale: Size | None = None
+    slant_deg: Size | None = None
+    encoder_deg: Size | None = None
+    wobble_deg: Size | None = None
+    bend_deg: Size | None = None
+    tape_m: Size | None = None
+    ring_range_m: Size | None = None
+    ring_elevation_deg: Size | None = None
+    ring_azimuth_deg: Size | None = None
+    width: Size | None = None
+
+    def sizes(self) -> dict[str, float]:
+        """Give those that are there, in SI units and by the names of `systematic.Sizes`."""
+        given = msgspec.to_builtins(self)
+        return {
+            name.removesuffix("_deg").removesuffix("_m"): (
+                float(np.radians(value)) if name.endswith("_deg") else value
+            )
+            for name, value in given.items()
+        }
 
 
 class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What ``sensors.toml`` holds of a model; it says in which units."""
 
-    aliases: tuple[str, ...]
     noise_m: float
     divergence_mrad: float
     range_m: tuple[float, float]
     threshold: float
     threshold_source: str
     source: str
+    aliases: tuple[str, ...] = ()
     elevations_deg: tuple[float | tuple[float, float, int], ...] = ()
     azimuth_step_deg: float = 0.0
     rosette_deg: tuple[float, float] | None = None
@@ -87,14 +124,31 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     full_scale: float = 255.0
     accuracy_m: float | None = None
     retro_accuracy_m: float | None = None
+    errors: ListedErrors = ListedErrors()
+
+    def __post_init__(self) -> None:
+        """Refuse what no LiDAR has; `msgspec` says where it stands."""
+        near, far = self.range_m
+        positive = (self.noise_m, self.divergence_mrad, near, far - near, self.full_scale)
+        if not all(0.0 < value < np.inf for value in (*positive, self.threshold)):
+            raise ValueError("noise, divergence, ranges, threshold and full scale are above zero")
+        counts = [each[2] if isinstance(each, tuple) else 1 for each in self.elevations_deg]
+        has_rings = sum(counts) <= MOST_RINGS and 0.0 < self.azimuth_step_deg <= 180.0
+        if not (self.points > 0 if self.rosette_deg else has_rings and min(counts, default=0) > 0):
+            raise ValueError(
+                "expected elevations_deg and azimuth_step_deg, or rosette_deg and points"
+            )
+        if not (np.abs([*self._rings(), *(self.rosette_deg or ())]) <= 90.0).all():
+            raise ValueError("elevations_deg and rosette_deg lie within 90° of the horizon")
+
+    def _rings(self) -> list[float]:
+        """Elevations of single rings, in degrees."""
+        each = self.elevations_deg
+        return [e for one in each for e in (np.linspace(*one) if isinstance(one, tuple) else [one])]
 
     def sensor(self, name: str) -> Sensor:
         """Give it its name, in SI units."""
-        rings = [
-            np.linspace(*each) if isinstance(each, tuple) else [each]
-            for each in self.elevations_deg
-        ]
-        elevations = np.radians(np.sort(np.concatenate(rings))) if rings else np.zeros(0)
+        elevations = np.radians(np.sort(self._rings()))
         span = np.radians(self.rosette_deg) if self.rosette_deg else elevations[[0, -1]]
         return Sensor(
             name=name,
@@ -114,14 +168,17 @@ class Listed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             source=self.source,
             range_accuracy=self.accuracy_m,
             retro_accuracy=self.retro_accuracy_m,
+            errors=self.errors.sizes(),
         )
 
 
-_TABLE = files("retropole.base").joinpath("sensors.toml").read_bytes()
+_TABLE: dict[str, dict[str, Any]] = tomllib.loads(
+    files("retropole.base").joinpath("sensors.toml").read_text(encoding="utf-8")
+)
 
 SENSORS: dict[str, Sensor] = {
     name: each.sensor(name)
-    for name, each in msgspec.toml.decode(_TABLE, type=dict[str, Listed]).items()
+    for name, each in msgspec.convert(_TABLE, type=dict[str, Listed]).items()
 }
 
 
@@ -130,19 +187,59 @@ def _plain(name: str) -> str:
 
 
 def find_sensor(name: str) -> Sensor:
-    """Find a sensor by its name or an alias; case, blanks and dashes do not count.
+    """Find a sensor by its name or an alias, or in a file of your own.
+
+    Parameters
+    ----------
+    name
+        Case, blanks and dashes do not count; or the path of a TOML file, as `read_sensor` reads it.
 
     Raises
     ------
     UsageError
-        Where no sensor has that name; lists those there are.
+        Where no sensor has that name; lists those there are. As `read_sensor` does.
     """
+    if is_sensor_file(name):
+        return read_sensor(Path(name))
     for sensor in SENSORS.values():
         if _plain(name) in {_plain(known) for known in (sensor.name, *sensor.aliases)}:
             return sensor
     raise UsageError(
-        f"no sensor is called {name!r}; there are {', '.join(SENSORS)}, and auto for any other"
+        f"no sensor is called {name!r}; there are {', '.join(SENSORS)}, auto for any other, "
+        f"and {SENSOR_FILE} files of your own"
     )
+
+
+SENSOR_FILE = ".toml"
+"""How the name of a file ends that describes a sensor."""
+
+
+def is_sensor_file(name: str) -> bool:
+    """Whether a sensor is named by a file that describes it."""
+    return name.lower().endswith(SENSOR_FILE)
+
+
+def read_sensor(path: Path) -> Sensor:
+    """Read what a TOML file says of one LiDAR.
+
+    Its keys are those of a model in ``sensors.toml``. With ``like`` it names a model of the table,
+    from which it takes all that it does not say. ``[errors]`` has the 1 σ of what was measured of
+    the systematic errors of this very LiDAR; what is not in it is as of any such model.
+
+    Raises
+    ------
+    UsageError
+        Where there is no such file, or what it says is none of these.
+    """
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        like = given.pop("like", None)
+        # Of the table alone: files that are like each other would have no end.
+        model = "" if like is None else find_sensor(str(like).removesuffix(SENSOR_FILE)).name
+        listed = msgspec.convert({**_TABLE.get(model, {}), "aliases": (), **given}, Listed)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: no description of a sensor: {error}") from error
+    return listed.sensor(str(path.resolve()))
 
 
 def sensor_or_auto(name: str) -> Sensor | None:

@@ -114,15 +114,20 @@ class Sizes:
 
 
 def sizes_of(sensor: Sensor | None) -> Sizes:
-    """Give the sizes of the errors of a sensor; the defaults where nothing is stated of it."""
+    """Give the sizes of the errors of a sensor: those measured, else as its manufacturer states.
+
+    The defaults are for what neither says.
+    """
     if sensor is None:
         return Sizes()
     bend = SPINNING_BEND if sensor.pattern == "spinning" else Sizes().bend
-    if sensor.range_accuracy is None:
-        return replace(Sizes(), bend=bend, width=STATED_WIDTH)
-    zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
-    tape = USUAL_TAPE if sensor.retro_accuracy is None else sensor.retro_accuracy / RANGE_TO_OFFSET
-    return replace(Sizes(), zero=zero, bend=bend, tape=tape, width=STATED_WIDTH)
+    sizes = replace(Sizes(), bend=bend, width=STATED_WIDTH)
+    if sensor.range_accuracy is not None:
+        retro = sensor.retro_accuracy
+        zero = max(sensor.range_accuracy / RANGE_TO_OFFSET, MIN_ZERO)
+        tape = USUAL_TAPE if retro is None else retro / RANGE_TO_OFFSET
+        sizes = replace(sizes, zero=zero, tape=tape)
+    return replace(sizes, **sensor.errors)
 
 
 class Kind(NamedTuple):

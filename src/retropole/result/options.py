@@ -151,7 +151,10 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         ),
     ] = None
     threshold_source: Annotated[Intensity | None, SAME] = None
-    sensor_target: Annotated[Text, told(f"Sensor's name ({', '.join(SENSORS)}), or auto.")] = "auto"
+    sensor_target: Annotated[
+        Text,
+        told(f"Sensor's name ({', '.join(SENSORS)}), auto, or a .toml file that describes it."),
+    ] = "auto"
     sensor_source: Annotated[Text, SAME] = "auto"
     target_topic: Annotated[
         Text | None, told("Topic of the bag; needed where it has several of point clouds.")

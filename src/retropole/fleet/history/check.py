@@ -69,7 +69,7 @@ def watched_pairs(
         return
     try:
         stored, place = _result_of_site(site, answers)
-        file = decode_site_file(read_bytes(site.site, LARGEST_SITE_FILE))
+        file = decode_site_file(read_bytes(site.site, LARGEST_SITE_FILE), Path(site.site).parent)
         yield from _pairs(site, stored, file, place)
     except RetropoleError as error:
         fault = quoting(f"{site.site}: {error}")
