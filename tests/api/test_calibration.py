@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import retropole as rp
+from retropole.api.options import run_config
 from retropole.base import se3
 from retropole.result import ResultDoc, encode
 from retropole.simulation import place_again
@@ -239,3 +240,12 @@ def test_the_same_array_twice_is_refused() -> None:
     result = rp.calibrate(tables().target, tables().target.copy())
     assert [reason.code for reason in result.reasons] == ["same_recording"]
     assert result.T_target_source is None
+
+
+def test_the_file_of_a_sensor_is_found_from_elsewhere_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = run_config({"sensor_target": "front.toml", "sensor_source": "VLP-16"})
+    assert config.sensor_target == str(tmp_path / "front.toml")
+    assert config.sensor_source == "VLP-16"

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
 import msgspec
 from msgspec import inspect
+from msgspec.structs import replace
 
 from ..base.errors import UsageError
+from ..base.sensors import name_from
 from ..matching.prior import rotation_prior
 from ..result import RunConfig
 from ..result.options import OPTIONS, UNITS
@@ -44,7 +47,8 @@ def checked_options(config: RunConfig) -> RunConfig:
     Returns
     -------
     RunConfig
-        The same, of Python's own types: the result document holds no others.
+        The same, of Python's own types: the result document holds no others. A sensor's file has
+        its whole path.
 
     Raises
     ------
@@ -63,7 +67,8 @@ def checked_options(config: RunConfig) -> RunConfig:
     if config.hypothesis is not None and not is_hypothesis_name(config.hypothesis):
         raise UsageError(f"hypothesis is {config.hypothesis!r}, expected {LETTER}")
     rotation_prior(config.up, config.prior_rpy_deg, config.prior_sigma_deg)
-    return config
+    sensors = (name_from(Path(), name) for name in (config.sensor_target, config.sensor_source))
+    return replace(config, **dict(zip(("sensor_target", "sensor_source"), sensors, strict=True)))
 
 
 LETTER = "a letter of the list of hypotheses, such as a"

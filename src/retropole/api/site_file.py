@@ -15,11 +15,12 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
+from msgspec.structs import replace
 
 from ..base.datatypes import DEFAULT_RADIUS
 from ..base.errors import ReadError, RetropoleError
 from ..base.se3 import FARTHEST
-from ..base.sensors import is_sensor_file, sensor_or_auto
+from ..base.sensors import name_from, sensor_or_auto
 from ..base.uncertainty.purpose import DEFAULT_AT, LARGEST_NEED
 from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
 from ..io.downsampling import MAX_POINTS
@@ -189,13 +190,8 @@ def decode_site_file(data: bytes, folder: Path = Path()) -> SiteFile:
         site = msgspec.convert(raw, SiteFile)
     except msgspec.ValidationError as error:
         raise ReadError(_in_words(str(error), raw)) from None
-    lidars = [
-        msgspec.structs.replace(lidar, sensor=str(folder / lidar.sensor))
-        if is_sensor_file(lidar.sensor)
-        else lidar
-        for lidar in site.lidar
-    ]
-    site = msgspec.structs.replace(site, lidar=lidars)
+    lidars = [replace(each, sensor=name_from(folder, each.sensor)) for each in site.lidar]
+    site = replace(site, lidar=lidars)
     for fault in _faults(site):
         raise ReadError(fault)
     return site

@@ -219,6 +219,11 @@ def is_sensor_file(name: str) -> bool:
     return name.lower().endswith(SENSOR_FILE)
 
 
+def name_from(folder: Path, name: str) -> str:
+    """Give the name of a sensor so that it means the same from anywhere: a file by its place."""
+    return str((folder / name).resolve()) if is_sensor_file(name) else name
+
+
 def read_sensor(path: Path) -> Sensor:
     """Read what a TOML file says of one LiDAR.
 
@@ -239,7 +244,7 @@ def read_sensor(path: Path) -> Sensor:
         listed = msgspec.convert({**_TABLE.get(model, {}), "aliases": (), **given}, Listed)
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: no description of a sensor: {error}") from error
-    return listed.sensor(str(path.resolve()))
+    return listed.sensor(str(path))
 
 
 def sensor_or_auto(name: str) -> Sensor | None:

@@ -97,7 +97,7 @@ def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:
     except Refusal:
         return ""
     if ring_spread(cloud) <= MAX_RING_SPREAD:
-        fitting = guess_sensors(cloud)
+        fitting = guess_sensors(cloud, sensor)
         if not fitting or sensor.name in fitting:
             return ""
         return (

@@ -32,8 +32,8 @@ MIN_SEEN_SHARE = 0.5
 """Share of the sensor's rings that must have returns: outdoors the sky gives none."""
 
 
-def guess_sensors(cloud: PointCloud) -> list[str]:
-    """Name the sensors of the table whose elevations a cloud has; empty where no sensor fits.
+def guess_sensors(cloud: PointCloud, named: Sensor | None = None) -> list[str]:
+    """Name the sensors whose elevations a cloud has; empty where no sensor fits.
 
     With rings, the elevation of each ring is compared with the table; without, the elevations of
     all points are, for sensors whose rings are far enough apart. Sensors with the same elevations
@@ -44,12 +44,15 @@ def guess_sensors(cloud: PointCloud) -> list[str]:
     ----------
     cloud
         In the sensor's frame, or with the origin and the axis of its beams.
+    named
+        A sensor to try besides those of the table.
     """
     cloud = with_beam_origin(cloud)
     part = cloud.select(np.arange(0, len(cloud), max(1, len(cloud) // SENSOR_GUESS_SAMPLE)))
     ray = part.xyz - part.origin
     ranges, elevation = np.linalg.norm(ray, axis=1), elevations(ray, part.axis)
-    spinning = [sensor for sensor in SENSORS.values() if len(sensor.elevations)]
+    known = SENSORS if named is None else {**SENSORS, named.name: named}
+    spinning = [sensor for sensor in known.values() if len(sensor.elevations)]
     if part.ring is not None and np.ptp(part.ring):
         rings = _ring_elevations(elevation, ranges, part.ring)
         fitting = [own for own in spinning if rings and _rings_fit(own, rings)]
