@@ -187,83 +187,108 @@ def arc_likelihood(
         (N,) share of the beams beside the pole that were recorded there, 0 to 1: the factor
         1/2(r+w) counts with the rest.
     """
-    alone = np.broadcast_to(1.0 - np.asarray(beside, dtype=np.float64), depth.shape)
+    alone = 1.0 - np.asarray(beside, dtype=np.float64)
     w = np.broadcast_to(np.asarray(half_width, dtype=np.float64), depth.shape)
-    span = MAX_SIDEWAYS_SIGMAS * sigma_lateral
-    # Nodes over the arc, x = r sin θ, cut to what lies within span of each return.
-    low = np.clip(lateral_offset - span, -radius, radius - np.minimum(span, radius))
-    high = np.clip(lateral_offset + span, np.minimum(span, radius) - radius, radius)
     safe = max(radius, 1e-9)
-    start, end = np.arcsin(low / safe), np.arcsin(high / safe)
-    theta = start[:, None] + (end - start)[:, None] * (0.5 + 0.5 * _GAUSS)
-    cosine, sine = np.cos(theta), np.sin(theta)
-    weight = (end - start)[:, None] * 0.5 * _GAUSS_WEIGHT * cosine
-    # A node's place is (r c, r s + offset): on the edges beside the arc c = 0, s = ±1. Weights
-    # depend on r too: the gradient and the curvature of their logarithm are kept beside them.
-    offset = np.zeros_like(theta)
     # Half of what the beams are shared out over, to the power of those beside which none are known:
     # of a usual pole, so that as large a share of its beams are outliers.
     room = DEFAULT_RADIUS + w
     room = room * ((safe + w) / room) ** alone
-    weight = weight * (radius / (2 * room))[:, None]
-    whole = 1.0 / (safe + w)[:, None]
-    whole_gradient, whole_curvature = alone[:, None] * whole, alone[:, None] * whole**2
-    log_weight_gradient, log_weight_curvature = (
-        offset + (1 / safe - whole_gradient),
-        offset - (1 / safe**2 - whole_curvature),
-    )
-    if radius <= 1e-9:
-        weight = np.full_like(theta, 1.0 / NODES)
-    elif np.any(w > 0):
-        beyond = 0.5 * w[:, None] * (1 + _EDGE)
-        edge = 0.5 * _EDGE_WEIGHT * (w / (2 * room))[:, None]
-        flat = np.zeros_like(beyond)
-        cosine = np.concatenate([cosine, flat, flat], axis=1)
-        sine = np.concatenate([sine, flat + 1.0, flat - 1.0], axis=1)
-        offset = np.concatenate([offset, beyond, -beyond], axis=1)
-        weight = np.concatenate([weight, edge, edge], axis=1)
-        log_weight_gradient = np.concatenate(
-            [log_weight_gradient, flat - whole_gradient, flat - whole_gradient], axis=1
-        )
-        log_weight_curvature = np.concatenate(
-            [log_weight_curvature, flat + whole_curvature, flat + whole_curvature], axis=1
-        )
-    inverse_depth, inverse_lateral = 1.0 / sigma_depth[:, None], 1.0 / sigma_lateral[:, None]
-    off_depth = (radius * cosine - depth[:, None]) * inverse_depth
-    off_lateral = (radius * sine + offset - lateral_offset[:, None]) * inverse_lateral
-    square_depth, square_lateral = off_depth**2, off_lateral**2
-    exponent = -0.5 * (square_depth + square_lateral)
-    top = exponent.max(axis=1)
-    part = weight * np.exp(exponent - top[:, None])
-    total = part.sum(axis=1)
-    part /= total[:, None]
+    span = MAX_SIDEWAYS_SIGMAS * sigma_lateral
+    cosine, sine, beyond, weight = _nodes(lateral_offset, span, radius, w, room)
+    arc = len(cosine)
+    inverse_depth, inverse_lateral = 1.0 / sigma_depth, 1.0 / sigma_lateral
+    x = np.empty_like(weight)
+    x[:arc], x[arc:] = (radius * cosine - depth) * inverse_depth, -depth * inverse_depth
+    y = (radius * sine - lateral_offset) * inverse_lateral
+    y[arc:] += beyond * inverse_lateral
+    xx, yy = x * x, y * y
+    exponent = -0.5 * (xx + yy)
+    top = exponent.max(axis=0)
+    part = weight * np.exp(exponent - top)
+    total = part.sum(axis=0)
+    part /= total
     scale = (1 - OUTLIERS) / (2 * np.pi) / (sigma_depth * sigma_lateral)
     log_pole = top + np.log(total * scale)
     log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_RADIUS**2)))
     inlier = np.exp(log_pole - log)
-    # Derivatives of a node's exponent with respect to g, m, r, and the mean of what they leave.
-    u = np.empty((len(part), 3, part.shape[1]))
-    u[:, 0], u[:, 1] = off_depth * inverse_depth, off_lateral * inverse_lateral
-    u[:, 2] = log_weight_gradient - (u[:, 0] * cosine + u[:, 1] * sine)
-    weighted = part[:, None, :] * u
-    score = inlier[:, None] * weighted.sum(axis=2)
-    second = -np.matmul(weighted, u.transpose(0, 2, 1))
 
-    def mean(values: Array) -> Array:
-        return np.asarray(np.einsum("nk,nk->n", part, values))
+    def mean(of: Array, more: Array | float = 1.0) -> Array:
+        return np.asarray(np.einsum("kn,kn->n", of, np.broadcast_to(more, of.shape)))
 
-    square = inverse_depth[:, 0] ** 2, inverse_lateral[:, 0] ** 2
-    second[:, 0, 0] += square[0]
-    second[:, 1, 1] += square[1]
-    second[:, 0, 2] -= mean(cosine) * square[0]
-    second[:, 1, 2] -= mean(sine) * square[1]
-    second[:, 2, :2] = second[:, :2, 2]
-    second[:, 2, 2] += mean(cosine**2) * square[0] + mean(sine**2) * square[1]
-    second[:, 2, 2] -= mean(log_weight_curvature)
-    information = inlier[:, None, None] * second + score[:, :, None] * score[:, None, :]
-    noise = np.stack([mean(square_depth), mean(square_lateral)], axis=1)
-    fourth = np.stack([mean(square_depth**2), mean(square_lateral**2)], axis=1)
-    return ArcLikelihood(log, score, information, inlier, noise, fourth - noise**2)
+    # Derivatives of a node's exponent with respect to g, m, r, of which x and y are the first two
+    # in units of the noise, and the mean of what they leave. Weights depend on r too: what the
+    # gradient and the curvature of their logarithm have on the arc beside that of 1/2(r+w).
+    z = -(y * sine) * inverse_lateral
+    z[:arc] += 1 / safe - x[:arc] * cosine * inverse_depth
+    px, py, pz = part * x, part * y, part * z
+    whole = alone / (safe + w)
+    mean_z = pz.sum(axis=0)
+    of = np.stack(
+        [px.sum(axis=0) * inverse_depth, py.sum(axis=0) * inverse_lateral, mean_z - whole]
+    )
+    score = inlier * of
+    mean_xx, mean_yy = mean(px, x), mean(py, y)
+    on_arc = part[:arc]
+    second = np.empty((3, 3, len(depth)))
+    second[0, 0] = (1.0 - mean_xx) * inverse_depth**2
+    second[1, 1] = (1.0 - mean_yy) * inverse_lateral**2
+    second[0, 1] = second[1, 0] = -mean(px, y) * inverse_depth * inverse_lateral
+    second[0, 2] = whole * of[0] - mean(px, z) * inverse_depth
+    second[0, 2] -= mean(on_arc, cosine) * inverse_depth**2
+    second[1, 2] = whole * of[1] - mean(py, z) * inverse_lateral
+    second[1, 2] -= mean(part, sine) * inverse_lateral**2
+    second[2, :2] = second[:2, 2]
+    second[2, 2] = mean(on_arc, cosine**2) * inverse_depth**2
+    second[2, 2] += mean(part, sine**2) * inverse_lateral**2 + on_arc.sum(axis=0) / safe**2
+    second[2, 2] -= mean(pz, z) - 2.0 * whole * mean_z + whole**2 + alone / (safe + w) ** 2
+    information = inlier * second + score[:, None] * score
+    noise = np.stack([mean_xx, mean_yy], axis=1)
+    fourth = np.stack([mean(part * xx, xx), mean(part * yy, yy)], axis=1)
+    by_return = np.ascontiguousarray(information.transpose(2, 0, 1))
+    return ArcLikelihood(log, score.T.copy(), by_return, inlier, noise, fourth - noise**2)
+
+
+def _nodes(
+    lateral_offset: Array, span: Array, radius: float, half_width: Array, room: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Nodes of the integral over the arc, ``x = r sin θ``, and over the edges beside it.
+
+    Parameters
+    ----------
+    lateral_offset, span
+        (N,) of each return, and how far from it the arc is cut, metres.
+    radius, half_width, room
+        Of the pole, (N,) w, and (N,) half of what beams are shared out over, metres.
+
+    Returns
+    -------
+    cosine, sine, beyond, weight
+        (A, N) of nodes on the arc; (K, N) of all, ± 1 on the edges; (K − A, N) how far those of the
+        edges lie beside it, metres; and (K, N). A row is a node: sums over short rows would take
+        several times as long.
+    """
+    low = np.clip(lateral_offset - span, -radius, radius - np.minimum(span, radius))
+    high = np.clip(lateral_offset + span, np.minimum(span, radius) - radius, radius)
+    safe = max(radius, 1e-9)
+    start, end = np.arcsin(low / safe), np.arcsin(high / safe)
+    theta = start + (end - start) * (0.5 + 0.5 * _GAUSS[:, None])
+    cosine = np.cos(theta)
+    count = 2 * FEW_NODES if radius > 1e-9 and half_width.any() else 0
+    sine, weight = np.empty((2, NODES + count, len(start)))
+    np.sin(theta, out=sine[:NODES])
+    if radius <= 1e-9:
+        weight[:NODES] = 1.0 / NODES
+    else:
+        by_angle = (end - start) * (radius / (4 * room))
+        weight[:NODES] = by_angle * _GAUSS_WEIGHT[:, None] * cosine
+    if not count:
+        return cosine, sine, np.zeros((0, len(start))), weight
+    sine[NODES : NODES + FEW_NODES], sine[NODES + FEW_NODES :] = 1.0, -1.0
+    beyond = 0.5 * half_width * (1 + _EDGE[:, None])
+    edge = 0.5 * _EDGE_WEIGHT[:, None] * (half_width / (2 * room))
+    weight[NODES:] = np.concatenate([edge, edge])
+    return cosine, sine, np.concatenate([beyond, -beyond]), weight
 
 
 @dataclass(frozen=True, eq=False)

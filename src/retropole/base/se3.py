@@ -6,7 +6,7 @@ of the target frame. `retract` and `local` are the two directions of that chart.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,12 @@ RIGID_TOLERANCE = 1e-4
 
 FARTHEST = 1e8
 """Nothing is farther away, metres: the coordinates of maps stay below 1e7."""
+
+TINY = 1e-300
+"""Square of an angle, rad², that keeps quotients at none from being 0/0."""
+
+HALF_TURN = -1.9
+"""Twice the cosine of an angle beyond which, near π, its sine hardly tells the axis."""
 
 
 def from_rt(rotation: Array, translation: Array) -> Array:
@@ -80,24 +86,36 @@ def rigid(matrix: Array) -> Array:
     return from_rt(U @ Vt, T[:3, 3])
 
 
-def _rotation() -> Any:
-    """SciPy's rotations, imported when first used: that takes longer than a command's start."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation
-
-
 def exp_so3(phi: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,) in radians; (N, 3, 3) of (N, 3)."""
-    return np.asarray(_rotation().from_rotvec(phi).as_matrix())
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians (Rodrigues)."""
+    x, y, z = np.moveaxis(np.asarray(phi, dtype=float), -1, 0)
+    half = np.sqrt(x * x + y * y + z * z + TINY) / 2
+    a = np.sin(2 * half) / (2 * half)
+    b = (np.sin(half) / half) ** 2 / 2
+    rows = (
+        (1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y),
+        (b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x),
+        (b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)),
+    )
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
 def log_so3(R: Array) -> Array:
-    """Rotation vector (3,) in radians of a rotation matrix (3, 3), of length at most π.
-
-    (N, 3) of (N, 3, 3).
-    """
-    return np.asarray(_rotation().from_matrix(R).as_rotvec())
+    """Rotation vectors (..., 3) of rotation matrices (..., 3, 3), in radians, at most π long."""
+    R = np.asarray(R, dtype=float)
+    of = np.moveaxis(R, (-2, -1), (0, 1))
+    axis = np.array([of[2, 1] - of[1, 2], of[0, 2] - of[2, 0], of[1, 0] - of[0, 1]])
+    sine = np.sqrt(np.sum(axis * axis, axis=0) + TINY)
+    # Both are twice what they are called.
+    cosine = of[0, 0] + of[1, 1] + of[2, 2] - 1.0
+    phi = np.moveaxis(axis * (np.arctan2(sine, cosine) / sine), 0, -1)
+    turned = cosine < HALF_TURN
+    if turned.any():
+        q = quaternion_xyzw(R[turned])
+        sine = np.linalg.norm(q[..., :3], axis=-1)
+        phi = phi.copy()
+        phi[turned] = q[..., :3] * (2.0 * np.arctan2(sine, q[..., 3]) / sine)[..., None]
+    return np.asarray(phi)
 
 
 def lengths(vectors: Array) -> Array:
@@ -202,21 +220,43 @@ def rpy_from_rotation(R: Array) -> Array:
 
 def rotation_from_rpy(rpy: Array) -> Array:
     """Rotation matrix (3, 3) of roll, pitch and yaw (3,) in radians; see `rpy_from_rotation`."""
-    return np.asarray(_rotation().from_euler("xyz", rpy).as_matrix())
+    about_x, about_y, about_z = exp_so3(np.diag(rpy))
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def quaternion_xyzw(R: Array) -> Array:
-    """Unit quaternion ``x y z w`` (4,) of a rotation matrix (3, 3), with w ≥ 0."""
-    return np.asarray(_rotation().from_matrix(R).as_quat(canonical=True))
+    """Unit quaternions ``x y z w`` (..., 4) of rotation matrices (..., 3, 3), with w ≥ 0.
+
+    ``4 q qᵀ`` is linear in R (Bar-Itzhack 2000); its column of the largest diagonal is the least
+    rounded.
+    """
+    R = np.asarray(R, dtype=float)
+    square = np.empty((*R.shape[:-2], 4, 4))
+    square[..., :3, :3] = R + np.swapaxes(R, -1, -2)
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    square[..., range(3), range(3)] += (1.0 - trace)[..., None]
+    square[..., 3, 3] = 1.0 + trace
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        square[..., k, 3] = square[..., 3, k] = R[..., i, j] - R[..., j, i]
+    best = np.argmax(square[..., range(4), range(4)], axis=-1)
+    q = np.take_along_axis(square, best[..., None, None], axis=-1)[..., 0]
+    q *= np.where(q[..., 3:] < 0, -1.0, 1.0) / np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
+    return np.asarray(q)
 
 
 def from_quaternion_xyzw(quaternion: Array, translation: Array) -> Array:
     """Build a 4×4 transform from a quaternion ``x y z w`` (normalised here) and a translation."""
-    rotation = _rotation().from_quat(quaternion)
-    return from_rt(np.asarray(rotation.as_matrix()), np.asarray(translation))
+    q = np.asarray(quaternion, dtype=float)
+    q = q / np.linalg.norm(q)
+    across = hat(q[:3])
+    R = np.eye(3) + 2 * (q[3] * across + across @ across)
+    return from_rt(R, np.asarray(translation))
 
 
 def random(rng: np.random.Generator, max_translation: float = 10.0) -> Array:
     """Draw a transform: uniform rotation, translation within ± ``max_translation`` m."""
-    R = _rotation().random(None, rng).as_matrix()
+    # Imported where it is used: it takes long.
+    from scipy.spatial.transform import Rotation
+
+    R = Rotation.random(None, rng).as_matrix()
     return from_rt(np.asarray(R), rng.uniform(-max_translation, max_translation, 3))

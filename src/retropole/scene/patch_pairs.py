@@ -66,9 +66,11 @@ class PatchPairs:
         (P,) signed distance along the normal, metres.
     jacobian
         (P, 6) derivative with respect to ``[φ, δ]``.
-    by_error
-        (P, B) derivative with respect to the errors of both LiDARs, as `systematic.Layout` orders
-        them.
+    by_lidar
+        For each LiDAR, the derivative with respect to its errors: (P, 12) as those of `Patches`,
+        and (P, bands) which part each band has of those of rings.
+    layout
+        Order of the errors.
     levers
         (P, 3, 6) derivative of where the source's patch lies.
     normal, tilt
@@ -88,7 +90,8 @@ class PatchPairs:
 
     residuals: Array
     jacobian: Array
-    by_error: Array
+    by_lidar: tuple[tuple[Array, csr_matrix], tuple[Array, csr_matrix]]
+    layout: Layout
     levers: Array
     normal: Array
     tilt: Array
@@ -97,6 +100,24 @@ class PatchPairs:
     cluster: IntArray
     places: IntArray
     at: Array
+
+    @property
+    def by_error(self) -> Array:
+        """(P, B) derivative with respect to all errors, in the order of the layout."""
+        table = np.empty((len(self.residuals), self.layout.size))
+        self.put_by_error(np.ones(len(table)), table)
+        return table
+
+    def put_by_error(self, factor: Array, table: Array) -> None:
+        """Put the same, each row times a factor (P,), into a table (P, B)."""
+        for lidar, (by, share) in enumerate(self.by_lidar):
+            own = factor[:, None] * by
+            table[:, self.layout.device(lidar)] = own[:, :DEVICE]
+            dense = share.toarray()
+            for kind in range(RING):
+                rings = table[:, self.layout.rings(lidar, kind)]
+                np.multiply(dense, own[:, DEVICE + kind, None], out=rings)
+        table[:, RADIUS] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,16 +293,6 @@ def pair_patches(
         len(s), *target.by_error.shape[1:]
     )
     by_target = -np.einsum("mi,mij->mj", normal, by_error_there)
-    by_error = np.zeros((len(s), sets.layout.size))
-    for lidar, (by, share) in enumerate(
-        ((by_target, blend @ sets.shares[0]), (by_source, sets.shares[1][s]))
-    ):
-        by_error[:, sets.layout.device(lidar)] = by[:, :DEVICE]
-        dense = share.toarray()
-        for kind in range(RING):
-            rings = by_error[:, sets.layout.rings(lidar, kind)]
-            np.multiply(dense, by[:, DEVICE + kind, None], out=rings)
-    by_error[:, RADIUS] = 0.0
     tilt = (source.tilt[s] + blended(target.tilt)) / 4
     turned = lengths(normal_source - normal_target) / np.sqrt(8.0 * tilt)
     tilt = tilt * max(robust_scale(turned, agreement) / PLANAR, 1.0) ** 2
@@ -290,7 +301,8 @@ def pair_patches(
     return PatchPairs(
         residuals=residuals,
         jacobian=np.einsum("mi,mij->mj", normal, lever[s]),
-        by_error=by_error,
+        by_lidar=((by_target, blend @ sets.shares[0]), (by_source, sets.shares[1][s])),
+        layout=sets.layout,
         levers=lever[s],
         normal=normal,
         tilt=tilt,

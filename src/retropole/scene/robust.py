@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..base.datatypes import Array
@@ -9,9 +11,20 @@ from ..base.datatypes import Array
 GEMAN_HALF = 0.6120
 """The c for which ``x²/(x² + c²)`` of standard normal x has a mean of one half."""
 
+START = float(np.log(GEMAN_HALF**2 * np.pi / 2.0))
+"""Where the search for the scale begins, about the square of the mean: its place for normal ones,
+logarithms."""
+
+ROUNDING = 1e-12
+"""Step of a logarithm at which its place is found."""
+
 LEAST_SCATTER = 1e-6
 """Least that values are found to scatter by, and their variance in common, as a part of what is
 predicted: less is rounding."""
+
+
+MOST_STEPS = 100
+"""Of `_root`, which halves where it cannot step: enough for any bracket of logarithms."""
 
 
 def robust_scale(values: Array, weights: Array) -> float:
@@ -21,20 +34,7 @@ def robust_scale(values: Array, weights: Array) -> float:
     Geman and McClure); c makes it 1 for standard normal values. Unlike a median it has a derivative
     everywhere: where it jumped, so would the pose.
     """
-    from scipy.optimize import brentq
-
-    square = values**2
-    half = 0.5 * float(weights.sum())
-
-    def excess(log_square: float) -> float:
-        return float(weights @ (square / (square + np.exp(log_square)))) - half
-
-    low, high = np.log(1e-30), np.log(float(square.max()) + 1e-30)
-    if excess(low) <= 0:
-        # Half of the values or more are zero.
-        return float(np.exp(0.5 * low)) / GEMAN_HALF
-    found = brentq(excess, low, high + 1e-9)
-    return float(np.exp(0.5 * found)) / GEMAN_HALF
+    return float(np.sqrt(_half_outside(values**2, weights))) / GEMAN_HALF
 
 
 def common_scatter(values: Array, variance: Array, weights: Array) -> float:
@@ -45,21 +45,68 @@ def common_scatter(values: Array, variance: Array, weights: Array) -> float:
     and large are weights, ``m/(m + v)`` and the rest, about the geometric mean m, so that τ² has a
     derivative everywhere.
     """
-    from scipy.optimize import brentq
-
-    middle = np.exp(np.average(np.log(variance), weights=weights))
+    middle = float(np.exp(np.average(np.log(variance), weights=weights)))
     sharp = weights * middle / (middle + variance)
+    half = 0.5 * float(sharp.sum())
+    square = values**2
 
-    def difference(log_common: float) -> float:
-        square = values**2 / (variance + np.exp(log_common))
+    def difference(log_common: float) -> tuple[float, float]:
+        common = np.exp(log_common)
+        total = variance + common
+        q = square / total
+        scale = _half_outside(q, weights)
         # By the scale of all, half of the small ones lie outside where it is their own: and so do
         # half of the large ones.
-        outside = square / (square + (GEMAN_HALF * robust_scale(np.sqrt(square), weights)) ** 2)
-        return float(sharp @ outside) - 0.5 * float(sharp.sum())
+        inside = 1.0 / (q + scale)
+        outside = q * inside
+        # By log τ²: of q itself, and of the scale, which keeps half of all outside.
+        by_q = outside * inside * (common / total)
+        by_scale = outside * inside
+        moved = float(weights @ by_q) / float(weights @ by_scale)
+        slope = scale * (moved * float(sharp @ by_scale) - float(sharp @ by_q))
+        return float(sharp @ outside) - half, slope
 
-    low, high = np.log(LEAST_SCATTER * middle), np.log(float(np.max(values**2)) + middle)
-    if difference(low) <= 0.0:
+    low, high = np.log(LEAST_SCATTER * middle), np.log(float(np.max(square)) + middle)
+    if difference(low)[0] <= 0.0:
         return 0.0
-    if difference(high) >= 0.0:
+    if difference(high)[0] >= 0.0:
         return float(np.exp(high))
-    return float(np.exp(brentq(difference, low, high)))
+    return float(np.exp(_root(difference, low, high, np.log(middle))))
+
+
+def _half_outside(square: Array, weights: Array) -> float:
+    """Find the S with ``Σ w q/(q + S) = ½ Σ w`` for squares q (N,)."""
+    half = 0.5 * float(weights.sum())
+
+    def excess(log_scale: float) -> tuple[float, float]:
+        scale = np.exp(log_scale)
+        inside = 1.0 / (square + scale)
+        outside = square * inside
+        return float(weights @ outside) - half, -scale * float(weights @ (outside * inside))
+
+    low, high = float(np.log(1e-30)), float(np.log(float(square.max()) + 1e-30)) + 1e-9
+    if excess(low)[0] <= 0:
+        # Half of the values or more are zero.
+        return float(np.exp(low))
+    mean = float(weights @ np.sqrt(square)) / (2.0 * half)
+    return float(np.exp(_root(excess, low, high, float(np.log(max(mean, 1e-15)) * 2.0) + START)))
+
+
+def _root(
+    function: Callable[[float], tuple[float, float]], low: float, high: float, start: float
+) -> float:
+    """Find where a function falls through zero between two places, by its slope (Newton).
+
+    `scipy.optimize` has the same, but takes longer to import than all its calls to run.
+    """
+    x = min(max(start, low), high)
+    for _ in range(MOST_STEPS):
+        value, slope = function(x)
+        low, high = (x, high) if value > 0.0 else (low, x)
+        new = x - value / slope if slope < 0.0 else np.inf
+        if not low <= new <= high:
+            new = 0.5 * (low + high)
+        if abs(new - x) < ROUNDING:
+            return new
+        x = new
+    return x

@@ -95,7 +95,7 @@ class SceneTerm:
     def by_step(self, directions: Array) -> Array:
         """(P, M) change of the residuals of unit weight by directions (12 + B, M) of `place`."""
         pose, errors = self.by_poses @ directions[: 2 * POSE], directions[2 * POSE :]
-        return np.asarray(self.weighed.rows @ np.concatenate([pose, errors]))
+        return self.weighed.by(np.concatenate([pose, errors]))
 
     def _at_place(self, own: Array) -> Array:
         """Take (6 + B, ...) by the relative pose and the errors to (12 + B, ...) of `place`."""
@@ -104,14 +104,12 @@ class SceneTerm:
     @cached_property
     def information(self) -> Array:
         """(12 + B, 12 + B) of the unknowns at `place`."""
-        # The square of one array: BLAS then computes one half of it.
-        own = self.weighed.rows.T @ self.weighed.rows
-        return self._at_place(self._at_place(own).T)
+        return self._at_place(self._at_place(self.weighed.square[:-1, :-1]).T)
 
     @cached_property
     def slope_without_errors(self) -> Array:
         """(12 + B,) of the logarithm of the likelihood where the errors are zero."""
-        return -self._at_place(self.weighed.residuals @ self.weighed.rows)
+        return -self._at_place(self.weighed.square[:-1, -1])
 
     def slope(self, values: Array, poses: int) -> Array:
         """(12 + B,) of the same at the poses it was taken at, under errors.

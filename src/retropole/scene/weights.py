@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, qr, solve_triangular, svd
@@ -29,14 +30,42 @@ class Weighed:
     ----------
     weights
         (P,) of the residuals, 1/m².
-    rows, residuals
-        (P, 6 + B) derivative by the pose and the errors, and (P,) residuals, without what the
-        surfaces do not hold; each times the root of its weight, so that all have unit weight.
+    table
+        (P, 6 + B + 1) derivative by the pose and the errors, and the residuals, each times the root
+        of its weight, so that all have unit weight.
+    ways, left
+        (P, 6) and (6,), as `held_directions` gives them: what the surfaces do not hold is left to
+        the poles, ``(1 − W diag(left) Wᵀ)`` times the table.
     """
 
     weights: Array
-    rows: Array
-    residuals: Array
+    table: Array
+    ways: Array
+    left: Array
+
+    @cached_property
+    def along(self) -> Array:
+        """(6, 6 + B + 1) what of the table lies along the ways."""
+        return np.asarray(self.ways.T @ self.table)
+
+    @cached_property
+    def square(self) -> Array:
+        """(6 + B + 1, 6 + B + 1) of what is held of the table, of derivatives and residuals."""
+        # The square of one array: BLAS then computes one half of it.
+        whole = self.table.T @ self.table
+        return np.asarray(whole - (self.along.T * (self.left * (2.0 - self.left))) @ self.along)
+
+    def by(self, directions: Array) -> Array:
+        """(P, M) change of the residuals by directions (6 + B, M) of the pose and the errors."""
+        return self._held(self.table[:, :-1] @ directions, self.along[:, :-1] @ directions)
+
+    @property
+    def residuals(self) -> Array:
+        """(P,) of unit weight."""
+        return self._held(self.table[:, -1], self.along[:, -1])
+
+    def _held(self, rows: Array, along: Array) -> Array:
+        return np.asarray(rows - self.ways @ (self.left * along.T).T)
 
 
 def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
@@ -58,16 +87,12 @@ def weigh(pairs: PatchPairs, covariance: Array) -> Weighed:
     outlying = r**2 / (ROBUST_WIDTH**2 * (spread**2 + still_off))
     weights = pairs.agreement / (spread * (1.0 + outlying)) ** 2
     root = np.sqrt(weights)
-    ways, kept = held_directions(pairs, weights)
-    table = np.empty((len(r), POSE + pairs.by_error.shape[1] + 1))
-    for columns, part in (
-        (slice(POSE), pairs.jacobian),
-        (slice(POSE, -1), pairs.by_error),
-        (slice(-1, None), r[:, None]),
-    ):
-        np.multiply(part, root[:, None], out=table[:, columns])
-    table -= (ways * (1.0 - kept)) @ (ways.T @ table)
-    return Weighed(weights, table[:, :-1], table[:, -1])
+    ways, left = held_directions(pairs, weights)
+    table = np.empty((len(r), POSE + pairs.layout.size + 1))
+    table[:, :POSE] = root[:, None] * pairs.jacobian
+    pairs.put_by_error(root, table[:, POSE:-1])
+    table[:, -1] = root * r
+    return Weighed(weights, table, ways, left)
 
 
 def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
@@ -83,9 +108,9 @@ def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
 
     Returns
     -------
-    ways, kept
+    ways, left
         (P, 6) what a step along each v does to the residuals times the roots of their weights,
-        orthonormal, and (6,) the part of it to keep.
+        orthonormal, and (6,) the part of it to leave to the poles.
     """
     tangents = pairs.levers - pairs.normal[:, :, None] * pairs.jacobian[:, None, :]
     tangents *= np.sqrt(weights * pairs.tilt)[:, None, None]
@@ -97,5 +122,5 @@ def held_directions(pairs: PatchPairs, weights: Array) -> tuple[Array, Array]:
     # ten where few surfaces are seen, the small ones are lost in rounding.
     basis, scene = qr(pairs.jacobian * np.sqrt(weights)[:, None] * scale, mode="economic")
     whitened = solve_triangular(root, scene.T, lower=True).T
-    left, singular, _ = svd(whitened)
-    return basis @ left, singular**4 / (singular**4 + MIN_HOLD**2)
+    turned, singular, _ = svd(whitened)
+    return basis @ turned, MIN_HOLD**2 / (singular**4 + MIN_HOLD**2)
