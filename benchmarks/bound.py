@@ -1,4 +1,4 @@
-"""The poles alone at the paper's simulated set-up, beside what is possible (Sec. IV-A, eq. 12).
+"""The poles alone at the paper's simulated set-up, beside what is possible (Sec. IV-A, eq. 13).
 
 Each set-up is drawn at random and each trial draws its noise. Prints a Markdown table of e_rt of
 

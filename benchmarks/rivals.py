@@ -1,6 +1,6 @@
 """Our method and every installed rival over scenes, seeds and sensors: how often right, how fast.
 
-A run succeeds where e_rt (Xue et al. 2019, eq. 12) is at most 0.1 m. It is wrong but confident
+A run succeeds where e_rt (Xue et al. 2019, eq. 13) is at most 0.1 m. It is wrong but confident
 where it answered, with a warning or without, and is off by more than 1° or 0.3 m. Errors are those
 of the runs that answered. What counts as an answer of a rival is its own word, see docs/compare.md.
 Times are of one call with libraries imported and clouds in memory: CPU time is user and system time

@@ -64,8 +64,8 @@ def experiments(seeds: int, data: Path | None) -> list[Experiment]:
     set_ups = SET_UPS_PER_SEED * seeds
     listed = [
         Experiment("Table I", ("table1_sensors",), lambda: [thresholds()]),
-        Experiment("Equations 3 to 5, points", ("eq3_5_points",), lambda: [arc_points()]),
-        Experiment("Equations 3 to 5", ("eq3_5_arc_walk",), lambda: [arc_walk()]),
+        Experiment("Equations 3 and 4, points", ("eq3_4_points",), lambda: [arc_points()]),
+        Experiment("Equations 3 and 4", ("eq3_4_arc_walk",), lambda: [arc_walk()]),
         Experiment("Section IV-A", ("sec4a_transforms",), lambda: [transforms()]),
         Experiment("Figure two_matlab", ("two_matlab",), lambda: [two_matlab()]),
         Experiment("Table II", ("table2_line_bias",), lambda: [line_bias()]),

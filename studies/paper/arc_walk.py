@@ -1,4 +1,4 @@
-"""Equations 3 to 5: the arc that a ring draws on the pole, walked as written and cast exactly.
+"""Equations 3 and 4: the arc that a ring draws on the pole, walked as written and cast exactly.
 
 The pole stands on the z axis and the LiDAR at (x_p, 0, 0). The paper takes the beams of a ring for
 a plane (eq. 3), writes a point of the arc by its angle θ about the axis (eq. 4), and finds the step

@@ -1,4 +1,4 @@
-"""Equations 3 to 5 and section IV-A, each as written beside the exact ray casting."""
+"""Equations 3 and 4 and section IV-A, each as written beside the exact ray casting."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def arc_points() -> Exhibit:
                 )
             )
     return Exhibit(
-        "eq3_5_points",
-        "Equations 3 to 5: points of two rings walked along the arc, and cast",
+        "eq3_4_points",
+        "Equations 3 and 4: points of two rings walked along the arc, and cast",
         (
             *("ring deg", "θ deg", "walked x m", "y m", "z m", "cast x m", "y m", "z m"),
             *("walk to its own plane cast m", "walk to cone m"),
@@ -101,8 +101,8 @@ def arc_walk() -> Exhibit:
                 )
             )
     return Exhibit(
-        "eq3_5_arc_walk",
-        "Equations 3 to 5: largest difference of the walk along the arc from exact casting, VLP-16",
+        "eq3_4_arc_walk",
+        "Equations 3 and 4: largest difference of the walk along the arc from exact casting, VLP-16",
         (
             *("x_p m", "r m", "orientation", "points walked", "points on the cone"),
             *("walk to its own plane cast m", "walk to cone m", "to cone at elevation 0 m"),

@@ -166,7 +166,7 @@ def simulated_error(setups: int) -> Exhibit:
     header = ("estimator", "noise, 6 mm", "paper m", "median m", "mean m", "90 % m", "refused")
     return Exhibit(
         "simulated_e_rt",
-        "Simulated e_rt, 1 to 60 m (eq. 12), from the right hypothesis",
+        "Simulated e_rt, 1 to 60 m (eq. 13), from the right hypothesis",
         header,
         tuple(rows),
         f"{setups} set-ups of Sec. IV-A. The paper gives one figure, for ten trials of set-ups "

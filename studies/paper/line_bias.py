@@ -41,7 +41,7 @@ PHASES = 20
 
 
 def line_error(centre: Array, direction: Array, heights: tuple[float, float]) -> float:
-    """Mean-square distance of a line from the z axis between two heights, m² (eq. 6).
+    """Mean-square distance of a line from the z axis between two heights, m² (eq. 5).
 
     ``E = n_z/(z_max − z_min) ∫ [(x_c + n_x s)² + (y_c + n_y s)²] ds`` with s from
     ``(z_min − z_c)/n_z`` to ``(z_max − z_c)/n_z``. Xue et al. 2019 print a product between the two
@@ -73,7 +73,7 @@ def expected_line_error(radius: float) -> float:
 def points_on_pole(distance: float, radius: float, orientation: str, phase: float = 0.0) -> Array:
     """Where the beams of a VLP-16 at (distance, 0, 0) hit a pole on the z axis: (N, 3), metres.
 
-    The set-up of eq. 3–5, solved by exact ray casting.
+    The set-up of eq. 3 and 4, solved by exact ray casting.
 
     Parameters
     ----------

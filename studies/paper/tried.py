@@ -53,7 +53,7 @@ def rings(
     setting
         The LiDAR and the pole.
     beams
-        Of a ring: "cone", or "plane" as in eq. 3.
+        Of a ring: "cone", or "plane" as eq. 3 has it.
     count
         Of rings over the 30° of a VLP-16.
     step

@@ -19,7 +19,7 @@ from ..scene.visibility import OVERLAP_DISTANCE, overlap
 from .entropy import KERNEL_WIDTH, Entropy, rqe
 
 PAPER_RANGES = 1.0, 60.0
-"""Ends n and m of the ranges over which e_rt is averaged, metres (Xue et al. 2019, eq. 12)."""
+"""Ends n and m of the ranges over which e_rt is averaged, metres (Xue et al. 2019, eq. 13)."""
 
 E_RT_SAMPLES = 512
 """Ranges at which the integrand of e_rt is taken: it is smooth, and more change nothing."""
@@ -34,7 +34,7 @@ EVALUATION_VOXEL = 0.1
 def e_rt(
     T: Array, T_true: Array, near: float = PAPER_RANGES[0], far: float = PAPER_RANGES[1]
 ) -> float:
-    """Mean error of points on the source's y axis, metres (Xue et al. 2019, eq. 12).
+    """Mean error of points on the source's y axis, metres (Xue et al. 2019, eq. 13).
 
     ``1/(m − n) ∫_n^m ‖R x e_y + t − R_gt x e_y − t_gt‖ dx``: the distance between where the two
     transforms put a point x metres out along y, averaged over x from ``near`` to ``far``.
@@ -66,7 +66,7 @@ class Errors:
     translation
         Metres.
     e_rt
-        Metres (Xue et al. 2019, eq. 12).
+        Metres (Xue et al. 2019, eq. 13).
     """
 
     rotation: float

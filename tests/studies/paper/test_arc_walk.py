@@ -1,4 +1,4 @@
-"""Equations 3 to 5: the walk along the arc against the exact ray casting."""
+"""Equations 3 and 4: the walk along the arc against the exact ray casting."""
 
 import numpy as np
 import pytest

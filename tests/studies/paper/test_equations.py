@@ -1,4 +1,4 @@
-"""The exhibits of equations 3 to 5, section IV-A and the figure of the beams."""
+"""The exhibits of equations 3 and 4, section IV-A and the figure of the beams."""
 
 import numpy as np
 
