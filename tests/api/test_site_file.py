@@ -81,6 +81,8 @@ def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
         (HEAD + LIDARS.split('[[lidar]]\nname = "mast-b')[0], "lidar: expected a list of length"),
         (HEAD + "pole = 1" + LIDARS, "unknown key pole, expected poles"),
         (HEAD + LIDARS + 'recording = "x"', r"lidar 2 \(mast-b\): unknown key recording, expected"),
+        (HEAD + "[poles]\nradius_m = 20" + LIDARS, r"poles, radius_m: 20 m is no pole; 20 mm\?"),
+        (HEAD + "[poles]\nradius_m = 0.3" + LIDARS, "poles, radius_m: expected a number <= 0.25"),
         (HEAD + LIDARS + "threshold = nan", r"lidar 2 \(mast-b\), threshold: expected a number"),
         (HEAD + LIDARS + "up = [0, 1]", r"lidar 2 \(mast-b\), up: expected a list of length >= 3"),
         (HEAD + LIDARS + 'unit = "inch"', r"lidar 2 \(mast-b\), unit: invalid enum value 'inch'"),

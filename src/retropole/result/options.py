@@ -6,6 +6,7 @@ them, so that bounds, defaults and help stand here alone.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, NamedTuple, get_args
 
 import msgspec
@@ -17,7 +18,7 @@ from ..base.sensors import SENSORS
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
 from ..io.downsampling import LEAST_POINTS, MAX_POINTS
-from ..io.units import Unit
+from ..io.units import METRES, Unit
 
 UNITS = get_args(Unit)
 """That coordinates may have."""
@@ -39,6 +40,23 @@ Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
 PriorSigma = Annotated[float, Meta(gt=0, le=180)]
 Seed = Annotated[int, Meta(ge=0, le=LARGEST_WHOLE)]
 Frames = tuple[int | None, int | None, int | None]
+
+THINNEST = 0.005
+"""Radius from which poles are common, metres: a radius that was given in another unit is one."""
+
+
+def radius_in_metres(given: float) -> str:
+    """Say of a radius above the limit which unit it was probably typed in, and what to give.
+
+    Empty where it is not above, or no radius of a pole in centimetres or millimetres.
+    """
+    meant = {unit: given * METRES[unit] for unit in ("mm", "cm")}
+    likely = {unit: r for unit, r in meant.items() if THINNEST <= r <= MAX_RADIUS}
+    if given <= MAX_RADIUS or not likely:
+        return ""
+    # Of two, the one nearer to the usual radius.
+    unit = min(likely, key=lambda unit: abs(math.log(likely[unit] / DEFAULT_RADIUS)))
+    return f"{given:g} m is no pole; {given:g} {unit}? give {likely[unit]:g}"
 
 
 def told(text: str) -> Meta:
