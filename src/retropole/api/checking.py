@@ -16,7 +16,7 @@ from ..base.reasons import prefixed
 from ..base.uncertainty import Uncertainty
 from ..export import inverted, read_transform
 from ..export.documents import result_in
-from ..io import sha256_of, topics_of
+from ..io import topics_of
 from ..io.units import Unit
 from ..monitoring.certainty import FALSE_ALARM as FALSE_ALARM
 from ..monitoring.drift import check
@@ -26,7 +26,8 @@ from ..monitoring.swapped import swap
 from ..monitoring.tolerance import Asked
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
-from .inputs import SILENT, Input, Listener, read_pair
+from .inputs import SILENT, Listener, read_pair
+from .stored import are_swapped, hashes_of
 
 
 class Stored(NamedTuple):
@@ -86,9 +87,7 @@ def read_stored(
         for reason in document.reasons
     )
     parts = None if sigma is not None else document.whole_uncertainty
-    hashes = [item.sha256 for item in document.inputs]
-    pairs = tuple(zip(hashes[::2], hashes[1::2], strict=False))
-    return Stored(pose, document.config, warnings, parts, pairs)
+    return Stored(pose, document.config, warnings, parts, hashes_of(document))
 
 
 def check_recordings(
@@ -136,11 +135,14 @@ def check_recordings(
         unit=unit or known.unit,
         unit_source=unit_source or unit or known.source_unit,
     )
+    if are_swapped(stored.hashes, target, source):
+        swapped = swap("RESULT was made of these very files", {"told_by": "hashes"})
+        return CheckResult("cannot_tell", (swapped, *stored.warnings))
     pair = read_pair(target, source, config, listener)
     listener.progress("check")
-    swapped = files_swapped(stored, *pair)
-    if swapped is not None:
-        answer = CheckResult("cannot_tell", (swapped,))
+    topics = topics_swapped(known, pair.target.topic, pair.source.topic)
+    if topics is not None:
+        answer = CheckResult("cannot_tell", (topics,))
     else:
         answer = check(
             stored.pose,
@@ -156,17 +158,13 @@ def check_recordings(
     return replace(answer, reasons=(*answer.reasons, *stored.warnings))
 
 
-def files_swapped(stored: Stored, target: Input, source: Input) -> Reason | None:
-    """Say that the files of the stored run, or its topics, are given the other way round."""
-    known = stored.config.target_topic, stored.config.source_topic
-    if None not in known and known[0] != known[1] and (source.topic, target.topic) == known:
-        words = f"RESULT's target is the topic {known[0]}, and its source {known[1]}"
-        return swap(words, {"told_by": "topics"})
-    if all(first == second for first, second in stored.hashes):
+def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> Reason | None:
+    """Say that the topics of the stored run are read the other way round."""
+    topics = known.target_topic, known.source_topic
+    if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
-    if (sha256_of(source.name), sha256_of(target.name)) not in stored.hashes:
-        return None
-    return swap("RESULT was made of these very files", {"told_by": "hashes"})
+    words = f"RESULT's target is the topic {topics[0]}, and its source {topics[1]}"
+    return swap(words, {"told_by": "topics"})
 
 
 def topic_for(path: Path, given: str | None, known: str | None) -> str | None:

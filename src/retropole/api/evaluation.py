@@ -9,6 +9,7 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
+from ..base.files import read_document
 from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
@@ -19,12 +20,16 @@ from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..evaluation.rivals import ALL_METHODS
 from ..export import read_transform
+from ..export.documents import result_in
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable
-from ..result import RunConfig
+from ..monitoring.swapped import swap
+from ..result import ResultDoc, RunConfig
+from ..result.folder import any_result_file
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
 from .result import CalibrationResult
+from .stored import are_swapped, hashes_of
 
 
 def evaluate(
@@ -69,7 +74,8 @@ def evaluate(
     Raises
     ------
     UsageError
-        For a matrix that is not a rigid transform, and for arrays of another shape.
+        For a matrix that is not a rigid transform, for arrays of another shape, and where the
+        files are those of the result the other way round.
     Refusal
         ``too_few_points`` where a cloud is too small, ``far_from_lidar`` where a coordinate is
         none, and where the transform is that of a refused result.
@@ -78,6 +84,7 @@ def evaluate(
     """
     config = run_config(locals())
     T = _transform(T_target_source)
+    _refuse_swapped(target, source, T_target_source)
     progress("read")
     pair = read_pair(target, source, config, Listener(progress, on_read))
     for each in pair:
@@ -129,6 +136,19 @@ def compare(
         seed=config.seed,
         progress=listener.progress,
     )
+
+
+def _refuse_swapped(
+    target: CloudSource, source: CloudSource, given: Array | CalibrationResult | str | Path
+) -> None:
+    """Refuse the files of a result the other way round, before they are read."""
+    if not isinstance(target, str | Path) or not isinstance(source, str | Path):
+        return
+    document: object = given.document if isinstance(given, CalibrationResult) else None
+    if isinstance(given, str | Path):
+        document = result_in(read_document(any_result_file(Path(given))))
+    if isinstance(document, ResultDoc) and are_swapped(hashes_of(document), target, source):
+        raise UsageError(swap("the result was made of these very files", {}).message)
 
 
 def _transform(given: Array | CalibrationResult | str | Path) -> Array:

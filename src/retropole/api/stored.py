@@ -18,7 +18,7 @@ from ..export.recording import frames_of, write_mcap
 from ..io import ARRAY_SOURCE, sha256_of
 from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc
 from ..result.folder import any_result_file
-from .inputs import SILENT, Listener, read_input
+from .inputs import SILENT, Listener, read_input, recording_hash
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -115,6 +115,35 @@ def _find(item: InputDoc, beside: Path) -> Path:
             return place
     looked = ", ".join(str(place) for place in places)
     raise ReadError(f"{item.path}: not found (looked for {looked}); give TARGET and SOURCE")
+
+
+def hashes_of(result: ResultDoc) -> tuple[tuple[str, str], ...]:
+    """Give SHA-256 of target and source of each placement."""
+    hashes = [item.sha256 for item in result.inputs]
+    return tuple(zip(hashes[::2], hashes[1::2], strict=False))
+
+
+def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
+    """Tell whether two recordings are those of a run the other way round; none is read as one.
+
+    One bag may hold both LiDARs: then nothing is told.
+
+    Parameters
+    ----------
+    hashes
+        As `hashes_of` gives them.
+    target, source
+        What is given.
+
+    Raises
+    ------
+    ReadError
+        Where one cannot be read.
+    """
+    if all(first == second for first, second in hashes):
+        return False
+    given = recording_hash(Path(target)), recording_hash(Path(source))
+    return given[::-1] in hashes and given not in hashes
 
 
 def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:

@@ -71,7 +71,7 @@ def evaluate(
     T = read_transform(transform).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with listening(False, options["frames"], hidden=as_json) as listener:
-        aligned = score(target, source, T, sigma=sigma, **listener._asdict(), **options)
+        aligned = score(target, source, transform, sigma=sigma, **listener._asdict(), **options)
     errors = None if T_true is None else errors_of(T, T_true)
     if as_json:
         figures = {

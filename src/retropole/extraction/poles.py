@@ -159,7 +159,7 @@ def extract_poles(
 
 
 def _without_intensity(cloud: PointCloud) -> Refusal:
-    """Refuse a cloud that has no intensity, or one for all, and say which: what went wrong before differs."""
+    """Refuse a cloud that has no intensity, or one for all points, and say which it is."""
     name = cloud.source or "the cloud"
     values: dict[str, float | int | str] = {"points": len(cloud)}
     if len(cloud) == 0:
