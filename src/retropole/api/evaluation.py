@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -75,14 +76,14 @@ def evaluate(
     ------
     UsageError
         For a matrix that is not a rigid transform, for arrays of another shape, and where the
-        files are those of the result the other way round.
+        files are those of the result the other way round, or the seed is no number from 0 up.
     Refusal
         ``too_few_points`` where a cloud is too small, ``far_from_lidar`` where a coordinate is
         none, and where the transform is that of a refused result.
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    config = run_config(locals())
+    config, rng = run_config(locals()), _generator(seed)
     T = _transform(T_target_source)
     _refuse_swapped(target, source, T_target_source)
     progress("read")
@@ -90,7 +91,6 @@ def evaluate(
     for each in pair:
         check_coordinates(each.cloud)
     progress("evaluate")
-    rng = np.random.default_rng(config.seed)
     return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma)
 
 
@@ -101,6 +101,8 @@ def compare(
     methods: Sequence[str] = ALL_METHODS,
     T_true: Array | None = None,
     listener: Listener = SILENT,
+    *,
+    seed: int = 0,
 ) -> list[Compared]:
     """Run our method and its rivals on the same clouds, and score their answers alike.
 
@@ -109,12 +111,13 @@ def compare(
     target, source
         As `evaluate` takes them.
     config
-        The options: what is read, the seed of the rivals, and radius, sensors and thresholds of
-        our own method.
+        The options: what is read, and radius, sensors and thresholds of our own method.
     methods, T_true
         As `evaluation.comparison.compare` takes them.
     listener
         Told of each step as it starts, and of each cloud once it is read.
+    seed
+        Of what rivals draw, and of the points on which all are scored.
 
     Raises
     ------
@@ -133,9 +136,16 @@ def compare(
         radius=config.radius_m,
         sensors=(pair.target.sensor, pair.source.sensor),
         thresholds=(config.threshold_target, config.threshold_source),
-        seed=config.seed,
+        seed=seed,
         progress=listener.progress,
     )
+
+
+def _generator(seed: int) -> np.random.Generator:
+    try:
+        return np.random.default_rng(operator.index(seed))
+    except (TypeError, ValueError):
+        raise UsageError(f"seed is {seed!r}, expected a number from 0 up") from None
 
 
 def _refuse_swapped(

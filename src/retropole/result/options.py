@@ -38,7 +38,6 @@ Poles = Annotated[int, Meta(ge=MIN_POLES, le=LARGEST_WHOLE)]
 NeededError = Annotated[float, Meta(gt=0, le=LARGEST_NEED)]
 Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
 PriorSigma = Annotated[float, Meta(gt=0, le=180)]
-Seed = Annotated[int, Meta(ge=0, le=LARGEST_WHOLE)]
 Frames = tuple[int | None, int | None, int | None]
 
 THINNEST = 0.005
@@ -160,7 +159,6 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Distance | None,
         told(f"Distance up to which --need-cm must hold, m.  [default: {DEFAULT_AT:g}]"),
     ] = None
-    seed: Annotated[Seed, told("Seed of whatever is drawn at random.")] = 0
     threshold_target: Annotated[
         Intensity | None,
         told(
