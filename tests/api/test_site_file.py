@@ -61,6 +61,12 @@ def test_a_long_file_is_taken_as_it_stands() -> None:
     assert site.need.at_m == 30.0
 
 
+@pytest.mark.parametrize("unit", ["m", "cm", "mm", "ft", "in"])
+def test_coordinates_may_be_in_any_unit(unit: str) -> None:
+    site = decode_site_file((HEAD + LIDARS + f'unit = "{unit}"').encode())
+    assert site.lidar[1].reading(site.max_points).unit == unit
+
+
 def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
     (tmp_path / "rear.toml").write_text('like = "XT32"')
     path = tmp_path / "site.toml"

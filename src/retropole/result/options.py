@@ -94,7 +94,7 @@ class Reading(NamedTuple):
     max_points
         Of a cloud with more, so many are kept, as `io.read_cloud` does.
     unit
-        Of the coordinates: ``m``, ``cm`` or ``mm``.
+        Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     """
 
     sensor: str = "auto"
