@@ -28,6 +28,7 @@ from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
 from .inputs import SILENT, Listener, read_pair
 from .stored import are_swapped, hashes_of
+from .travelling import with_sensors_from
 
 
 class Stored(NamedTuple):
@@ -79,9 +80,11 @@ def read_stored(
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    document = result_in(read_document(result_file(path)))
+    file = result_file(path)
+    document = result_in(read_document(file))
     if not isinstance(document, ResultDoc):
         return Stored(pose, DEFAULT_CONFIG, ())
+    document = with_sensors_from(document, file.parent)
     warnings = tuple(
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons

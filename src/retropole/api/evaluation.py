@@ -68,8 +68,8 @@ def evaluate(
     target_topic, source_topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     unit, unit_source
-        Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where it
-        is another.
+        Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where
+        it is another.
     progress, on_read
         Called with the name of each step as it starts, and with each cloud once it is read.
 
