@@ -109,6 +109,16 @@ def test_odd_names_are_quoted(tmp_path: Path) -> None:
     assert names == {'a "b"\\c', "grün 😀"}
 
 
+def test_one_name_with_numbers_is_of_as_many_lidars(tmp_path: Path) -> None:
+    for k in (1, 2, 10):
+        (tmp_path / f"lidar_{k}.pcd").write_bytes(b"")
+    draft = draft_site(tmp_path, tmp_path / "site.toml")
+    assert draft.summary == "3 LiDARs: lidar_1, lidar_2, lidar_10; 1 placement: 1"
+    # A second name makes the numbers those of placements again.
+    (tmp_path / "mast_1.pcd").write_bytes(b"")
+    assert "2 LiDARs: lidar, mast; 3 placements" in draft_site(tmp_path, tmp_path / "s").summary
+
+
 @pytest.mark.parametrize(
     ("names", "said"),
     [

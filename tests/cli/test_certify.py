@@ -69,6 +69,8 @@ def test_every_pair_of_a_site_file_is_tested(four: Path) -> None:
     assert json.loads((four / "out" / "field-test.json").read_text())["status"] == "pass"
     assert "Pass: the LiDARs measure" in (four / "out" / "field-test.html").read_text()
     assert "all 6 differences within their limits" in done.stdout
+    of_folder = retropole_here("certify", four, "--json")
+    assert json.loads(of_folder.stdout)["status"] == "pass"
     other = retropole_here("certify", four / "site.toml", "--radius", "0.03")
     assert other.returncode == 2
     assert "--radius: the site file says so itself" in other.stderr

@@ -29,7 +29,7 @@ from ..monitoring.tolerance import Asked
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
 from ..result.site import SiteDoc
-from .inputs import SILENT, Listener, read_pair
+from .inputs import SILENT, InputPair, Listener, read_pair
 from .stored import are_swapped, hashes_of
 from .travelling import with_sensors_from
 
@@ -116,7 +116,8 @@ def check_lidars(path: Path, there: Sequence[str], named: tuple[str, str] | None
     if named is None or named[0] == named[1] or not {*named} <= {*there}:
         raise ReadError(
             f"{path} is of a site: name two of its LiDARs, that of TARGET with --parent and that "
-            f"of SOURCE with --child; there are {', '.join(there)}"
+            f"of SOURCE with --child; there are {', '.join(there)}; 'retropole site check' checks "
+            "them all"
         )
 
 
@@ -198,19 +199,40 @@ def check_recordings(
     listener.progress("check")
     topics = topics_swapped(known, pair.target.topic, pair.source.topic)
     if topics is not None:
-        answer = CheckResult("cannot_tell", (topics,))
-    else:
-        answer = check(
-            stored.pose,
-            pair.target.cloud,
-            pair.source.cloud,
-            uncertainty=stored.uncertainty,
-            tolerance=Asked(rotation, translation),
-            radius=config.radius_m,
-            radius_sigma=config.radius_sigma_m,
-            sensors=(pair.target.sensor, pair.source.sensor),
-            thresholds=(config.threshold_target, config.threshold_source),
-        )
+        return CheckResult("cannot_tell", (topics, *stored.warnings))
+    return check_pair(stored, pair, config, Asked(rotation, translation))
+
+
+def check_pair(stored: Stored, pair: InputPair, config: RunConfig, tolerance: Asked) -> CheckResult:
+    """Check recordings that were read against a stored result.
+
+    Parameters
+    ----------
+    stored
+        As `read_stored` gives it.
+    pair
+        The new recordings.
+    config
+        Radius and thresholds.
+    tolerance
+        The movement that matters.
+
+    Raises
+    ------
+    Refusal
+        As `monitoring.drift.check`.
+    """
+    answer = check(
+        stored.pose,
+        pair.target.cloud,
+        pair.source.cloud,
+        uncertainty=stored.uncertainty,
+        tolerance=tolerance,
+        radius=config.radius_m,
+        radius_sigma=config.radius_sigma_m,
+        sensors=(pair.target.sensor, pair.source.sensor),
+        thresholds=(config.threshold_target, config.threshold_source),
+    )
     return replace(answer, reasons=(*answer.reasons, *stored.warnings))
 
 

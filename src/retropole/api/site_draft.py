@@ -71,7 +71,8 @@ def draft_site(folder: Path, path: Path) -> Draft:
     folder
         Holds ``LIDAR/PLACEMENT.pcd``, ``PLACEMENT/LIDAR.pcd``, ``LIDAR_PLACEMENT.pcd``,
         ``2026-11-23-06-01-LIDAR.pcd`` with the time of the placement or, of one placement,
-        ``LIDAR.pcd``; a recording may have any format that is read.
+        ``LIDAR.pcd``, also where all have one name and a number each (``lidar_1.pcd``); a recording
+        may have any format that is read.
     path
         Where the file is going to be: paths in it count from its folder.
 
@@ -167,6 +168,9 @@ def _flat(folder: Path, files: Sequence[Path]) -> list[tuple[str, str, Path]]:
             f"{folder}: {_quoted(named)} may be LIDAR_PLACEMENT, {others[0]} is not; name all the "
             "same way"
         )
+    if len({match[1] for match in both.values() if match}) == 1:
+        # lidar-1.pcd and lidar-2.pcd: of one LiDAR there is no site, so they are two.
+        both = dict.fromkeys(files)
     return [
         (match[1], match[2], path) if match else (_name(path), "1", path)
         for path, match in both.items()

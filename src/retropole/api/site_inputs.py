@@ -67,6 +67,24 @@ class SiteInputs:
         return [recording_document(document, *at) for document, at in documents]
 
 
+def site_file_in(path: Path) -> Path:
+    """Take the site file in a folder; a file as it is.
+
+    Raises
+    ------
+    ReadError
+        Where it is not there, and its folder is; names the command that writes one.
+    """
+    if path.is_dir():
+        path = path / SITE_FILE
+    if not path.exists() and path.parent.is_dir():
+        raise ReadError(
+            f"{path.parent}: holds no {path.name}; 'retropole site init {path.parent}' writes "
+            f"{SITE_FILE} from the recordings in it"
+        )
+    return path
+
+
 def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     """Read a site file and all its recordings.
 
@@ -85,13 +103,7 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     MissingExtraError
         Where a recording needs an extra, or projected coordinates do.
     """
-    if path.is_dir():
-        path = path / SITE_FILE
-    if not path.exists() and path.parent.is_dir():
-        raise ReadError(
-            f"{path.parent}: holds no {path.name}; 'retropole site init {path.parent}' writes "
-            f"{SITE_FILE} from the recordings in it"
-        )
+    path = site_file_in(path)
     file = read_site_file(path)
     # What can be told now is told before recordings are read: that takes long.
     if file.reference.epsg is not None:

@@ -47,8 +47,8 @@ def certify(
     TARGET and SOURCE are recordings of the same poles, as for 'calibrate'. Each LiDAR measures the
     distances between the poles for itself; where they differ by more than what is stated of both
     LiDARs allows, the pair fails. Four poles, or several placements, are needed. Name the sensors:
-    what is stated of them sets the limits. A site file (.toml) alone as TARGET tests every pair of
-    its LiDARs.
+    what is stated of them sets the limits. A site file (.toml), or the folder that holds site.toml,
+    alone as TARGET tests every pair of its LiDARs.
 
     \b
     Examples:
@@ -57,7 +57,7 @@ def certify(
       retropole certify --placement f1.pcd r1.pcd --placement f2.pcd r2.pcd
       retropole certify front.pcd rear.pcd --json > field-test.json
       retropole certify site.toml
-      retropole certify site.toml --out field-test
+      retropole certify quay/ --out field-test
 
     \b
     Exit code:
@@ -75,7 +75,7 @@ def certify(
 
     config = RunConfig(**options)
     with listening(quiet, config.frames, hidden=as_json) as listener:
-        if target is not None and target.suffix == ".toml" and source is None and not placements:
+        if target is not None and _is_site(target) and source is None and not placements:
             _refuse_options()
             document = certification.certify_site(target, listener)
         else:
@@ -96,6 +96,11 @@ def certify(
         for reason in document.pairs[0].reasons if document.pairs else ():
             echo_refusal(reason.code, reason.message)
     return EXITS[document.status]
+
+
+def _is_site(path: Path) -> bool:
+    """Whether what is given alone stands for a site: its file, or a folder."""
+    return path.suffix == ".toml" or path.is_dir()
 
 
 def _refuse_options() -> None:

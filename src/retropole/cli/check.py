@@ -142,29 +142,32 @@ def check(
 
 def json_line(answer: CheckResult) -> str:
     """Write the answer as one line of JSON; what is not known is null."""
+    return json_text(answer_fields(answer))
+
+
+def answer_fields(answer: CheckResult) -> dict[str, Any]:
+    """Name all that an answer says; what is not known is None."""
     from ..api.checking import FALSE_ALARM
 
     rotation, translation = answer.rotation, answer.translation
     tolerance = answer.tolerance
-    return json_text(
-        {
-            "status": answer.status,
-            "used": answer.used,
-            "moved_deg": rotation and math.degrees(rotation.length),
-            "sigma_deg": rotation and math.degrees(rotation.sigma),
-            "moved_m": translation and translation.length,
-            "sigma_m": translation and translation.sigma,
-            "chi2": answer.chi2,
-            "p_value": answer.p_value,
-            "false_alarm": FALSE_ALARM,
-            "power": answer.power,
-            "tolerance_deg": tolerance and math.degrees(tolerance.rotation),
-            "tolerance_m": tolerance and tolerance.translation,
-            "confirmation": answer.confirmation,
-            "T_target_source": answer.T_target_source,
-            "reasons": answer.reasons,
-        }
-    )
+    return {
+        "status": answer.status,
+        "used": answer.used,
+        "moved_deg": rotation and math.degrees(rotation.length),
+        "sigma_deg": rotation and math.degrees(rotation.sigma),
+        "moved_m": translation and translation.length,
+        "sigma_m": translation and translation.sigma,
+        "chi2": answer.chi2,
+        "p_value": answer.p_value,
+        "false_alarm": FALSE_ALARM,
+        "power": answer.power,
+        "tolerance_deg": tolerance and math.degrees(tolerance.rotation),
+        "tolerance_m": tolerance and tolerance.translation,
+        "confirmation": answer.confirmation,
+        "T_target_source": answer.T_target_source,
+        "reasons": answer.reasons,
+    }
 
 
 def in_words(answer: CheckResult) -> str:

@@ -112,6 +112,7 @@ class Advice(NamedTuple):
 
 
 BY_OPTIONS = Advice("--max-points N", "--unit {}", "read them with {}")
+BY_SITE_FILE = Advice("max_points = N", 'unit = "{}"', "set {} of its LiDAR in the site file")
 
 
 @contextmanager

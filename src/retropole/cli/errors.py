@@ -24,6 +24,10 @@ TO_LOOK_AT = {
         "check the site file, and the recordings that it names",
         "site.html",
     ),
+    "retropole site check": (
+        "check the result, the site file, and the recordings that it names",
+        "check.html",
+    ),
     "retropole fleet calibrate": (
         "check SITES and the dataset; what is wrong with one recording is in its row",
         "fleet.html",

@@ -1,4 +1,4 @@
-"""The commands ``retropole site init`` and ``retropole site calibrate``."""
+"""The commands ``retropole site init`` and ``site calibrate``, and the group of all of a site."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from pathlib import Path
 
 import click
 
-from .common import Advice, command_line, listening, result_told, say, show, show_written
+from .common import BY_SITE_FILE, command_line, listening, result_told, say, show, show_written
 from .older import DEFAULT_OUT, SettingSiteAside, older_set_aside
 from .options import CLOUD, FILE, OUT, verdict_options
-
-SITE_FILE = Advice("max_points = N", 'unit = "{}"', "set {} of its LiDAR in the site file")
+from .site_check import site_check
 
 
 @click.group()
@@ -25,7 +24,11 @@ def site() -> None:
     Examples:
       retropole site init recordings
       retropole site calibrate recordings/site.toml
+      retropole site check retropole-out tonight/site.toml
     """
+
+
+site.add_command(site_check)
 
 
 @site.command()
@@ -41,7 +44,7 @@ def init(folder: Path, out: Path | None, force: bool, quiet: bool) -> int:
       FOLDER/mast-a/1.pcd    a folder for each LiDAR, a file for each placement
       FOLDER/1/mast-a.pcd    a folder for each placement, a file for each LiDAR
       FOLDER/mast-a_1.pcd    all in one folder
-      FOLDER/mast-a.pcd      one placement only
+      FOLDER/mast-a.pcd      one placement only; lidar_1.pcd, lidar_2.pcd as well
 
     Placements have numbers, or a word and a number (1, p2, placement-3); LiDARs any names.
     Comments in the file say what may be added: sensors, surveyed poles, the accuracy needed.
@@ -102,10 +105,13 @@ def calibrate(
     from ..report.text import describe_site
 
     asked = "as the site file says"
-    with older_set_aside(out, site=True), listening(quiet, asked, SITE_FILE) as listener:
+    with older_set_aside(out, site=True), listening(quiet, asked, BY_SITE_FILE) as listener:
         result = calibrate_site(site_file, **listener._asdict())
         listener.progress("report")
         written = result.save(out)
-    following = {"next": command_line("export", written[0], "--to", "urdf")}
+    following = {
+        "next": command_line("export", written[0], "--to", "urdf"),
+        "later, with new recordings": command_line("site", "check", out, site_file),
+    }
     describe = partial(describe_site, result.document, following=following, verbose=verbose)
     return result_told(result, written, describe, as_json=as_json, quiet=quiet, strict=strict)

@@ -16,10 +16,10 @@ from typing import Any
 from msgspec.structs import replace
 
 from ...api.site_file import LARGEST_SITE_FILE, LidarTable, SiteFile, decode_site_file
+from ...api.site_pairs import pair_config, shared_placements, stored_pairs
 from ...base.errors import ReadError, Refusal, RetropoleError, quoting
 from ...base.files import LARGEST_DOCUMENT, read_document
 from ...base.version import __version__
-from ...result import RunConfig
 from ...result.decoding import decode_site
 from ...result.folder import RESULT_FILE, SITE_RESULT_FILE, result_file
 from ...result.site import SiteDoc
@@ -99,14 +99,12 @@ def _result_of_site(site: FleetSite, answers: Mapping[str, Row] | None) -> tuple
 
 
 def _pairs(site: FleetSite, stored: SiteDoc, file: SiteFile, place: str) -> Iterator[WatchedPair]:
-    names = [lidar.name for lidar in stored.lidars]
     tables = {lidar.name: lidar for lidar in file.lidar}
-    shared = [each.lidars for each in stored.pairs if each.shared_poles and each.refusal is None]
+    shared = stored_pairs(stored)
     if stored.status == "refused" or not shared:
         codes = ", ".join(reason.code for reason in stored.reasons)
         raise ReadError(f"its stored result has no pair that shares poles ({codes})")
-    for i, j in shared:
-        both = names[i], names[j]
+    for both in shared:
         given: dict[str, Any] = {"result": place}
         try:
             if not tables.keys() >= {*both}:
@@ -123,26 +121,14 @@ def _recorded(
     site: FleetSite, stored: SiteDoc, target: LidarTable, source: LidarTable
 ) -> dict[str, Any]:
     """Take the recordings of the first placement that both have, with the options of the file."""
-    both = zip(target.recordings, source.recordings, strict=False)
-    recordings = next(filter(all, both), None)
-    if recordings is None:
+    shared = shared_placements(target, source)
+    if not shared:
         raise ReadError(f"no placement of both {target.name} and {source.name}")
     if target.frames or source.frames:
         raise ReadError("frames: a check takes whole recordings")
-    config = RunConfig(
-        radius_m=stored.radius_m,
-        radius_sigma_m=stored.radius_sigma_m,
-        sensor_target=target.sensor,
-        sensor_source=source.sensor,
-        threshold_target=target.threshold,
-        threshold_source=source.threshold,
-        target_topic=target.topic,
-        source_topic=source.topic,
-        unit=target.unit,
-        unit_source=source.unit,
-    )
+    recordings = (each.recordings[shared[0]] for each in (target, source))
     places = (below(folder_of(site.site), each) for each in recordings)
-    return {**dict(zip(ROLES, places, strict=True)), "config": config}
+    return {**dict(zip(ROLES, places, strict=True)), "config": pair_config(stored, target, source)}
 
 
 def check_site(
