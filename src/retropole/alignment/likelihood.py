@@ -213,8 +213,8 @@ def arc_likelihood(
     log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_RADIUS**2)))
     inlier = np.exp(log_pole - log)
 
-    def mean(of: Array, more: Array | float = 1.0) -> Array:
-        return np.asarray(np.einsum("kn,kn->n", of, np.broadcast_to(more, of.shape)))
+    def mean(weighted: Array, values: Array) -> Array:
+        return np.asarray(np.einsum("kn,kn->n", weighted, values))
 
     # Derivatives of a node's exponent with respect to g, m, r, of which x and y are the first two
     # in units of the noise, and the mean of what they leave. Weights depend on r too: what the
