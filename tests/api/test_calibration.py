@@ -163,7 +163,12 @@ def test_of_a_file_without_intensity_no_array_is_asked_for(tmp_path: Path) -> No
     ("options", "message"),
     [
         ({"radius": 0.0}, "radius is 0.0, expected a number from 0.002 to 0.25 m"),
-        ({"radius": 2.0}, "radius is 2.0, expected a number from 0.002 to 0.25 m"),
+        ({"radius": 0.3}, "radius is 0.3, expected a number from 0.002 to 0.25 m"),
+        ({"radius": 1e9}, r"radius is 1000000000\.0, expected a number from 0.002 to 0.25 m"),
+        ({"radius": 20}, r"radius is 20: 20 m is no pole; 20 mm\? give 0\.02"),
+        ({"radius": "20"}, r"20 mm\? give 0\.02"),
+        ({"radius": 2.0}, r"2 m is no pole; 2 cm\? give 0\.02"),
+        ({"radius": 150.0}, r"150 m is no pole; 150 mm\? give 0\.15"),
         ({"radius": float("nan")}, "radius is nan"),
         ({"radius_sigma": -1.0}, "radius_sigma is -1.0, expected a number from 0 to 0.25 m"),
         ({"need": 0.0}, "need is 0.0, expected a number above 0, 10 m at most"),

@@ -42,6 +42,12 @@ def test_what_is_no_transform_is_refused(T: object) -> None:
         rp.evaluate(pair().target, pair().source, T)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("seed", [-1, 0.5, "0"])
+def test_what_is_no_seed_is_refused(seed: object) -> None:
+    with pytest.raises(rp.UsageError, match=r"seed is .*, expected a number from 0 up"):
+        rp.evaluate(pair().target, pair().source, np.eye(4), seed=seed)  # type: ignore[arg-type]
+
+
 def test_a_refused_result_has_nothing_to_score(tmp_path: Path) -> None:
     refused().save(tmp_path)
     for given in (refused(), tmp_path):

@@ -72,7 +72,7 @@ def test_it_is_saved_whole(result: rp.SiteResult, tmp_path: Path) -> None:
 
 
 def test_what_is_loaded_says_the_same(result: rp.SiteResult, tmp_path: Path) -> None:
-    result.save(tmp_path / "out")
+    result.save(tmp_path / "out", relative=False)
     for place in (tmp_path / "out", tmp_path / "out" / "site-result.json"):
         loaded = rp.load_site_result(place)
         assert loaded.document == result.document
@@ -81,8 +81,20 @@ def test_what_is_loaded_says_the_same(result: rp.SiteResult, tmp_path: Path) -> 
             np.testing.assert_array_equal(loaded.T(a, b), result.T(a, b))
             np.testing.assert_array_equal(loaded.covariance(a, b), result.covariance(a, b))
         assert loaded.pose("gate").budget == result.pose("gate").budget
-    loaded.save(tmp_path / "again")
+    loaded.save(tmp_path / "again", relative=False)
     assert rp.load_site_result(tmp_path / "again").document == result.document
+
+
+def test_the_recordings_are_named_as_seen_from_the_result(
+    result: rp.SiteResult, tmp_path: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    for folder in (tmp_path / "out", tmp_path / "a" / "gain"):
+        result.save(folder)
+        document = rp.load_site_result(folder).document
+        names = [*(each.path for each in document.inputs), document.config.site_file]
+        assert not any(Path(name).is_absolute() for name in names)
+        assert all((folder / name).exists() for name in names)
 
 
 def test_what_is_no_result_of_a_site_is_not_loaded(tmp_path: Path) -> None:

@@ -61,6 +61,12 @@ def test_a_long_file_is_taken_as_it_stands() -> None:
     assert site.need.at_m == 30.0
 
 
+@pytest.mark.parametrize("unit", ["m", "cm", "mm", "ft", "in"])
+def test_coordinates_may_be_in_any_unit(unit: str) -> None:
+    site = decode_site_file((HEAD + LIDARS + f'unit = "{unit}"').encode())
+    assert site.lidar[1].reading(site.max_points).unit == unit
+
+
 def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
     (tmp_path / "rear.toml").write_text('like = "XT32"')
     path = tmp_path / "site.toml"
@@ -81,6 +87,8 @@ def test_a_sensor_may_be_described_by_a_file_beside_it(tmp_path: Path) -> None:
         (HEAD + LIDARS.split('[[lidar]]\nname = "mast-b')[0], "lidar: expected a list of length"),
         (HEAD + "pole = 1" + LIDARS, "unknown key pole, expected poles"),
         (HEAD + LIDARS + 'recording = "x"', r"lidar 2 \(mast-b\): unknown key recording, expected"),
+        (HEAD + "[poles]\nradius_m = 20" + LIDARS, r"poles, radius_m: 20 m is no pole; 20 mm\?"),
+        (HEAD + "[poles]\nradius_m = 0.3" + LIDARS, "poles, radius_m: expected a number <= 0.25"),
         (HEAD + LIDARS + "threshold = nan", r"lidar 2 \(mast-b\), threshold: expected a number"),
         (HEAD + LIDARS + "up = [0, 1]", r"lidar 2 \(mast-b\), up: expected a list of length >= 3"),
         (HEAD + LIDARS + 'unit = "inch"', r"lidar 2 \(mast-b\), unit: invalid enum value 'inch'"),

@@ -3,11 +3,14 @@
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
+from retropole.result import encode
 from retropole.simulation import record_again, simulate_pair, write_pair
 from tests.cli.commands import retropole_here
+from tests.export.sites import free
 
 SMALL_ROTATION = np.r_[0.0, 0, np.radians(0.3), 0, 0, 0]
 
@@ -151,3 +154,25 @@ def test_help_has_worked_examples(site: Path) -> None:
     done = retropole_here("check", "--help", cwd=site)
     assert done.returncode == 0
     assert "retropole check " in done.stdout.split("Examples:")[1]
+
+
+def test_of_a_site_two_lidars_are_named(site: Path, tmp_path: Path) -> None:
+    document = free()
+    lidars = [msgspec.structs.replace(lidar, sensor="auto") for lidar in document.lidars]
+    of_site = msgspec.structs.replace(document, lidars=lidars)
+    (tmp_path / "site-result.json").write_bytes(encode(of_site))
+    code, _ = run(site, str(tmp_path), "same")
+    assert code == 2
+    files = "same/lidar0.pcd", "same/lidar1.pcd"
+    done = retropole_here("check", tmp_path, *files, cwd=site)
+    assert "name two of its LiDARs" in done.stderr
+    assert "there are mast-a, mast-b, gate" in done.stderr
+    assert run(site, str(tmp_path), "same", "--parent", "mast-a")[0] == 2
+    # Another place than that of the made-up site.
+    words = ("--parent", "mast-a", "--child", "gate", "--json")
+    code, text = run(site, str(tmp_path), "same", *words)
+    assert code in (3, 4)
+    assert json.loads(text)["status"] in ("cannot_tell", "moved")
+    done = retropole_here("evaluate", *files, "--transform", tmp_path, *words, cwd=site)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["confirmation"]["contradicted"] > 0.05

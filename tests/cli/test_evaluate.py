@@ -38,6 +38,17 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     )
 
 
+def test_files_of_the_result_the_other_way_round_are_told(scene: Path, tmp_path: Path) -> None:
+    clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"
+    assert retropole_here("calibrate", *clouds, "--out", tmp_path, "-q").returncode == 0
+    for result in (tmp_path, tmp_path / "result.json"):
+        done = retropole_here("evaluate", *clouds[::-1], "--transform", result)
+        assert done.returncode == 2
+        assert "TARGET and SOURCE are swapped" in done.stderr
+        assert "give them the other way round" in done.stderr
+    assert retropole_here("evaluate", *clouds, "--transform", tmp_path).returncode == 0
+
+
 def test_evaluate_refuses_a_transform_that_is_none(scene: Path, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "scaled.txt", np.diag([2.0, 2.0, 2.0, 1.0]))
     clouds = scene / "lidar0.pcd", scene / "lidar1.pcd"

@@ -107,6 +107,15 @@ def test_what_a_recording_cannot_be_is_said_in_the_words_of_the_file(
     assert "gate/1.pcd: 95 % of the points are within 0.0" in done.stderr
 
 
+def test_a_folder_without_a_site_file_is_told_how_to_get_one(tmp_path: Path) -> None:
+    write_recordings(tmp_path)
+    words = f"holds no site.toml; 'retropole site init {tmp_path}' writes site.toml"
+    for given in (tmp_path, tmp_path / "site.toml"):
+        done = retropole_here("site", "calibrate", given, "--out", tmp_path / "out")
+        assert done.returncode == 2
+        assert f"{tmp_path}: {words}" in done.stderr
+
+
 def test_the_group_tells_its_commands() -> None:
     done = retropole("site", "--help")
     assert done.returncode == 0

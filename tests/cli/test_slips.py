@@ -182,6 +182,8 @@ def test_target_and_source_swapped_in_check(
     assert "TARGET and SOURCE are swapped: RESULT was made of these very files" in done.stdout
     assert "give them the other way round" in done.stdout
     assert "moved" not in done.stdout
+    # It is told before the clouds are read: of these, nothing is said of their unit or size.
+    assert done.stderr == ""
     # New recordings are told by the stored pose, which then fits reversed.
     for k, cloud in enumerate(clouds):
         write_pcd(tmp_path / f"{k}.pcd", recorded_again(cloud, k))

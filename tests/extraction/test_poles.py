@@ -303,12 +303,19 @@ def test_few_or_thick_points_in_a_bright_surface_are_no_pole() -> None:
         assert failure.code == "part_of_a_surface"
 
 
-@pytest.mark.parametrize("intensity", [None, np.full(50, 7.0)])
-def test_no_intensity_is_refused(intensity: Array | None) -> None:
+@pytest.mark.parametrize(
+    ("intensity", "said"),
+    [
+        (None, "has no intensity in any of its 50 points"),
+        (np.full(50, 7.0), "has the intensity 7 in all of its 50 points"),
+    ],
+)
+def test_no_intensity_is_refused(intensity: Array | None, said: str) -> None:
     xyz = np.random.default_rng(0).normal(size=(50, 3))
     with pytest.raises(Refusal) as caught:
         extract_poles(PointCloud(xyz, intensity))
     assert caught.value.code == "no_intensity"
+    assert said in caught.value.message
 
 
 def test_a_threshold_that_most_of_a_large_cloud_passes_is_refused() -> None:

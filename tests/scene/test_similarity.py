@@ -60,6 +60,7 @@ def test_the_factor_is_named_and_swapping_the_clouds_inverts_it(
         # Numbers that are too large are in a small unit.
         small = "source" if factor > 1 else "target"
         assert f"{UNITS[unit]:g}: is the {small} in {unit}?" in there.message
+        assert f"--unit{'-source' if factor > 1 else ''} " in there.message
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,8 @@ def calibrate(
     max_points
         Of a cloud with more, so many are kept: the brightest, and the others evenly.
     unit, unit_source
-        Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
+        Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where
+        it is another.
     progress
         Called with the name of each step as it starts; while a recording of several frames is read,
         with which of how many.

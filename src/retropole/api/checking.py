@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -10,13 +11,14 @@ import numpy as np
 from msgspec.structs import replace as replace_options
 
 from ..base.datatypes import PoseEstimate
-from ..base.errors import Reason, Refusal
+from ..base.errors import ReadError, Reason, Refusal
 from ..base.files import read_document
 from ..base.reasons import prefixed
+from ..base.sensors import name_from
 from ..base.uncertainty import Uncertainty
 from ..export import inverted, read_transform
 from ..export.documents import result_in
-from ..io import sha256_of, topics_of
+from ..io import topics_of
 from ..io.units import Unit
 from ..monitoring.certainty import FALSE_ALARM as FALSE_ALARM
 from ..monitoring.drift import check
@@ -26,7 +28,10 @@ from ..monitoring.swapped import swap
 from ..monitoring.tolerance import Asked
 from ..result import DEFAULT_CONFIG, ResultDoc, RunConfig
 from ..result.folder import result_file
-from .inputs import SILENT, Input, Listener, read_pair
+from ..result.site import SiteDoc
+from .inputs import SILENT, Listener, read_pair
+from .stored import are_swapped, hashes_of
+from .travelling import with_sensors_from
 
 
 class Stored(NamedTuple):
@@ -48,6 +53,8 @@ def read_stored(
 ) -> Stored:
     """Read a stored result; of a file that is not a result document, the options are the defaults.
 
+    Of a site, radius and sensors are those of its run, and other options the defaults.
+
     Parameters
     ----------
     path
@@ -56,14 +63,21 @@ def read_stored(
         1 σ of its rotation, rad, and of its translation, m, about and along each axis; None takes
         its covariance.
     lidars
-        Target and source by their names, of the result of a site: what both have in common cancels
-        in their pose. How much of it errs alike in both recordings is not stored: all counts.
+        Target and source by their names, of the result of a site or another file that holds several
+        poses: what both have in common cancels in their pose. How much of it errs alike in both
+        recordings is not stored: all counts.
 
     Raises
     ------
     Refusal
         Where it was refused, and ``no_covariance`` where the file does not say how certain it is.
+    ReadError
+        Where it cannot be read, or holds no pose, or several, of these LiDARs.
     """
+    file = result_file(path)
+    document = result_in(read_document(file))
+    if isinstance(document, SiteDoc) and document.status != "refused":
+        check_lidars(path, [lidar.name for lidar in document.lidars], lidars)
     parent, child = lidars or (None, None)
     transform = read_transform(path, parent=parent, child=child)
     if transform.roles == ("source", "target"):
@@ -78,17 +92,58 @@ def read_stored(
             "--sigma-m",
         )
     pose = PoseEstimate(transform.T_parent_child, covariance, 0.0)
-    document = result_in(read_document(result_file(path)))
+    if isinstance(document, SiteDoc) and lidars is not None:
+        return _of_site(document, lidars, file.parent, pose)
     if not isinstance(document, ResultDoc):
         return Stored(pose, DEFAULT_CONFIG, ())
+    document = with_sensors_from(document, file.parent)
     warnings = tuple(
         Reason(prefixed("stored", reason.code), reason.message, reason.values)
         for reason in document.reasons
     )
     parts = None if sigma is not None else document.whole_uncertainty
-    hashes = [item.sha256 for item in document.inputs]
-    pairs = tuple(zip(hashes[::2], hashes[1::2], strict=False))
-    return Stored(pose, document.config, warnings, parts, pairs)
+    return Stored(pose, document.config, warnings, parts, hashes_of(document))
+
+
+def check_lidars(path: Path, there: Sequence[str], named: tuple[str, str] | None) -> None:
+    """Refuse names that are not those of two LiDARs of a site, or none; says which there are.
+
+    Raises
+    ------
+    ReadError
+        Naming the LiDARs of the site.
+    """
+    if named is None or named[0] == named[1] or not {*named} <= {*there}:
+        raise ReadError(
+            f"{path} is of a site: name two of its LiDARs, that of TARGET with --parent and that "
+            f"of SOURCE with --child; there are {', '.join(there)}"
+        )
+
+
+def _of_site(
+    document: SiteDoc, lidars: tuple[str, str], folder: Path, pose: PoseEstimate
+) -> Stored:
+    """Take what the result of a site says of two of its LiDARs."""
+    names = [lidar.name for lidar in document.lidars]
+    target, source = (names.index(name) for name in lidars)
+    sensor = [name_from(folder, lidar.sensor) for lidar in document.lidars]
+    config = RunConfig(
+        radius_m=document.radius_m,
+        radius_sigma_m=document.radius_sigma_m,
+        sensor_target=sensor[target],
+        sensor_source=sensor[source],
+    )
+    hashes = {(each.lidar, each.placement): each.sha256 for each in document.inputs}
+    pairs = tuple(
+        (sha256, hashes[source, placement])
+        for (lidar, placement), sha256 in hashes.items()
+        if lidar == target and (source, placement) in hashes
+    )
+    warnings = tuple(
+        Reason(prefixed("stored", reason.code), reason.message, reason.values)
+        for reason in document.reasons
+    )
+    return Stored(pose, config, warnings, None, pairs)
 
 
 def check_recordings(
@@ -136,11 +191,14 @@ def check_recordings(
         unit=unit or known.unit,
         unit_source=unit_source or unit or known.source_unit,
     )
+    if are_swapped(stored.hashes, target, source):
+        swapped = swap("RESULT was made of these very files", {"told_by": "hashes"})
+        return CheckResult("cannot_tell", (swapped, *stored.warnings))
     pair = read_pair(target, source, config, listener)
     listener.progress("check")
-    swapped = files_swapped(stored, *pair)
-    if swapped is not None:
-        answer = CheckResult("cannot_tell", (swapped,))
+    topics = topics_swapped(known, pair.target.topic, pair.source.topic)
+    if topics is not None:
+        answer = CheckResult("cannot_tell", (topics,))
     else:
         answer = check(
             stored.pose,
@@ -156,17 +214,13 @@ def check_recordings(
     return replace(answer, reasons=(*answer.reasons, *stored.warnings))
 
 
-def files_swapped(stored: Stored, target: Input, source: Input) -> Reason | None:
-    """Say that the files of the stored run, or its topics, are given the other way round."""
-    known = stored.config.target_topic, stored.config.source_topic
-    if None not in known and known[0] != known[1] and (source.topic, target.topic) == known:
-        words = f"RESULT's target is the topic {known[0]}, and its source {known[1]}"
-        return swap(words, {"told_by": "topics"})
-    if all(first == second for first, second in stored.hashes):
+def topics_swapped(known: RunConfig, target: str | None, source: str | None) -> Reason | None:
+    """Say that the topics of the stored run are read the other way round."""
+    topics = known.target_topic, known.source_topic
+    if None in topics or topics[0] == topics[1] or (source, target) != topics:
         return None
-    if (sha256_of(source.name), sha256_of(target.name)) not in stored.hashes:
-        return None
-    return swap("RESULT was made of these very files", {"told_by": "hashes"})
+    words = f"RESULT's target is the topic {topics[0]}, and its source {topics[1]}"
+    return swap(words, {"told_by": "topics"})
 
 
 def topic_for(path: Path, given: str | None, known: str | None) -> str | None:

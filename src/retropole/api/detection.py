@@ -42,7 +42,7 @@ def detect(
     max_points
         Of a cloud with more, so many are kept: the brightest, and the others evenly.
     unit
-        Of the coordinates: ``m``, ``cm`` or ``mm``.
+        Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
 
     Returns
     -------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
+from ..base.files import read_document
 from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
@@ -19,12 +21,16 @@ from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..evaluation.rivals import ALL_METHODS
 from ..export import read_transform
+from ..export.documents import result_in
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable
-from ..result import RunConfig
+from ..monitoring.swapped import swap
+from ..result import ResultDoc, RunConfig
+from ..result.folder import any_result_file
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
 from .result import CalibrationResult
+from .stored import are_swapped, hashes_of
 
 
 def evaluate(
@@ -62,28 +68,30 @@ def evaluate(
     target_topic, source_topic, frames
         Of recordings, the topic of a bag and the frames, as `io.read_cloud` takes them.
     unit, unit_source
-        Of the coordinates, ``m``, ``cm`` or ``mm``; of those of the source, where it is another.
+        Of the coordinates, ``m``, ``cm``, ``mm``, ``ft`` or ``in``; of those of the source, where
+        it is another.
     progress, on_read
         Called with the name of each step as it starts, and with each cloud once it is read.
 
     Raises
     ------
     UsageError
-        For a matrix that is not a rigid transform, and for arrays of another shape.
+        For a matrix that is not a rigid transform, for arrays of another shape, and where the
+        files are those of the result the other way round, or the seed is no number from 0 up.
     Refusal
         ``too_few_points`` where a cloud is too small, ``far_from_lidar`` where a coordinate is
         none, and where the transform is that of a refused result.
     ReadError, MissingExtraError
         Where a file cannot be read.
     """
-    config = run_config(locals())
+    config, rng = run_config(locals()), _generator(seed)
     T = _transform(T_target_source)
+    _refuse_swapped(target, source, T_target_source)
     progress("read")
     pair = read_pair(target, source, config, Listener(progress, on_read))
     for each in pair:
         check_coordinates(each.cloud)
     progress("evaluate")
-    rng = np.random.default_rng(config.seed)
     return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma)
 
 
@@ -94,6 +102,8 @@ def compare(
     methods: Sequence[str] = ALL_METHODS,
     T_true: Array | None = None,
     listener: Listener = SILENT,
+    *,
+    seed: int = 0,
 ) -> list[Compared]:
     """Run our method and its rivals on the same clouds, and score their answers alike.
 
@@ -102,12 +112,13 @@ def compare(
     target, source
         As `evaluate` takes them.
     config
-        The options: what is read, the seed of the rivals, and radius, sensors and thresholds of
-        our own method.
+        The options: what is read, and radius, sensors and thresholds of our own method.
     methods, T_true
         As `evaluation.comparison.compare` takes them.
     listener
         Told of each step as it starts, and of each cloud once it is read.
+    seed
+        Of what rivals draw, and of the points on which all are scored.
 
     Raises
     ------
@@ -126,9 +137,29 @@ def compare(
         radius=config.radius_m,
         sensors=(pair.target.sensor, pair.source.sensor),
         thresholds=(config.threshold_target, config.threshold_source),
-        seed=config.seed,
+        seed=seed,
         progress=listener.progress,
     )
+
+
+def _generator(seed: int) -> np.random.Generator:
+    try:
+        return np.random.default_rng(operator.index(seed))
+    except (TypeError, ValueError):
+        raise UsageError(f"seed is {seed!r}, expected a number from 0 up") from None
+
+
+def _refuse_swapped(
+    target: CloudSource, source: CloudSource, given: Array | CalibrationResult | str | Path
+) -> None:
+    """Refuse the files of a result the other way round, before they are read."""
+    if not isinstance(target, str | Path) or not isinstance(source, str | Path):
+        return
+    document: object = given.document if isinstance(given, CalibrationResult) else None
+    if isinstance(given, str | Path):
+        document = result_in(read_document(any_result_file(Path(given))))
+    if isinstance(document, ResultDoc) and are_swapped(hashes_of(document), target, source):
+        raise UsageError(swap("the result was made of these very files", {}).message)
 
 
 def _transform(given: Array | CalibrationResult | str | Path) -> Array:

@@ -17,7 +17,7 @@ from ..base.errors import UsageError
 from ..base.sensors import name_from
 from ..matching.prior import rotation_prior
 from ..result import RunConfig
-from ..result.options import OPTIONS, UNITS
+from ..result.options import OPTIONS, UNITS, radius_in_metres
 from ..scene.choice import is_hypothesis_name
 
 
@@ -86,6 +86,8 @@ def _in_words(message: str, config: RunConfig) -> str:
     if "got" in what or not isinstance(kind, inspect.FloatType | inspect.IntType):
         return f"{given}, of the wrong type: {what[0].lower()}{what[1:]}"
     unit = " m" if field.endswith("_m") else ""
+    if field == "radius_m" and (words := radius_in_metres(float(config.radius_m))):
+        return f"{given}: {words}"
     if isinstance(kind, inspect.IntType):
         return f"{given}, expected a number from {kind.ge} up"
     if kind.ge is None:

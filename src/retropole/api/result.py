@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array, Placement
-from ..base.errors import ReadError
-from ..base.files import read_document, write_together
+from ..base.files import write_together
 from ..base.quantities import error
 from ..base.uncertainty import RadiusEstimate, Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
 from ..base.uncertainty.purpose import Fitness
-from ..export.documents import is_result
-from ..io.failures import naming, readable
 from ..report import render_report, write_report
 from ..report.certainty import largest_error, radius_words, scene_words
 from ..result import ErrorAtRange, ReasonDoc, ResultDoc, encode, refusal_of
-from ..result.decoding import decode
-from ..result.folder import REPORT_FILE, RESULT_FILE, SITE_REPORT_FILE, result_file
-from ..result.site import SITE_SCHEMA, SiteDoc
+from ..result.folder import REPORT_FILE, RESULT_FILE, result_file
 from ..scene.consistency import contradicting_points, standing_in
-from .stored import StoredInputs, placements_of
+from .stored import StoredInputs, decode_pair, loaded, placements_of
+from .travelling import AnyDoc, named_from
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-AnyDoc = TypeVar("AnyDoc", ResultDoc, SiteDoc)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,9 +66,9 @@ class Result(Generic[AnyDoc]):
     def _rows(self) -> list[tuple[str, str]]:
         return [(reason.code, reason.message) for reason in self.reasons]
 
-    def _write(self, result: Path, page: Path, html: str) -> tuple[Path, Path]:
+    def _write(self, document: AnyDoc, result: Path, page: Path, html: str) -> tuple[Path, Path]:
         """Write the document and its page, never of two runs."""
-        write_together({result: encode(self.document), page: html.encode()})
+        write_together({result: encode(document), page: html.encode()})
         return result, page
 
 
@@ -190,8 +184,16 @@ class CalibrationResult(Result[ResultDoc]):
         rows += [(name, words) for name, words in said if words is not None]
         return rows + super()._rows()
 
-    def save(self, folder: str | Path) -> tuple[Path, Path]:
+    def save(self, folder: str | Path, *, relative: bool = True) -> tuple[Path, Path]:
         """Write ``result.json`` and ``report.html`` to a folder, never of two runs.
+
+        Parameters
+        ----------
+        folder
+            Made where there is none.
+        relative
+            Whether files are named by their paths from the folder, so that all may be moved
+            together and are found again; else as they are in `document`.
 
         Returns
         -------
@@ -205,9 +207,11 @@ class CalibrationResult(Result[ResultDoc]):
         OSError
             Where the folder cannot be written to.
         """
-        stored = self._inputs()
-        html = render_report(self.document, stored.placements, notes=stored.notes)
-        return self._write(Path(folder, RESULT_FILE), Path(folder, REPORT_FILE), html)
+        stored, document = self._inputs(), self.document
+        if relative:
+            document = named_from(document, Path(folder), self._beside)
+        html = render_report(document, stored.placements, notes=stored.notes)
+        return self._write(document, Path(folder, RESULT_FILE), Path(folder, REPORT_FILE), html)
 
     def report(
         self,
@@ -296,8 +300,12 @@ class CalibrationResult(Result[ResultDoc]):
         """Take the placements of the run, or read them again."""
         if self.placements is not None and not clouds:
             return StoredInputs(self.placements, ())
-        beside = Path() if self.path is None else self.path.parent
-        return placements_of(self.document, beside, clouds)
+        return placements_of(self.document, self._beside, clouds)
+
+    @property
+    def _beside(self) -> Path:
+        """Folder that paths in the document count from."""
+        return Path() if self.path is None else self.path.parent
 
 
 def _png(figure: Figure) -> bytes:
@@ -321,30 +329,4 @@ def load_result(path: str | Path) -> CalibrationResult:
         Where there is no such file, or it is no result document; names the file.
     """
     file = result_file(Path(path))
-    return CalibrationResult(loaded(file, partial(_decode, file)), None, file)
-
-
-def loaded(file: Path, decode: Callable[[bytes], AnyDoc]) -> AnyDoc:
-    """Read a result document.
-
-    Raises
-    ------
-    ReadError
-        Where there is no such file, or it is none; names the file.
-    """
-    with readable(file):
-        data = read_document(file)
-    with naming(file):
-        return decode(data)
-
-
-def _decode(file: Path, data: bytes) -> ResultDoc:
-    try:
-        return decode(data)
-    except ReadError:
-        if not is_result(data, SITE_SCHEMA):
-            raise
-        raise ReadError(
-            f"the result of a site, not of two LiDARs; its report is "
-            f"{file.with_name(SITE_REPORT_FILE)}, and rp.load_site_result loads it"
-        ) from None
+    return CalibrationResult(loaded(file, partial(decode_pair, file)), None, file)

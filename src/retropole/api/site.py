@@ -25,8 +25,10 @@ from ..site.calibration import state_refusal
 from ..site.description import Site
 from ..site.scans import SiteScans
 from .inputs import Input, Listener
-from .result import Result, loaded
+from .result import Result
 from .site_inputs import inputs_of, read_site, repeated
+from .stored import loaded
+from .travelling import named_from
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,9 +41,12 @@ class SiteResult(Result[SiteDoc]):
         Everything that was found, as ``site-result.json`` holds it.
     calibration
         The same as arrays, with the clouds; None of a result that was loaded.
+    beside
+        Folder that paths in the document count from: of a result that was loaded, its own.
     """
 
     calibration: SiteCalibration | None = None
+    beside: Path = Path()
 
     @property
     def lidars(self) -> tuple[str, ...]:
@@ -108,10 +113,18 @@ class SiteResult(Result[SiteDoc]):
         joint = joint_of(np.asarray(self.document.joint_covariance), i.lidar, j.lidar)
         return relative(i.T_site_lidar, j.T_site_lidar, joint)
 
-    def save(self, folder: str | Path) -> tuple[Path, Path]:
+    def save(self, folder: str | Path, *, relative: bool = True) -> tuple[Path, Path]:
         """Write ``site-result.json`` and ``site-report.html`` to a folder, never of two runs.
 
         The page of a result that was loaded shows no clouds.
+
+        Parameters
+        ----------
+        folder
+            Made where there is none.
+        relative
+            Whether files are named by their paths from the folder, so that all may be moved
+            together; else as they are in `document`.
 
         Returns
         -------
@@ -123,8 +136,12 @@ class SiteResult(Result[SiteDoc]):
         OSError
             Where the folder cannot be written to.
         """
-        html = render_site(self.document, self.calibration)
-        return self._write(Path(folder, SITE_RESULT_FILE), Path(folder, SITE_REPORT_FILE), html)
+        document = self.document
+        if relative:
+            document = named_from(document, Path(folder), self.beside)
+        html = render_site(document, self.calibration)
+        files = Path(folder, SITE_RESULT_FILE), Path(folder, SITE_REPORT_FILE)
+        return self._write(document, *files, html)
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("datum", self.document.datum)] if self.document.datum else []
@@ -201,7 +218,7 @@ def load_site_result(path: str | Path) -> SiteResult:
     file = Path(path)
     if file.is_dir():
         file = file / SITE_RESULT_FILE
-    return SiteResult(loaded(file, decode_site))
+    return SiteResult(loaded(file, decode_site), None, file.parent)
 
 
 def check_site(site: Site) -> None:

@@ -26,7 +26,15 @@ from ..base.uncertainty.purpose import FARTHEST as FARTHEST_NEED
 from ..io.downsampling import MAX_POINTS
 from ..io.failures import naming
 from ..io.units import Unit
-from ..result.options import Intensity, MaxPoints, Radius, RadiusSigma, Reading, frames_named
+from ..result.options import (
+    Intensity,
+    MaxPoints,
+    Radius,
+    RadiusSigma,
+    Reading,
+    frames_named,
+    radius_in_metres,
+)
 
 SITE_FILE = "site.toml"
 """What a site file is called in its folder."""
@@ -222,6 +230,8 @@ def _in_words(message: str, raw: dict[str, Any]) -> str:
     if unknown:
         near = difflib.get_close_matches(unknown[1].strip("`"), _keys_at(steps), 1)
         what = f"unknown key {unknown[1]}" + (f", expected {near[0]}" if near else "")
+    if names == ["poles", "radius_m"] and isinstance(at, int | float):
+        what = radius_in_metres(at) or what
     lead = ", ".join(names)
     return f"{lead}: {what[0].lower()}{what[1:]}" if lead else f"{what[0].lower()}{what[1:]}"
 

@@ -87,6 +87,11 @@ def read_site(path: Path, listener: Listener = SILENT) -> SiteInputs:
     """
     if path.is_dir():
         path = path / SITE_FILE
+    if not path.exists() and path.parent.is_dir():
+        raise ReadError(
+            f"{path.parent}: holds no {path.name}; 'retropole site init {path.parent}' writes "
+            f"{SITE_FILE} from the recordings in it"
+        )
     file = read_site_file(path)
     # What can be told now is told before recordings are read: that takes long.
     if file.reference.epsg is not None:

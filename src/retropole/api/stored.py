@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,12 +14,16 @@ from ..base.errors import ReadError, UsageError, printable
 from ..base.files import path_of_text, read_document
 from ..base.sensors import sensor_or_auto
 from ..export import Transform
-from ..export.documents import result_in
+from ..export.documents import is_result, result_in
 from ..export.recording import frames_of, write_mcap
 from ..io import ARRAY_SOURCE, sha256_of
+from ..io.failures import naming, readable
 from ..result import DEFAULT_CONFIG, InputDoc, PoleDoc, ResultDoc
-from ..result.folder import any_result_file
-from .inputs import SILENT, Listener, read_input
+from ..result.decoding import decode
+from ..result.folder import SITE_REPORT_FILE, any_result_file
+from ..result.site import SITE_SCHEMA
+from .inputs import SILENT, Listener, read_input, recording_hash
+from .travelling import AnyDoc, with_sensors_from
 
 SAME_POLE_DISTANCE = 1e-3
 """Poles found again are those of the result where none lies further from it than this, metres."""
@@ -54,8 +59,8 @@ def placements_of(
     result
         The result document.
     beside
-        Folder of the result: recordings are looked for by their path from here and from there, and
-        by their name there.
+        Folder of the result: recordings are looked for by their path from there and from here, and
+        by their name there; of several that are found, the one of the run is taken.
     given
         Recordings to take instead: target and source of each placement.
     progress
@@ -74,6 +79,7 @@ def placements_of(
             f"the result names {len(result.inputs)} inputs, expected a target and a source for "
             "each placement"
         )
+    result = with_sensors_from(result, beside)
     paths, config = find_inputs(result, beside, given), result.config
     progress("read")
     notes = differing(result, paths)
@@ -108,13 +114,50 @@ def _find(item: InputDoc, beside: Path) -> Path:
             "a cloud of the run was an array, which is in no file; give TARGET and SOURCE"
         )
     path = Path(item.path)
-    names = dict.fromkeys([path, beside / path, beside / path.name])
+    names = dict.fromkeys([beside / path, path, beside / path.name])
     places = [path_of_text(str(name)) for name in names]
-    for place in places:
-        if place.exists():
-            return place
+    there = [place for place in places if place.exists()]
+    if there:
+        # From here another file may have the path that counts from the result, or its name.
+        same = (place for place in there if len(there) > 1 and _has_hash(place, item.sha256))
+        return next(same, there[0])
     looked = ", ".join(str(place) for place in places)
     raise ReadError(f"{item.path}: not found (looked for {looked}); give TARGET and SOURCE")
+
+
+def _has_hash(place: Path, sha256: str) -> bool:
+    with suppress(ReadError):
+        return recording_hash(place) == sha256
+    return False
+
+
+def hashes_of(result: ResultDoc) -> tuple[tuple[str, str], ...]:
+    """Give SHA-256 of target and source of each placement."""
+    hashes = [item.sha256 for item in result.inputs]
+    return tuple(zip(hashes[::2], hashes[1::2], strict=False))
+
+
+def are_swapped(hashes: Sequence[tuple[str, str]], target: str | Path, source: str | Path) -> bool:
+    """Tell whether two recordings are those of a run the other way round; none is read as one.
+
+    One bag may hold both LiDARs: then nothing is told.
+
+    Parameters
+    ----------
+    hashes
+        As `hashes_of` gives them.
+    target, source
+        What is given.
+
+    Raises
+    ------
+    ReadError
+        Where one cannot be read.
+    """
+    if all(first == second for first, second in hashes):
+        return False
+    given = recording_hash(Path(target)), recording_hash(Path(source))
+    return given[::-1] in hashes and given not in hashes
 
 
 def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
@@ -127,6 +170,33 @@ def differing(result: ResultDoc, paths: Sequence[Path]) -> tuple[str, ...]:
         for path, item in zip(paths, result.inputs, strict=True)
         if hashes[path] != item.sha256
     )
+
+
+def loaded(file: Path, decode: Callable[[bytes], AnyDoc]) -> AnyDoc:
+    """Read a result document.
+
+    Raises
+    ------
+    ReadError
+        Where there is no such file, or it is none; names the file.
+    """
+    with readable(file):
+        data = read_document(file)
+    with naming(file):
+        return decode(data)
+
+
+def decode_pair(file: Path, data: bytes) -> ResultDoc:
+    """Take a result document of two LiDARs; says so of one of a site."""
+    try:
+        return decode(data)
+    except ReadError:
+        if not is_result(data, SITE_SCHEMA):
+            raise
+        raise ReadError(
+            f"the result of a site, not of two LiDARs; its report is "
+            f"{file.with_name(SITE_REPORT_FILE)}, and rp.load_site_result loads it"
+        ) from None
 
 
 def recording_of(
@@ -166,6 +236,7 @@ def recording_of(
     document = result_in(read_document(file))
     paths, config = list(given), DEFAULT_CONFIG
     if isinstance(document, ResultDoc):
+        document = with_sensors_from(document, file.parent)
         config, paths = document.config, find_inputs(document, file.parent, given)
         for each in differing(document, paths):
             note(each)

@@ -23,7 +23,6 @@ from .options import OUT, SENSORS, TOPICS, placement_arguments, run_options, ver
 @run_options("radius_m", "radius_sigma_m", *SENSORS, *TOPICS, "frames", "max_points")
 @run_options("unit", "unit_source", "poles", "up", "prior_rpy_deg", "prior_sigma_deg")
 @run_options("hypothesis", "refine", "trust_poles", "deceiving_share", "need_m", "at_m")
-@run_options("seed")
 @verdict_options("the hypotheses, the inputs and the time of each step")
 def calibrate(
     target: Path | None,

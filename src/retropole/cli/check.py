@@ -61,6 +61,8 @@ def tolerance_options(command: Command) -> Command:
     "unit", default=None, help="Unit of the new recordings' coordinates.  [default: that of RESULT]"
 )
 @run_option("unit_source", help="The same for SOURCE alone.")
+@click.option("--parent", help="Where RESULT is of a site: the name of the LiDAR of TARGET.")
+@click.option("--child", help="The same of SOURCE.")
 @tolerance_options
 @click.option(
     "--sigma-deg",
@@ -82,6 +84,8 @@ def check(
     source: Path,
     sigma_rotation: float | None,
     sigma_translation: float | None,
+    parent: str | None,
+    child: str | None,
     as_json: bool,
     quiet: bool,
     **asked: Any,
@@ -93,11 +97,15 @@ def check(
     recordings of the same two LiDARs. Poles are used where they are there; without, the scene must
     do. Radius, sensors, thresholds and units are those of RESULT.
 
+    Of a site, RESULT is site-result.json or its folder, and --parent and --child name the two
+    LiDARs; radius and sensors are those of the site.
+
     \b
     Examples:
       retropole check retropole-out front.pcd rear.pcd
       retropole check retropole-out front/ rear/ --json >> /var/log/site.jsonl
       retropole check retropole-out front.pcd rear.pcd -q || mail -s "LiDAR moved?" me@site
+      retropole check site a.pcd b.pcd --parent mast-a --child mast-b
       retropole check calibration.yaml front.pcd rear.pcd --sigma-deg 0.02 --sigma-m 0.003
 
     \b
@@ -113,11 +121,14 @@ def check(
 
     if (sigma_rotation is None) != (sigma_translation is None):
         raise click.UsageError("--sigma-deg and --sigma-m belong together")
+    if (parent is None) != (child is None):
+        raise click.UsageError("--parent and --child belong together")
+    lidars = None if parent is None or child is None else (parent, child)
     sigma = (sigma_rotation, sigma_translation) if sigma_rotation and sigma_translation else None
     with listening(quiet, None, hidden=as_json) as listener:
         listener.progress("read")
         try:
-            stored = read_stored(result, sigma)
+            stored = read_stored(result, sigma, lidars)
         except Refusal as refusal:
             answer = CheckResult("cannot_tell", (refusal.reason.prefixed("stored"),))
         else:

@@ -21,7 +21,6 @@ from msgspec import to_builtins
 
 from ..base.errors import escaped, printable
 from ..base.reasons import explain, page, plain
-from ..result import encode
 from ..result import plain as plain_value
 
 if TYPE_CHECKING:
@@ -222,7 +221,7 @@ def result_told(
         Whether a warning is an error.
     """
     if as_json:
-        show(encode(result.document))
+        show(written[0].read_bytes())
     elif not quiet:
         show(in_colour(describe([str(path) for path in written]), result.status))
     refused, unseen = result.status == "refused", quiet or as_json

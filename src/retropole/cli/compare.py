@@ -17,7 +17,7 @@ from ..base.files import path_in_text
 from ..result import RunConfig
 from .common import EXIT_REFUSED, EXIT_USAGE, fill_in, json_text, listening, say, show
 from .evaluate import scores, true_errors
-from .options import CLOUD, SENSORS, TOPICS, run_option, run_options
+from .options import CLOUD, SENSORS, TOPICS, run_options
 
 if TYPE_CHECKING:
     from ..api.evaluation import Compared
@@ -47,7 +47,12 @@ TITLES = OURS | {
     help=f"Names between commas: {', '.join(ALL_METHODS)}.  [default: all]",
 )
 @run_options("radius_m", *SENSORS, *TOPICS, "frames", "unit", "unit_source")
-@run_option("seed", help="Seed of what methods draw, and of the points that they are scored on.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Seed of what methods draw, and of the points that they are scored on.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON, and only that.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 def compare(
@@ -55,6 +60,7 @@ def compare(
     source: Path,
     truth: Path | None,
     methods: str | None,
+    seed: int,
     as_json: bool,
     quiet: bool,
     **options: Any,
@@ -96,13 +102,13 @@ def compare(
     config = RunConfig(**options)
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with listening(quiet, config.frames) as listener, _libraries_print_to_stderr():
-        found = run(target, source, config, names, T_true, listener)
+        found = run(target, source, config, names, T_true, listener, seed=seed)
     if as_json:
         document = {
             "schema": COMPARE_SCHEMA,
             "inputs": [path_in_text(target), path_in_text(source)],
             "truth": None if truth is None else path_in_text(truth),
-            "seed": config.seed,
+            "seed": seed,
             "methods": [_document(each) for each in found],
         }
         show(json_text(document, indent=1))

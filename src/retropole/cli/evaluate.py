@@ -28,6 +28,8 @@ TRANSFORM = click.Path(path_type=Path)
 @click.option(
     "--truth", type=TRANSFORM, help="The true transform, in any of these: its error is given too."
 )
+@click.option("--parent", help="Where --transform is of a site: the name of the LiDAR of TARGET.")
+@click.option("--child", help="The same of SOURCE.")
 @click.option("--sigma", type=METRES, default=0.05, help="Kernel width of the entropy, m.")
 @run_options(*TOPICS, "frames", "unit", "unit_source")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON, and only that.")
@@ -36,6 +38,8 @@ def evaluate(
     source: Path,
     transform: Path,
     truth: Path | None,
+    parent: str | None,
+    child: str | None,
     sigma: float,
     as_json: bool,
     **options: Any,
@@ -68,10 +72,11 @@ def evaluate(
     from ..api.evaluation import evaluate as score
     from ..api.transforms import read_transform
 
-    T = read_transform(transform).T_parent_child
+    T = read_transform(transform, parent=parent, child=child).T_parent_child
     T_true = None if truth is None else read_transform(truth).T_parent_child
     with listening(False, options["frames"], hidden=as_json) as listener:
-        aligned = score(target, source, T, sigma=sigma, **listener._asdict(), **options)
+        given = transform if parent is None and child is None else T
+        aligned = score(target, source, given, sigma=sigma, **listener._asdict(), **options)
     errors = None if T_true is None else errors_of(T, T_true)
     if as_json:
         figures = {

@@ -14,7 +14,7 @@ import click
 from msgspec import inspect
 
 from ..result import DEFAULT_CONFIG
-from ..result.options import OPTIONS, UNITS, Frames, frames_named
+from ..result.options import OPTIONS, UNITS, Frames, frames_named, radius_in_metres
 
 Command = Callable[..., int]
 
@@ -41,6 +41,17 @@ class Number(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value!r} is no number.", *of)
         return self.into(number)
+
+
+class Radius(Number):
+    """A radius in metres: who types millimetres is told what to give."""
+
+    def convert(self, value: Any, *of: Any) -> float:
+        """Take a number as `Number` does."""
+        words = radius_in_metres(click.FLOAT.convert(value, *of))
+        if words:
+            self.fail(f"{words}.", *of)
+        return super().convert(value, *of)
 
 
 def metres(centimetres: float) -> float:
@@ -153,6 +164,8 @@ def _type(field: str, kind: inspect.Type) -> Any:
             into, scale = (metres, 100) if field == "need_m" else (float, 1)
             assert kind.le is not None
             least = kind.gt if kind.ge is None else kind.ge
-            number = Number(into, min=least, min_open=kind.ge is None, max=scale * kind.le)
+            number = (Radius if field == "radius_m" else Number)(
+                into, min=least, min_open=kind.ge is None, max=scale * kind.le
+            )
             return (number,) * 3 if field == "prior_rpy_deg" else number
     return None

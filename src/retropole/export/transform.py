@@ -208,7 +208,8 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
         wanted = f"{parent or 'any parent'} -> {child or 'any child'}"
         raise ReadError(
             f"{len(fits)} transforms fit {wanted}, one is needed; the file holds: "
-            f"{listed or 'none'} (parent -> child); name both frames as the file does"
+            f"{listed or 'none'} (parent -> child); name both frames as the file does (--parent, "
+            "--child), or have 'retropole export' write the one"
         )
     one = fits[0]
     return Transform(

@@ -113,12 +113,7 @@ def extract_poles(
         ``wrong_sensor`` where its rings are not those of the sensor.
     """
     if cloud.intensity is None or len(cloud) == 0 or np.ptp(cloud.intensity) == 0:
-        raise Refusal(
-            "no_intensity",
-            f"{cloud.source or 'the cloud'} has no intensity, or the same in all {len(cloud)} "
-            "points: retro-reflective tape cannot be told from the rest; record it with intensity",
-            {"points": len(cloud)},
-        )
+        raise _without_intensity(cloud)
     check_coordinates(cloud)
     cloud = with_beam_origin(with_trusted_rings(cloud))
     check_sensor(cloud, sensor)
@@ -160,6 +155,25 @@ def extract_poles(
         chosen.found,
         len(retro),
         _poles_on(cloud, [line for line, _ in doubtful]),
+    )
+
+
+def _without_intensity(cloud: PointCloud) -> Refusal:
+    """Refuse a cloud that has no intensity, or one for all points, and say which it is."""
+    name = cloud.source or "the cloud"
+    values: dict[str, float | int | str] = {"points": len(cloud)}
+    if len(cloud) == 0:
+        what = "has no points"
+    elif cloud.intensity is None:
+        what = f"has no intensity in any of its {len(cloud)} points"
+    else:
+        values["intensity"] = float(cloud.intensity[0])
+        what = f"has the intensity {cloud.intensity[0]:g} in all of its {len(cloud)} points"
+    return Refusal(
+        "no_intensity",
+        f"{name} {what}: retro-reflective tape cannot be told from the rest; record it with "
+        "intensity",
+        values,
     )
 
 

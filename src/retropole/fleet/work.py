@@ -258,7 +258,7 @@ def _report(result: CalibrationResult | SiteResult, place: str, folder: Path) ->
     if not is_url(place):
         result.save(place)
         return
-    for path in result.save(folder):
+    for path in result.save(folder, relative=False):
         write_bytes(below(place, path.name), path.read_bytes())
 
 

@@ -146,7 +146,7 @@ def read_cloud(
         as often as it takes; of few, or of one, the brightest points are kept and the others
         downsampled evenly.
     unit
-        Of the file's coordinates: ``m``, ``cm`` or ``mm``.
+        Of the file's coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
 
     Returns
     -------

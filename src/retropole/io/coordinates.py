@@ -15,7 +15,7 @@ from ..base.datatypes import PointCloud
 from ..base.se3 import lengths
 from .beam_origin import with_beam_origin
 from .rings import with_trusted_rings
-from .units import METRES, NAMES, Unit
+from .units import METRES, METRIC, NAMES, Unit
 
 SAMPLE = 20_000
 """Points, evenly taken, whose ranges are looked at."""
@@ -95,8 +95,9 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
         )
     units = tuple(
         unit
-        for unit, size in METRES.items()
-        if NEAREST_HALF <= half * size <= FARTHEST_HALF and farthest * size <= FARTHEST_RETURN
+        for unit in METRIC
+        if NEAREST_HALF <= half * METRES[unit] <= FARTHEST_HALF
+        and farthest * METRES[unit] <= FARTHEST_RETURN
     )
     if not units:
         words = f"half of the points are beyond {half:,.0f} m, farther than poles are seen"

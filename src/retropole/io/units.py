@@ -8,12 +8,17 @@ from typing import Literal
 from ..base.datatypes import PointCloud
 from ..base.errors import UsageError
 
-Unit = Literal["m", "cm", "mm"]
+Unit = Literal["m", "cm", "mm", "ft", "in"]
 
-METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Length of each unit, metres."""
+METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
+"""Length of each unit, metres; the foot is the international one, 2 ppm from that of US surveys."""
+
+METRIC: tuple[Unit, ...] = ("cm", "mm")
+"""Units that are thought of where coordinates cannot be metres: few programs write feet or inches,
+and of one cloud alone those look like metres or centimetres."""
 
 NAMES: dict[Unit, str] = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+NAMES |= {"ft": "feet", "in": "inches"}
 
 
 def unit_named(name: str) -> Unit:
@@ -22,7 +27,7 @@ def unit_named(name: str) -> Unit:
     Raises
     ------
     UsageError
-        For any other than ``m``, ``cm`` and ``mm``.
+        For any other than ``m``, ``cm``, ``mm``, ``ft`` and ``in``.
     """
     if name not in METRES:
         raise UsageError(f"unit is {name!r}, expected {', '.join(METRES)}")

@@ -6,6 +6,7 @@ them, so that bounds, defaults and help stand here alone.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, NamedTuple, get_args
 
 import msgspec
@@ -17,7 +18,7 @@ from ..base.sensors import SENSORS
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER
 from ..base.uncertainty.purpose import DEFAULT_AT, FARTHEST, LARGEST_NEED
 from ..io.downsampling import LEAST_POINTS, MAX_POINTS
-from ..io.units import Unit
+from ..io.units import METRES, Unit
 
 UNITS = get_args(Unit)
 """That coordinates may have."""
@@ -37,8 +38,24 @@ Poles = Annotated[int, Meta(ge=MIN_POLES, le=LARGEST_WHOLE)]
 NeededError = Annotated[float, Meta(gt=0, le=LARGEST_NEED)]
 Distance = Annotated[float, Meta(gt=0, le=FARTHEST)]
 PriorSigma = Annotated[float, Meta(gt=0, le=180)]
-Seed = Annotated[int, Meta(ge=0, le=LARGEST_WHOLE)]
 Frames = tuple[int | None, int | None, int | None]
+
+THINNEST = 0.005
+"""Radius from which poles are common, metres: a radius that was given in another unit is one."""
+
+
+def radius_in_metres(given: float) -> str:
+    """Say of a radius above the limit which unit it was probably typed in, and what to give.
+
+    Empty where it is not above, or no radius of a pole in centimetres or millimetres.
+    """
+    meant = {unit: given * METRES[unit] for unit in ("mm", "cm")}
+    likely = {unit: r for unit, r in meant.items() if THINNEST <= r <= MAX_RADIUS}
+    if given <= MAX_RADIUS or not likely:
+        return ""
+    # Of two, the one nearer to the usual radius.
+    unit = min(likely, key=lambda unit: abs(math.log(likely[unit] / DEFAULT_RADIUS)))
+    return f"{given:g} m is no pole; {given:g} {unit}? give {likely[unit]:g}"
 
 
 def told(text: str) -> Meta:
@@ -77,7 +94,7 @@ class Reading(NamedTuple):
     max_points
         Of a cloud with more, so many are kept, as `io.read_cloud` does.
     unit
-        Of the coordinates: ``m``, ``cm`` or ``mm``.
+        Of the coordinates: ``m``, ``cm``, ``mm``, ``ft`` or ``in``.
     """
 
     sensor: str = "auto"
@@ -142,7 +159,6 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Distance | None,
         told(f"Distance up to which --need-cm must hold, m.  [default: {DEFAULT_AT:g}]"),
     ] = None
-    seed: Annotated[Seed, told("Seed of whatever is drawn at random.")] = 0
     threshold_target: Annotated[
         Intensity | None,
         told(

@@ -17,7 +17,7 @@ from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Placement, Scan
 from ..base.errors import Refusal
 from ..io.coordinates import Oddity, oddity_of
-from ..io.units import NAMES, Unit
+from ..io.units import METRES, NAMES, Unit
 from ..matching.similar import Change, changed_cloud
 from .refinement import Refinement
 from .scans import find_poles
@@ -33,12 +33,9 @@ EXPLAINED = {
 SCALE_SIGMAS = 3.0
 """An answer's scale is contradicted where it is off by more than `LEAST_CHANGE` and so many σ."""
 
-UNITS = {
-    "feet": 0.3048,
-    "inches": 0.0254,
-    "centimetres": 0.01,
-    "millimetres": 0.001,
-}
+_LIKELY: tuple[Unit, ...] = ("ft", "in", "cm", "mm")
+
+UNITS = {NAMES[unit]: METRES[unit] for unit in _LIKELY}
 """Units that clouds come in, metres."""
 
 SAME_UNIT = 0.02
