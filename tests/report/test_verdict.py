@@ -13,9 +13,11 @@ from retropole.base.reasons import plain, reasons
 from retropole.base.uncertainty.confirmation import Confirmation
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.report.certainty import probability, statements
+from retropole.report.error_curve import curve_sentence, error_curve
 from retropole.report.page import NO_BREAK
 from retropole.report.subject import Subject, of_pair
-from retropole.report.verdict import verdict
+from retropole.report.uncertainty import certainty
+from retropole.report.verdict import next_steps, verdict
 from retropole.result import ReasonDoc, ResultDoc
 from retropole.result.site import SiteDoc
 from tests.report.made_up import Page, made_up
@@ -69,24 +71,33 @@ def test_an_answer_says_what_to_do_next(kind: str) -> None:
         "site": ("Look at the tests", "site-result.json"),
     }
     for status in ("ok", "warn"):
-        text = Page(verdict(subject_of(kind, status))).text
+        subject = subject_of(kind, status)
+        text = Page(verdict(subject) + next_steps(subject)).text
         for words in ("What to do next", *said[kind]):
             assert words in text
         assert ("Settle the warning first" in text) is (status == "warn")
-    assert "What to do next" not in Page(verdict(subject_of(kind, "refused"))).text
+    refused = subject_of(kind, "refused")
+    assert "What to do next" not in Page(verdict(refused) + next_steps(refused)).text
 
 
 def test_says_how_certain_a_pair_is_and_in_which_direction() -> None:
-    text = of_pair_with().text.replace(NO_BREAK, " ")
+    text = Page(certainty(of_pair(made_up("ok", 500).result, ()))).text.replace(NO_BREAK, " ")
     for said in (
         "least certain, 1 sigma: height along the poles: 6.0 mm",
         "± 16 mm at 60 m",
         "largest source of error, range offset of the source LiDAR: 58 % of the variance of "
         "± 9.5 mm at 30 m",
         "what stands in the scene: 412 voxels agree, 3 conflict with it (0.7 %)",
-        "margin over the next0.510",
     ):
         assert said in text
+
+
+def test_the_verdict_of_a_pair_is_a_sentence_and_says_the_rest_below() -> None:
+    page = of_pair_with()
+    assert not [1 for tag, _ in page.tags if tag in ("li", "dl")]
+    curve = error_curve(of_pair(made_up("ok", 500).result, ()))
+    assert curve is not None
+    assert curve_sentence(curve).startswith("Points up to 30 m away are within ")
 
 
 def test_a_refusal_says_what_the_scene_said() -> None:
@@ -131,7 +142,6 @@ def test_a_site_says_how_good_it_is_and_what_checked_it() -> None:
         assert said in text
     warned = said_of(site("warn"))
     assert "beyond w 3.29: pole 2 of morning as mast-b sees it (w 6.3)" in warned
-    assert "largest |w|" in warned
 
 
 def test_a_refused_site_names_its_groups_and_no_figures() -> None:

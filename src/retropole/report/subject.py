@@ -81,11 +81,6 @@ class Subject:
         """Whose frame the poses are in, as in *the frame of …*."""
         return "the site" if self.pair is None else "the target"
 
-    @property
-    def transform(self) -> str:
-        """Name of every pose."""
-        return "T_site_lidar" if self.pair is None else "T_target_source"
-
     def called(self, k: int) -> str:
         """Name the k-th LiDAR within a sentence."""
         return self.site.lidars[k].name if self.pair is None else f"the {LIDARS[k]}"

@@ -16,7 +16,7 @@ from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
 from . import listings
 from .certainty import fitness_words, statements
-from .hypotheses import describe_standing
+from .hypotheses import describe_standing, margin_words
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
 from .subject import Subject, of_pair
@@ -176,7 +176,7 @@ def _more(subject: Subject) -> list[str]:
     site, pair, lines = subject.site, subject.pair, []
     if pair is not None:
         lines += _lines(listings.hypotheses(pair))
-        lines += [] if pair.margin is None else [f"  margin over the next: {pair.margin:.3f}"]
+        lines += [f"  {words}" for words in [margin_words(pair)] if words]
     else:
         lines += _lines(listings.changes(subject))
     lines += _lines(listings.pairs(site))
