@@ -183,7 +183,7 @@ class CalibrationResult(Result[ResultDoc]):
             rows.append(("predicted error", f"{at} (1 σ)"))
         said = (
             ("fit for purpose", None if self.fitness is None else self.fitness.words),
-            ("largest error", largest_error(self.document)),
+            ("main error", largest_error(self.document)),
             ("radius", radius_words(self.document)),
             ("scene", scene_words(self.document)),
         )

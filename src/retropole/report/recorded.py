@@ -119,8 +119,8 @@ def run(subject: Subject) -> Html:
         for row, item in zip(inputs, site.inputs, strict=True)
         for note in item.notes
     ]
-    seconds = site.seconds | {"sum": sum(site.seconds.values())}
-    times = [(step, number(each, 3)) for step, each in seconds.items()]
+    steps = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in site.seconds.items())
+    times = f"Time: {sum(site.seconds.values()):.2f} s ({steps})." if steps else ""
     inputs_table = table("Inputs", header, inputs, (*words, len(header) - 1)) if inputs else ""
     return fill(
         "run",
@@ -129,7 +129,7 @@ def run(subject: Subject) -> Html:
         inputs=inputs_table,
         notes=fill_each("said", notes),
         options=_options_table(subject),
-        times=table("Time", ("step", "seconds"), times),
+        times=fill("p", text=times) if times else "",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..base.quantities import counted
+from ..base.quantities import counted, percent
 from ..base.reasons import explain
 from ..result import ReasonDoc
 from .certainty import fitness_words, statements, worst_lidar
@@ -49,7 +49,9 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
     items = join(reason_item(reason, paths) for reason in site.reasons)
     asked, is_short = fitness_words(subject), subject.pair is not None and subject.answered
     said, meaning = asked and f"{asked}.", words.format(subject.frame)
-    if is_short and site.status == "ok":
+    if subject.chance_wrong is not None:
+        title, meaning = "Calibrated, not to be used yet", inline(instead_words(subject))
+    elif is_short and site.status == "ok":
         said, meaning = "", said or sentence or meaning
     body = fill(
         "said-of-verdict",
@@ -63,6 +65,24 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
     kind = site.status if site.status in VERDICTS else "refused"
     box = verdict_box(kind, symbol, title, body, _tiles(subject))
     return join((fill_each("alert", notes), box))
+
+
+def instead_words(subject: Subject) -> str:
+    """Say, as Markdown, what to do instead of using what is too likely wrong; empty elsewhere."""
+    if subject.chance_wrong is None:
+        return ""
+    trusted = (
+        ""
+        if subject.pair is None
+        else (
+            " If somebody watched and nobody touched the poles in between, `--trust-poles` says so."
+        )
+    )
+    return (
+        f"The pose is wrong with a probability of {percent(subject.chance_wrong)}: do not use it. "
+        "Add a third pole or a second placement, or record where more stands around that both "
+        f"LiDARs see.{trusted}"
+    )
 
 
 def listed_statements(subject: Subject) -> Html:
@@ -107,13 +127,13 @@ def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> Html:
 
 def next_steps(subject: Subject) -> Html:
     """Say what to do with the answer of a pair; about a refusal its reasons say that."""
-    if subject.pair is None or not subject.answered:
+    if subject.pair is None or not subject.answered or subject.chance_wrong is not None:
         return EMPTY
     return fill("next-pair", first=_warned_first(subject))
 
 
 def _steps_of_site(subject: Subject) -> Html:
-    if subject.pair is not None or not subject.answered:
+    if subject.pair is not None or not subject.answered or subject.chance_wrong is not None:
         return EMPTY
     return fill("next-site", first=_warned_first(subject))
 
