@@ -165,7 +165,7 @@ def test_a_site_says_how_good_it_is_and_what_checked_it() -> None:
         "datum: LiDAR mast-a stands still",
         "crane-high being the worst",
         "none suspicious",
-        "3 loops; the worst, mast-a → crane-low → crane-high → mast-a",
+        "3 loops; the worst, mast-a → crane-low → crane-high → mast-a: misses by",
         "1 observation without a check",
     ):
         assert said in text

@@ -128,10 +128,10 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
     moved = [each for each in site.without if each.translation is not None]
     if moved:
         most = max(moved, key=lambda each: each.translation or 0.0)
-        whose = "" if most.lidar is None else f" of {subject.called(most.lidar)}"
-        change = f"{error(most.translation)} and {error(most.rotation, 'rad')}{whose}"
-        without = subject.placement(most.placement)
-        yield f"leaving out one placement: poses change by {change} at most (placement {without})"
+        whose = "" if most.lidar is None else f"{subject.called(most.lidar)}, "
+        change = f"{error(most.translation)} and {error(most.rotation, 'rad')}"
+        without = f"({whose}without placement {subject.placement(most.placement)})"
+        yield f"leaving out one placement: the pose changes by at most {change} {without}"
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
@@ -163,11 +163,10 @@ def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
     loops = [loop for loop in site.loops if loop.probability is not None]
     if loops:
         worst = min(loops, key=lambda loop: loop.probability or 0.0)
-        yield (
-            f"{counted(len(loops), 'loop')}; the worst, {around(site, worst)}, misses by "
-            f"{error(worst.translation)} and {error(worst.rotation, 'rad')} "
-            f"(by chance: {probability(worst.probability)})"
-        )
+        which = f"{len(loops)} loops; the worst," if loops[1:] else "loop"
+        misses = f"{error(worst.translation)} and {error(worst.rotation, 'rad')}"
+        by_chance = f"by chance: {probability(worst.probability)}"
+        yield f"{which} {around(site, worst)}: misses by {misses} ({by_chance})"
     elif len(site.lidars) > 2:
         yield "no closed loop: no third LiDAR checks a pair"
     tests = ranked_tests(site)
