@@ -6,10 +6,12 @@ A *place* is a path or a URL as text.
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import posixpath
+import re
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from functools import reduce
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import MissingExtraError, ReadError, RetropoleError, UsageError
-from ..base.files import run_alone, write_atomically
+from ..base.files import write_atomically
 
 LARGEST_LIST = 2**28
 """Bytes of a list of sites: a million lines of 250."""
@@ -67,6 +69,8 @@ def filesystem(place: str) -> tuple[Any, str]:
         system, path = url_to_fs(place)
     except Exception as error:
         raise UsageError(f"{place}: {error or type(error).__name__}") from None
+    # What goes wrong is said here, and once.
+    logging.getLogger(type(system).__module__.partition(".")[0]).setLevel(logging.CRITICAL)
     return system, str(path)
 
 
@@ -130,6 +134,7 @@ def exists(place: str) -> bool:
         Where the file system cannot be asked.
     """
     with _asked(place, "cannot be looked for") as (system, path):
+        system.invalidate_cache()
         return bool(system.exists(path))
 
 
@@ -156,19 +161,24 @@ def _asked(place: str, fault: str) -> Iterator[tuple[Any, str]]:
     except Exception as error:
         if getattr(error, "errno", None) == errno.ENOSPC:
             raise
-        why = getattr(error, "strerror", None) or error or type(error).__name__
-        raise ReadError(f"{place}: {fault} ({why})") from None
+        raise ReadError(f"{place}: {fault} ({_why(error)})") from None
 
 
 @contextmanager
-def _changed(place: str) -> Iterator[tuple[Any, str]]:
+def changed(place: str) -> Iterator[tuple[Any, str]]:
     """Open the file system of a place; whatever it raises is an `OSError` that names the place."""
     system, path = filesystem(place)
     try:
         yield system, path
     except Exception as error:
-        number, why = getattr(error, "errno", None), getattr(error, "strerror", None)
-        raise OSError(number or errno.EIO, why or str(error), place) from None
+        raise OSError(getattr(error, "errno", None) or errno.EIO, _why(error), place) from None
+
+
+def _why(error: Exception) -> str:
+    """Say what is wrong; of what is not there, stores name only an address of their own."""
+    if isinstance(error, FileNotFoundError):
+        return os.strerror(errno.ENOENT)
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 def found_below(folder: str) -> list[str]:
@@ -194,8 +204,12 @@ def matching(pattern: str) -> list[str]:
     """
     with _asked(pattern, "cannot be listed") as (system, path):
         found = sorted(system.glob(path))
-    scheme = pattern.partition("://")[0] + "://" if is_url(pattern) else ""
-    return [each if each.startswith(scheme) else scheme + each.lstrip("/") for each in found]
+    if not is_url(pattern):
+        return found
+    # What the pattern begins with, a host or an account too, is not all in the paths there.
+    fixed = re.split(r"[*?[]", path, maxsplit=1)[0]
+    start = pattern.rstrip("/").removesuffix(path[len(fixed) :])
+    return [start + each.removeprefix(fixed) for each in found]
 
 
 def names_in(folder: str) -> list[str]:
@@ -270,14 +284,11 @@ def write_bytes(place: str, data: bytes) -> None:
     if not is_url(place):
         write_atomically(Path(absolute(place)), data)
         return
-    with _changed(place) as (system, path):
-        system.makedirs(posixpath.dirname(path), exist_ok=True)
+    with changed(place) as (system, path):
+        # An object store has no folders: it would make the bucket that a slip names.
+        if place.partition("://")[0] not in PROTOCOLS:
+            system.makedirs(posixpath.dirname(path), exist_ok=True)
         system.pipe_file(path, data)
-
-
-def alone_in(folder: str) -> AbstractContextManager[None]:
-    """Keep other runs from a folder, as `files.run_alone`; of a URL none can be kept away."""
-    return nullcontext() if is_url(folder) else run_alone(Path(absolute(folder)))
 
 
 def remove(place: str) -> None:
@@ -288,7 +299,7 @@ def remove(place: str) -> None:
     OSError
         Where it cannot be removed; names the place.
     """
-    with _changed(place) as (system, path):
+    with changed(place) as (system, path):
         system.rm_file(path)
 
 
