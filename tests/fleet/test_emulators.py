@@ -175,7 +175,7 @@ def test_what_is_killed_goes_on_and_no_two_run_at_once(
         assert storage.found_below(out) == before
         first.send_signal(last)
         first.send_signal(signal.SIGCONT)
-        first.communicate()
+        first.wait()
         assert exists(below(out, RUNNING)) == (last == signal.SIGKILL)
     assert "if that run was killed, remove .running there" in ran(*words, code=2)
     storage.remove(below(out, RUNNING))

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from fsspec.implementations.memory import MemoryFile
+from fsspec.implementations.memory import MemoryFile, MemoryFileSystem
 
 from retropole.base.errors import ReadError, UsageError
 from retropole.fleet import storage
@@ -48,6 +48,17 @@ def test_what_is_written_is_found(root: str, tmp_path: Path) -> None:
     assert not storage.exists(place)
     with pytest.raises(ReadError, match="cannot be read"):
         storage.read_bytes(place)
+
+
+def test_no_bucket_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def makes(*given: object, **options: object) -> None:
+        raise AssertionError(given)
+
+    for name in ("mkdir", "makedirs"):
+        monkeypatch.setattr(MemoryFileSystem, name, makes)
+    place = f"memory://{uuid.uuid4().hex}/a/b.txt"
+    storage.write_bytes(place, b"data")
+    assert storage.read_bytes(place) == b"data"
 
 
 def test_pairs_and_site_files_are_found_in_a_folder(root: str) -> None:
