@@ -79,6 +79,18 @@ def test_a_store_without_exclusive_creation_keeps_the_later_run_away(
         raise AssertionError
 
 
+def test_a_system_that_has_folders_has_one_made(out: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def makes(system: Any, path: str, exist_ok: bool) -> None:
+        made.append((path, exist_ok))
+
+    monkeypatch.setattr(MemoryFileSystem, "makedirs", makes)
+    monkeypatch.setattr(storage, "PROTOCOLS", ())
+    with storage.also_following(["memory"]), alone_in(out):
+        assert made == [(out.removeprefix("memory:/"), True)]
+
+
 def test_a_signal_that_ends_the_process_ends_the_lock() -> None:
     script = """
 import sys

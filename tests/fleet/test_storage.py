@@ -38,7 +38,7 @@ def test_what_is_written_is_found(root: str, tmp_path: Path) -> None:
         storage.write_bytes(place, data)
         assert storage.read_bytes(place) == data
     assert storage.names_in(storage.folder_of(place)) == ["b.txt"]
-    assert storage.is_folder(storage.folder_of(place))
+    assert storage.exists(storage.folder_of(place), as_folder=True)
     assert storage.found_below(root) == ["a", "a/b.txt"]
     assert storage.matching(storage.below(root, "*/b.*")) == [place]
     assert storage.fetch(place, tmp_path / "copy").read_bytes() == b"new"

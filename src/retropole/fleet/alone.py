@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
 from ..base.files import RUNNING, leaving, run_alone, taken, this_run
-from .storage import absolute, below, changed, exists, is_url, read_bytes, remove
+from .storage import absolute, below, exists, is_url, read_bytes, remove, write_new
 
 LONGEST_NOTE = 2**12
 """Bytes of the note of a run; one has about 100."""
@@ -41,10 +41,9 @@ def alone_in(folder: str) -> Iterator[None]:
 
     leaving.append(leave)
     try:
-        # Some stores know no exclusive creation, and write over what is there.
+        # Some stores would write over it.
         if not exists(note):
-            with changed(note) as (system, path), suppress(FileExistsError):
-                system.pipe_file(path, own, mode="create")
+            write_new(note, own)
         if (found := read_bytes(note, LONGEST_NOTE)) != own:
             who = found.decode(errors="replace").partition("\n")[0]
             raise taken(folder, who, f"; if that run was killed, remove {RUNNING} there")

@@ -11,7 +11,7 @@ import os
 import posixpath
 import re
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from functools import reduce
@@ -125,8 +125,8 @@ def folder_of(place: str) -> str:
     return place.rpartition("/")[0]
 
 
-def exists(place: str) -> bool:
-    """Whether there is a file or a folder.
+def exists(place: str, *, as_folder: bool = False) -> bool:
+    """Whether there is a file or a folder, or a folder alone.
 
     Raises
     ------
@@ -135,19 +135,7 @@ def exists(place: str) -> bool:
     """
     with _asked(place, "cannot be looked for") as (system, path):
         system.invalidate_cache()
-        return bool(system.exists(path))
-
-
-def is_folder(place: str) -> bool:
-    """Whether there is a folder.
-
-    Raises
-    ------
-    ReadError
-        Where the file system cannot be asked.
-    """
-    with _asked(place, "cannot be looked for") as (system, path):
-        return bool(system.isdir(path))
+        return bool(system.isdir(path) if as_folder else system.exists(path))
 
 
 @contextmanager
@@ -165,7 +153,7 @@ def _asked(place: str, fault: str) -> Iterator[tuple[Any, str]]:
 
 
 @contextmanager
-def changed(place: str) -> Iterator[tuple[Any, str]]:
+def _changed(place: str) -> Iterator[tuple[Any, str]]:
     """Open the file system of a place; whatever it raises is an `OSError` that names the place."""
     system, path = filesystem(place)
     try:
@@ -284,11 +272,31 @@ def write_bytes(place: str, data: bytes) -> None:
     if not is_url(place):
         write_atomically(Path(absolute(place)), data)
         return
-    with changed(place) as (system, path):
-        # An object store has no folders: it would make the bucket that a slip names.
-        if place.partition("://")[0] not in PROTOCOLS:
-            system.makedirs(posixpath.dirname(path), exist_ok=True)
+    with _changed(place) as (system, path):
+        _make_folder(system, place, path)
         system.pipe_file(path, data)
+
+
+def write_new(url: str, data: bytes) -> None:
+    """Write a file at a URL where there is none; of several who do at once one does.
+
+    Some systems write over what is there all the same: who needs to know reads it again.
+
+    Raises
+    ------
+    OSError
+        As `write_bytes`.
+    """
+    with _changed(url) as (system, path):
+        _make_folder(system, url, path)
+        with suppress(FileExistsError):
+            system.pipe_file(path, data, mode="create")
+
+
+def _make_folder(system: Any, place: str, path: str) -> None:
+    """Make the folder of a file; an object store has none, and would make the bucket of a slip."""
+    if place.partition("://")[0] not in PROTOCOLS:
+        system.makedirs(posixpath.dirname(path), exist_ok=True)
 
 
 def remove(place: str) -> None:
@@ -299,7 +307,7 @@ def remove(place: str) -> None:
     OSError
         Where it cannot be removed; names the place.
     """
-    with changed(place) as (system, path):
+    with _changed(place) as (system, path):
         system.rm_file(path)
 
 
