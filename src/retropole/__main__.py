@@ -24,6 +24,10 @@ def _end(number: int, frame: object) -> None:
     for path in getattr(files, "unfinished", ()):
         with suppress(OSError):
             os.unlink(path)
+    # Where a server does not answer, a second signal ends it.
+    while leaving := getattr(files, "leaving", ()):
+        with suppress(Exception):
+            leaving.pop()()
     line = f"retropole: {WORDS[signal.Signals(number)]}\n"
     if os.isatty(2):
         line = f"{SHOW_CURSOR}\r{line}"

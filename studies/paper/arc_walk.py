@@ -1,8 +1,8 @@
 """Equations 3 and 4: the arc that a ring draws on the pole, walked as written and cast exactly.
 
 The pole stands on the z axis and the LiDAR at (x_p, 0, 0). The paper takes the beams of a ring for
-a plane (eq. 3), writes a point of the arc by its angle θ about the axis (eq. 4), and finds the step
-dθ to the next point from the angle between the two as seen by the LiDAR (eq. 5), which has no
+a plane, writes a point of the arc by its angle θ about the axis (eq. 3), and finds the step
+dθ to the next point from the angle between the two as seen by the LiDAR (eq. 4), which has no
 closed form. The beams of a ring off the middle form a cone; casting them is exact and closed.
 """
 
@@ -20,7 +20,7 @@ ENDLESS_POLE = 100.0
 """Length of the pole, metres: the field of view ends the line, as in the paper."""
 
 SOLVER_TOLERANCE = 1e-14
-"""Relative, of θ, and the largest residual of eq. 5 that counts as solved, rad."""
+"""Relative, of θ, and the largest residual of eq. 4 that counts as solved, rad."""
 
 
 class MiddleBeam(NamedTuple):
@@ -118,7 +118,7 @@ def cast_plane(distance: float, radius: float, middle: MiddleBeam, step: float) 
 
 
 def walk_arc(distance: float, radius: float, middle: MiddleBeam, step: float) -> Array:
-    """Walk along the arc from θ = 0 to both of its ends, as in eq. 3–5: (N, 3), metres.
+    """Walk along the arc from θ = 0 to both of its ends, as in eq. 3 and 4: (N, 3), metres.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def walk_arc(distance: float, radius: float, middle: MiddleBeam, step: float) ->
 
 
 def arc_point(theta: Array, distance: float, radius: float, normal: Array) -> Array:
-    """Points (N, 3) of the arc at angles (N,) about the pole (eq. 4), in a plane (eq. 3).
+    """Points (N, 3) of the arc at angles (N,) about the pole, in a plane (eq. 3).
 
     The plane goes through the LiDAR at (distance, 0, 0); ``normal`` (3,) is not level.
     """
@@ -160,7 +160,7 @@ def arc_point(theta: Array, distance: float, radius: float, normal: Array) -> Ar
 def next_angle(
     theta: float, side: float, distance: float, radius: float, normal: Array, step: float
 ) -> float | None:
-    """Solve eq. 5 for the next angle about the pole, with a trust-region (dogleg) method.
+    """Solve eq. 4 for the next angle about the pole, with a trust-region (dogleg) method.
 
     Eq. 5 asks that the LiDAR sees the points at θ and θ + dθ an angle ``step`` apart.
 
@@ -207,7 +207,7 @@ def next_angle(
     found = root(too_wide, start, method="hybr", options={"xtol": SOLVER_TOLERANCE})
     angle = float(found.x[0])
     if abs(too_wide(np.array([angle]))) > SOLVER_TOLERANCE or not side * (angle - theta) > 0:
-        raise ArithmeticError(f"eq. 5 has no solution near θ = {theta:.6f} rad: {found.message}")
+        raise ArithmeticError(f"eq. 4 has no solution near θ = {theta:.6f} rad: {found.message}")
     return angle
 
 

@@ -102,13 +102,13 @@ def arc_walk() -> Exhibit:
             )
     return Exhibit(
         "eq3_4_arc_walk",
-        "Equations 3 and 4: largest difference of the walk along the arc from exact casting, VLP-16",
+        "Equations 3 and 4: largest difference of the walk from exact casting, VLP-16",
         (
             *("x_p m", "r m", "orientation", "points walked", "points on the cone"),
             *("walk to its own plane cast m", "walk to cone m", "to cone at elevation 0 m"),
         ),
         tuple(rows),
-        "dθ of eq. 5 by a trust-region (dogleg) solver, from θ = 0 to both ends of the arc. The "
+        "dθ of eq. 4 by a trust-region (dogleg) solver, from θ = 0 to both ends of the arc. The "
         "plane of eq. 3 is taken through the beam at θ = 0 along the direction in which the ring "
         "turns there. Points are compared with their partners in the order from θ = 0; those "
         "without a partner drop out. The angle c "

@@ -107,9 +107,9 @@ def test_certainty_is_given_back_in_its_two_kinds() -> None:
     assert made.confirmation == Confirmation(agreeing=412, contradicting=3)
     for line in (
         "predicted error  ± 5.6 mm at 1 m, ± 6.2 mm at 10 m, ± 9.5 mm at 30 m, ± 16 mm at 60 m",
-        "largest error    range offset of the source LiDAR: 58 % of the variance of ± 9.5 mm",
+        "main error       range offset of the source LiDAR (58 %)",
         "radius           20.00 mm given, 20.31 ± 0.42 mm estimated",
-        "scene            412 voxels agree, 3 conflict with it (0.7 %)",
+        "scene            412 patches agree, 3 contradict (0.7 % against it)",
     ):
         assert line in repr(made)
     older = replace(made.document, uncertainty=None, budget=None, radius=None, confirmation=None)

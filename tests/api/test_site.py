@@ -112,12 +112,38 @@ def test_it_prints_where_each_lidar_is(result: rp.SiteResult) -> None:
         assert name in words
 
 
+def test_a_notebook_shows_where_each_lidar_is(result: rp.SiteResult) -> None:
+    page = result._repr_html_()
+    assert "<td" in page
+    for name in NAMES:
+        assert name in page
+
+
+def test_plot_draws_every_lidar_with_or_without_its_clouds(
+    result: rp.SiteResult, tmp_path: Path
+) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'figures')")
+    result.save(tmp_path / "out")
+    for each in (result, rp.load_site_result(tmp_path / "out")):
+        above, beside = each.plot().axes
+        assert {text.get_text() for text in above.texts} == set(NAMES)
+        for k, name in enumerate(NAMES):
+            points = np.asarray(above.collections[k].get_offsets())
+            assert above.collections[k].get_label() == name
+            assert (len(points) > 0) is (each.calibration is not None)
+        assert len(beside.collections) == len(NAMES)
+    picture = getattr(result.plot(), "_repr_png_")()  # noqa: B009
+    assert picture.startswith(b"\x89PNG")
+
+
 def test_a_refusal_has_no_transform(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answering(monkeypatch, "refused")
     result = rp.calibrate_site(write_site(tmp_path))
     assert result.status == "refused"
     with pytest.raises(Refusal, match="leaves two ways"):
         result.T("mast-a", "gate")
+    with pytest.raises(Refusal, match="leaves two ways"):
+        result.plot()
     result.save(tmp_path / "out")
     with pytest.raises(Refusal, match="leaves two ways"):
         rp.load_site_result(tmp_path / "out").covariance("mast-a", "gate")

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from retropole.base import se3
 from retropole.base.relative import relative_jacobian
@@ -100,3 +101,31 @@ def test_random_rotations_are_proper() -> None:
         T = se3.random(rng, 2.0)
         assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
         assert np.abs(T[:3, 3]).max() <= 2.0
+
+
+@pytest.mark.parametrize(
+    "angle", [0.0, 1e-200, 1e-12, 1e-6, 0.1, 1.5, 2.8, 3.1, np.pi - 1e-7, np.pi]
+)
+def test_rotations_are_those_of_scipy(angle: float) -> None:
+    rng = np.random.default_rng(3)
+    axes = rng.normal(size=(50, 3))
+    phi = angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    theirs = Rotation.from_rotvec(phi)
+    R = theirs.as_matrix()
+    np.testing.assert_allclose(se3.exp_so3(phi), R, atol=3e-15)
+    np.testing.assert_allclose(se3.exp_so3(se3.log_so3(R)), R, atol=3e-15)
+    np.testing.assert_allclose(np.linalg.norm(se3.log_so3(R), axis=1), angle, rtol=1e-8, atol=1e-15)
+    q = se3.quaternion_xyzw(R)
+    assert (q[:, 3] >= 0).all()
+    # At half a turn both signs of the axis are the same.
+    np.testing.assert_allclose(np.abs(np.sum(q * theirs.as_quat(), axis=1)), 1.0, atol=3e-15)
+    for one, own in zip(R, q, strict=True):
+        np.testing.assert_allclose(
+            se3.from_quaternion_xyzw(2 * own, np.ones(3))[:3, :3], one, atol=3e-15
+        )
+
+
+def test_roll_pitch_and_yaw_are_those_of_scipy() -> None:
+    for rpy in np.random.default_rng(4).uniform(-3, 3, (50, 3)):
+        theirs = Rotation.from_euler("xyz", rpy).as_matrix()
+        np.testing.assert_allclose(se3.rotation_from_rpy(rpy), theirs, atol=3e-15)

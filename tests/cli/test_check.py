@@ -40,7 +40,7 @@ def test_exit_codes_and_words(site: Path) -> None:
     code, text = run(site, "r", "same")
     assert code == 0, text
     assert text.startswith("verdict: same within 0.30° and 30 mm\n")
-    assert "what stands in the scene, under the stored pose: " in text
+    assert "scene check under the stored pose: " in text
     code, text = run(site, "r/result.json", "moved")
     assert code == 4, text
     assert "about the target's +z (yaw)" in text

@@ -33,8 +33,7 @@ def test_evaluate_prefers_the_truth(scene: Path, tmp_path: Path) -> None:
     )
     done = retropole_here("evaluate", *clouds, "--transform", truth)
     assert (
-        f"{found['agreeing']:,} voxels agree, {found['contradicting']} conflict with it"
-        in done.stdout
+        f"{found['agreeing']:,} patches agree, {found['contradicting']} contradict" in done.stdout
     )
 
 

@@ -48,21 +48,27 @@ def never(tasks: Iterator[Task]) -> Iterator[Outcome]:
     raise AssertionError(list(tasks))
 
 
-@pytest.mark.skipif(os.name == "nt", reason="the system has no such locks")
-def test_a_second_run_into_a_dataset_is_told_of_the_first(fleet: Path, tmp_path: Path) -> None:
-    sites, out = find_sites([str(fleet)]), tmp_path / "out"
-    met = []
+@pytest.mark.parametrize("at_url", [False, True])
+def test_a_second_run_into_a_dataset_is_told_of_the_first(
+    at_url: bool, fleet: Path, tmp_path: Path
+) -> None:
+    if os.name == "nt" and not at_url:
+        pytest.skip("the system has no such locks")
+    out = f"memory://{tmp_path.name}/out" if at_url else str(tmp_path / "out")
+    sites, met = find_sites([str(fleet)]), []
 
     def second_first(tasks: Iterator[Task]) -> Iterator[Outcome]:
+        before = storage.found_below(out)
         with pytest.raises(OSError, match=rf"another run .* \(process {os.getpid()} on ") as caught:
-            calibrate_fleet(sites, str(out), never)
+            calibrate_fleet(sites, out, never)
         met.append(caught.value)
+        assert storage.found_below(out) == before
         yield from here(tasks)
 
-    assert calibrate_fleet(sites, str(out), second_first).done == 7
+    assert calibrate_fleet(sites, out, second_first).done == 7
     assert len(met) == 1
-    # The first is over, or was killed: the note that it leaves keeps nobody away.
-    assert calibrate_fleet(sites, str(out), here).done == 1
+    # The first is over; the note that it leaves in a folder, killed or not, keeps nobody away.
+    assert calibrate_fleet(sites, out, here).done == 1
 
 
 def test_every_site_has_its_row(out: Path) -> None:

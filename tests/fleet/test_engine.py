@@ -31,6 +31,8 @@ from tests.fleet.fleets import bytes_of, here, shuffled
 class _Client:
     """Workers of which every third dies."""
 
+    status = "running"
+
     def __init__(self) -> None:
         self.given: list[int] = []
 

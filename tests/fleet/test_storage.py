@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from fsspec.implementations.memory import MemoryFile
+from fsspec.implementations.memory import MemoryFile, MemoryFileSystem
 
 from retropole.base.errors import ReadError, UsageError
 from retropole.fleet import storage
@@ -38,7 +38,7 @@ def test_what_is_written_is_found(root: str, tmp_path: Path) -> None:
         storage.write_bytes(place, data)
         assert storage.read_bytes(place) == data
     assert storage.names_in(storage.folder_of(place)) == ["b.txt"]
-    assert storage.is_folder(storage.folder_of(place))
+    assert storage.exists(storage.folder_of(place), as_folder=True)
     assert storage.found_below(root) == ["a", "a/b.txt"]
     assert storage.matching(storage.below(root, "*/b.*")) == [place]
     assert storage.fetch(place, tmp_path / "copy").read_bytes() == b"new"
@@ -48,6 +48,17 @@ def test_what_is_written_is_found(root: str, tmp_path: Path) -> None:
     assert not storage.exists(place)
     with pytest.raises(ReadError, match="cannot be read"):
         storage.read_bytes(place)
+
+
+def test_no_bucket_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def makes(*given: object, **options: object) -> None:
+        raise AssertionError(given)
+
+    for name in ("mkdir", "makedirs"):
+        monkeypatch.setattr(MemoryFileSystem, name, makes)
+    place = f"memory://{uuid.uuid4().hex}/a/b.txt"
+    storage.write_bytes(place, b"data")
+    assert storage.read_bytes(place) == b"data"
 
 
 def test_pairs_and_site_files_are_found_in_a_folder(root: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +58,9 @@ def test_draws_and_moves_the_source(browser: Browser, tmp_path: Path) -> None:
 def test_shows_each_hypothesis(browser: Browser, tmp_path: Path) -> None:
     browser.open(tmp_path, render_report(*made_up(count=6000)))
     result = browser.picture()
+    # The scene decides: they are folded away, and drawn once they are seen.
+    browser.find('[aria-labelledby="hypotheses"] summary').click()
+    time.sleep(0.5)  # longer than the page waits before it draws them
     panels = browser.driver.find_elements("css selector", ".panel")
     assert len(panels) == 4
     drawn = "const c = arguments[0].querySelector('canvas'); return new Set(new Uint32Array("
@@ -187,7 +191,7 @@ def test_fits_a_phone(
 
 
 def test_is_reached_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
-    browser.open(tmp_path, render_report(*made_up(count=500)))
+    browser.open(tmp_path, render_report(*made_up("warn", 500)))
     reached = set()
     for _ in range(45):
         browser.driver.switch_to.active_element.send_keys("\ue004")

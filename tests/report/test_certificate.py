@@ -35,7 +35,7 @@ def test_it_states_all_that_a_reader_would_ask_for() -> None:
         assert item.sha256 in text
     for said in ("Pier 4", "11002", "11007", "VLP-16", result.created, "Signature", "Calibrated"):
         assert said in text
-    for error in ("at range", "60 m", "± 16 mm", "rotation about z", "412 voxels agree"):
+    for error in ("at range", "60 m", "± 16 mm", "rotation about z", "412 patches agree"):
         assert error in text
     assert result.budget is not None
     assert result.budget[0].name in text

@@ -13,9 +13,11 @@ from msgspec.structs import replace
 
 from retropole.export import FORMATS, export_lines
 from retropole.report.certainty import error_parts
+from retropole.report.error_curve import error_curve
 from retropole.report.page import NO_BREAK
-from retropole.report.poses import FRAMES, UNFOLDED, poses
+from retropole.report.poses import FRAMES, UNFOLDED, poses, transform
 from retropole.report.subject import Subject, of_pair
+from retropole.report.uncertainty import certainty
 from retropole.result import BudgetEntry, ResultDoc
 from tests.report.made_up import BUDGET, HOSTILE, RANDOM, T_TRUE, Page, made_up
 from tests.report.pages import of_each_kind, page_of, subject_of
@@ -24,8 +26,13 @@ RESULT = made_up(count=500).result
 SITE = subject_of("site")
 
 
+def whole(subject: Subject) -> str:
+    """The transform of a pair and how certain it is, as they stand on the page."""
+    return transform(subject, error_curve(subject)) + certainty(subject)
+
+
 def of_result(**fields: object) -> Page:
-    page = Page(poses(of_pair(replace(RESULT, **fields), ())))
+    page = Page(whole(of_pair(replace(RESULT, **fields), ())))
     assert page.open == []
     return page
 
@@ -35,12 +42,13 @@ def test_a_refused_page_gives_no_pose_to_copy(kind: str) -> None:
     html = page_of(kind, "refused")
     assert "data-export" not in html.split("<script")[0]
     assert poses(subject_of(kind, "refused")) == ""
+    assert whole(subject_of(kind, "refused")) == ""
     assert "too_wide" in html
     assert all(pose["id"] != "result" for pose in json.loads(Page(html).data)["poses"])
 
 
 def test_lines_to_copy_are_those_of_export() -> None:
-    html = poses(of_pair(RESULT, ()))
+    html = whole(of_pair(RESULT, ()))
     written = dict(re.findall(r'data-export="(\w+)">(.*?)</pre>', html, re.S))
     expected = export_lines(T_TRUE, *FRAMES)
     assert set(written) == set(expected)
@@ -126,7 +134,7 @@ def test_every_source_of_error_is_listed_the_largest_first() -> None:
 
 def test_the_largest_of_many_small_errors_is_not_folded_away() -> None:
     many = [replace(BUDGET[0], name=f"part {k}", share_at_30m=0.004) for k in range(200)]
-    html = poses(of_pair(replace(RESULT, budget=many), ()))
+    html = whole(of_pair(replace(RESULT, budget=many), ()))
     budget = html[html.index("What the error is made of") :]
     assert "part 0" in budget.split("<details>")[0]
     assert "199 smaller, together 80 %" in budget
@@ -135,7 +143,8 @@ def test_the_largest_of_many_small_errors_is_not_folded_away() -> None:
 
 def test_words_of_a_budget_stay_words() -> None:
     hostile: list[BudgetEntry] = [replace(entry, name=HOSTILE) for entry in BUDGET]
-    assert of_result(budget=hostile).text.count(HOSTILE) == len(hostile)
+    # Each in the table, and the largest in a sentence.
+    assert of_result(budget=hostile).text.count(HOSTILE) == len(hostile) + 1
 
 
 def test_a_result_that_does_not_state_its_parts_shows_the_whole() -> None:

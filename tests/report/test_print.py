@@ -127,7 +127,7 @@ def test_the_picture_has_its_shape_and_is_on_white(
     size = {"width": shape[0], "height": shape[1], "deviceScaleFactor": 1, "mobile": False}
     browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
-        browser.open(tmp_path, render_report(*made_up(count=6000)))
+        browser.open(tmp_path, render_report(*made_up("warn", 6000)))
         browser.find("#theme").click()
         dark = browser.root("theme")
         browser.find('[data-preset="top"]').click()

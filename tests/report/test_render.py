@@ -26,7 +26,7 @@ MOST_BYTES = 20e6
 """Of a page of eight LiDARs and as many placements as there may be (chosen: an e-mail's limit)."""
 
 PARTS = {
-    "pair": {"view-title", "hypotheses", "poses", "poles", "run"},
+    "pair": {"transform", "view-title", "next", "hypotheses", "certainty", "poles", "run"},
     "site": {"map", "view-title", "pairs", "loops", "tests", "placements", "poses", "poles", "run"},
 }
 """What can be reached on the page of an answer."""
@@ -45,7 +45,8 @@ def test_a_page_is_whole_and_every_part_of_it_can_be_reached(kind: str, status: 
     assert len(ids) == len(set(ids))
     links = {str(attributes["href"])[1:] for tag, attributes in page.tags if tag == "a"}
     assert links <= set(ids)
-    refused = {"poses", "map", "loops", "tests", "placements"} if status == "refused" else set()
+    answered = {"transform", "next", "certainty", "poses", "map", "loops", "tests", "placements"}
+    refused = answered if status == "refused" else set()
     assert links - {"main"} == PARTS[kind] - refused
     assert json.loads(page.data)["status"] == status
 
@@ -224,4 +225,5 @@ def test_topics_tell_two_lidars_of_one_bag_apart() -> None:
 @of_each_kind
 def test_notes_stand_before_the_verdict(kind: str) -> None:
     page = Page(page_of(kind, notes=(HOSTILE,)))
-    assert page.text.index("window.injected") < page.text.index("The poses below map")
+    sentence = {"pair": "Points up to 30 m away", "site": "Every LiDAR has a pose"}[kind]
+    assert page.text.index("window.injected") < page.text.index(sentence)

@@ -10,12 +10,16 @@ from msgspec.structs import replace
 
 from retropole.base.bounded import Status
 from retropole.base.reasons import plain, reasons
-from retropole.base.uncertainty.confirmation import Confirmation
+from retropole.base.uncertainty.confirmation import UNUSABLE, Confirmation
 from retropole.base.uncertainty.purpose import Fitness
 from retropole.report.certainty import probability, statements
+from retropole.report.certificate import certificate
+from retropole.report.error_curve import curve_sentence, error_curve
 from retropole.report.page import NO_BREAK
 from retropole.report.subject import Subject, of_pair
-from retropole.report.verdict import verdict
+from retropole.report.text import describe_result
+from retropole.report.uncertainty import certainty
+from retropole.report.verdict import next_steps, verdict
 from retropole.result import ReasonDoc, ResultDoc
 from retropole.result.site import SiteDoc
 from tests.report.made_up import Page, made_up
@@ -69,32 +73,68 @@ def test_an_answer_says_what_to_do_next(kind: str) -> None:
         "site": ("Look at the tests", "site-result.json"),
     }
     for status in ("ok", "warn"):
-        text = Page(verdict(subject_of(kind, status))).text
+        subject = subject_of(kind, status)
+        text = Page(verdict(subject) + next_steps(subject)).text
         for words in ("What to do next", *said[kind]):
             assert words in text
         assert ("Settle the warning first" in text) is (status == "warn")
-    assert "What to do next" not in Page(verdict(subject_of(kind, "refused"))).text
+    refused = subject_of(kind, "refused")
+    assert "What to do next" not in Page(verdict(refused) + next_steps(refused)).text
 
 
 def test_says_how_certain_a_pair_is_and_in_which_direction() -> None:
-    text = of_pair_with().text.replace(NO_BREAK, " ")
+    text = Page(certainty(of_pair(made_up("ok", 500).result, ()))).text.replace(NO_BREAK, " ")
     for said in (
-        "least certain, 1 sigma: height along the poles: 6.0 mm",
+        "weakest direction, 1 sigma: height along the poles: 6.0 mm",
         "± 16 mm at 60 m",
-        "largest source of error, range offset of the source LiDAR: 58 % of the variance of "
-        "± 9.5 mm at 30 m",
-        "what stands in the scene: 412 voxels agree, 3 conflict with it (0.7 %)",
-        "margin over the next0.510",
+        "main error source at 30 m: range offset of the source LiDAR (58 %)",
+        "scene check: 412 patches agree, 3 contradict (0.7 % against it)",
     ):
         assert said in text
+
+
+def test_the_verdict_of_a_pair_is_a_sentence_and_says_the_rest_below() -> None:
+    page = of_pair_with()
+    assert not [1 for tag, _ in page.tags if tag in ("li", "dl")]
+    curve = error_curve(of_pair(made_up("ok", 500).result, ()))
+    assert curve is not None
+    assert curve_sentence(curve).startswith("Points up to 30 m away are within ")
 
 
 def test_a_refusal_says_what_the_scene_said() -> None:
     contradicted = Confirmation(agreeing=61, contradicting=202, better_at=2.0)
     text = of_pair_with("refused", confirmation=contradicted).text
-    said = "61 voxels agree, 202 conflict with it (76.8 %); it fits better 2.0 m away"
-    assert f"what stands in the scene: {said}" in text
-    assert "what stands in the scene" not in of_pair_with("refused").text
+    said = "61 patches agree, 202 contradict (76.8 % against it); it fits better 2.0 m away"
+    assert f"scene check: {said}" in text
+    assert "scene check" not in of_pair_with("refused").text
+
+
+def doubted(**fields: object) -> ResultDoc:
+    """An answer that is wrong with a probability of 39 %."""
+    found = Confirmation(agreeing=31, contradicting=5, missing=2, z_margin=-0.5)
+    assert found.probability_wrong is not None
+    assert found.probability_wrong > UNUSABLE
+    return replace(made_up("warn", 500).result, confirmation=replace(found, **fields))
+
+
+def test_what_is_too_likely_wrong_is_not_advised_to_be_used() -> None:
+    """On the page and the terminal alike, until somebody trusts the poles."""
+    following = {"next": "retropole export ."}
+    for is_trusted in (False, True):
+        result = doubted(trusted=is_trusted)
+        subject = of_pair(result, ())
+        page = Page(verdict(subject) + next_steps(subject)).text
+        words = " ".join(describe_result(result, [], following).split())
+        for text in (page, words):
+            assert ("do not use it. Add a third pole" in text) is not is_trusted
+            assert ("retropole export ." in text) is is_trusted
+        assert (certificate(subject) == "") is not is_trusted
+    unsure = ReasonDoc("not_confirmed", "", {"probability_wrong": 0.34})
+    for wrong in (UNUSABLE, 0.34):
+        unsure = replace(unsure, values={"probability_wrong": wrong})
+        page = Page(verdict(Subject(replace(site("warn"), reasons=[unsure])))).text
+        assert ("do not use it" in page) is (wrong > UNUSABLE)
+        assert ("What to do next" in page) is (wrong == UNUSABLE)
 
 
 def test_the_verdict_answers_what_was_asked_for() -> None:
@@ -124,14 +164,13 @@ def test_a_site_says_how_good_it_is_and_what_checked_it() -> None:
         "Calibrated: 5 LiDARs in one frame",
         "datum: LiDAR mast-a stands still",
         "crane-high being the worst",
-        "none beyond w 3.29",
-        "loops: 3; the least likely, mast-a → crane-low → crane-high → mast-a",
-        "unchecked: 1 of the tests would not show an error",
+        "none suspicious",
+        "3 loops; the worst, mast-a → crane-low → crane-high → mast-a: misses by",
+        "1 observation without a check",
     ):
         assert said in text
     warned = said_of(site("warn"))
-    assert "beyond w 3.29: pole 2 of morning as mast-b sees it (w 6.3)" in warned
-    assert "largest |w|" in warned
+    assert "1 suspicious (w above 3.29): pole 2 of morning as mast-b sees it (w 6.3)" in warned
 
 
 def test_a_refused_site_names_its_groups_and_no_figures() -> None:
@@ -144,10 +183,10 @@ def test_a_refused_site_names_its_groups_and_no_figures() -> None:
 def test_a_site_without_tests_says_that_nothing_checks_it() -> None:
     bare = replace(site(), tests=[], loops=[])
     said = list(statements(Subject(bare)))
-    assert "tests: none; nothing checks these poses" in said
-    assert "loops: none closed; no third LiDAR checks a pair" in said
+    assert "no consistency checks: nothing verifies these poses" in said
+    assert "no closed loop: no third LiDAR checks a pair" in said
     refused = " ".join(statements(Subject(site("refused"))))
-    assert not re.search("tests|loops|pairs", refused)
+    assert not re.search("checks|loop|pairs", refused)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from retropole.scene.robust import common_scatter, robust_scale
+from retropole.scene.robust import GEMAN_HALF, common_scatter, robust_scale
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.2])
@@ -49,3 +49,19 @@ def test_the_order_has_no_part_and_units_scale() -> None:
     assert common_scatter(values[order], sigma[order] ** 2, weights[order]) == pytest.approx(found)
     in_mm = common_scatter(1e3 * values, 1e6 * sigma**2, weights)
     assert in_mm == pytest.approx(1e6 * found)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_half_of_the_values_lie_outside_of_the_scale(seed: int) -> None:
+    """As its definition has it, also where tails are heavy and where values are zero."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(5, 2000))
+    values = rng.standard_t(rng.uniform(0.5, 10), count) * 10.0 ** rng.uniform(-6, 3)
+    values[: int(0.4 * count * rng.integers(2))] = 0.0
+    weights = rng.random(count)
+    square, scale = values**2, (GEMAN_HALF * robust_scale(values, weights)) ** 2
+    half = 0.5 * weights.sum()
+    if weights[values != 0].sum() > half:
+        assert weights @ (square / (square + scale)) == pytest.approx(half, rel=1e-9)
+    else:
+        assert scale < 1e-29

@@ -3,9 +3,10 @@
 from itertools import combinations
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from retropole.base import se3
-from retropole.scene.shifts import NEAR, PEAKS, best_lifts, best_shifts
+from retropole.scene.shifts import NEAR, PEAKS, _with_neighbours, best_lifts, best_shifts
 
 POINTS = np.random.default_rng(0).uniform([-15, -15, 0.5], [15, 15, 4], (1500, 3))
 """A wood: nothing repeats."""
@@ -55,3 +56,10 @@ def test_the_frame_does_not_matter() -> None:
 def test_nothing_to_compare_gives_nothing() -> None:
     for find in (best_shifts, best_lifts):
         assert find(POINTS, np.zeros((0, 3)), UP, np.eye(4)) == []
+
+
+def test_a_cell_and_its_neighbours_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(0)
+    for shape in ((1, 1), (1, 9), (7, 2), (30, 40)):
+        grid = (rng.random(shape) < 0.1).astype(np.float32)
+        np.testing.assert_array_equal(_with_neighbours(grid.copy()), maximum_filter(grid, 3))

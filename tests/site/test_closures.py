@@ -71,9 +71,10 @@ def test_residuals_that_places_have_in_common_open_no_loop(steps: Steps) -> None
     for _ in range(40):
         off = 0.01 * rng.normal(size=count)
         scene = tuple(
-            replace(term, weighed=replace(term.weighed, residuals=off[own] * root))
+            replace(term, weighed=replace(term.weighed, table=table))
             for term, own in zip(end.scene, places, strict=True)
             for root in [np.sqrt(term.weighed.weights)]
+            for table in [np.column_stack([term.weighed.table[:, :-1], off[own] * root])]
         )
         now = replace(end, scene=scene)
         found += [loop.chi2 for loop in close_loops(at, now)]

@@ -284,6 +284,18 @@ def test_the_chance_that_an_answer_is_wrong_is_stated_for_a_share_that_deceives(
         assert ratios == pytest.approx([odds, odds])
 
 
+def test_a_message_counts_what_the_document_counts() -> None:
+    """What contradicts and what should agree and does not are two counts everywhere."""
+    found = places(500, 150, 50, z_margin=0.5)
+    with pytest.raises(Refusal) as refused:
+        check_confirmation(found)
+    (doubted,) = check_unconfirmed(found)
+    for said in (refused.value.message, doubted.message, found.words):
+        assert "500 patches agree, 150 contradict, 50 should agree and do not" in said
+    for values in (refused.value.values, doubted.values):
+        assert (values["contradicting"], values["missing"]) == (150, 50)
+
+
 def test_notes_are_no_reason_to_doubt() -> None:
     few = Reason("few_points", "a pole has 8 returns", {})
     moved = Reason("pole_moved", "pole 2 moved", {})

@@ -1,8 +1,8 @@
 """What a return says of the axis of a taped pole, and what a beam says that passed beside it.
 
-Xue et al. 2019, eq. 3–6, walk along the facing arc of the pole by solving eq. 5 for each step. Here
-every beam is compared with the cylinder in closed form. That is exact, and covers beams off the
-middle too, which sweep a cone and not the plane of eq. 3.
+Xue et al. 2019, eq. 3 and 4, walk along the facing arc of the pole and solve eq. 4 for each step.
+Here every beam is compared with the cylinder in closed form. That is exact, and covers beams off
+the middle too, which sweep a cone and not the plane of eq. 3.
 
 In the plane across the axis, seen from the LiDAR, a return lies a depth g in front of the axis and
 has a lateral offset m from it. Without noise ``g = √(r² − m²)`` with ``|m| ≤ r``. With noise σ_g in
@@ -213,8 +213,8 @@ def arc_likelihood(
     log = np.logaddexp(log_pole, np.log(OUTLIERS / (np.pi * OUTLIER_RADIUS**2)))
     inlier = np.exp(log_pole - log)
 
-    def mean(of: Array, more: Array | float = 1.0) -> Array:
-        return np.asarray(np.einsum("kn,kn->n", of, np.broadcast_to(more, of.shape)))
+    def mean(weighted: Array, values: Array) -> Array:
+        return np.asarray(np.einsum("kn,kn->n", weighted, values))
 
     # Derivatives of a node's exponent with respect to g, m, r, of which x and y are the first two
     # in units of the noise, and the mean of what they leave. Weights depend on r too: what the

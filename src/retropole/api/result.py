@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from html import escape
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic
 
@@ -62,6 +61,15 @@ class Result(Generic[AnyDoc]):
         """Say the verdict, what was found and the reasons, a line each."""
         lines = [f"{type(self).__name__}: {self.status}"]
         return "\n".join(lines + [f"  {name:<16} {value}" for name, value in self._rows()])
+
+    def _repr_html_(self) -> str:
+        """Show what `repr` says in a notebook, as a table."""
+        rows = "".join(
+            f'<tr><th style="text-align:left">{escape(name)}</th>'
+            f'<td style="text-align:left">{escape(value)}</td></tr>'
+            for name, value in [("verdict", self.status), *self._rows()]
+        )
+        return f"<table>{rows}</table>"
 
     def _rows(self) -> list[tuple[str, str]]:
         return [(reason.code, reason.message) for reason in self.reasons]
@@ -151,15 +159,6 @@ class CalibrationResult(Result[ResultDoc]):
             raise refusal_of(self.reasons)
         return T
 
-    def _repr_html_(self) -> str:
-        """Show what `repr` says in a notebook, as a table."""
-        rows = "".join(
-            f'<tr><th style="text-align:left">{escape(name)}</th>'
-            f'<td style="text-align:left">{escape(value)}</td></tr>'
-            for name, value in [("verdict", self.status), *self._rows()]
-        )
-        return f"<table>{rows}</table>"
-
     def _rows(self) -> list[tuple[str, str]]:
         rows = []
         T = self.T_target_source
@@ -177,7 +176,7 @@ class CalibrationResult(Result[ResultDoc]):
             rows.append(("predicted error", f"{at} (1 σ)"))
         said = (
             ("fit for purpose", None if self.fitness is None else self.fitness.words),
-            ("largest error", largest_error(self.document)),
+            ("main error", largest_error(self.document)),
             ("radius", radius_words(self.document)),
             ("scene", scene_words(self.document)),
         )
@@ -274,7 +273,7 @@ class CalibrationResult(Result[ResultDoc]):
         ReadError
             Of a loaded result, where its inputs are not found again.
         """
-        from ..report.figures import result_figure
+        from ..report.figures import for_notebooks, result_figure
 
         T = self.required_transform()
         placement = self._inputs().placements[0]
@@ -292,9 +291,7 @@ class CalibrationResult(Result[ResultDoc]):
             ([target[i] for i, _ in pairs], [source[j] for _, j in pairs]),
             contradicting=contradicting_points(standing[0], standing[1], T),
         )
-        # Notebooks draw figures by themselves only where pyplot was imported.
-        setattr(figure, "_repr_png_", partial(_png, figure))  # noqa: B010
-        return figure
+        return for_notebooks(figure)
 
     def _inputs(self, clouds: Sequence[Path] = ()) -> StoredInputs:
         """Take the placements of the run, or read them again."""
@@ -306,13 +303,6 @@ class CalibrationResult(Result[ResultDoc]):
     def _beside(self) -> Path:
         """Folder that paths in the document count from."""
         return Path() if self.path is None else self.path.parent
-
-
-def _png(figure: Figure) -> bytes:
-    """Draw a figure as a notebook shows it."""
-    picture = BytesIO()
-    figure.savefig(picture, format="png")
-    return picture.getvalue()
 
 
 def load_result(path: str | Path) -> CalibrationResult:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from .result import Result
 from .site_inputs import inputs_of, read_site, repeated
 from .stored import loaded
 from .travelling import named_from
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,6 +146,35 @@ class SiteResult(Result[SiteDoc]):
         html = render_site(document, self.calibration)
         files = Path(folder, SITE_RESULT_FILE), Path(folder, SITE_REPORT_FILE)
         return self._write(document, *files, html)
+
+    def plot(self) -> Figure:
+        """Draw all LiDARs in the frame of the site, with the first cloud of each, and the poles.
+
+        Of a result that was loaded, without the clouds.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``figure.savefig("site.png")`` writes it.
+
+        Raises
+        ------
+        MissingExtraError
+            Where matplotlib is not installed.
+        Refusal
+            Where the calibration was refused: there is nothing to draw.
+        """
+        from ..report.figures import for_notebooks, site_figure
+
+        poses = [self.pose(name).T_site_lidar for name in self.lidars]
+        recorded = self.calibration.scans if self.calibration else [()] * len(poses)
+        clouds = [
+            next((scan.cloud.xyz for scan in scans if scan is not None), np.empty((0, 3)))
+            for scans in recorded
+        ]
+        poles = [pole.point for pole in self.document.poles]
+        frame = self.document.frame.name
+        return for_notebooks(site_figure(self.lidars, poses, clouds, poles, frame))
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("datum", self.document.datum)] if self.document.datum else []

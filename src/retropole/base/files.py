@@ -10,7 +10,7 @@ import signal
 import socket
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +28,9 @@ RUNNING = ".running"
 
 unfinished: set[str] = set()
 """Files that are being written: whoever ends the process at once removes them first."""
+
+leaving: list[Callable[[], None]] = []
+"""What else comes first: of where other machines look, none sees that a process has ended."""
 
 
 def read_document(path: Path) -> bytes:
@@ -140,10 +143,22 @@ def run_alone(folder: Path) -> Iterator[None]:
     note = folder / RUNNING
     note.touch()
     with _alone_in(folder, note):
-        since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
         with _named(note):
-            note.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {since}")
+            note.write_text(this_run())
         yield
+
+
+def this_run() -> str:
+    """Say which process this is, and since when it runs."""
+    since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return f"process {os.getpid()} on {socket.gethostname()}, since {since}"
+
+
+def taken(folder: str, who: str = "", remedy: str = "") -> BlockingIOError:
+    """Make the error of a folder that another run has."""
+    named = f" ({who})" if who else ""
+    why = f"another run is writing to it{named}; nothing was written{remedy}"
+    return BlockingIOError(errno.EAGAIN, why, folder)
 
 
 @contextmanager
@@ -164,9 +179,7 @@ def _alone_in(folder: Path, note: Path | None = None) -> Iterator[None]:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
-        who = "" if note is None else f" ({note.read_text()})"
-        why = f"another run is writing to it{who}; nothing was written"
-        raise BlockingIOError(errno.EAGAIN, why, str(folder)) from None
+        raise taken(str(folder), "" if note is None else note.read_text()) from None
     except OSError:
         pass
     try:

@@ -197,7 +197,7 @@ def in_words(answer: CheckResult) -> str:
         ]
     if answer.confirmation is not None:
         words = answer.confirmation.words
-        lines.append(f"  what stands in the scene, under the stored pose: {words}")
+        lines.append(f"  scene check under the stored pose: {words}")
     lines = [part for line in lines for part in wrapped(line, "    ")]
     for reason in answer.reasons:
         lines += reason_lines(ReasonDoc(reason.code, printable(reason.message), {}))

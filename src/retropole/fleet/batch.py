@@ -11,9 +11,10 @@ from typing import TypeVar
 
 from ..api import quantities
 from . import TIME_LIMIT
+from .alone import alone_in
 from .dataset import Row, known_in, partition_of, read_rows, read_runs, write_partition
 from .sites import FleetSite
-from .storage import absolute, alone_in
+from .storage import absolute
 from .work import Outcome, Task, lost, task_of
 
 Key = TypeVar("Key")

@@ -191,7 +191,7 @@ def mapped(
     client: Any, function: Callable[[Given], Found], given: Iterable[Given]
 ) -> Iterator[Found]:
     """Apply a function to each of some on the workers, in their order; here where that fails."""
-    most = PER_THREAD * max(sum(client.nthreads().values()), 1)
+    most = PER_THREAD * _threads(client)
     waiting: deque[tuple[Given, Any]] = deque()
 
     def first() -> Found:

@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from ..base.errors import ReadError, UsageError, quoting
 from ..result import DEFAULT_CONFIG, RunConfig
-from .storage import absolute, below, exists, folder_of, found_below, is_folder, matching
+from .storage import absolute, below, exists, folder_of, found_below, matching
 from .tables import LISTS, lines_of
 
 Kind = Literal["pair", "site"]
@@ -137,7 +137,7 @@ def _expanded(given: str) -> list[str]:
 
 def _sites_of(place: str, config: RunConfig) -> Iterator[FleetSite]:
     """Find the sites that a file or a folder stands for."""
-    if is_folder(place):
+    if exists(place, as_folder=True):
         yield from _in_folder(place, config)
     elif not exists(place):
         raise ReadError(f"{place}: no such file or folder")

@@ -6,10 +6,12 @@ A *place* is a path or a URL as text.
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import posixpath
+import re
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from functools import reduce
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import MissingExtraError, ReadError, RetropoleError, UsageError
-from ..base.files import run_alone, write_atomically
+from ..base.files import write_atomically
 
 LARGEST_LIST = 2**28
 """Bytes of a list of sites: a million lines of 250."""
@@ -67,6 +69,8 @@ def filesystem(place: str) -> tuple[Any, str]:
         system, path = url_to_fs(place)
     except Exception as error:
         raise UsageError(f"{place}: {error or type(error).__name__}") from None
+    # What goes wrong is said here, and once.
+    logging.getLogger(type(system).__module__.partition(".")[0]).setLevel(logging.CRITICAL)
     return system, str(path)
 
 
@@ -121,8 +125,8 @@ def folder_of(place: str) -> str:
     return place.rpartition("/")[0]
 
 
-def exists(place: str) -> bool:
-    """Whether there is a file or a folder.
+def exists(place: str, *, as_folder: bool = False) -> bool:
+    """Whether there is a file or a folder, or a folder alone.
 
     Raises
     ------
@@ -130,19 +134,8 @@ def exists(place: str) -> bool:
         Where the file system cannot be asked.
     """
     with _asked(place, "cannot be looked for") as (system, path):
-        return bool(system.exists(path))
-
-
-def is_folder(place: str) -> bool:
-    """Whether there is a folder.
-
-    Raises
-    ------
-    ReadError
-        Where the file system cannot be asked.
-    """
-    with _asked(place, "cannot be looked for") as (system, path):
-        return bool(system.isdir(path))
+        system.invalidate_cache()
+        return bool(system.isdir(path) if as_folder else system.exists(path))
 
 
 @contextmanager
@@ -156,8 +149,7 @@ def _asked(place: str, fault: str) -> Iterator[tuple[Any, str]]:
     except Exception as error:
         if getattr(error, "errno", None) == errno.ENOSPC:
             raise
-        why = getattr(error, "strerror", None) or error or type(error).__name__
-        raise ReadError(f"{place}: {fault} ({why})") from None
+        raise ReadError(f"{place}: {fault} ({_why(error)})") from None
 
 
 @contextmanager
@@ -167,8 +159,14 @@ def _changed(place: str) -> Iterator[tuple[Any, str]]:
     try:
         yield system, path
     except Exception as error:
-        number, why = getattr(error, "errno", None), getattr(error, "strerror", None)
-        raise OSError(number or errno.EIO, why or str(error), place) from None
+        raise OSError(getattr(error, "errno", None) or errno.EIO, _why(error), place) from None
+
+
+def _why(error: Exception) -> str:
+    """Say what is wrong; of what is not there, stores name only an address of their own."""
+    if isinstance(error, FileNotFoundError):
+        return os.strerror(errno.ENOENT)
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 def found_below(folder: str) -> list[str]:
@@ -194,8 +192,12 @@ def matching(pattern: str) -> list[str]:
     """
     with _asked(pattern, "cannot be listed") as (system, path):
         found = sorted(system.glob(path))
-    scheme = pattern.partition("://")[0] + "://" if is_url(pattern) else ""
-    return [each if each.startswith(scheme) else scheme + each.lstrip("/") for each in found]
+    if not is_url(pattern):
+        return found
+    # What the pattern begins with, a host or an account too, is not all in the paths there.
+    fixed = re.split(r"[*?[]", path, maxsplit=1)[0]
+    start = pattern.rstrip("/").removesuffix(path[len(fixed) :])
+    return [start + each.removeprefix(fixed) for each in found]
 
 
 def names_in(folder: str) -> list[str]:
@@ -271,13 +273,30 @@ def write_bytes(place: str, data: bytes) -> None:
         write_atomically(Path(absolute(place)), data)
         return
     with _changed(place) as (system, path):
-        system.makedirs(posixpath.dirname(path), exist_ok=True)
+        _make_folder(system, place, path)
         system.pipe_file(path, data)
 
 
-def alone_in(folder: str) -> AbstractContextManager[None]:
-    """Keep other runs from a folder, as `files.run_alone`; of a URL none can be kept away."""
-    return nullcontext() if is_url(folder) else run_alone(Path(absolute(folder)))
+def write_new(url: str, data: bytes) -> None:
+    """Write a file at a URL where there is none; of several who do at once one does.
+
+    Some systems write over what is there all the same: who needs to know reads it again.
+
+    Raises
+    ------
+    OSError
+        As `write_bytes`.
+    """
+    with _changed(url) as (system, path):
+        _make_folder(system, url, path)
+        with suppress(FileExistsError):
+            system.pipe_file(path, data, mode="create")
+
+
+def _make_folder(system: Any, place: str, path: str) -> None:
+    """Make the folder of a file; an object store has none, and would make the bucket of a slip."""
+    if place.partition("://")[0] not in PROTOCOLS:
+        system.makedirs(posixpath.dirname(path), exist_ok=True)
 
 
 def remove(place: str) -> None:

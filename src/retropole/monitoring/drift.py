@@ -173,10 +173,9 @@ def _held_against_scene(answer: CheckResult, found: Confirmation) -> CheckResult
         return answer
     contradicted = Reason(
         "scene_denies_stored",
-        f"{found.conflicting} of {found.total} voxels off the ground conflict with the stored pose "
-        f"({found.contradicted:.0%}; {MAX_CONFLICTING:.0%} are allowed): they stand where the "
-        "other LiDAR looked through, or should agree and do not. Were both clouds recorded at the "
-        "same time, by the LiDARs of the stored result?",
+        f"under the stored pose, of the patches off the ground {found.counts} "
+        f"({found.contradicted:.0%} against it; {MAX_CONFLICTING:.0%} are allowed). Were both "
+        "clouds recorded at the same time, by the LiDARs of the stored result?",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,

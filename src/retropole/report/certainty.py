@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from ..base.quantities import UNKNOWN, error, percent, value, value_and_error
+from ..base.quantities import UNKNOWN, counted, error, percent, value, value_and_error
 from ..base.uncertainty import ErrorAtRange, Uncertainty, predicted_error, source_words
 from ..result import ResultDoc
 from ..result.site import LidarDoc, LoopDoc, SiteDoc, TestDoc
@@ -74,14 +74,11 @@ def worst_lidar(lidars: Sequence[LidarDoc]) -> LidarDoc | None:
 
 
 def largest_error(stated: Stated) -> str | None:
-    """Name the largest source of error, and its share; None where no budget is stated."""
+    """Name the main source of error, and its share of the variance; None without a budget."""
     if not stated.budget:
         return None
     entry = max(stated.budget, key=lambda each: each.share_at_30m)
-    sigma = far_error(stated)
-    whole = "" if sigma is None else f" of ± {error(sigma)}"
-    share = f"{percent(entry.share_at_30m)} of the variance{whole} at {BUDGET_RANGE:g} m"
-    return f"{source_words(entry.name, entry.sensor)}: {share}"
+    return f"{source_words(entry.name, entry.sensor)} ({percent(entry.share_at_30m)})"
 
 
 def radius_words(result: ResultDoc) -> str | None:
@@ -94,7 +91,7 @@ def radius_words(result: ResultDoc) -> str | None:
 
 
 def scene_words(result: ResultDoc) -> str | None:
-    """Say how many voxels agree or conflict with the pose; None where the scene was not asked."""
+    """Say how many patches agree or contradict the pose; None where the scene was not asked."""
     return None if result.confirmation is None else result.confirmation.words
 
 
@@ -123,7 +120,7 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
                 yield f"at {BUDGET_RANGE:g} m: {kinds}"
         largest = largest_error(worst)
         if largest is not None:
-            yield f"largest source of error, {largest}"
+            yield f"main error source at {BUDGET_RANGE:g} m: {largest}"
     if pair is not None:
         yield from _of_pair(pair, verbose)
     else:
@@ -131,21 +128,21 @@ def statements(subject: Subject, *, verbose: bool = False) -> Iterator[str]:
     moved = [each for each in site.without if each.translation is not None]
     if moved:
         most = max(moved, key=lambda each: each.translation or 0.0)
-        whose = "" if most.lidar is None else f" of {subject.called(most.lidar)}"
-        change = f"{error(most.translation)} and {error(most.rotation, 'rad')}{whose}"
-        without = subject.placement(most.placement)
-        yield f"without one placement: at most {change}, without placement {without}"
+        whose = "" if most.lidar is None else f"{subject.called(most.lidar)}, "
+        change = f"{error(most.translation)} and {error(most.rotation, 'rad')}"
+        without = f"({whose}without placement {subject.placement(most.placement)})"
+        yield f"leaving out one placement: the pose changes by at most {change} {without}"
 
 
 def _of_pair(pair: ResultDoc, verbose: bool) -> Iterator[str]:
     """Say what only a pair states: its weakest direction, the radius, what the scene says."""
     if pair.weakest is not None:
-        yield f"least certain, 1 sigma: {pair.weakest.words}"
+        yield f"weakest direction, 1 sigma: {pair.weakest.words}"
     radius, scene = radius_words(pair), scene_words(pair)
     if verbose and radius is not None:
-        yield f"radius {radius}"
+        yield f"radius of the poles: {radius}"
     if scene is not None:
-        yield f"what stands in the scene: {scene}"
+        yield f"scene check: {scene}"
 
 
 def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
@@ -157,8 +154,8 @@ def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
         return
     standing = [min(pair.standing, 2) for pair in site.pairs]
     counts = (
-        (standing.count(1), "decided by themselves"),
-        (standing.count(2), "decided by others"),
+        (standing.count(1), "unambiguous"),
+        (standing.count(2), "ambiguous and decided by others"),
         (standing.count(0), "linked through others"),
     )
     if standing:
@@ -166,27 +163,27 @@ def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
     loops = [loop for loop in site.loops if loop.probability is not None]
     if loops:
         worst = min(loops, key=lambda loop: loop.probability or 0.0)
-        yield (
-            f"loops: {len(loops)}; the least likely, {around(site, worst)}, misses by "
-            f"{error(worst.translation)} and {error(worst.rotation, 'rad')}, "
-            f"probability {probability(worst.probability)}"
-        )
+        which = f"{len(loops)} loops; the worst," if loops[1:] else "loop"
+        misses = f"{error(worst.translation)} and {error(worst.rotation, 'rad')}"
+        by_chance = f"by chance: {probability(worst.probability)}"
+        yield f"{which} {around(site, worst)}: misses by {misses} ({by_chance})"
     elif len(site.lidars) > 2:
-        yield "loops: none closed; no third LiDAR checks a pair"
+        yield "no closed loop: no third LiDAR checks a pair"
     tests = ranked_tests(site)
     if not tests:
-        yield "tests: none; nothing checks these poses"
+        yield "no consistency checks: nothing verifies these poses"
         return
     high = [each for each in tests if abs(each.w or 0.0) > LIMIT_W]
-    named = [f"{each.name} (w {abs(each.w or 0.0):.1f})" for each in (high or tests)[:NAMED]]
+    checks = counted(len(tests), "consistency check")
     if high:
+        named = [f"{each.name} (w {abs(each.w or 0.0):.1f})" for each in high[:NAMED]]
         rest = f" and {len(high) - NAMED} more" if len(high) > NAMED else ""
-        yield f"tests: {len(tests)}; beyond w {LIMIT_W:g}: {', '.join(named)}{rest}"
+        yield f"{checks}, {len(high)} suspicious (w above {LIMIT_W:g}): {', '.join(named)}{rest}"
     else:
-        yield f"tests: {len(tests)}; none beyond w {LIMIT_W:g}, the largest: {named[0]}"
+        yield f"{checks}, none suspicious"
     blind = unchecked(site)
     if blind:
-        yield f"unchecked: {blind} of the tests would not show an error"
+        yield f"{counted(blind, 'observation')} without a check: an error there would not show"
 
 
 def fitness_words(subject: Subject) -> str:

@@ -19,7 +19,7 @@ LISTED_SOURCES = 8
 
 
 def certificate(subject: Subject, place: str = "") -> Html:
-    """Write the certificate of a pair; a refused run has none, nor has a site.
+    """Write the certificate of a pair; a refusal has none, nor an unusable answer, nor a site.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def certificate(subject: Subject, place: str = "") -> Html:
         Where it was calibrated; likewise.
     """
     site, pair = subject.site, subject.pair
-    if pair is None or pair.T_target_source is None:
+    if pair is None or pair.T_target_source is None or subject.chance_wrong is not None:
         return EMPTY
     T, source = np.array(pair.T_target_source), site.lidars[1]
     several = len(site.placements) > 1

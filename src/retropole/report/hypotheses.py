@@ -9,13 +9,14 @@ import numpy as np
 
 from ..base import se3
 from ..base.datatypes import Array
+from ..base.quantities import counted
 from ..base.reasons import plain
 from ..matching.prior import MAX_SIGMAS, RotationPrior
 from ..result import DEFAULT_CONFIG, HypothesisDoc, ResultDoc
 from . import listings
 from .certainty import number
 from .listings import numbers
-from .page import EMPTY, Html, fill, fill_each, inline, join, listed, table
+from .page import EMPTY, Html, fill, fill_each, folded, inline, join, listed, table
 from .subject import hypothesis_name
 
 OPEN = ("ambiguous", "small_margin", "chosen_by_hand")
@@ -131,12 +132,27 @@ def hypotheses(result: ResultDoc | None) -> Html:
     """Show all hypotheses of a pair as panels (drawn by the page's code) and as a table."""
     if result is None or not result.hypotheses:
         return EMPTY
-    return fill(
-        "hypotheses",
+    compared = fill(
+        "hypotheses-compared",
         standing=_standing(result),
         panels=join(_panel(k, each) for k, each in enumerate(result.hypotheses)),
         table=listed(listings.hypotheses(result)),
     )
+    is_clear, decided = result.status == "ok", margin_words(result)
+    count = counted(len(result.hypotheses), "hypothesis", "hypotheses")
+    return fill(
+        "hypotheses",
+        decided=f" {decided}." if decided else "",
+        body=folded(f"Compare {count}", compared) if is_clear else compared,
+    )
+
+
+def margin_words(result: ResultDoc) -> str:
+    """Say which hypothesis is chosen, and by how much it leads; empty where none leads another."""
+    chosen = [hypothesis_name(k) for k, each in enumerate(result.hypotheses) if each.chosen]
+    if not chosen or result.margin is None:
+        return ""
+    return f"Hypothesis {chosen[0]} is chosen: its score is {result.margin:.2f} above the next best"
 
 
 def _standing(result: ResultDoc) -> Html:

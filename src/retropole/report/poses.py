@@ -10,6 +10,7 @@ from ..base.errors import RetropoleError
 from ..export import FORMATS, export_lines
 from . import listings
 from .certainty import number
+from .error_curve import ErrorCurve, curve_figure
 from .page import EMPTY, Html, fill, folded, join, listed
 from .subject import LIDARS, Subject, colour_class
 from .uncertainty import uncertainty
@@ -17,39 +18,44 @@ from .uncertainty import uncertainty
 FRAMES = ("lidar_target", "lidar_source")
 """Frames of a pair in the lines to copy, until the reader types other names into the page."""
 
-UNFOLDED = ("ros2", "matrix", "quaternion")
+UNFOLDED = ("matrix", "ros2")
 """Formats that are shown at once; the page unfolds the others."""
 
 
+def transform(subject: Subject, curve: ErrorCurve | None) -> Html:
+    """Show the transform of a pair, its lines to copy, and its error over the distance."""
+    pair = subject.pair
+    if pair is None or pair.T_target_source is None:
+        return EMPTY
+    return fill(
+        "transform",
+        matrix=transform_matrix(pair.T_target_source),
+        parts=pose_parts(pair.T_target_source),
+        curve=curve_figure(curve),
+        copies=_copies(subject, 1),
+    )
+
+
 def poses(subject: Subject) -> Html:
-    """Show every pose, its certainty, and lines to copy; of many a summary, and each unfolded."""
+    """Show every pose of a site, its certainty, and lines to copy: a summary, and each unfolded."""
     site = subject.site
-    if not subject.answered:
+    if not subject.answered or subject.pair is not None:
         return EMPTY
     offset = site.frame.offset
-    if subject.pair is not None:
-        body = _pose(subject, 1)
-    else:
-        lidars = (
-            fill("lidar", colour=colour_class(k), name=site.lidars[k].name, body=_pose(subject, k))
-            for k in range(len(site.lidars))
-        )
-        body = join((listed(listings.poses(site)), fill("lidars", body=join(lidars))))
+    lidars = (
+        fill("lidar", colour=colour_class(k), name=site.lidars[k].name, body=_pose(subject, k))
+        for k in range(len(site.lidars))
+    )
     return fill(
         "poses",
-        transform=subject.transform,
-        frame=subject.frame,
-        into=subject.frame.removeprefix("the "),
-        of="lidar" if subject.pair is None else "source",
-        whose="each LiDAR" if subject.pair is None else "the source",
-        named=f"Frame: {site.frame.name}." if subject.pair is None else "",
+        named=site.frame.name,
         offset=fill("offset", at=", ".join(f"{v:.3f}" for v in offset)) if any(offset) else "",
-        body=body,
+        body=join((listed(listings.poses(site)), fill("lidars", body=join(lidars)))),
     )
 
 
 def _pose(subject: Subject, k: int) -> Html:
-    """Show one pose as matrix, translation, quaternion and angles, and all about it."""
+    """Show one pose of a site as matrix, translation, quaternion and angles, and all about it."""
     lidar = subject.site.lidars[k]
     T = np.array(lidar.T_site_lidar)
     said = (
@@ -58,11 +64,10 @@ def _pose(subject: Subject, k: int) -> Html:
         "" if lidar.fitness is None else lidar.fitness.words,
     )
     about = ", ".join(each for each in said if each)
-    name = subject.transform + (f" of {lidar.name}" if subject.pair is None else "")
     return fill(
         "pose",
-        about=fill("p", text=about) if about and subject.pair is None else "",
-        matrix=transform_matrix(T, name),
+        about=fill("p", text=about) if about else "",
+        matrix=transform_matrix(T, f"T_site_lidar of {lidar.name}"),
         parts=pose_parts(T),
         copies=_copies(subject, k),
         uncertainty=uncertainty(subject, k),
@@ -112,7 +117,7 @@ def _copies(subject: Subject, k: int) -> Html:
         # A name that no frame can have: another program reads the pose all the same.
         lines = export_lines(T, parent, f"lidar_{k}")
     whose = f" of {names[k]}" if subject.pair is None else ""
-    first, more = (
+    shown, more = (
         join(
             fill("copy", key=key, title=FORMATS[key].title, whose=whose, text=text.strip())
             for key, text in lines.items()
@@ -120,4 +125,5 @@ def _copies(subject: Subject, k: int) -> Html:
         )
         for wanted in (True, False)
     )
-    return fill("copies", fields=fields, first=first, more=folded("More formats", more))
+    # The names of the frames change what is shown at once, too.
+    return fill("copies", fields=fields, shown=shown, more=folded("More formats", more))

@@ -119,8 +119,8 @@ def run(subject: Subject) -> Html:
         for row, item in zip(inputs, site.inputs, strict=True)
         for note in item.notes
     ]
-    seconds = site.seconds | {"sum": sum(site.seconds.values())}
-    times = [(step, number(each, 3)) for step, each in seconds.items()]
+    steps = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in site.seconds.items())
+    times = f"Time: {sum(site.seconds.values()):.2f} s ({steps})." if steps else ""
     inputs_table = table("Inputs", header, inputs, (*words, len(header) - 1)) if inputs else ""
     return fill(
         "run",
@@ -128,13 +128,22 @@ def run(subject: Subject) -> Html:
         created=site.created,
         inputs=inputs_table,
         notes=fill_each("said", notes),
-        options=table("Options", ("option", "value"), _options(subject), (1,)),
-        times=table("Time", ("step", "seconds"), times),
+        options=_options_table(subject),
+        times=fill("p", text=times) if times else "",
     )
 
 
+def _options_table(subject: Subject) -> Html:
+    """List the options of the run; those at their default are left out, and that is said."""
+    rows = _options(subject)
+    if not rows:
+        return fill("p", text="Every option is at its default.")
+    caption = "Options; all others are at their default"
+    return table(caption, ("option", "value"), rows, (1,))
+
+
 def _options(subject: Subject) -> list[tuple[str, str]]:
-    """Write every option of the run, whatever there are, as a person would."""
+    """Write what a site is of, and every option that is not at its default, as a person would."""
     site, config = subject.site, subject.pair.config if subject.pair else subject.site.config
     need, said = site.need, {}
     if subject.pair is None:
@@ -148,7 +157,10 @@ def _options(subject: Subject) -> list[tuple[str, str]]:
             "surveyed poles": len(site.surveyed_poles),
             "control points": len(site.control_points),
         }
-    said |= msgspec.structs.asdict(config)
+        said = {name: each for name, each in said.items() if each}
+    usual = msgspec.structs.asdict(type(config)())
+    given = msgspec.structs.asdict(config)
+    said |= {name: each for name, each in given.items() if each != usual[name]}
     if config.frames is not None:
         # As the command line takes them: ``0:20``, ``::10``.
         parts = config.frames[:2] if config.frames[2] is None else config.frames
@@ -158,7 +170,7 @@ def _options(subject: Subject) -> list[tuple[str, str]]:
 
 def _option(value: object) -> str:
     if value is None:
-        return "default"
+        return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list | tuple):

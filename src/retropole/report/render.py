@@ -13,6 +13,7 @@ from ..result.site import SiteDoc
 from ..site.answer import SiteCalibration
 from . import listings
 from .certificate import certificate
+from .error_curve import curve_sentence, error_curve
 from .hypotheses import hypotheses
 from .listings import Listing
 from .map import site_map
@@ -20,10 +21,11 @@ from .missing import missing_poles
 from .page import EMPTY, Html, fill, fill_page, join, listed, share_styles
 from .pairs import pairs
 from .plan import plan_of
-from .poses import poses
+from .poses import poses, transform
 from .recorded import poles, run
 from .subject import LIDARS, Subject, colour_class, input_names, of_pair, of_site
-from .verdict import verdict
+from .uncertainty import certainty
+from .verdict import next_steps, verdict
 from .view import MAX_CLOUD_POINTS, PageView, embed_json, page_view
 
 HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
@@ -116,11 +118,15 @@ def _render(
         named = input_names(subject.pair)
         target, source = named[:2] if len(named) > 1 else LIDARS
         heading = fill("pair-heading", target=target, source=source)
+    curve = error_curve(subject)
     parts = [
         missing_poles(subject),
+        transform(subject, curve),
         site_map(subject, plan),
         viewer(subject, view),
+        next_steps(subject),
         hypotheses(subject.pair),
+        certainty(subject),
         # What was found comes first where it is all there is.
         found if refused else EMPTY,
         pairs(site),
@@ -136,7 +142,7 @@ def _render(
         heading,
         f"{site.created} · {subject.size}",
         site.status,
-        verdict(subject, notes),
+        verdict(subject, notes, curve_sentence(curve)),
         parts,
         title=site.name or "Site",
         view=view,

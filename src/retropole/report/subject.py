@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base.datatypes import Placement, Scan
 from ..base.quantities import counted
+from ..base.uncertainty.confirmation import UNUSABLE
 from ..result import ResultDoc
 from ..result.site import (
     FoundDoc,
@@ -77,14 +78,21 @@ class Subject:
         return all(each.T_site_lidar is not None for each in self.site.lidars)
 
     @property
+    def chance_wrong(self) -> float | None:
+        """How likely the answer is wrong where that is too likely for it to be used; else None."""
+        if not self.answered:
+            return None
+        if self.pair is not None:
+            found = self.pair.confirmation
+            return found.probability_wrong if found is not None and found.is_unusable else None
+        stated = [reason.values.get("probability_wrong") for reason in self.site.reasons]
+        wrong = max((each for each in stated if isinstance(each, float)), default=0.0)
+        return wrong if wrong > UNUSABLE else None
+
+    @property
     def frame(self) -> str:
         """Whose frame the poses are in, as in *the frame of …*."""
         return "the site" if self.pair is None else "the target"
-
-    @property
-    def transform(self) -> str:
-        """Name of every pose."""
-        return "T_site_lidar" if self.pair is None else "T_target_source"
 
     def called(self, k: int) -> str:
         """Name the k-th LiDAR within a sentence."""

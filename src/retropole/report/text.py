@@ -16,10 +16,11 @@ from ..result.contents import DetectionDoc
 from ..result.site import SiteDoc
 from . import listings
 from .certainty import fitness_words, statements
-from .hypotheses import describe_standing
+from .hypotheses import describe_standing, margin_words
 from .layout import LINES, WIDTH, legible, table, wrapped
 from .listings import POLE_COLUMNS, Listing, columns, left_out_words, numbers, pole_row
 from .subject import Subject, of_pair
+from .verdict import instead_words
 
 ACTIONS = 2
 """How many actions are named of what to do about a reason; the report lists them all."""
@@ -74,7 +75,7 @@ def describe_result(
     written
         Paths of the files that hold it.
     following
-        Commands to type next where there is a transform, by the words that introduce each.
+        Commands to type next where there is a transform to use, by the words that introduce each.
     verbose
         Whether the inputs, all poles, all hypotheses and the time of each step are written as well,
         on as many lines as it takes.
@@ -114,7 +115,10 @@ def _describe(
         part for x in statements(subject, verbose=verbose) for part in wrapped(f"  {x}", "    ")
     ]
     tail = ["", "written: " + ", ".join(map(printable, written))]
-    if answered:
+    instead = plain(instead_words(subject))
+    if instead:
+        tail += wrapped(f"what to do instead: {instead}", "  ")
+    elif answered:
         tail += [f"{lead}: {printable(words)}" for lead, words in (following or {}).items()]
     if verbose:
         reasons = reasons_whole(site.status, [*site.reasons, *site.notes])
@@ -176,7 +180,7 @@ def _more(subject: Subject) -> list[str]:
     site, pair, lines = subject.site, subject.pair, []
     if pair is not None:
         lines += _lines(listings.hypotheses(pair))
-        lines += [] if pair.margin is None else [f"  margin over the next: {pair.margin:.3f}"]
+        lines += [f"  {words}" for words in [margin_words(pair)] if words]
     else:
         lines += _lines(listings.changes(subject))
     lines += _lines(listings.pairs(site))

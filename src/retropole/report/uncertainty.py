@@ -15,6 +15,7 @@ from .certainty import BUDGET_RANGE, error_parts, number
 from .listings import Listing, numbers
 from .page import EMPTY, Html, fill, folded, join, listed, plus_minus, table
 from .subject import LIDARS, Subject, colour_class
+from .verdict import folded_notes, listed_statements
 
 STATES = (
     *(f"rotation about {axis} (phi_{axis})" for axis in "xyz"),
@@ -27,6 +28,18 @@ UNITS: tuple[Unit, ...] = ("rad", "rad", "rad", "m", "m", "m")
 
 FOLDED_BELOW = 0.005
 """Sources of error with a smaller share, written ``< 1 %``, are folded away."""
+
+
+def certainty(subject: Subject) -> Html:
+    """Say how certain the answer of a pair is, in sentences first; nothing where refused."""
+    if subject.pair is None or not subject.answered:
+        return EMPTY
+    return fill(
+        "certainty",
+        statements=listed_statements(subject),
+        notes=folded_notes(subject),
+        body=uncertainty(subject, 1),
+    )
 
 
 def uncertainty(subject: Subject, k: int) -> Html:

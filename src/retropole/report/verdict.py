@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..base.quantities import counted
+from ..base.quantities import counted, percent
 from ..base.reasons import explain
 from ..result import ReasonDoc
-from .certainty import fitness_words, number, ranked_tests, statements, worst_lidar
+from .certainty import fitness_words, statements, worst_lidar
 from .page import EMPTY, Html, fill, fill_each, folded, inline, join, plus_minus
 from .subject import Subject
 
 VERDICTS = {
-    "ok": ("✓", "Calibrated", "The poses below map points of each LiDAR into the frame of {}."),
+    "ok": ("✓", "Calibrated", "Every LiDAR has a pose in the frame of {}."),
     "warn": (
         "!",
         "Calibrated, with a warning",
-        "There are poses, and a reason to look twice before you use them.",
+        "There is an answer, and a reason to look twice before you use it.",
     ),
     "refused": (
         "✕",
@@ -27,8 +27,10 @@ VERDICTS = {
 """Symbol, title and meaning of each status."""
 
 
-def verdict(subject: Subject, notes: Sequence[str] = ()) -> Html:
+def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> Html:
     """Say ok, warn or refused, how good the poses are, and every reason with what to do.
+
+    Of an answered pair it is short: its transform comes next, and what is certain of it below.
 
     Parameters
     ----------
@@ -36,6 +38,8 @@ def verdict(subject: Subject, notes: Sequence[str] = ()) -> Html:
         What the page is of.
     notes
         What a reader has to know of the page itself before all else.
+    sentence
+        How far off points are, where that is known and nobody asked for more.
     """
     site = subject.site
     symbol, title, words = VERDICTS.get(site.status, ("?", site.status, ""))
@@ -43,20 +47,55 @@ def verdict(subject: Subject, notes: Sequence[str] = ()) -> Html:
         title += f": {counted(len(site.lidars), 'LiDAR')} in one frame"
     paths = tuple(item.path for item in site.inputs)
     items = join(reason_item(reason, paths) for reason in site.reasons)
-    of_notes = join(reason_item(note, paths) for note in site.notes)
-    asked = fitness_words(subject)
+    asked, is_short = fitness_words(subject), subject.pair is not None and subject.answered
+    said, meaning = asked and f"{asked}.", words.format(subject.frame)
+    if subject.chance_wrong is not None:
+        title, meaning = "Calibrated, not to be used yet", inline(instead_words(subject))
+    elif is_short and site.status == "ok":
+        said, meaning = "", said or sentence or meaning
     body = fill(
         "said-of-verdict",
-        fitness=fill("strong", text=f"{asked}.") if asked else "",
-        meaning=words.format(subject.frame),
-        statements=fill_each("li", statements(subject)),
+        fitness=fill("strong", text=said) if said else "",
+        meaning=meaning,
+        statements=EMPTY if is_short else listed_statements(subject),
         reasons=fill("reasons", items=items) if items else "",
-        notes=folded(_notes_title(site.notes), fill("reasons", items=of_notes)) if of_notes else "",
-        steps=_next_steps(subject),
+        notes=EMPTY if is_short else folded_notes(subject),
+        steps=EMPTY if is_short else _steps_of_site(subject),
     )
     kind = site.status if site.status in VERDICTS else "refused"
     box = verdict_box(kind, symbol, title, body, _tiles(subject))
     return join((fill_each("alert", notes), box))
+
+
+def instead_words(subject: Subject) -> str:
+    """Say, as Markdown, what to do instead of using what is too likely wrong; empty elsewhere."""
+    if subject.chance_wrong is None:
+        return ""
+    trusted = (
+        ""
+        if subject.pair is None
+        else (
+            " If somebody watched and nobody touched the poles in between, `--trust-poles` says so."
+        )
+    )
+    return (
+        f"The pose is wrong with a probability of {percent(subject.chance_wrong)}: do not use it. "
+        "Add a third pole or a second placement, or record where more stands around that both "
+        f"LiDARs see.{trusted}"
+    )
+
+
+def listed_statements(subject: Subject) -> Html:
+    """List how certain the answer is and what checked it, a sentence each."""
+    items = fill_each("li", statements(subject))
+    return fill("statements", items=items) if items else EMPTY
+
+
+def folded_notes(subject: Subject) -> Html:
+    """Fold away what to know of an answer that makes it no less true."""
+    notes, paths = subject.site.notes, tuple(item.path for item in subject.site.inputs)
+    items = join(reason_item(note, paths) for note in notes)
+    return folded(_notes_title(notes), fill("reasons", items=items)) if items else EMPTY
 
 
 def _notes_title(notes: Sequence[ReasonDoc]) -> str:
@@ -86,27 +125,30 @@ def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> Html:
     )
 
 
-def _next_steps(subject: Subject) -> Html:
-    """Say what to do with an answer; what to do about a refusal is said with its reasons."""
-    status = subject.site.status
-    if not subject.answered:
+def next_steps(subject: Subject) -> Html:
+    """Say what to do with the answer of a pair; about a refusal its reasons say that."""
+    if subject.pair is None or not subject.answered or subject.chance_wrong is not None:
         return EMPTY
-    first = "Settle the warning first, as written above. " if status == "warn" else ""
-    return fill("next-site" if subject.pair is None else "next-pair", first=first)
+    return fill("next-pair", first=_warned_first(subject))
+
+
+def _steps_of_site(subject: Subject) -> Html:
+    if subject.pair is not None or not subject.answered or subject.chance_wrong is not None:
+        return EMPTY
+    return fill("next-site", first=_warned_first(subject))
+
+
+def _warned_first(subject: Subject) -> str:
+    is_warned = subject.site.status == "warn"
+    return "Settle the warning first, as written above. " if is_warned else ""
 
 
 def _tiles(subject: Subject) -> Html:
-    """Show the predicted error at each range, of the worst LiDAR, and the largest figures."""
-    site, pair = subject.site, subject.pair
-    worst, tests = worst_lidar(site.lidars), ranked_tests(site)
-    whose = ", worst" if pair is None else ""
+    """Show the predicted error at each range, of the worst LiDAR of a site; a pair has a curve."""
+    worst = None if subject.pair is not None else worst_lidar(subject.site.lidars)
     tiles = [
-        (plus_minus(each.sigma_m), f"at {each.range_m:g} m, 1 σ{whose}")
+        (plus_minus(each.sigma_m), f"at {each.range_m:g} m, 1 σ, worst LiDAR")
         for each in (worst.predicted_error if worst else None) or []
     ]
-    if pair is not None and pair.margin is not None:
-        tiles.append((number(pair.margin, 3), "margin over the next"))
-    if tests:
-        tiles.append((number(abs(tests[0].w or 0.0), 1), "largest |w|"))
     cells = join(fill("tile", name=name, value=value) for value, name in tiles)
     return fill("tiles", cells=cells) if cells else cells

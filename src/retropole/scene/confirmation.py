@@ -19,7 +19,6 @@ from msgspec.structs import replace
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Placement
 from ..base.errors import Reason, Refusal
-from ..base.quantities import counted
 from ..base.uncertainty.confirmation import DECEIVING, TOGETHER, Confirmation
 from ..matching.correspondence import are_alike
 from ..matching.placements import PairedPlacement
@@ -207,13 +206,9 @@ def check_confirmation(found: Confirmation) -> None:
     elsewhere = f", and it fits better {found.better_at:.1f} m away" if is_better_elsewhere else ""
     raise Refusal(
         "scene_contradicts",
-        "under the pose that the poles give, "
-        f"{counted(found.agreeing, 'voxel off the ground agrees', 'voxels off the ground agree')}, "
-        f"{counted(found.contradicting, 'stands', 'stand')} where the other LiDAR looked "
-        f"through, and {found.missing} "
-        f"more should agree ({found.contradicted:.0%} conflict with it; {MAX_CONFLICTING:.0%} are "
-        f"allowed){elsewhere}: did a pole move between the recordings, or are they of two "
-        "placements?",
+        f"under the pose that the poles give, of the patches off the ground {found.counts} "
+        f"({found.contradicted:.0%} against it; {MAX_CONFLICTING:.0%} are allowed){elsewhere}: did "
+        "a pole move between the recordings, or are they of two placements?",
         {
             "agreeing": found.agreeing,
             "contradicting": found.contradicting,
@@ -232,11 +227,9 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
         return
     yield Reason(
         "not_confirmed",
-        f"{counted(found.agreeing, 'voxel off the ground agrees', 'voxels off the ground agree')} "
-        f"with this pose, {counted(found.conflicting, 'conflicts with', 'conflict with')} it, "
-        f"and it is better than others by {found.z_margin:.1f} σ. Of simulated answers like it, "
-        f"where {found.deceiving_words}, {100 * wrong:.1f} % are wrong ({100 * MAX_WRONG:.0f} % "
-        f"are allowed). {_held_by_poles(found)}. If nobody touched them from one recording to the "
+        f"chance of a wrong pose: {found.chance_words}; {100 * MAX_WRONG:.0f} % is allowed. Scene "
+        f"check: {found.counts}, {_lead_words(found.z_margin or 0.0)}. "
+        f"{_held_by_poles(found)}. If nobody touched them from one recording to the "
         "other, --trust-poles says so; otherwise add a third pole or a second placement",
         {
             "agreeing": found.agreeing,
@@ -248,6 +241,13 @@ def check_unconfirmed(found: Confirmation) -> Iterator[Reason]:
             "allowed": MAX_WRONG,
         },
     )
+
+
+def _lead_words(sigmas: float) -> str:
+    """Say how this pose compares with the best of others."""
+    if sigmas < 0.0:
+        return f"worse than another pose by {-sigmas:.1f} σ"
+    return f"better than other poses by {sigmas:.1f} σ"
 
 
 def _held_by_poles(found: Confirmation) -> str:

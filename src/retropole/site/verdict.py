@@ -118,9 +118,8 @@ def confirm_links(
         if wrong is not None and wrong > MAX_WRONG and not link.is_checked:
             yield Reason(
                 "not_confirmed",
-                f"two poles alone link {names}, and their surroundings do not tell (of simulated "
-                f"answers like it {100 * wrong:.0f} % are wrong): add a pole or a placement that "
-                "both see",
+                f"two poles alone link {names}, and their surroundings do not tell (chance of a "
+                f"wrong pose {100 * wrong:.0f} %): add a pole or a placement that both see",
                 {"lidars": names, "probability_wrong": wrong, "allowed": MAX_WRONG},
             )
 

@@ -32,6 +32,10 @@ What is left are other objects taken for poles, and clouds that were changed. Ch
 to such recordings (benchmarks/deception.py, seeds 100 to 135) none that is wrong is then confirmed,
 the nearest being a decoy on bare ground, with 4.6 %."""
 
+UNUSABLE = 0.2
+"""Above this probability that it is wrong an answer is not to be used, and what is told of it is
+what to do instead. Chosen: one in five and more of such answers are wrong."""
+
 REDUNDANT = -4.0
 """The same for poles that are redundant: of the answers with three or four poles in 1,000
 hard scenes (benchmarks/hard_scenes.py) none was wrong. A lie then takes poles carried as one."""
@@ -120,29 +124,41 @@ class Confirmation(
         return float(1 / (1 + np.exp(-odds)))
 
     @property
-    def words(self) -> str:
-        """The figures for a person: ``412 voxels agree, 3 conflict with it (0.7 %); …``."""
-        said = counted(self.agreeing, "voxel agrees", "voxels agree")
-        said += f", {counted(self.conflicting, 'conflicts with', 'conflict with')} it"
-        if self.total:
-            said += f" ({100 * self.contradicted:.1f} %)"
-        if self.better_at is not None:
-            said += f"; it fits better {self.better_at:.1f} m away"
+    def is_unusable(self) -> bool:
+        """Whether it is too likely wrong to be used, and nobody trusts the poles."""
         wrong = self.probability_wrong
-        if wrong is None:
-            return said
-        # Fewer than a thousand answers set it: it is not known better than to a thousandth.
-        share = f"{100 * wrong:.1f} %" if wrong >= 0.001 else "less than 0.1 %"
-        at_once = "; both LiDARs recorded at the same time" if self.together else ""
-        return (
-            f"{said}{at_once}; of simulated answers like it, where {self.deceiving_words}, {share} "
-            "are wrong"
-        )
+        return not self.trusted and wrong is not None and wrong > UNUSABLE
 
     @property
-    def deceiving_words(self) -> str:
-        """For a person: ``31 % of the recordings deceive``."""
-        return f"{percent(self.deceiving)} of the recordings deceive"
+    def counts(self) -> str:
+        """What was counted, for a person: ``412 patches agree, 3 contradict``.
+
+        Each count is that of the field of its name: what should agree and does not is told apart.
+        """
+        said = counted(self.agreeing, "patch agrees", "patches agree")
+        said += f", {counted(self.contradicting, 'contradicts', 'contradict')}"
+        return f"{said}, {self.missing:,} should agree and do not" if self.missing else said
+
+    @property
+    def words(self) -> str:
+        """The figures for a person: ``412 patches agree, 3 contradict (0.7 % against it); …``."""
+        said = self.counts
+        if self.conflicting:
+            said += f" ({100 * self.contradicted:.1f} % against it)"
+        if self.better_at is not None:
+            said += f"; it fits better {self.better_at:.1f} m away"
+        if self.probability_wrong is None:
+            return said
+        at_once = "; both LiDARs recorded at the same time" if self.together else ""
+        return f"{said}{at_once}; chance of a wrong pose {self.chance_words}"
+
+    @property
+    def chance_words(self) -> str:
+        """How likely the pose is wrong: ``below 0.1 % (where 31 % of recordings deceive)``."""
+        wrong = self.probability_wrong or 0.0
+        # Fewer than a thousand answers set it: it is not known better than to a thousandth.
+        share = f"{100 * wrong:.1f} %" if wrong >= 0.001 else "below 0.1 %"
+        return f"{share} (where {percent(self.deceiving)} of recordings deceive)"
 
 
 def _log_odds(share: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
@@ -136,10 +137,15 @@ def displacements(covariance: Array, distance: float) -> Array:
     numpy.ndarray
         (DRAWS,) `displacement` of errors with that covariance, metres, the least first.
     """
+    return np.sort(displacement(_drawn(covariance), distance))
+
+
+def _drawn(covariance: Array) -> Array:
+    """(DRAWS, 6) errors with a covariance (6, 6)."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = np.random.default_rng(0).standard_normal((DRAWS, 6))
-    return np.sort(displacement(draws @ root.T, distance))
+    return np.asarray(draws @ root.T)
 
 
 def displacement_bound(
@@ -151,7 +157,15 @@ def displacement_bound(
     no point up to there lands further from its true place. The 1 σ of `predicted_error` is a mean
     over directions; the bound at 95 % is 2 to 3 times as large.
     """
-    return float(np.quantile(displacements(covariance, distance), probability))
+    return float(displacement_bounds(covariance, (distance,), probability)[0])
+
+
+def displacement_bounds(
+    covariance: Array, distances: Sequence[float], probability: float = CONFIDENCE
+) -> Array:
+    """Bound as `displacement_bound` does at several distances (K,): (K,) metres, of equal draws."""
+    steps = _drawn(covariance)
+    return np.array([np.quantile(displacement(steps, each), probability) for each in distances])
 
 
 def is_surely_met(covariance: Array, need: Need) -> bool:

@@ -26,7 +26,7 @@ from ...result.site import SiteDoc
 from ..dataset import Row
 from ..local import LocalFiles, local_files
 from ..sites import ROLES, FleetSite
-from ..storage import below, exists, folder_of, is_folder, is_url, read_bytes, written
+from ..storage import below, exists, folder_of, is_url, read_bytes, written
 from ..work import Check, Hashed, code_of
 from .store import CheckRow, flat
 
@@ -93,7 +93,7 @@ def _result_of_site(site: FleetSite, answers: Mapping[str, Row] | None) -> tuple
             raise ReadError("the answers have no result of a site of this id")
         return decode_site(row.document.encode()), ""
     place = site.result or folder_of(site.site)
-    if is_folder(place):
+    if exists(place, as_folder=True):
         place = below(place, SITE_RESULT_FILE)
     return decode_site(read_bytes(place, LARGEST_DOCUMENT)), place
 
@@ -209,7 +209,7 @@ def _stored(site: FleetSite, check: Check, local: LocalFiles) -> Path:
         )
     if not is_url(place):
         return result_file(Path(place))
-    inside = below(place, RESULT_FILE) if is_folder(place) else place
+    inside = below(place, RESULT_FILE) if exists(place, as_folder=True) else place
     return local.keep(read_bytes(inside, LARGEST_DOCUMENT), place)
 
 

@@ -244,6 +244,8 @@
   on("lidar", (k) => toggle(lidars, Number(k)));
   on("place", (j) => toggle(places, Number(j)));
   on("preset", (name) => { view.preset(name); repaint(); });
+  // Panels that are folded away have no size to be drawn in.
+  all("details:has(.panel)").forEach((fold) => fold.addEventListener("toggle", () => repaint()));
   on("pose", (pose) => {
     setPose(pose);
     const box = $(".stage").getBoundingClientRect();

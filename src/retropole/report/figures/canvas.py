@@ -6,6 +6,7 @@ Matplotlib is imported where a figure is made.
 from __future__ import annotations
 
 import io
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,3 +46,15 @@ def save_figure(figure: Figure, path: Path) -> None:
     buffer = io.BytesIO()
     figure.savefig(buffer, format=path.suffix.lstrip(".") or "png")
     write_atomically(path, buffer.getvalue())
+
+
+def for_notebooks(figure: Figure) -> Figure:
+    """Have a notebook draw a figure: by itself it does so only where pyplot was imported."""
+    setattr(figure, "_repr_png_", partial(_png, figure))  # noqa: B010
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png")
+    return picture.getvalue()

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...base import se3
 from ...base.datatypes import Array, PointCloud, Pole
-from ...base.sampling import every_nth
-from .canvas import BLUE, GREEN, MAX_FIGURE_POINTS, ORANGE, RED, new_figure, save_figure
+from .canvas import BLUE, ORANGE, RED, new_figure, save_figure
+from .clouds import Drawn, View, draw_clouds, draw_legend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,20 +71,26 @@ def result_figure(
         (np.eye(4), "before: each in its own frame"),
         (T_target_source, "after: source in the frame of the target"),
     )
+    view = View(_middle(target, poles[0]), SCENE_HALF_WIDTH)
     for column, (T, title) in enumerate(views):
         above = figure.add_subplot(grid[0, column])
         beside = figure.add_subplot(grid[1, column], sharex=above)
-        _draw_clouds(above, beside, target, source.transformed(T), poles[0], title)
+        clouds = (
+            Drawn(target.xyz, "target", BLUE),
+            Drawn(source.transformed(T).xyz, "source", ORANGE),
+        )
+        at = [pole.point for pole in poles[0]]
+        draw_clouds(above, beside, clouds, at, "poles of the target", view)
+        above.set_title(f"{title}\nfrom above")
+        beside.set_xlabel("x of the target, m")
         if column == 0:
             above.set_ylabel("y of the target, m")
             beside.set_ylabel("z of the target, m")
-            legend: Any = above.legend(loc="upper right", fontsize=9)
-            for handle in legend.legend_handles[:2]:
-                handle.set_sizes([60.0])
+            draw_legend(above, len(clouds))
         elif contradicting is not None:
             of_target, of_source = contradicting
             together = np.concatenate([of_target, se3.apply(T, of_source)])
-            _draw_contradicting(above, beside, together, _middle(target, poles[0]))
+            _draw_contradicting(above, beside, view.near(together))
     for k, (ours, theirs) in enumerate(zip(*poles, strict=True)):
         axes = figure.add_subplot(grid[:, 2 + k])
         across = np.cross(ours.direction, ours.point - target.origin)
@@ -101,42 +107,13 @@ def result_figure(
     return figure
 
 
-def _draw_clouds(
-    above: Axes,
-    beside: Axes,
-    target: PointCloud,
-    source: PointCloud,
-    poles: Sequence[Pole],
-    title: str,
-) -> None:
-    """Draw two clouds of one frame and the target's poles, from above and from the side."""
-    middle = _middle(target, poles)
-    for cloud, color, name in ((target, BLUE, "target"), (source, ORANGE, "source")):
-        near = np.abs(cloud.xyz - middle).max(axis=1) < SCENE_HALF_WIDTH
-        xyz = every_nth(cloud.xyz[near], MAX_FIGURE_POINTS)
-        style: dict[str, Any] = {"s": 0.6, "c": color, "linewidths": 0, "rasterized": True}
-        above.scatter(xyz[:, 0], xyz[:, 1], label=name, **style)
-        beside.scatter(xyz[:, 0], xyz[:, 2], **style)
-    for k, pole in enumerate(poles):
-        label = "poles of the target" if k == 0 else None
-        above.plot(*pole.point[:2], "o", ms=12, mfc="none", mec=GREEN, mew=2, label=label)
-        beside.plot(*pole.point[[0, 2]], "o", ms=12, mfc="none", mec=GREEN, mew=2)
-    above.set_xlim(middle[0] - SCENE_HALF_WIDTH, middle[0] + SCENE_HALF_WIDTH)
-    above.set_ylim(middle[1] - SCENE_HALF_WIDTH, middle[1] + SCENE_HALF_WIDTH)
-    above.set_aspect("equal")
-    above.set_title(f"{title}\nfrom above")
-    beside.set_title("from the side, heights stretched", fontsize=10)
-    beside.set_xlabel("x of the target, m")
-
-
 def _middle(target: PointCloud, poles: Sequence[Pole]) -> Array:
     """Where the picture looks: (3,) between the poles, target frame."""
     return np.mean([pole.point for pole in poles], axis=0) if poles else target.origin
 
 
-def _draw_contradicting(above: Axes, beside: Axes, xyz: Array, middle: Array) -> None:
+def _draw_contradicting(above: Axes, beside: Axes, xyz: Array) -> None:
     """Mark points (N, 3) that contradict the answer, target frame; a legend where there are any."""
-    xyz = xyz[np.abs(xyz - middle).max(axis=1) < SCENE_HALF_WIDTH]
     if not len(xyz):
         return
     style: dict[str, Any] = {"s": 9, "c": RED, "marker": "s", "linewidths": 0, "zorder": 3}
