@@ -107,6 +107,17 @@ class TestUnits:
         assert "look like" not in right
         assert "median 13.06 m" in right
 
+    def test_feet_are_told_by_the_poles(self, clouds: Clouds, tmp_path: Path) -> None:
+        for k, cloud in enumerate(clouds):
+            write_pcd(tmp_path / f"{k}.pcd", scaled(cloud, 1 / 0.3048))
+        files = tmp_path / "0.pcd", tmp_path / "1.pcd"
+        done = retropole_here("info", files[0])
+        assert "either the coordinates are in feet, or the poles are thicker" in done.stdout
+        assert "read them with --unit ft, here and in every command" in done.stdout
+        message = check_refused(calibrate(tmp_path / "o", *files), tmp_path / "o", "too_few_poles")
+        assert "(--unit ft), or the poles are" in message
+        assert calibrate(tmp_path / "o", *files, "--unit", "ft").returncode == 0
+
     def test_calibrate_says_it_and_converts_nothing(
         self, millimetres: Path, tmp_path: Path
     ) -> None:

@@ -8,7 +8,7 @@ import pytest
 import retropole as rp
 from retropole.base.datatypes import PointCloud
 from retropole.io import read_cloud
-from retropole.io.coordinates import oddity_of
+from retropole.io.coordinates import FARTHEST_HALF, oddity_of
 from retropole.io.units import METRES, Unit, in_metres
 from tests.paths import SHARED
 
@@ -36,7 +36,10 @@ def units_of(cloud: PointCloud) -> tuple[Unit, ...]:
 @pytest.mark.parametrize("median", [1.5, 5.0, 13.0, 30.0])
 def test_the_unit_is_among_those_that_are_named(median: float) -> None:
     assert oddity_of(scene(median)) is None
-    for unit in ("cm", "mm"):
+    for unit in ("cm", "mm", "in"):
+        if median / METRES[unit] < FARTHEST_HALF:
+            # 1.5 m are 59 inches, which may be metres.
+            continue
         cloud = scaled(scene(median), 1 / METRES[unit])
         assert unit in units_of(cloud)
         brought = in_metres(cloud, unit)
@@ -45,10 +48,10 @@ def test_the_unit_is_among_those_that_are_named(median: float) -> None:
     assert units_of(scaled(scene(13.0), 1000)) == ("mm",)
 
 
-def test_where_two_units_would_explain_it_both_are_named() -> None:
+def test_where_several_units_would_explain_it_all_are_named() -> None:
     odd = oddity_of(scaled(scene(13.0), 100))
     assert odd is not None
-    assert odd.candidates == "centimetres (13 m) or millimetres (1.3 m)"
+    assert odd.candidates == "centimetres (13 m) or millimetres (1.3 m) or inches (33 m)"
 
 
 @pytest.mark.parametrize("name", RECORDINGS)

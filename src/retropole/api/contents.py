@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.datatypes import Array
+from ..base.datatypes import DEFAULT_RADIUS, Array, PointCloud
 from ..base.files import path_in_text
 from ..base.sensors import auto_threshold
 from ..io import MAX_POINTS, FrameHeader, ReadRecording, read_recording, topics_of
@@ -15,9 +15,11 @@ from ..io.beam_origin import with_beam_origin
 from ..io.coordinates import oddity_of
 from ..io.recognition import guess_sensors
 from ..io.rings import rings_fault, with_trusted_rings
-from ..io.units import Unit
+from ..io.units import NAMES, Unit
 from ..result import document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
+from ..scene.same_unit import PolesInUnit, unit_by_poles
+from ..scene.scans import find_poles
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""
@@ -62,6 +64,11 @@ def _cloud(read: ReadRecording) -> CloudDoc:
     cloud = with_beam_origin(with_trusted_rings(given))
     rate = _rate(read.headers[0], read.headers[-1])
     odd = oddity_of(cloud)
+    words, units = ("", ()) if odd is None else (odd.words, odd.units)
+    shown = None if odd is not None and odd.is_map else _other_unit(given)
+    if shown is not None:
+        units = (shown.unit,)
+        words = _in_other_unit(shown, words)
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     return document_of(
         CloudDoc,
@@ -81,8 +88,31 @@ def _cloud(read: ReadRecording) -> CloudDoc:
         range_m=np.quantile(ranges, [0, 0.5, 1]).tolist(),
         intensity=None if cloud.intensity is None else _intensity(cloud.intensity),
         sensors=guess_sensors(cloud),
-        odd_coordinates="" if odd is None else odd.words,
-        units=[] if odd is None else list(odd.units),
+        odd_coordinates=words,
+        units=list(units),
+    )
+
+
+def _other_unit(cloud: PointCloud) -> PolesInUnit | None:
+    """Find the unit in which the cloud shows poles, where it shows none in metres."""
+    if cloud.intensity is None:
+        return None
+    scan = find_poles(cloud, sensor=None, threshold=None, radius=DEFAULT_RADIUS)
+    return unit_by_poles(scan, DEFAULT_RADIUS)
+
+
+def _in_other_unit(shown: PolesInUnit, odd: str) -> str:
+    """Say it, after what is odd about the ranges in metres, if anything is."""
+    said = (
+        f"read as {NAMES[shown.unit]} it shows {len(shown.scan.poles)} poles of radius "
+        f"{DEFAULT_RADIUS:g} m, in metres none"
+    )
+    if odd:
+        return f"{odd}; {said}"
+    thicker = shown.radius_before
+    return (
+        f"{said}: either the coordinates are in {NAMES[shown.unit]}, or the poles are thicker "
+        f"(--radius {thicker:.2g})"
     )
 
 

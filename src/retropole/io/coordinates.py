@@ -15,7 +15,7 @@ from ..base.datatypes import PointCloud
 from ..base.se3 import lengths
 from .beam_origin import with_beam_origin
 from .rings import with_trusted_rings
-from .units import METRES, METRIC, NAMES, Unit
+from .units import METRES, NAMES, SMALL, Unit
 
 SAMPLE = 20_000
 """Points, evenly taken, whose ranges are looked at."""
@@ -95,7 +95,7 @@ def oddity_of(cloud: PointCloud) -> Oddity | None:
         )
     units = tuple(
         unit
-        for unit in METRIC
+        for unit in SMALL
         if NEAREST_HALF <= half * METRES[unit] <= FARTHEST_HALF
         and farthest * METRES[unit] <= FARTHEST_RETURN
     )

@@ -13,9 +13,8 @@ Unit = Literal["m", "cm", "mm", "ft", "in"]
 METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
 """Length of each unit, metres; the foot is the international one, 2 ppm from that of US surveys."""
 
-METRIC: tuple[Unit, ...] = ("cm", "mm")
-"""Units that are thought of where coordinates cannot be metres: few programs write feet or inches,
-and of one cloud alone those look like metres or centimetres."""
+SMALL: tuple[Unit, ...] = ("cm", "mm", "in")
+"""Units in which ranges are so large that they cannot be metres; feet can."""
 
 NAMES: dict[Unit, str] = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 NAMES |= {"ft": "feet", "in": "inches"}

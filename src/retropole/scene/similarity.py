@@ -14,12 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..base import se3
-from ..base.datatypes import Array, Hypothesis, Placement, Scan
+from ..base.datatypes import MAX_RADIUS, Array, Hypothesis, Placement, Scan
 from ..base.errors import Refusal
 from ..io.coordinates import Oddity, oddity_of
 from ..io.units import METRES, NAMES, Unit
 from ..matching.similar import Change, changed_cloud
 from .refinement import Refinement
+from .same_unit import InUnit, common_unit
 from .scans import find_poles
 from .similarity_search import LEAST_CHANGE, Found, find_change, find_mirror
 
@@ -74,7 +75,8 @@ def explain(
     Returns
     -------
     Refusal
-        ``mirrored``, ``wrong_scale`` or ``wrong_unit``; the same as was given where none is found.
+        ``mirrored``, ``wrong_scale`` or ``wrong_unit``; the same as was given where none is found,
+        with a hint where another unit, or other poles, would explain it.
     """
     if refusal.code not in EXPLAINED or not placements:
         return refusal
@@ -91,7 +93,11 @@ def explain(
             best, rival = found
             change = replace(best.change, factor=best.change.factor * factor)
             return _refusal(replace(best, change=change), rival, first)
-    return _in_no_metres(placements) or refusal
+    shown = common_unit(first, radius, thresholds) if poles < 2 else None
+    odd = _in_no_metres(placements)
+    if shown is None:
+        return odd or refusal
+    return _in_common_unit(shown, radius, refusal, odd)
 
 
 def check_similarity(refined: Refinement | None, placements: Sequence[Placement], T: Array) -> None:
@@ -186,6 +192,26 @@ def _in_no_metres(placements: Sequence[Placement]) -> Refusal | None:
         f"{options}",
         {"lidars": " and ".join(odd), "half": told.half, "units": " or ".join(told.units)},
     )
+
+
+def _in_common_unit(shown: InUnit, radius: float, refusal: Refusal, odd: Refusal | None) -> Refusal:
+    """Say in which unit both clouds show poles; nothing else tells feet from thicker poles."""
+    target, source, agreed = shown
+    unit, thicker = target.unit, (target.radius_before + source.radius_before) / 2
+    said = (
+        f"read as {NAMES[unit]}, the target shows {len(target.scan.poles)} poles of radius "
+        f"{radius:g} m and the source {len(source.scan.poles)}, which fit each other, and "
+        f"{agreed.agreeing} of {agreed.total} voxels off the ground agree"
+    )
+    values = {"unit": unit, "unit_m": METRES[unit], "agreeing": agreed.agreeing}
+    if odd is not None or thicker > MAX_RADIUS:
+        message = f"the coordinates look like {NAMES[unit]}: {said}; read them with --unit {unit}"
+        return Refusal("wrong_unit", message, {"lidars": "target and source", **values})
+    hint = (
+        f"{said}: either the coordinates are in {NAMES[unit]} (--unit {unit}), or the poles are "
+        f"{thicker / radius:.2g} times as thick as given (--radius {thicker:.2g})"
+    )
+    return Refusal(refusal.code, f"{refusal.message}; {hint}", {**refusal.values, **values})
 
 
 def _options(unit: Unit, lidars: Sequence[str]) -> str:
