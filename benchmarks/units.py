@@ -2,8 +2,8 @@
 
 Simulated corridors, streets and harbors in turn, sensors and noise by turns; every pair is read as
 if it were in metres. Beside these, pairs in metres that must not be told to be anything else:
-ordinary ones, ones without poles, and ones whose poles are thicker than --radius says, where the hint
-names that as well. Prints a Markdown table: what was refused and why, which unit was named by
+ordinary ones, ones without poles, and ones whose poles are thicker than --radius says, where the
+hint names that as well. Prints a Markdown table: what was refused and why, which unit was named by
 ``calibrate``, and which by ``info`` for each of the two clouds alone.
 
     python benchmarks/units.py --seeds 1000:1036

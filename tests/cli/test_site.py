@@ -67,7 +67,7 @@ def test_exit_codes_are_those_of_calibrate(
     assert done.stdout.startswith("" if quiet else f"verdict: {status}\n")
     lines = done.stdout.splitlines()
     assert len(lines) <= 40
-    commands = "written", "next", "later"
+    commands = "written", "next", "field test", "later"
     assert all(len(line) <= 80 for line in lines if not line.startswith(commands))
     assert ("refused (ambiguous)" in done.stderr) == (status == "refused")
 

@@ -110,7 +110,8 @@ def calibrate(
         listener.progress("report")
         written = result.save(out)
     following = {
-        "next": command_line("export", written[0], "--to", "urdf"),
+        "next": command_line("export", written[0], "--to", "urdf", "--out", out / "site.urdf"),
+        "field test of the LiDARs": command_line("certify", site_file, "--out", out),
         "later, with new recordings": command_line("site", "check", out, site_file),
     }
     describe = partial(describe_site, result.document, following=following, verbose=verbose)
