@@ -22,8 +22,7 @@ import numpy as np
 from retropole.base.datatypes import PointCloud
 from retropole.io.units import METRES, Unit
 from retropole.pipeline import calibrate
-from retropole.scene.same_unit import unit_by_poles
-from retropole.scene.scans import find_poles
+from retropole.scene.same_unit import unit_of_one
 from retropole.simulation import NOISE_MODELS, record_again, simulate_pair
 
 SCENES = "corridor", "street", "harbor"
@@ -68,9 +67,8 @@ def pair_of(kind: str, seed: int) -> tuple[PointCloud, PointCloud]:
 
 
 def by_poles(cloud: PointCloud) -> str:
-    """The unit that ``retropole info`` names of one cloud by its poles, if any."""
-    scan = find_poles(cloud, sensor=None, threshold=None, radius=RADIUS)
-    shown = unit_by_poles(scan, RADIUS)
+    """The unit that ``retropole info`` names of one cloud, if any."""
+    shown = unit_of_one(cloud, RADIUS)
     return "" if shown is None else shown.unit
 
 

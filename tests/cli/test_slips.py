@@ -112,7 +112,7 @@ class TestUnits:
             write_pcd(tmp_path / f"{k}.pcd", scaled(cloud, 1 / 0.3048))
         files = tmp_path / "0.pcd", tmp_path / "1.pcd"
         done = retropole_here("info", files[1])
-        assert "either the coordinates are in feet, or the poles are thicker" in done.stdout
+        assert "farther than a OS1 sees; read as feet it shows 2 poles" in done.stdout
         assert "read them with --unit ft, here and in every command" in done.stdout
         message = check_refused(calibrate(tmp_path / "o", *files), tmp_path / "o", "too_few_poles")
         assert "(--unit ft), or the poles are" in message

@@ -10,7 +10,7 @@ import retropole as rp
 from retropole.base.datatypes import Placement, PointCloud
 from retropole.io.units import METRES, Unit
 from retropole.pipeline import calibrate
-from retropole.scene.same_unit import common_unit, unit_by_poles
+from retropole.scene.same_unit import beyond_sensors, common_unit, unit_of_one
 from retropole.scene.scans import find_poles
 from retropole.simulation import record_again, simulate_pair
 
@@ -49,16 +49,25 @@ def test_the_unit_of_both_is_found(unit: Unit) -> None:
     assert len(found.target.scan.poles) == len(found.source.scan.poles) == 2
     assert found.target.radius_before == pytest.approx(RADIUS / METRES[unit], rel=0.5)
     for scan in placement.scans:
-        alone = unit_by_poles(scan, RADIUS)
-        assert alone is not None
-        assert alone.unit == unit
+        alone = unit_of_one(scan.cloud, RADIUS)
+        # A corridor in feet is no longer than a place in metres.
+        assert (alone and alone.unit) == (None if unit == "ft" else unit)
 
 
 @pytest.mark.parametrize("clouds", [pair(), pair(poles=False)])
 def test_metres_are_no_other_unit(clouds: tuple[PointCloud, PointCloud]) -> None:
     placement = placed(*clouds)
     assert common_unit(placement, RADIUS, NO_THRESHOLDS) is None
-    assert [unit_by_poles(scan, RADIUS) for scan in placement.scans] == [None, None]
+    assert [unit_of_one(cloud, RADIUS) for cloud in clouds] == [None, None]
+
+
+def test_one_cloud_in_feet_is_told_where_it_reaches_farther_than_its_sensor() -> None:
+    made = simulate_pair("harbor", np.random.default_rng(1))
+    assert unit_of_one(made.target, RADIUS) is None
+    assert beyond_sensors(made.target) is None
+    shown = unit_of_one(counted(made.target, "ft"), RADIUS)
+    assert shown is not None
+    assert shown.unit == "ft"
 
 
 def test_two_units_are_none_of_both() -> None:

@@ -18,8 +18,7 @@ from ..io.rings import rings_fault, with_trusted_rings
 from ..io.units import NAMES, Unit
 from ..result import document_of
 from ..result.contents import CloudDoc, InfoDoc, IntensityDoc, TopicDoc
-from ..scene.same_unit import PolesInUnit, unit_by_poles
-from ..scene.scans import find_poles
+from ..scene.same_unit import PolesInUnit, beyond_sensors, unit_of_one
 
 INTENSITY_BINS = 16
 """Bins of the histogram of intensities: what fits a terminal."""
@@ -65,10 +64,10 @@ def _cloud(read: ReadRecording) -> CloudDoc:
     rate = _rate(read.headers[0], read.headers[-1])
     odd = oddity_of(cloud)
     words, units = ("", ()) if odd is None else (odd.words, odd.units)
-    shown = None if odd is not None and odd.is_map else _other_unit(given)
+    shown = None if odd is not None and odd.is_map else unit_of_one(cloud, DEFAULT_RADIUS)
     if shown is not None:
         units = (shown.unit,)
-        words = _in_other_unit(shown, words)
+        words = _in_unit(shown, words or _beyond(cloud))
     ranges = np.linalg.norm(cloud.xyz - cloud.origin, axis=1)
     return document_of(
         CloudDoc,
@@ -93,26 +92,19 @@ def _cloud(read: ReadRecording) -> CloudDoc:
     )
 
 
-def _other_unit(cloud: PointCloud) -> PolesInUnit | None:
-    """Find the unit in which the cloud shows poles, where it shows none in metres."""
-    if cloud.intensity is None:
-        return None
-    scan = find_poles(cloud, sensor=None, threshold=None, radius=DEFAULT_RADIUS)
-    return unit_by_poles(scan, DEFAULT_RADIUS)
-
-
-def _in_other_unit(shown: PolesInUnit, odd: str) -> str:
-    """Say it, after what is odd about the ranges in metres, if anything is."""
-    said = (
-        f"read as {NAMES[shown.unit]} it shows {len(shown.scan.poles)} poles of radius "
-        f"{DEFAULT_RADIUS:g} m, in metres none"
-    )
-    if odd:
-        return f"{odd}; {said}"
-    thicker = shown.radius_before
+def _beyond(cloud: PointCloud) -> str:
+    """Say that a cloud reaches farther than its sensor."""
+    sensors = " or ".join(guess_sensors(cloud))
     return (
-        f"{said}: either the coordinates are in {NAMES[shown.unit]}, or the poles are thicker "
-        f"(--radius {thicker:.2g})"
+        f"1 % of the points are beyond {beyond_sensors(cloud):g} m, farther than a {sensors} sees"
+    )
+
+
+def _in_unit(shown: PolesInUnit, odd: str) -> str:
+    """Say in which unit a cloud shows poles, after what is odd about its ranges."""
+    return (
+        f"{odd}; read as {NAMES[shown.unit]} it shows {len(shown.scan.poles)} poles of radius "
+        f"{DEFAULT_RADIUS:g} m, in metres none"
     )
 
 

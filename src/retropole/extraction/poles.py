@@ -163,7 +163,7 @@ def _without_intensity(cloud: PointCloud) -> Refusal:
     name = cloud.source or "the cloud"
     values: dict[str, float | int | str] = {"points": len(cloud)}
     if len(cloud) == 0:
-        what = "has no points"
+        what = "has 0 points"
     elif cloud.intensity is None:
         what = f"has no intensity in any of its {len(cloud)} points"
     else:
