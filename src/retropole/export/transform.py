@@ -207,9 +207,8 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
         listed = ", ".join(f"{f.parent or 'unnamed'} -> {f.child or 'unnamed'}" for f in found[:20])
         wanted = f"{parent or 'any parent'} -> {child or 'any child'}"
         raise ReadError(
-            f"{len(fits)} transforms fit {wanted}, one is needed; the file holds: "
-            f"{listed or 'none'} (parent -> child); name both frames as the file does (--parent, "
-            "--child), or have 'retropole export' write the one"
+            f"{len(fits)} transforms fit {wanted} of {listed or 'none'}; name both frames of one "
+            "(--parent, --child)"
         )
     one = fits[0]
     return Transform(
