@@ -1,5 +1,6 @@
 """`evaluate` scores the same transform the same, whatever it comes as."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,16 @@ def test_matrix_result_and_file_give_the_same_scores(tmp_path: Path) -> None:
     result.save(tmp_path / "r")
     (tmp_path / "T.txt").write_text(export_lines(T)["matrix"])
     expected = rp.evaluate(tables().target, tables().source, T)
+    counted = result.confirmation
+    assert counted is not None
     for given in (result, tmp_path / "r", str(tmp_path / "r" / "result.json")):
-        assert rp.evaluate(pair().target, pair().source, given) == expected
+        scores = rp.evaluate(pair().target, pair().source, given)
+        assert replace(scores, confirmation=expected.confirmation) == expected
+        # A result names its poles: without them, the same is counted as when it was calibrated.
+        found = scores.confirmation
+        assert (found.agreeing, found.contradicting, found.missing) == (
+            *(counted.agreeing, counted.contradicting, counted.missing),
+        )
     read = rp.evaluate(pair().target, pair().source, tmp_path / "T.txt")
     assert read.entropy.sum == pytest.approx(expected.entropy.sum)
 

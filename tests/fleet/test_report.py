@@ -81,7 +81,7 @@ def test_it_counts_what_the_dataset_has(city: Path, overview: Overview) -> None:
     codes = [code for site in overview.sites for code in site.codes]
     assert found == {code: codes.count(code) for code in set(codes)}
     for caption, status in (("Sites that were", "refused"), ("Sites that ended", "error")):
-        assert rows_of(html, caption) == [
+        assert [row[:3] for row in rows_of(html, caption)] == [
             [site.id, site.codes[0], site.messages[0]]
             for site in overview.sites
             if site.status == status
@@ -125,11 +125,43 @@ def test_the_worst_lead_to_their_own_reports(tmp_path: Path) -> None:
     write_fleet_report(str(page), overview_of(str(out)), str(tmp_path / "reports"))
     links = [str(a["href"]) for tag, a in Page(page.read_text()).tags if tag == "a"]
     assert [link for link in links if not link.startswith("#")] == [
+        # What needs action comes first, in its list and on the map.
+        "./../reports/no/report.html",
+        "./../reports/no/report.html",
         "./../reports/a%20b%231/report.html",
         "./../reports/q%3A1/x/report.html",
-        "./../reports/no/report.html",
     ]
     assert "Reports of single sites" not in page.read_text()
+
+
+def test_what_needs_action_comes_first_with_what_to_do_next(overview: Overview) -> None:
+    sites = (
+        seen("fine"),
+        seen("doubtful", status="warn", codes=("not_confirmed",)),
+        seen("torn", status="error", codes=("unreadable",), messages=("torn.pcd: cut",)),
+        seen("none", status="refused", codes=("ambiguous",), messages=("two fit",)),
+    )
+    html = render_fleet(of_sites(*sites))
+    text = Page(html).text
+    assert "3 sites need action. Start with Refused." in text
+    order = [html.index(f'id="{part}"') for part in ("refused", "errors", "warned", "map")]
+    assert order == sorted(order)
+    for caption, code in (("Sites that were", "ambiguous"), ("Sites with a", "not_confirmed")):
+        known = explain(code)
+        assert known is not None
+        ((*_, to_do),) = rows_of(html, caption)
+        assert to_do == re.sub("<[^>]*>", "", inline(known.advice[0]))
+    assert "needs action" not in Page(render_fleet(of_sites(seen("fine")))).text
+
+
+def test_the_map_leads_from_what_needs_action_to_its_report() -> None:
+    here = {"latitude_rad": 0.9, "longitude_rad": 0.2}
+    sites = (seen("fine", **here), seen("no", status="refused", codes=("ambiguous",), **here))
+    html = render_fleet(of_sites(*sites), lambda site: f"{site.id}.html")
+    (drawn,) = re.findall(r"<svg viewBox.*?</svg>", html[html.index('id="map"') :])[:1]
+    assert re.findall(r'<a href="(.*?)" aria-label="(.*?)">', drawn) == [
+        ("no.html", "no: refused, 10 mm at 30 m")
+    ]
 
 
 def test_each_reason_says_what_to_do(overview: Overview) -> None:

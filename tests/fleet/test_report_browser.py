@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from retropole.fleet.overview import Overview, overview_of
-from retropole.fleet.report import render_fleet
+from retropole.fleet.report import WORST, render_fleet
 from tests.fleet.made_up import write_city
 from tests.report.browser import Browser, needs_browser
 from tests.report.test_accessibility import AUDIT, AXE, serious
@@ -42,7 +44,13 @@ def test_a_phone_scrolls_down_only_and_has_large_targets(
 def test_it_is_used_by_keys_and_printed_light(
     browser: Browser, overview: Overview, tmp_path: Path
 ) -> None:
-    browser.open(tmp_path, render_fleet(overview))
+    refused = {"status": "refused", "codes": ("ambiguous",), "messages": ("why",)}
+    many = [
+        msgspec.structs.replace(overview.sites[0], id=f"post-{k}", **refused)
+        for k in range(WORST + 10)
+    ]
+    # More than are listed unfolded.
+    browser.open(tmp_path, render_fleet(replace(overview, sites=tuple(many))))
     browser.press("\ue007", "#theme")
     assert browser.root("theme") == "dark"
     reached = browser.run(

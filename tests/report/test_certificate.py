@@ -11,9 +11,10 @@ from retropole.report import render_report
 from retropole.report.certificate import LISTED_SOURCES
 from retropole.report.certificate import certificate as certificate_of
 from retropole.report.page import fill
-from retropole.report.subject import of_pair
+from retropole.report.subject import Subject, of_pair
 from retropole.result import ResultDoc
 from tests.report.made_up import HOSTILE, Page, made_up
+from tests.report.site.made_up import document_of, made_up_site
 
 TO_FILL = fill("to-fill")
 
@@ -75,6 +76,22 @@ def test_only_an_answer_has_one(status: Status) -> None:
     html = render_report(*made_up(status, 500))
     assert ('id="certificate"' in html) is (status != "refused")
     assert ('id="print-certificate"' in html) is (status != "refused")
+
+
+def test_a_site_has_one_with_every_pose_and_what_checked_it() -> None:
+    site = document_of(made_up_site("ok", lidars=4, placements=2, count=20))
+    text = Page(certificate_of(Subject(site), "Pier 4")).text.replace("\u00a0", " ")
+    for lidar in site.lidars:
+        assert lidar.T_site_lidar is not None
+        for said in (lidar.name, f"{lidar.T_site_lidar[0, 3]:.3f}"):
+            assert said in text
+    for item in site.inputs:
+        assert item.sha256 in text
+    for said in ("Pier 4", site.datum, "none suspicious", "Where a point lands", "Signature"):
+        assert said in text
+    assert site.name in Page(certificate_of(Subject(site))).text
+    refused = document_of(made_up_site("refused", lidars=4, placements=2, count=20))
+    assert certificate_of(Subject(refused)) == ""
 
 
 def test_what_is_given_stays_text() -> None:

@@ -50,7 +50,7 @@ def test_a_refused_page_gives_no_pose_to_copy(kind: str) -> None:
 def test_lines_to_copy_are_those_of_export() -> None:
     html = whole(of_pair(RESULT, ()))
     written = dict(re.findall(r'data-export="(\w+)">(.*?)</pre>', html, re.S))
-    expected = export_lines(T_TRUE, *FRAMES)
+    expected = export_lines(T_TRUE, *FRAMES, "verdict of the calibration: ok")
     assert set(written) == set(expected)
     assert set(UNFOLDED) <= set(expected)
     for key, text in expected.items():

@@ -42,7 +42,8 @@ def site(status: Status = "ok") -> SiteDoc:
 
 
 def said_of(document: SiteDoc) -> str:
-    return Page(verdict(Subject(document))).text
+    """Give the verdict of a site, and what is certain of an answer."""
+    return Page(verdict(Subject(document)) + certainty(Subject(document))).text
 
 
 @of_each_kind
@@ -132,7 +133,9 @@ def test_what_is_too_likely_wrong_is_not_advised_to_be_used() -> None:
     unsure = ReasonDoc("not_confirmed", "", {"probability_wrong": 0.34})
     for wrong in (UNUSABLE, 0.34):
         unsure = replace(unsure, values={"probability_wrong": wrong})
-        page = Page(verdict(Subject(replace(site("warn"), reasons=[unsure])))).text
+        doubtful = Subject(replace(site("warn"), reasons=[unsure]))
+        page = Page(verdict(doubtful) + next_steps(doubtful)).text
+        assert (certificate(doubtful) == "") is (wrong > UNUSABLE)
         assert ("do not use it" in page) is (wrong > UNUSABLE)
         assert ("What to do next" in page) is (wrong == UNUSABLE)
 

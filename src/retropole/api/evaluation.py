@@ -5,12 +5,12 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
-from ..base.files import read_document
 from ..base.se3 import rigid
 from ..evaluation.comparison import Compared as Compared
 from ..evaluation.comparison import compare as compare_clouds
@@ -20,13 +20,11 @@ from ..evaluation.metrics import Errors as Errors
 from ..evaluation.metrics import errors_of as errors_of
 from ..evaluation.metrics import evaluate as score
 from ..evaluation.rivals import ALL_METHODS
-from ..export import read_transform
-from ..export.documents import result_in
+from ..export import read_result, read_transform
 from ..extraction.extent import check_coordinates
 from ..io.failures import readable
 from ..monitoring.swapped import swap
 from ..result import ResultDoc, RunConfig
-from ..result.folder import any_result_file
 from .inputs import SILENT, CloudSource, Input, Listener, read_pair
 from .options import run_config
 from .result import CalibrationResult
@@ -60,7 +58,8 @@ def evaluate(
         its own sensor's frame.
     T_target_source
         (4, 4) maps source points into the target's frame; or a result; or a file of any format
-        that ``retropole export`` writes, or the folder of a result.
+        that ``retropole export`` writes, or the folder of a result. The poles of a result are
+        left out of what stands in the scene, as they were when it was calibrated.
     sigma
         Kernel width of the entropy, metres.
     seed
@@ -85,14 +84,15 @@ def evaluate(
         Where a file cannot be read.
     """
     config, rng = run_config(locals()), _generator(seed)
-    T = _transform(T_target_source)
-    _refuse_swapped(target, source, T_target_source)
+    T, document = _transform(T_target_source), _result_of(T_target_source)
+    _refuse_swapped(target, source, document)
     progress("read")
     pair = read_pair(target, source, config, Listener(progress, on_read))
     for each in pair:
         check_coordinates(each.cloud)
     progress("evaluate")
-    return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma)
+    poles = _poles(document)
+    return score(pair.target.cloud, pair.source.cloud, T, rng=rng, sigma=sigma, poles=poles)
 
 
 def compare(
@@ -149,16 +149,38 @@ def _generator(seed: int) -> np.random.Generator:
         raise UsageError(f"seed is {seed!r}, expected a number from 0 up") from None
 
 
-def _refuse_swapped(
-    target: CloudSource, source: CloudSource, given: Array | CalibrationResult | str | Path
-) -> None:
+def _result_of(given: Array | CalibrationResult | str | Path) -> ResultDoc | None:
+    """Give the result document that a transform is from; None where it is from elsewhere."""
+    if isinstance(given, CalibrationResult):
+        return given.document
+    found = read_result(Path(given)) if isinstance(given, str | Path) else None
+    return found if isinstance(found, ResultDoc) else None
+
+
+class _Line(NamedTuple):
+    """Where a pole is, as a result document says it."""
+
+    point: Array
+    direction: Array
+    length: float
+
+
+def _poles(document: ResultDoc | None) -> tuple[list[_Line], list[_Line]]:
+    """Take the poles of the target and of the source that a result lists."""
+    if document is None:
+        return [], []
+    target, source = (
+        [_Line(pole.point_m, pole.direction, pole.length_m) for pole in of_lidar]
+        for of_lidar in (document.poles.target, document.poles.source)
+    )
+    return target, source
+
+
+def _refuse_swapped(target: CloudSource, source: CloudSource, document: ResultDoc | None) -> None:
     """Refuse the files of a result the other way round, before they are read."""
     if not isinstance(target, str | Path) or not isinstance(source, str | Path):
         return
-    document: object = given.document if isinstance(given, CalibrationResult) else None
-    if isinstance(given, str | Path):
-        document = result_in(read_document(any_result_file(Path(given))))
-    if isinstance(document, ResultDoc) and are_swapped(hashes_of(document), target, source):
+    if document is not None and are_swapped(hashes_of(document), target, source):
         raise UsageError(swap("the result was made of these very files", {}).message)
 
 

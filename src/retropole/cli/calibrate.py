@@ -38,8 +38,8 @@ def calibrate(
     """Find the transform that maps points of SOURCE into the frame of TARGET.
 
     TARGET and SOURCE are point cloud files with an intensity (PCD, PLY, LAS, LAZ, BIN, NPY, NPZ,
-    CSV, XYZ), folders of such files, one a sweep, ROS bags (.bag, .db3, .mcap, or the folder), or
-    packets of a Velodyne or Ouster (.pcap). Both may be the same bag.
+    CSV, XYZ), folders of such files, one for each sweep, ROS bags (.bag, .db3, .mcap, or the
+    folder), or packets of a Velodyne or Ouster (.pcap). Both may be the same bag.
 
     \b
     Examples:
@@ -57,10 +57,10 @@ def calibrate(
 
     \b
     Exit code:
-      0    calibrated; the verdict is ok, or warn with what is weak
+      0    calibrated: the verdict is ok or warn
       1    with --strict: the verdict is warn
       2    a file or an option is wrong; an older result in --out is renamed to older-result.json
-      3    refused: the data carry no answer; the reason is printed and in result.json
+      3    refused: no transform; the reason is printed and in result.json
       130  interrupted
     """
     from ..api.calibration import calibrate_with

@@ -45,10 +45,10 @@ def certify(
     """Test two LiDARs by the distances between poles, without any calibration.
 
     TARGET and SOURCE are recordings of the same poles, as for 'calibrate'. Each LiDAR measures the
-    distances between the poles for itself; where they differ by more than what is stated of both
-    LiDARs allows, the pair fails. Four poles, or several placements, are needed. Name the sensors:
-    what is stated of them sets the limits. A site file (.toml), or the folder that holds site.toml,
-    alone as TARGET tests every pair of its LiDARs.
+    distances between the poles for itself. If they differ by more than the stated errors of both
+    LiDARs allow, the pair fails. Four poles, or several placements, are needed. Name the sensors:
+    their stated errors set the limits. A site file (.toml), or the folder that
+    holds site.toml, alone as TARGET tests every pair of its LiDARs.
 
     \b
     Examples:

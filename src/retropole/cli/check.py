@@ -30,12 +30,13 @@ MOSTLY_ALONG = math.cos(math.radians(30.0))
 def tolerance_options(command: Command) -> Command:
     """Give a command --tolerance-deg and --tolerance-m."""
     default, widest = DEFAULT_TOLERANCE, WIDEST_TOLERANCE
-    more = "or as little more as the data tell, up to"
+    more = "or what the data can show, up to"
     rotation = click.option(
         "--tolerance-deg",
         "rotation",
         type=DEGREES,
-        help="A rotation that must not be missed: where it could be, the answer is not 'same'.  "
+        help="Smallest rotation that must be found: where it could be missed, the answer is not "
+        "'same'.  "
         f"[default: {math.degrees(default.rotation):g}, {more} {math.degrees(widest.rotation):g}]",
     )
     translation = click.option(
@@ -94,8 +95,8 @@ def check(
 
     RESULT is result.json, the folder that holds it, or any file that 'retropole export' writes
     (one without a covariance needs --sigma-deg and --sigma-m). TARGET and SOURCE are new
-    recordings of the same two LiDARs. Poles are used where they are there; without, the scene must
-    do. Radius, sensors, thresholds and units are those of RESULT.
+    recordings of the same two LiDARs. With poles, the poles are used; without, the scene. Radius,
+    sensors, thresholds and units are those of RESULT.
 
     Of a site, RESULT is site-result.json or its folder, and --parent and --child name the two
     LiDARs; radius and sensors are those of the site.

@@ -71,7 +71,7 @@ def compare(
     Methods:
       METHODS
 
-    The others use the surroundings and no poles. Their ok is their own word: only the errors
+    The others use the surroundings and no poles. Their ok is not checked: only the errors
     against a truth tell whether they are right.
 
     \b

@@ -38,7 +38,7 @@ def detect(file: Path, out: Path, as_json: bool, quiet: bool, **options: Any) ->
 
     \b
     Exit code:
-      0    looked, and found poles or none
+      0    done, whether poles were found or not
       2    the file or an option is wrong
       3    refused: the file has no intensity
     """

@@ -50,7 +50,7 @@ def evaluate(
     0.5 m. The plane residual is the median distance from the other cloud's surfaces. The entropy is
     Renyi's quadratic entropy of both clouds together, downsampled to 0.1 m: the sharper they are,
     the larger is its sum and the smaller its -log. Sharp is not always right: a corridor rotated by
-    180 deg lies on itself. Of what stands in the scene, patches (cubes of 1 m) agree with the
+    180 deg lies on itself. In the scene check, patches (cubes of 1 m) agree with the
     transform, or contradict it: they stand where the other LiDAR looked through. Compare
     transforms of the same two clouds only; figures of other clouds are on another scale.
 

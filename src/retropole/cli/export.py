@@ -122,8 +122,10 @@ def export(
                     f"--to {fmt} holds one transform; name two frames of the site with --parent "
                     f"and --child, or write all of them: --to {', '.join(TREE_TITLES)}"
                 )
-            whole = TREE_FORMATS.get(fmt)
-            _write(whole.write(tree) if whole else transforms.write_transforms(tree.edges), out)
+            if fmt == MCAP:
+                _write(transforms.write_transforms(tree.edges, tree.verdict), out)
+            else:
+                _write(TREE_FORMATS[fmt].write(tree), out)
             return 0
     if fmt not in (None, *TITLES):
         raise click.UsageError(f"--to {fmt} takes all of a site: site-result.json")

@@ -17,8 +17,8 @@ from .site_check import site_check
 def site() -> None:
     """Calibrate many LiDARs of one site in one frame.
 
-    Put taped poles where two LiDARs or more see them, record a moment on each LiDAR, move the poles
-    and record again: that is another placement. A site file says which file is whose.
+    Put taped poles where two LiDARs or more see them, and record a moment on each LiDAR. Move the
+    poles and record again: that is another placement. A site file says which file is whose.
 
     \b
     Examples:
@@ -85,7 +85,7 @@ def calibrate(
     """Find the poses of all LiDARs of a site in one frame.
 
     SITE.toml says which LiDARs there are, what each recorded in each placement of the poles, and
-    what was surveyed; 'retropole site init' writes one. Of a folder, its site.toml is taken.
+    what was surveyed; 'retropole site init' writes one. A folder stands for its site.toml.
 
     \b
     Examples:
@@ -95,10 +95,10 @@ def calibrate(
 
     \b
     Exit code:
-      0    calibrated; the verdict is ok, or warn with what is weak
+      0    calibrated: the verdict is ok or warn
       1    with --strict: the verdict is warn
       2    a file or an option is wrong; an older result in --out is renamed
-      3    refused: the data carry no answer; the reason is printed and in site-result.json
+      3    refused: no poses; the reason is printed and in site-result.json
       130  interrupted
     """
     from ..api.site import calibrate_site

@@ -45,7 +45,7 @@ def view(files: tuple[Path, ...], port: int, quiet: bool, **options: Any) -> int
     Exit code:
       2    a file or an option is wrong
       3    refused: a file has no intensity
-      130  ended by Ctrl-C, as it is meant to
+      130  ended by Ctrl-C, the normal end
     """
     import time
 

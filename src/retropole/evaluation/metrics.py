@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base import se3
-from ..base.datatypes import Array, Placement, PointCloud, Scan
+from ..base.datatypes import Array, PointCloud
 from ..base.errors import Refusal
 from ..base.uncertainty.confirmation import Confirmation
 from ..io.beam_origin import with_beam_origin
 from ..io.rings import with_trusted_rings
-from ..scene.confirmation import count, scenes_of
+from ..scene.consistency import Line, consistency, standing_in
 from ..scene.registration import CORES, prepare, voxel_downsample
 from ..scene.visibility import OVERLAP_DISTANCE, overlap
 from .entropy import KERNEL_WIDTH, Entropy, rqe
@@ -110,6 +111,7 @@ def evaluate(
     *,
     rng: np.random.Generator,
     sigma: float = KERNEL_WIDTH,
+    poles: tuple[Sequence[Line], Sequence[Line]] = ((), ()),
 ) -> Alignment:
     """Score a transform by the clouds it aligns, without a truth.
 
@@ -124,6 +126,9 @@ def evaluate(
         same seed, so that each is scored on the same points.
     sigma
         Width of the entropy's kernel, metres.
+    poles
+        Of the target and of the source, where they are known: what stands in the scene is counted
+        without them, as a calibration does, since they agree with the pose that they gave.
 
     Raises
     ------
@@ -148,10 +153,20 @@ def evaluate(
     if len(together) > RQE_POINTS:
         together = together[rng.choice(len(together), RQE_POINTS, replace=False)]
     shared = overlap([distances, back], OVERLAP_DISTANCE)
-    return Alignment(shared, residual, rqe(together, sigma), _confirmation(target, source, T))
+    confirmation = _confirmation(target, source, T, poles)
+    return Alignment(shared, residual, rqe(together, sigma), confirmation)
 
 
-def _confirmation(target: PointCloud, source: PointCloud, T: Array) -> Confirmation:
+def _confirmation(
+    target: PointCloud,
+    source: PointCloud,
+    T: Array,
+    poles: tuple[Sequence[Line], Sequence[Line]],
+) -> Confirmation:
     """Hold a pose against what stands in the scene, as a calibration does."""
-    scans = [Scan(with_beam_origin(with_trusted_rings(cloud))) for cloud in (target, source)]
-    return count(scenes_of([Placement(scans[0], scans[1])], np.random.default_rng(0)), T)
+    rng = np.random.default_rng(0)
+    standing = [
+        standing_in(with_beam_origin(with_trusted_rings(cloud)), rng, of_cloud)
+        for cloud, of_cloud in zip((target, source), poles, strict=True)
+    ]
+    return consistency(standing[0], standing[1], T)

@@ -18,7 +18,7 @@ from ..base.errors import ReadError, UsageError
 from ..base.files import read_document
 from ..base.se3 import rigid
 from ..io.failures import naming
-from ..result import ReasonDoc
+from ..result import ReasonDoc, ResultDoc
 from ..result.folder import any_result_file
 from ..result.site import SiteDoc
 from .documents import read_json, read_yaml, result_in, write_json, write_yaml
@@ -68,7 +68,9 @@ _SUFFIXES = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".urdf": "urdf", 
 _PUBLISHER = re.compile(r"\b(tf|tf2_ros)\s+static_transform_publisher\b")
 
 
-def export_lines(T: Array, parent: str = "target", child: str = "source") -> dict[str, str]:
+def export_lines(
+    T: Array, parent: str = "target", child: str = "source", verdict: str = ""
+) -> dict[str, str]:
     """Write a transform in every format, ready to copy.
 
     Parameters
@@ -77,6 +79,8 @@ def export_lines(T: Array, parent: str = "target", child: str = "source") -> dic
         (4, 4) maps points of the child into the parent: ``T_target_source``.
     parent, child
         Names of the frames.
+    verdict
+        Of the calibration, on one line, for a comment; empty for none.
 
     Returns
     -------
@@ -88,7 +92,7 @@ def export_lines(T: Array, parent: str = "target", child: str = "source") -> dic
     ReadError, UsageError
         For a matrix that is not rigid, and for names that no frame can have.
     """
-    transform = Transform(rigid(T), parent, child)
+    transform = Transform(rigid(T), parent, child, verdict=verdict)
     return {name: each.write(transform) for name, each in FORMATS.items()}
 
 
@@ -135,9 +139,22 @@ def read_transform(
             raise ReadError(f"no text: {error}") from None
 
 
+def read_result(path: Path) -> ResultDoc | SiteDoc | None:
+    """Read a result document, or that in a folder; None for any other file.
+
+    Raises
+    ------
+    ReadError
+        Where it is not sound.
+    OSError
+        Where it cannot be read.
+    """
+    return result_in(read_document(any_result_file(Path(path))))
+
+
 def read_verdict(path: Path) -> list[ReasonDoc]:
     """Read what a result document warns of: empty for one that is ok, and for any other file."""
-    document = result_in(read_document(any_result_file(Path(path))))
+    document = read_result(path)
     return [] if document is None else document.reasons
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -22,6 +23,7 @@ from ..base.se3 import rigid
 from ..result import COVARIANCE_ORDER, RESULT_SCHEMA, ResultDoc, refusal_of
 from ..result.decoding import check_covariance, decode, decode_site
 from ..result.site import SITE_SCHEMA, SiteDoc
+from ..result.verdict import verdict_line
 from .text import RPY, RPY_MEANING, TRANSLATION_KEYS, comments, named_lines, pose_of, pose_values
 from .transform import (
     ROS_COVARIANCE_ORDER,
@@ -30,6 +32,7 @@ from .transform import (
     covariance_from_ros,
     covariance_to_ros,
     from_quaternion,
+    notes_on,
     to_quaternion,
 )
 from .tree import found_in_site
@@ -45,6 +48,9 @@ _KEYS = {
     "T_source_target": ("source", "target"),
     "T_parent_child": ("target", "source"),
 }
+VERDICT = re.compile(r"verdict of the calibration: [a-z0-9_ ,;.%]{1,2000}")
+"""What `result.verdict.verdict_line` writes: safe in a comment of any format."""
+
 _YAML_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./]*")
 _YAML_WORDS = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
 
@@ -61,6 +67,7 @@ def transform_fields(transform: Transform, key: str) -> dict[str, Any]:
     T = transform.T_parent_child
     fields: dict[str, Any] = {
         "description": transform.meaning,
+        **({"verdict": transform.verdict} if transform.verdict else {}),
         "parent": transform.parent,
         "child": transform.child,
         key: (T + 0.0).tolist(),
@@ -109,8 +116,11 @@ def _found(document: dict[str, Any]) -> Found:
     if len(keys) != 1:
         raise ReadError(f"expected one of the keys {', '.join(_KEYS)}, found {len(keys)}")
     covariance = _covariance(document)
-    parent, child = _name(document, "parent"), _name(document, "child")
-    return Found(parent, child, lambda: _pose(document, keys[0]), covariance, _KEYS[keys[0]])
+    parent, child = _text(document, "parent"), _text(document, "child")
+    verdict = _text(document, "verdict") or ""
+    verdict = verdict if VERDICT.fullmatch(verdict) else ""
+    pose = partial(_pose, document, keys[0])
+    return Found(parent, child, pose, covariance, _KEYS[keys[0]], verdict)
 
 
 class _Named(msgspec.Struct):
@@ -144,14 +154,15 @@ def _of_result(result: ResultDoc) -> Found:
     if T is None:
         words = "the calibration was refused, there is no transform: "
         raise refusal_of(result.reasons, words)
-    return Found(None, None, lambda: T, result.covariance)
+    verdict = verdict_line(result.status, result.reasons)
+    return Found(None, None, lambda: T, result.covariance, verdict=verdict)
 
 
-def _name(document: dict[str, Any], role: str) -> str | None:
-    name = document.get(role)
-    if name is not None and not isinstance(name, str):
-        raise ReadError(f"{role} is {name!r}, not a name")
-    return name
+def _text(document: dict[str, Any], key: str) -> str | None:
+    text = document.get(key)
+    if text is not None and not isinstance(text, str):
+        raise ReadError(f"{key} is {text!r}, not a name")
+    return text
 
 
 def _pose(document: dict[str, Any], key: str) -> Array:
@@ -198,7 +209,7 @@ def write_yaml(*transforms: Transform, notes: Sequence[str] = ()) -> str:
 
     Transforms of one parent stand together; above all, as comments, notes and what each maps.
     """
-    text = comments((*notes, *(each.meaning for each in transforms), RPY_MEANING))
+    text = comments((*notes, *notes_on(transforms), RPY_MEANING))
     for parent in dict.fromkeys(each.parent for each in transforms):
         text += f"{_yaml_key(parent)}:\n"
         for each in (own for own in transforms if own.parent == parent):

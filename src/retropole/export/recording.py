@@ -94,11 +94,14 @@ def write_mcap(transform: Transform, target: Sequence[Frame], source: Sequence[F
     """
     names = dict(zip(transform.roles, (transform.parent, transform.child), strict=True))
     clouds = {"target": list(target), "source": list(source)}
-    return _write([transform], {TOPICS[role]: Track(names[role], clouds[role]) for role in TOPICS})
+    tracks = {TOPICS[role]: Track(names[role], clouds[role]) for role in TOPICS}
+    return _write([transform], tracks, transform.verdict)
 
 
-def write_transforms(transforms: Sequence[Transform]) -> bytes:
+def write_transforms(transforms: Sequence[Transform], verdict: str = "") -> bytes:
     """Write transforms alone, as one message on ``/tf_static`` at time zero.
+
+    The verdict of their calibration is written as metadata.
 
     Played or opened beside a recording of the LiDARs, it places their frames.
 
@@ -107,10 +110,10 @@ def write_transforms(transforms: Sequence[Transform]) -> bytes:
     MissingExtraError
         Where mcap or rosbags is not installed.
     """
-    return _write(transforms, {})
+    return _write(transforms, {}, verdict)
 
 
-def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track]) -> bytes:
+def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track], verdict: str) -> bytes:
     """Write transforms, then the frames of all tracks in the order of their times."""
     try:
         from mcap.writer import Writer
@@ -122,6 +125,8 @@ def _write(transforms: Sequence[Transform], tracks: Mapping[str, Track]) -> byte
     file = io.BytesIO()
     writer: Any = Writer(file)
     writer.start(profile="ros2", library="retropole")
+    if verdict:
+        writer.add_metadata("retropole", {"verdict": verdict})
     schemas = {
         kind: writer.register_schema(
             kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()

@@ -15,7 +15,7 @@ import numpy as np
 from ..base.datatypes import Array
 from ..base.errors import ReadError, UsageError
 from .text import QUATERNION, RPY, TRANSLATION_KEYS, comments, pose_of, pose_values, to_float
-from .transform import Found, Transform, from_quaternion, from_rpy
+from .transform import Found, Transform, from_quaternion, from_rpy, notes_on
 
 PROGRAM = "static_transform_publisher"
 
@@ -46,7 +46,7 @@ def write_ros1(transform: Transform) -> str:
         raise UsageError("ROS 1 takes a name with := for a remapping; name the frame without")
     values = list(pose_values(transform, QUATERNION).values())
     line = shlex.join([*values, transform.parent, transform.child])
-    return f"# {transform.meaning}\nrosrun tf2_ros {PROGRAM} {line}\n"
+    return f"{comments(transform.notes)}rosrun tf2_ros {PROGRAM} {line}\n"
 
 
 def _flags(transform: Transform) -> list[str]:
@@ -63,7 +63,8 @@ def _flags(transform: Transform) -> list[str]:
 
 def write_ros2(transform: Transform) -> str:
     """Write a ``ros2 run`` line; names that a shell would take apart are quoted."""
-    return f"# {transform.meaning}\nros2 run tf2_ros {PROGRAM} {shlex.join(_flags(transform))}\n"
+    line = shlex.join(_flags(transform))
+    return f"{comments(transform.notes)}ros2 run tf2_ros {PROGRAM} {line}\n"
 
 
 def write_launch(*transforms: Transform, notes: Sequence[str] = ()) -> str:
@@ -80,7 +81,7 @@ def write_launch(*transforms: Transform, notes: Sequence[str] = ()) -> str:
             program=PROGRAM,
             arguments="".join(f"\n{' ' * 20}{flag!r}, {value!r}," for flag, value in pairs),
         )
-    said = comments((*notes, *(each.meaning for each in transforms)))
+    said = comments((*notes, *notes_on(transforms)))
     return _LAUNCH.format(comments=said, nodes=nodes)
 
 

@@ -42,7 +42,7 @@ def _rows(T: Array) -> str:
 
 def write_matrix(transform: Transform) -> str:
     """Write four rows of four numbers below a comment."""
-    return f"# {transform.meaning}\n{_rows(transform.T_parent_child)}"
+    return f"{comments(transform.notes)}{_rows(transform.T_parent_child)}"
 
 
 def write_cloudcompare(transform: Transform) -> str:
@@ -51,7 +51,7 @@ def write_cloudcompare(transform: Transform) -> str:
     The note stands after the numbers, in square brackets: pasted, CloudCompare drops what is in
     such brackets; from a file it reads sixteen numbers and stops.
     """
-    return f"{_rows(transform.T_parent_child)}[ {transform.meaning} ]\n"
+    return f"{_rows(transform.T_parent_child)}[ {'; '.join(transform.notes)} ]\n"
 
 
 def read_matrix(data: bytes) -> list[Found]:
@@ -75,13 +75,13 @@ def pose_values(transform: Transform, rotation: tuple[str, ...]) -> dict[str, st
 
 def write_quaternion(transform: Transform) -> str:
     """Write ``x y z qx qy qz qw``, each on a line with its name."""
-    notes = (transform.meaning, "metres; unit quaternion, qw is the real part")
+    notes = (*transform.notes, "metres; unit quaternion, qw is the real part")
     return comments(notes) + named_lines(pose_values(transform, QUATERNION))
 
 
 def write_rpy(transform: Transform) -> str:
     """Write ``x y z roll pitch yaw``, each on a line with its name."""
-    return comments((transform.meaning, RPY_MEANING)) + named_lines(pose_values(transform, RPY))
+    return comments((*transform.notes, RPY_MEANING)) + named_lines(pose_values(transform, RPY))
 
 
 def read_named(data: bytes) -> list[Found]:

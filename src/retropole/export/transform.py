@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +48,8 @@ class Transform:
     roles
         What parent and child are in the calibration: ``("target", "source")``, or the other way
         round after `inverted`.
+    verdict
+        Of the calibration that it is from, on one line (`result.verdict`); empty where not known.
 
     Raises
     ------
@@ -62,6 +64,7 @@ class Transform:
     child: str
     covariance: Array | None = None
     roles: tuple[str, str] = ("target", "source")
+    verdict: str = ""
 
     def __post_init__(self) -> None:
         """Check the names and the matrix."""
@@ -83,6 +86,17 @@ class Transform:
         parent, child = quoted(self.parent), quoted(self.child)
         return f"maps points of {child} into {parent}; parent: {parent}, child: {child}"
 
+    @property
+    def notes(self) -> list[str]:
+        """Say in comments what it maps, and the verdict of its calibration."""
+        return [self.meaning, *([self.verdict] if self.verdict else [])]
+
+
+def notes_on(transforms: Sequence[Transform]) -> list[str]:
+    """Say what several transforms map, and each verdict once."""
+    verdicts = dict.fromkeys(each.verdict for each in transforms if each.verdict)
+    return [*(each.meaning for each in transforms), *verdicts]
+
 
 def inverted(transform: Transform) -> Transform:
     """Turn a transform round: parent and child change places.
@@ -95,8 +109,13 @@ def inverted(transform: Transform) -> Transform:
     if covariance is not None:
         J = relative_jacobian(T, np.eye(4))[:, :6]
         covariance = J @ covariance @ J.T
-    return Transform(
-        se3.inverse(T), transform.child, transform.parent, covariance, transform.roles[::-1]
+    return replace(
+        transform,
+        T_parent_child=se3.inverse(T),
+        parent=transform.child,
+        child=transform.parent,
+        covariance=covariance,
+        roles=transform.roles[::-1],
     )
 
 
@@ -183,7 +202,7 @@ class Found(NamedTuple):
         wrong elsewhere in a file is in the way.
     covariance
         (6, 6) over ``[φ, δ]``, axes of the parent, or None.
-    roles
+    roles, verdict
         As in `Transform`.
     """
 
@@ -192,6 +211,7 @@ class Found(NamedTuple):
     pose: Callable[[], Array]
     covariance: Array | None = None
     roles: tuple[str, str] = ("target", "source")
+    verdict: str = ""
 
 
 def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Transform:
@@ -217,6 +237,7 @@ def choose(found: Sequence[Found], parent: str | None, child: str | None) -> Tra
         one.child or child or one.roles[1],
         one.covariance,
         one.roles,
+        one.verdict,
     )
 
 

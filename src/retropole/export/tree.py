@@ -17,6 +17,7 @@ from ..base.errors import UsageError, printable
 from ..base.relative import joint_of, relative
 from ..result import refusal_of
 from ..result.site import LidarDoc, SiteDoc
+from ..result.verdict import verdict_line
 from ..site.description import Frame
 from ..site.projection import Grid, grid_at
 from ..site.world import geodetic, site_in_frame, to_frame
@@ -42,6 +43,8 @@ class Tree:
         The frame of the site.
     lidars
         Of the document, in its order; each has a pose.
+    verdict
+        Of the calibration, on one line.
     joint
         (6 L, 6 L) covariance of all poses.
     edges
@@ -52,6 +55,7 @@ class Tree:
     datum: str
     frame: Frame
     lidars: tuple[LidarDoc, ...]
+    verdict: str
     joint: Array
     edges: tuple[Transform, ...]
 
@@ -97,7 +101,9 @@ def tree_of(document: SiteDoc) -> Tree:
     ]
     if np.any(frame.offset) or (frame.epsg is not None and frame.geodetic is not None):
         edges.insert(0, Transform(site_in_frame(frame), MAP, SITE))
-    return Tree(document.name, document.datum, frame, tuple(document.lidars), joint, tuple(edges))
+    verdict = verdict_line(document.status, document.reasons)
+    lidars = tuple(document.lidars)
+    return Tree(document.name, document.datum, frame, lidars, verdict, joint, tuple(edges))
 
 
 def _own(joint: Array, k: int) -> Array | None:
@@ -132,7 +138,7 @@ def found_in_site(document: SiteDoc) -> list[Found]:
         pose = relative(T, frames[child], joint_of(joint, i, j))
         if (np.diag(pose.covariance) > 0).all():
             covariance = pose.covariance
-        return Found(parent, child, lambda: pose.T_i_j, covariance)
+        return Found(parent, child, lambda: pose.T_i_j, covariance, verdict=tree.verdict)
 
     return [between(a, b) for a in frames for b in frames if a != b]
 
@@ -152,7 +158,10 @@ def notes_of(tree: Tree) -> list[str]:
     lengths of the ground, then differs from the coordinates in it.
     """
     frame = tree.frame
-    notes = [f"site {tree.name}; its frame: {frame.name}; fixed by: {tree.datum}"]
+    notes = [
+        f"site {tree.name}; its frame: {frame.name}; fixed by: {tree.datum}",
+        tree.verdict,
+    ]
     if frame.geodetic is not None:
         degrees = ", ".join(f"{angle:.9f}" for angle in np.degrees(frame.geodetic.array[:2]))
         of = "WGS 84" if frame.epsg is None else f"the datum of EPSG:{frame.epsg}"

@@ -69,6 +69,7 @@ def _json(tree: Tree) -> str:
             "schema": TREE_SCHEMA,
             "name": tree.name,
             "datum": tree.datum,
+            "verdict": tree.verdict,
             "notes": notes_of(tree),
             "frame": about,
             "lidars": lidars,

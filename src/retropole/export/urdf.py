@@ -50,7 +50,7 @@ def _joint(transform: Transform, indent: str) -> list[str]:
     """Lines of the joint, under a comment that says in words what it maps."""
     name = _quote(f"{transform.child}_joint")
     return [
-        f"<!-- {transform.meaning} -->",
+        *(f"<!-- {note} -->" for note in transform.notes),
         f'<joint name={name} type="fixed">',
         f"{indent}<parent link={_quote(transform.parent)}/>",
         f"{indent}<child link={_quote(transform.child)}/>",

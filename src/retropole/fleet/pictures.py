@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -36,7 +36,7 @@ PER_DECADE = (20, 10, 5, 2, 1)
 """Bars of a histogram for each power of ten: as many as stay below `MOST_BARS`."""
 
 MOST_BARS = 40
-BARS_HEIGHT = 230
+BARS_HEIGHT = 258
 
 
 def _shape(status: Status, r: float) -> str:
@@ -50,8 +50,11 @@ def _shape(status: Status, r: float) -> str:
     return f"m{-r:.2g}{-r:.2g}l{2 * r:.2g} {2 * r:.2g}m0{-2 * r:.2g}l{-2 * r:.2g} {2 * r:.2g}"
 
 
-def fleet_map(sites: Sequence[Seen]) -> Html:
-    """Draw where the sites are whose place is known: a figure, or a sentence where none is."""
+def fleet_map(sites: Sequence[Seen], link: Callable[[Seen], str] = lambda site: "") -> Html:
+    """Draw where the sites are whose place is known: a figure, or a sentence where none is.
+
+    Those that need action lead to their reports, where there are any.
+    """
     placed = [s for s in sites if s.latitude_rad is not None and s.longitude_rad is not None]
     if not placed:
         return fill("fleet-no-map")
@@ -61,7 +64,7 @@ def fleet_map(sites: Sequence[Seen]) -> Html:
     # The worst are drawn last, on top, and are the first to be named.
     for status in reversed(STATUSES):
         if of_status := [site for site in placed if site.status == status]:
-            marks.append(_marks(status, of_status, view, size, named))
+            marks.append(_marks(status, of_status, view, size, named, link))
             shape, count = _shape(status, 5.0), f"{len(of_status):,}"
             keys.append(fill("fleet-key", status=status, shape=shape, count=count))
             named = max(0, named - len(of_status))
@@ -152,7 +155,14 @@ def _degrees(value: float, step: float, positive: str, negative: str) -> str:
     return f"{text}°{side and ' ' + side}"
 
 
-def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, named: int) -> Html:
+def _marks(
+    status: Status,
+    sites: Sequence[Seen],
+    view: _View,
+    size: float,
+    named: int,
+    link: Callable[[Seen], str],
+) -> Html:
     """Draw sites of one status; those beyond the named ones only where there is none yet."""
     shape = _shape(status, size)
     drawn = []
@@ -161,7 +171,10 @@ def _marks(status: Status, sites: Sequence[Seen], view: _View, size: float, name
         name = f"{site.id}: {status}"
         if site.sigma_30m_m is not None:
             name += f", {quantities.error(site.sigma_30m_m)} at 30 m"
-        drawn.append(fill("fleet-named", x=x, y=y, shape=shape, name=name))
+        mark = fill("fleet-named", x=x, y=y, shape=shape, name=name)
+        # What is ok is not in the way of who steps from link to link.
+        to = "" if status == "ok" else link(site)
+        drawn.append(fill("fleet-link", to=to, name=name, mark=mark) if to else mark)
     for at in sorted({(round(x), round(y)) for x, y in map(view.place, sites[named:])}):
         drawn.append(fill("fleet-mark", x=at[0], y=at[1], shape=shape))
     return fill("fleet-marks", status=status, size=round(10 * size), marks=join(drawn))
@@ -193,7 +206,7 @@ def histogram(values: Sequence[float]) -> Html:
     low, high, per = _decades(values)
     edges = [10 ** (k / per) for k in range(low, high + 1)]
     counts = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].tolist()
-    foot, head, right = BARS_HEIGHT - 34, 24, WIDTH - MARGIN
+    foot, head, right = BARS_HEIGHT - 62, 24, WIDTH - MARGIN
     wide, tall = (right - MARGIN) / len(counts), (foot - head) / max(counts)
     bars = []
     for k, count in enumerate(counts):
@@ -202,7 +215,8 @@ def histogram(values: Sequence[float]) -> Html:
         x, up = MARGIN + k * wide + 0.5, -count * tall
         bar = fill("fleet-bar", x=x, foot=foot, up=up, wide=wide - 1, down=-up, said=said)
         bars.append(bar if count else EMPTY)
-    axes = [fill("fleet-foot", left=MARGIN, right=right, foot=foot)]
+    names = {"middle": (MARGIN + right) / 2, "name": BARS_HEIGHT - 10}
+    axes = [fill("fleet-foot", left=MARGIN, right=right, foot=foot, **names)]
     for at in _round_values(edges[0], edges[-1]):
         x = MARGIN + (math.log10(at) * per - low) * wide
         said = _plain_length(at)

@@ -6,6 +6,7 @@ import os.path
 import posixpath
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import cache
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
@@ -30,6 +31,19 @@ MOST_FAILED = 500
 EXAMPLES = 3
 """So many sites are named for each reason."""
 
+FIRST: dict[Status, tuple[str, str]] = {
+    "warn": ("warned", "With a warning"),
+    "error": ("errors", "Errors"),
+    "refused": ("refused", "Refused"),
+}
+"""The parts of the page with what needs action, the first of them last."""
+
+CAPTIONS: dict[Status, str] = {
+    "refused": "Sites that were refused",
+    "error": "Sites that ended in an error",
+    "warn": "Sites with a warning",
+}
+
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
 ERRORS = {
@@ -38,7 +52,7 @@ ERRORS = {
         "`retropole info FILE` says what a recording holds.",
     ),
     "usage": (
-        "An option or a line of the list makes no sense",
+        "An option or a line of the list is invalid",
         "Correct what the message names in the list, or in the site file.",
     ),
     "missing_extra": (
@@ -86,13 +100,16 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
         The page. It holds its style and code, asks no other address for anything, and works from a
         file. The same dataset gives the same page.
     """
+    link = cache(link)
     every = (
-        ("map", "Map", fleet_map(overview.sites)),
-        ("far", "Errors at 30 m", _far(overview)),
-        ("worst", "Worst", _worst(overview, link)),
+        # What needs action comes first.
+        (*FIRST["refused"], _to_do(overview, "refused", link)),
+        (*FIRST["error"], _to_do(overview, "error", link)),
+        (*FIRST["warn"], _to_do(overview, "warn", link)),
+        ("map", "Map", fleet_map(overview.sites, link)),
         ("reasons", "Reasons", _reasons(overview)),
-        ("refused", "Refused", _without_answer(overview, "refused", link)),
-        ("errors", "Errors", _without_answer(overview, "error")),
+        ("far", "Errors at 30 m", _far(overview)),
+        ("worst", "Largest errors", _worst(overview, link)),
         ("run", "This dataset", _dataset(overview)),
     )
     parts = [{"part": part, "title": title, "body": body} for part, title, body in every if body]
@@ -182,8 +199,15 @@ def _counts(overview: Overview) -> Html:
             f"predicted error of at most {half} at {AT_RANGE:g} m (1 σ), 95 % of them of at most "
             f"{most}."
         )
+    waiting = {s: n for s, n in overview.statuses.items() if s in FIRST}
+    to_do = ""
+    if waiting:
+        (name, title), count = FIRST[max(waiting, key=list(FIRST).index)], sum(waiting.values())
+        needs = "needs" if count == 1 else "need"
+        said = f"{quantities.counted(count, 'site')} {needs} action"
+        to_do = fill("fleet-to-do", said=said, name=name, title=title)
     sites = quantities.counted(every, "site")
-    return fill("fleet-counts", sites=sites, stated=stated, tiles=join(tiles))
+    return fill("fleet-counts", sites=sites, stated=stated, to_do=to_do, tiles=join(tiles))
 
 
 def _quantile(values: Sequence[float], level: float) -> float:
@@ -251,26 +275,39 @@ def _explained(code: str) -> tuple[str, Html]:
     return title, inline(to_do)
 
 
-def _without_answer(
-    overview: Overview, status: Status, link: Callable[[Seen], str] = lambda site: ""
-) -> Html:
-    """List what was refused, or ended in an error, with its message."""
+def _to_do(overview: Overview, status: Status, link: Callable[[Seen], str]) -> Html:
+    """List the sites of a status, with what to do next; the first ones are unfolded."""
     sites = [site for site in overview.sites if site.status == status]
     if not sites:
         return EMPTY
+    caption = CAPTIONS[status]
     shown = sites[:MOST_FAILED]
-    rows = [
-        tuple(map(printable, (site.id, ", ".join(site.codes), " ".join(site.messages))))
-        for site in shown
-    ]
-    caption = "Sites that were refused" if status == "refused" else "Sites that ended in an error"
-    header = ("site", "codes", "message")
-    body = [table(caption, header, rows, (1, 2), links=[link(site) for site in shown])]
-    if more := len(sites) - len(shown):
-        body.append(fill("fleet-more", count=f"{more:,}", status=status))
-    summary = f"{quantities.counted(len(sites), 'site')} with messages"
-    listed = folded(summary, join(body), is_open=len(sites) <= WORST)
-    return listed if status == "refused" else join((fill("fleet-again"), listed))
+    rows = [(*_said(site), _next(site)) for site in shown]
+    links = [link(site) for site in shown]
+    header = ("site", "codes", "what is wrong", "what to do next")
+    parts = [fill("fleet-again")] if status == "error" else []
+    parts.append(table(caption, header, rows[:WORST], (1, 2, 3), links=links[:WORST]))
+    if rest := rows[WORST:]:
+        more = table(f"{caption}: the rest", header, rest, (1, 2, 3), links=links[WORST:])
+        parts.append(folded(f"{len(rest):,} more", more))
+    if more_than := len(sites) - len(shown):
+        parts.append(fill("fleet-more", count=f"{more_than:,}", status=status))
+    return join(parts)
+
+
+def _said(site: Seen) -> tuple[str, str, str]:
+    """Name a site, its codes and what is wrong with it: its messages, or what its codes mean."""
+    meant = "; ".join(_explained(code)[0] for code in site.codes)
+    words = (site.id, ", ".join(site.codes), " ".join(site.messages) or meant)
+    return printable(words[0]), printable(words[1]), printable(words[2])
+
+
+def _next(site: Seen) -> Html:
+    """Say what to do next about the first code of a site."""
+    known = explain(site.codes[0]) if site.codes else None
+    if known is not None and known.advice:
+        return inline(known.advice[0])
+    return _explained(site.codes[0])[1] if site.codes else inline(quantities.UNKNOWN)
 
 
 def _dataset(overview: Overview) -> Html:

@@ -150,8 +150,12 @@ def _of_site(site: SiteDoc, answered: bool) -> Iterator[str]:
     if len(site.groups) > 1:
         groups = (", ".join(site.lidars[k].name for k in group) for group in site.groups)
         yield f"not linked with each other: {' | '.join(groups)}"
-    if not answered:
-        return
+    if answered:
+        yield from checks_of_site(site)
+
+
+def checks_of_site(site: SiteDoc) -> Iterator[str]:
+    """Say what pairs, loops and consistency checks of an answer showed."""
     standing = [min(pair.standing, 2) for pair in site.pairs]
     counts = (
         (standing.count(1), "unambiguous"),

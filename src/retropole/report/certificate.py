@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.quantities import UNKNOWN, counted, percent
+from ..base.uncertainty import RANGES
 from ..result import BudgetEntry, ResultDoc
-from .certainty import radius_words, scene_words
+from ..result.site import LidarDoc, SiteDoc
+from . import listings
+from .certainty import checks_of_site, fitness_words, radius_words, scene_words
 from .listings import columns
-from .page import EMPTY, Html, fill, join, listed, table
+from .page import EMPTY, Html, fill, join, listed, plus_minus, table
 from .poses import pose_parts, transform_matrix
-from .subject import LIDARS, Subject
+from .subject import Subject
 from .uncertainty import covariances, ranges, sources, states
 from .verdict import VERDICTS
 
@@ -19,22 +22,21 @@ LISTED_SOURCES = 8
 
 
 def certificate(subject: Subject, place: str = "") -> Html:
-    """Write the certificate of a pair; a refusal has none, nor an unusable answer, nor a site.
+    """Write the certificate of a pair or of a site; a refusal has none, nor an unusable answer.
 
     Parameters
     ----------
     subject
         What the page is of, with the serial numbers of its LiDARs; a line to fill in where empty.
     place
-        Where it was calibrated; likewise.
+        Where it was calibrated; likewise. Of a site, its name where empty.
     """
     site, pair = subject.site, subject.pair
-    if pair is None or pair.T_target_source is None or subject.chance_wrong is not None:
+    if not subject.answered or subject.chance_wrong is not None:
         return EMPTY
-    T, source = np.array(pair.T_target_source), site.lidars[1]
     several = len(site.placements) > 1
     recordings = [
-        (LIDARS[each.lidar] + f" {each.placement + 1}" * several, each.path, each.sha256)
+        (site.lidars[each.lidar].name + f" {each.placement + 1}" * several, each.path, each.sha256)
         for each in site.inputs
     ]
     lidars = [
@@ -43,15 +45,38 @@ def certificate(subject: Subject, place: str = "") -> Html:
     ]
     return fill(
         "certificate",
-        facts=_facts(pair, place),
+        facts=_facts(subject, place),
         lidars=table("LiDARs", columns("LiDAR; sensor; serial number"), lidars, (1, 2)),
+        answer=_of_site(site) if pair is None else _of_pair(pair, site.lidars[1]),
+        recordings=table("Recordings", ("input", "path", "SHA-256"), recordings, (1, 2)),
+    )
+
+
+def _of_pair(pair: ResultDoc, source: LidarDoc) -> Html:
+    """Give the transform, how certain it is, and what its error is made of."""
+    T = np.array(pair.T_target_source)
+    return fill(
+        "certificate-of-pair",
         matrix=transform_matrix(T),
         parts=pose_parts(T),
         ranges=listed(ranges(source, pair.uncertainty, "Where a source point lands, 1 σ")),
         states=listed(states(covariances(source, None), "The pose, target axes")),
         budget=_budget(pair.budget or []),
-        recordings=table("Recordings", ("input", "path", "SHA-256"), recordings, (1, 2)),
     )
+
+
+def _of_site(site: SiteDoc) -> Html:
+    """Give the pose of every LiDAR, and where a point of it lands by its range."""
+    at = [f"{each:g} m" for each in RANGES]
+    rows = [
+        (lidar.name, *(plus_minus(each.sigma_m) for each in lidar.predicted_error))
+        for lidar in site.lidars
+        if lidar.predicted_error and len(lidar.predicted_error) == len(at)
+    ]
+    errors = (
+        table("Where a point lands, 1 σ, by its range", ("LiDAR", *at), rows) if rows else EMPTY
+    )
+    return fill("certificate-of-site", poses=table(*listings.poses(site)), ranges=errors)
 
 
 def _given(text: str) -> str:
@@ -59,22 +84,22 @@ def _given(text: str) -> str:
     return text or fill("to-fill")
 
 
-def _facts(pair: ResultDoc, place: str) -> Html:
+def _facts(subject: Subject, place: str) -> Html:
     """Say where, when, how well and with what."""
-    warned = ", ".join(reason.code for reason in pair.reasons)
-    title = VERDICTS.get(pair.status, ("", pair.status))[1]
-    asked = pair.fitness
-    facts = (
-        ("Site", _given(place)),
-        ("Calibrated", f"{pair.created}, by retropole {pair.version}"),
+    site, pair = subject.site, subject.pair
+    warned = ", ".join(reason.code for reason in site.reasons)
+    title = VERDICTS.get(site.status, ("", site.status))[1]
+    asked = fitness_words(subject)
+    facts = [
+        ("Site", _given(place or ("" if pair else site.name))),
+        ("Calibrated", f"{site.created}, by retropole {site.version}"),
         ("Verdict", fill("bold", text=title + (f": {warned}" if warned else ""))),
-        (
-            "Tolerance",
-            f"{asked.words[:1].upper()}{asked.words[1:]}" if asked else fill("tolerance"),
-        ),
-        ("Poles", _poles(pair)),
-        ("Scene", scene_words(pair)),
-    )
+        ("Tolerance", f"{asked[:1].upper()}{asked[1:]}" if asked else fill("tolerance")),
+    ]
+    if pair is None:
+        facts += [("Frame", site.datum), ("Checks", "; ".join(checks_of_site(site)))]
+    else:
+        facts += [("Poles", _poles(pair)), ("Scene", scene_words(pair) or "")]
     return join(fill("fact", name=name, value=value) for name, value in facts if value)
 
 

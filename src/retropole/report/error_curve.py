@@ -11,9 +11,10 @@ import numpy as np
 from ..base.quantities import MILLIMETRES_BELOW, error, round_below
 from ..base.uncertainty import predicted_error
 from ..base.uncertainty.purpose import CONFIDENCE, Need, displacement_bounds
-from .certainty import BUDGET_RANGE
+from ..result.verdict import chance_wrong
+from .certainty import BUDGET_RANGE, worst_lidar
 from .page import EMPTY, Html, fill, join
-from .subject import Subject
+from .subject import LIDARS, Subject
 
 RANGES = (1.0, *(5.0 * k for k in range(1, 13)))
 """Where the curves have their corners, metres: both are nearly straight beyond the first."""
@@ -33,7 +34,7 @@ curves flat."""
 
 
 class ErrorCurve(NamedTuple):
-    """The error of a source point at `RANGES`, metres.
+    """The error of a point of a LiDAR at `RANGES`, metres.
 
     `bounds` hold for all points up to there with a probability of `CONFIDENCE`, as a need does;
     None where nothing holds with it, since the pose may be another one.
@@ -43,6 +44,7 @@ class ErrorCurve(NamedTuple):
     bounds: Sequence[float] | None
     need: Need | None
     wrong: float
+    whose: str
 
     def at_range(self, values: Sequence[float]) -> str:
         """Write one of the errors at `BUDGET_RANGE`."""
@@ -50,13 +52,20 @@ class ErrorCurve(NamedTuple):
 
 
 def error_curve(subject: Subject) -> ErrorCurve | None:
-    """Work out the error of a pair over the distance; None where it states no covariance."""
-    pair = subject.pair
-    if pair is None or pair.T_target_source is None or pair.covariance is None:
+    """Work out the error over the distance, of a site that of the LiDAR with the largest.
+
+    None where no covariance is stated, and where refused.
+    """
+    pair, lidar = subject.pair, worst_lidar(subject.site.lidars)
+    if pair is not None:
+        lidar = subject.site.lidars[1]
+    if not subject.answered or lidar is None or lidar.covariance is None:
         return None
-    covariance = np.asarray(pair.covariance)
-    found, asked = pair.confirmation, pair.fitness
+    covariance = np.asarray(lidar.covariance)
+    found, asked = None if pair is None else pair.confirmation, lidar.fitness
     wrong = (found.probability_wrong or 0.0) if found and not found.trusted else 0.0
+    if pair is None:
+        wrong = chance_wrong(subject.site.reasons)
     # As in `fitness`: what is left of the confidence once the pose may be another one.
     probability = CONFIDENCE / max(1.0 - wrong, CONFIDENCE)
     bounds = displacement_bounds(covariance, RANGES, probability).tolist()
@@ -65,6 +74,7 @@ def error_curve(subject: Subject) -> ErrorCurve | None:
         bounds if 1.0 - wrong > CONFIDENCE else None,
         Need(asked.within_m, asked.at_m) if asked else None,
         wrong,
+        f"the {LIDARS[1]}" if pair is not None else lidar.name,
     )
 
 
@@ -72,9 +82,10 @@ def curve_sentence(curve: ErrorCurve | None) -> str:
     """Say how far off a point is, in one sentence; empty where no probability can be given."""
     if curve is None or curve.bounds is None:
         return ""
+    of = "" if curve.whose == f"the {LIDARS[1]}" else f"of {curve.whose}, the least certain LiDAR, "
     return (
-        f"Points up to {BUDGET_RANGE:g} m away are within {curve.at_range(curve.bounds)} of their "
-        f"true place, {CONFIDENCE:.0%} sure.".replace("%", " %")
+        f"Points {of}up to {BUDGET_RANGE:g} m away are within {curve.at_range(curve.bounds)} of "
+        f"their true place, {CONFIDENCE:.0%} sure.".replace("%", " %")
     )
 
 
@@ -152,7 +163,7 @@ def _need(plot: _Plot, need: Need) -> Iterator[Html]:
 def _caption(curve: ErrorCurve, *, is_drawn: bool) -> str:
     """Say what the picture shows, also for those who do not see it."""
     far = f"{BUDGET_RANGE:g} m"
-    said = ["Predicted error of a point of the source by its distance from the source LiDAR."]
+    said = [f"Predicted error of a point of {curve.whose} by its distance from that LiDAR."]
     said.append(f"1 σ, the mean over all directions: {curve.at_range(curve.sigmas)} at {far}.")
     if curve.bounds is not None:
         bound = curve.at_range(curve.bounds)

@@ -56,16 +56,22 @@ def _figure(site: SiteDoc, plan: Plan) -> Html:
     # The corners of the scale bar and of north.
     labels.keep_free(40.0, height - 10.0, 40.0)
     labels.keep_free(WIDTH - 35.0, 30.0, 35.0)
-    factor, ellipses = _ellipses(site, R, to_picture(lidars), scale)
+    factor, ellipses, sizes = _ellipses(site, R, to_picture(lidars), scale)
+    for (x, y), (wide, high) in zip(to_picture(lidars), sizes, strict=True):
+        labels.keep_free(x, y, wide, high)
     metres = round_below(0.3 * (WIDTH - 2 * MARGIN) / scale)
+    # The names of the LiDARs choose their places first, and are drawn last.
+    named = []
+    for k, ((x, y), (wide, high)) in enumerate(zip(to_picture(lidars), sizes, strict=True)):
+        named.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
+        name, style = short(site.lidars[k].name), f"name {colour_class(k)}"
+        beside = {"away": max(11.0, wide + 4.0), "away_y": max(14.0, high + 8.0)}
+        named.append(labels.place(name, x, y, style=style, **beside))
     marks = [*ellipses, *_pole_marks(pole_labels(site), to_picture, poles, labels)]
     for point, (x, y) in zip(site.control_points, to_picture(points), strict=True):
         marks.append(fill("control", x=x, y=y - 6))
         marks.append(labels.place(short(point.name), x, y, 10.0, "soft", FONT - 2))
-    for k, (x, y) in enumerate(to_picture(lidars)):
-        marks.append(fill("place", colour=colour_class(k), x=x, y=y, r=6))
-        name, style = short(site.lidars[k].name), f"name {colour_class(k)}"
-        marks.append(labels.place(name, x, y, 11.0, style))
+    marks += named
     scale_bar = {"length": metres * scale, "m": large(metres)}
     marks.append(fill("scale", y=height - 14.0, above=height - 24.0, **scale_bar))
     marks.append(_direction(plan))
@@ -102,25 +108,26 @@ def _fit(points: Array) -> tuple[float, float, _ToPicture]:
 
 def _ellipses(
     site: SiteDoc, R: Array, places: Sequence[tuple[float, float]], scale: float
-) -> tuple[float | None, list[Html]]:
-    """Draw 1 σ of where each LiDAR stands, enlarged, and say how many times."""
+) -> tuple[float | None, list[Html], list[tuple[float, float]]]:
+    """Draw 1 σ of where each LiDAR stands, enlarged; give how many times, and half of each size."""
     half_axes = []
     for each in site.lidars:
         values, vectors = np.linalg.eigh((R @ np.array(each.covariance)[3:, 3:] @ R.T)[:2, :2])
         half_axes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
     largest = max(float(np.linalg.norm(each, axis=0).max()) for each in half_axes)
     if largest <= 0:
-        return None, []
+        return None, [], [(0.0, 0.0)] * len(half_axes)
     factor = round_below(SEEN_ELLIPSE / (scale * largest))
     angle = np.linspace(0, 2 * np.pi, CORNERS)
     circle = np.stack([np.cos(angle), np.sin(angle)])
-    drawn = []
+    drawn, sizes = [], []
     for k, (axes, (x, y)) in enumerate(zip(half_axes, places, strict=True)):
         corners = factor * scale * (axes @ circle)
+        sizes.append((float(corners[0].max()), float(corners[1].max())))
         line = " ".join(f"{x + a:.1f},{y - b:.1f}" for a, b in corners.T)
         if axes.any():
             drawn.append(fill("ellipse", colour=colour_class(k), points=line))
-    return factor, drawn
+    return factor, drawn, sizes
 
 
 def _pole_marks(
@@ -150,7 +157,7 @@ def _direction(plan: Plan) -> Html:
 
 def _caption(site: SiteDoc, plan: Plan, factor: float | None) -> str:
     """Say what the picture shows, also for those who do not see it."""
-    said = [f"Seen from above, taking for up {plan.words}."]
+    said = [f"Seen from above; up is {plan.words}."]
     if plan.north:
         said.append(f"{plan.north.capitalize()} is at the top.")
     fixed = [each.name for each in site.lidars if not np.any(each.covariance)]

@@ -7,7 +7,10 @@ import numpy as np
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import RetropoleError
-from ..export import FORMATS, export_lines
+from ..export import FORMATS, TREE_FORMATS, export_lines
+from ..export.tree import tree_of
+from ..result.site import SiteDoc
+from ..result.verdict import verdict_line
 from . import listings
 from .certainty import number
 from .error_curve import ErrorCurve, curve_figure
@@ -20,6 +23,9 @@ FRAMES = ("lidar_target", "lidar_source")
 
 UNFOLDED = ("matrix", "ros2")
 """Formats that are shown at once; the page unfolds the others."""
+
+WHOLE = ("launch", "urdf", "yaml")
+"""Formats of a whole site that are ready to copy; `retropole export` writes the others."""
 
 
 def transform(subject: Subject, curve: ErrorCurve | None) -> Html:
@@ -36,8 +42,8 @@ def transform(subject: Subject, curve: ErrorCurve | None) -> Html:
     )
 
 
-def poses(subject: Subject) -> Html:
-    """Show every pose of a site, its certainty, and lines to copy: a summary, and each unfolded."""
+def poses(subject: Subject, curve: ErrorCurve | None = None) -> Html:
+    """Show every pose of a site, its error, and lines to copy: a summary, and each folded."""
     site = subject.site
     if not subject.answered or subject.pair is not None:
         return EMPTY
@@ -50,8 +56,26 @@ def poses(subject: Subject) -> Html:
         "poses",
         named=site.frame.name,
         offset=fill("offset", at=", ".join(f"{v:.3f}" for v in offset)) if any(offset) else "",
-        body=join((listed(listings.poses(site)), fill("lidars", body=join(lidars)))),
+        table=listed(listings.poses(site)),
+        curve=curve_figure(curve),
+        whole=_copies_of_site(site),
+        lidars=join(lidars),
     )
+
+
+def _copies_of_site(site: SiteDoc) -> Html:
+    """Show the frames of a whole site in formats that take all of them, folded."""
+    try:
+        tree = tree_of(site)
+    except RetropoleError:
+        # A name that no frame can have, or a projection that cannot be computed here.
+        return EMPTY
+    formats = ((key, TREE_FORMATS[key]) for key in WHOLE)
+    copies = join(
+        fill("copy", key=key, title=each.title, whose=" of all", text=each.write(tree).strip())
+        for key, each in formats
+    )
+    return fill("copies-of-site", body=folded("All LiDARs, to copy", copies))
 
 
 def _pose(subject: Subject, k: int) -> Html:
@@ -111,11 +135,12 @@ def _copies(subject: Subject, k: int) -> Html:
         named = zip(LIDARS, FRAMES, strict=True)
         fields = join(fill("frame", lidar=lidar, frame=frame) for lidar, frame in named)
         fields = fill("frames", body=fields)
+    verdict = verdict_line(subject.site.status, subject.site.reasons)
     try:
-        lines = export_lines(T, *(FRAMES if subject.pair else (parent, names[k])))
+        lines = export_lines(T, *(FRAMES if subject.pair else (parent, names[k])), verdict)
     except RetropoleError:
         # A name that no frame can have: another program reads the pose all the same.
-        lines = export_lines(T, parent, f"lidar_{k}")
+        lines = export_lines(T, parent, f"lidar_{k}", verdict)
     whose = f" of {names[k]}" if subject.pair is None else ""
     shown, more = (
         join(

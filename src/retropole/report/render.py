@@ -122,6 +122,7 @@ def _render(
     parts = [
         missing_poles(subject),
         transform(subject, curve),
+        poses(subject, curve),
         site_map(subject, plan),
         viewer(subject, view),
         next_steps(subject),
@@ -133,7 +134,6 @@ def _render(
         _checked("loops", listings.loops(site)),
         _checked("tests", listings.tests(site)),
         _checked("placements", listings.changes(subject)),
-        poses(subject),
         EMPTY if refused else found,
         run(subject),
     ]

@@ -22,6 +22,7 @@ from ..result.site import (
     found_document,
     recording_document,
 )
+from ..result.verdict import chance_wrong
 from ..scene.choice import hypothesis_name
 from ..site.answer import SiteCalibration, WithoutPlacement
 from ..site.description import Frame
@@ -85,8 +86,7 @@ class Subject:
         if self.pair is not None:
             found = self.pair.confirmation
             return found.probability_wrong if found is not None and found.is_unusable else None
-        stated = [reason.values.get("probability_wrong") for reason in self.site.reasons]
-        wrong = max((each for each in stated if isinstance(each, float)), default=0.0)
+        wrong = chance_wrong(self.site.reasons)
         return wrong if wrong > UNUSABLE else None
 
     @property

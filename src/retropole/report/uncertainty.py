@@ -31,14 +31,14 @@ FOLDED_BELOW = 0.005
 
 
 def certainty(subject: Subject) -> Html:
-    """Say how certain the answer of a pair is, in sentences first; nothing where refused."""
-    if subject.pair is None or not subject.answered:
+    """Say how certain an answer is, in sentences first; of a pair its figures follow."""
+    if not subject.answered:
         return EMPTY
     return fill(
         "certainty",
         statements=listed_statements(subject),
         notes=folded_notes(subject),
-        body=uncertainty(subject, 1),
+        body=EMPTY if subject.pair is None else uncertainty(subject, 1),
     )
 
 

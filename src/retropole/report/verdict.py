@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from ..base.quantities import counted, percent
 from ..base.reasons import explain
 from ..result import ReasonDoc
-from .certainty import fitness_words, statements, worst_lidar
-from .page import EMPTY, Html, fill, fill_each, folded, inline, join, plus_minus
+from .certainty import fitness_words, statements
+from .page import EMPTY, Html, fill, fill_each, folded, inline, join
 from .subject import Subject
 
 VERDICTS = {
@@ -30,7 +30,7 @@ VERDICTS = {
 def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> Html:
     """Say ok, warn or refused, how good the poses are, and every reason with what to do.
 
-    Of an answered pair it is short: its transform comes next, and what is certain of it below.
+    Of an answer it is short: its transform comes next, and what is certain of it below.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
         title += f": {counted(len(site.lidars), 'LiDAR')} in one frame"
     paths = tuple(item.path for item in site.inputs)
     items = join(reason_item(reason, paths) for reason in site.reasons)
-    asked, is_short = fitness_words(subject), subject.pair is not None and subject.answered
+    asked, is_short = fitness_words(subject), subject.answered
     said, meaning = asked and f"{asked}.", words.format(subject.frame)
     if subject.chance_wrong is not None:
         title, meaning = "Calibrated, not to be used yet", inline(instead_words(subject))
@@ -60,10 +60,9 @@ def verdict(subject: Subject, notes: Sequence[str] = (), sentence: str = "") -> 
         statements=EMPTY if is_short else listed_statements(subject),
         reasons=fill("reasons", items=items) if items else "",
         notes=EMPTY if is_short else folded_notes(subject),
-        steps=EMPTY if is_short else _steps_of_site(subject),
     )
     kind = site.status if site.status in VERDICTS else "refused"
-    box = verdict_box(kind, symbol, title, body, _tiles(subject))
+    box = verdict_box(kind, symbol, title, body)
     return join((fill_each("alert", notes), box))
 
 
@@ -103,9 +102,9 @@ def _notes_title(notes: Sequence[ReasonDoc]) -> str:
     return f"{counted(len(notes), 'note')}: {'; '.join(dict.fromkeys(titles))}"
 
 
-def verdict_box(kind: str, symbol: str, title: str, body: Html, below: Html = EMPTY) -> Html:
+def verdict_box(kind: str, symbol: str, title: str, body: Html) -> Html:
     """Set a verdict into a box of the colour of its kind: ok, warn or refused."""
-    return fill("verdict", kind=kind, symbol=symbol, title=title, body=body, below=below)
+    return fill("verdict", kind=kind, symbol=symbol, title=title, body=body)
 
 
 def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> Html:
@@ -126,29 +125,13 @@ def reason_item(reason: ReasonDoc, paths: tuple[str, ...] = ()) -> Html:
 
 
 def next_steps(subject: Subject) -> Html:
-    """Say what to do with the answer of a pair; about a refusal its reasons say that."""
-    if subject.pair is None or not subject.answered or subject.chance_wrong is not None:
+    """Say what to do with an answer; about a refusal its reasons say that."""
+    if not subject.answered or subject.chance_wrong is not None:
         return EMPTY
-    return fill("next-pair", first=_warned_first(subject))
-
-
-def _steps_of_site(subject: Subject) -> Html:
-    if subject.pair is not None or not subject.answered or subject.chance_wrong is not None:
-        return EMPTY
-    return fill("next-site", first=_warned_first(subject))
+    piece = "next-site" if subject.pair is None else "next-pair"
+    return fill(piece, first=_warned_first(subject))
 
 
 def _warned_first(subject: Subject) -> str:
     is_warned = subject.site.status == "warn"
     return "Settle the warning first, as written above. " if is_warned else ""
-
-
-def _tiles(subject: Subject) -> Html:
-    """Show the predicted error at each range, of the worst LiDAR of a site; a pair has a curve."""
-    worst = None if subject.pair is not None else worst_lidar(subject.site.lidars)
-    tiles = [
-        (plus_minus(each.sigma_m), f"at {each.range_m:g} m, 1 σ, worst LiDAR")
-        for each in (worst.predicted_error if worst else None) or []
-    ]
-    cells = join(fill("tile", name=name, value=value) for value, name in tiles)
-    return fill("tiles", cells=cells) if cells else cells

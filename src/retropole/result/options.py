@@ -117,19 +117,21 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
         Radius, told("Radius of the poles, m: half their thickness, tape included.")
     ] = DEFAULT_RADIUS
     radius_sigma_m: Annotated[
-        RadiusSigma, told("1 sigma of the radius, m; at least 2 % of it is taken.")
+        RadiusSigma, told("1 sigma of the radius, m. At least 2 % of the radius is used.")
     ] = 0.0
-    up: Annotated[bool, told("Both LiDARs stand roughly upright: choose by it.")] = False
+    up: Annotated[
+        bool, told("Both LiDARs stand roughly upright: choose the hypothesis by this.")
+    ] = False
     prior_rpy_deg: Annotated[
         tuple[Angle, Angle, Angle] | None,
-        told("Expected roll, pitch and yaw of the source in the target's frame: choose by it."),
+        told("Expected roll, pitch and yaw of the source in the target's frame: choose by this."),
     ] = None
     prior_sigma_deg: Annotated[PriorSigma, told("1 sigma of --up or --prior-rpy-deg.")] = 10.0
     hypothesis: Annotated[
         Text | None,
         told(
-            "Take the hypothesis of this letter in the list that the same run prints "
-            "without: warn at best, and refused where the scene conflicts with it."
+            "Take this hypothesis from the list that the run prints without the option. The "
+            "verdict is warn at best, and refused if the scene contradicts it."
         ),
     ] = None
     poles: Annotated[
@@ -138,21 +140,21 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
     refine: Annotated[bool, told("Use the poles only.")] = True
     trust_poles: Annotated[
-        bool, told("Trust two poles where the scene has too little to confirm them.")
+        bool, told("You watched the poles: accept two that the scene does not confirm.")
     ] = False
     deceiving_share: Annotated[
         ShareOfSome | None,
         told(
-            "Share of recordings like these that deceive (poles that were moved in between, "
-            "other objects), for which probability_wrong is stated.  [default: "
+            "Share of recordings like these that deceive: poles moved in between, or other "
+            "objects taken for poles. The chance of a wrong pose is computed with it.  [default: "
             f"{DECEIVING:.2f}, or {TOGETHER:g} where both recorded at the same time]"
         ),
     ] = None
     need_m: Annotated[
         NeededError | None,
         told(
-            "Accuracy that is needed, cm: the verdict says whether no point up to "
-            "--at-m away is off by more, 95 % sure."
+            "Accuracy that is needed, cm. The verdict says whether every point up to "
+            "--at-m away is within it, with 95 % probability."
         ),
     ] = None
     at_m: Annotated[
@@ -173,7 +175,7 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     ] = "auto"
     sensor_source: Annotated[Text, SAME] = "auto"
     target_topic: Annotated[
-        Text | None, told("Topic of the bag; needed where it has several of point clouds.")
+        Text | None, told("Topic of the bag; needed if it has several topics of point clouds.")
     ] = None
     source_topic: Annotated[Text | None, SAME] = None
     frames: Annotated[
@@ -186,8 +188,8 @@ class RunConfig(msgspec.Struct, frozen=True, kw_only=True):
     max_points: Annotated[
         MaxPoints,
         told(
-            "Of a cloud with more points, read so many: fewer frames, or the brightest "
-            "points and the others evenly."
+            "Most points to read of a cloud. Of a larger one fewer frames are read, or the "
+            "brightest points and a sample of the others."
         ),
     ] = MAX_POINTS
     unit: Annotated[

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base import se3
-from ..base.datatypes import Array, BoolArray, IntArray, PointCloud, Pole
+from ..base.datatypes import Array, BoolArray, IntArray, PointCloud
 from ..base.sampling import every_nth
 from ..base.uncertainty.confirmation import Confirmation
 from .patch_pairs import labels_of
@@ -53,6 +53,22 @@ MAX_TILT, LEVEL_VOTES = np.radians(45.0), 0.25
 
 MIN_AREA = 0.1
 """Least area that the three points span, twice, m²: fewer than three span no plane."""
+
+
+class Line(Protocol):
+    """Where a pole is: all that is needed to leave it out."""
+
+    @property
+    def point(self) -> Array:
+        """(3,) the middle of it, metres."""
+
+    @property
+    def direction(self) -> Array:
+        """(3,) unit vector along it."""
+
+    @property
+    def length(self) -> float:
+        """Metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +112,7 @@ class Standing:
 
 
 def standing_in(
-    cloud: PointCloud, rng: np.random.Generator, poles: Sequence[Pole] = ()
+    cloud: PointCloud, rng: np.random.Generator, poles: Sequence[Line] = ()
 ) -> Standing:
     """Prepare a cloud, without what is its poles'.
 
@@ -118,7 +134,7 @@ def ground_normal(cloud: PointCloud, rng: np.random.Generator) -> Array:
     return _ground(points, se3.lengths(points - cloud.origin), cloud.axis, rng)[2]
 
 
-def _is_near(points: Array, pole: Pole) -> BoolArray:
+def _is_near(points: Array, pole: Line) -> BoolArray:
     """Which points (N, 3) are the pole's, or lie beside it."""
     away = points - pole.point
     along = away @ pole.direction
