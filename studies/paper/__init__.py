@@ -17,6 +17,7 @@ from studies.paper.estimator import simulated_error
 from studies.paper.exhibit import Exhibit
 from studies.paper.failures import failures
 from studies.paper.line_bias import line_bias
+from studies.paper.norms import simulated_norms
 from studies.paper.starts import eight_starts
 from studies.paper.thresholds import thresholds
 from studies.paper.trials import pole_lengths, ten_trials
@@ -72,6 +73,11 @@ def experiments(seeds: int, data: Path | None) -> list[Experiment]:
         Experiment("Table II, tried", ("table2_tried",), lambda: [table_two_tried()]),
         Experiment("Fig. 4", ("fig4_hypotheses",), lambda: [eight_starts(seeds)]),
         Experiment("simulated e_rt", ("simulated_e_rt",), lambda: [simulated_error(set_ups)]),
+        Experiment(
+            "simulated error, plain norms",
+            ("simulated_norms",),
+            lambda: [simulated_norms(set_ups)],
+        ),
         Experiment("simulated error, ten trials", ("simulated_trials",), lambda: [ten_trials(few)]),
         Experiment(
             "simulated error, pole length",
