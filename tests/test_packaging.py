@@ -110,7 +110,7 @@ def test_the_licence_is_an_expression_and_the_versions_of_python_are_told() -> N
 def first_lines() -> list[str]:
     """What the README has a newcomer type who has no files: to the first answer, and its check."""
     blocks = re.findall(r"^```sh\n(.*?)^```", README, flags=re.S | re.M)
-    (install,) = [block for block in blocks if block.startswith('pip install ".[all]')]
+    (install,) = [block for block in blocks if block.startswith("pip install .")]
     (first,) = [block for block in blocks if block.startswith("retropole simulate")]
     lines = [*install.splitlines(), *first.splitlines()]
     assert len(lines) <= MOST_LINES
