@@ -15,7 +15,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
+import retropole as rp
 from retropole.report.figures import new_figure, save_figure
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -88,6 +90,18 @@ def draw_bias(path: Path) -> None:
     save_figure(figure, path)
 
 
+def draw_scene(scene: str, path: Path) -> None:
+    """Both clouds of a simulated scene before and after, and the poles, as a small picture."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run("simulate", scene, "--seed", 1, "--out", folder, "-q")
+        figure = rp.calibrate(folder / "lidar0.pcd", folder / "lidar1.pcd").plot()
+        whole = folder / "whole.png"
+        figure.savefig(whole, dpi=70)
+        # Points of two colours on white: few colours show all, in a third of the bytes.
+        Image.open(whole).convert("RGB").quantize(32).save(path, optimize=True)
+
+
 def photograph(page: Path, path: Path) -> None:
     """Take a picture of the report's top as a desktop shows it."""
     try:
@@ -117,6 +131,8 @@ def main() -> None:
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "images")
     out.mkdir(parents=True, exist_ok=True)
     draw_bias(out / "bias.png")
+    for scene in ("corridor", "harbor", "bare"):
+        draw_scene(scene, out / f"gallery_{scene}.png")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         scans = folder / "lidar0.pcd", folder / "lidar1.pcd"
