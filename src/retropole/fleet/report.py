@@ -32,11 +32,11 @@ EXAMPLES = 3
 """So many sites are named for each reason."""
 
 FIRST: dict[Status, tuple[str, str]] = {
-    "warn": ("warned", "With a warning"),
-    "error": ("errors", "Errors"),
     "refused": ("refused", "Refused"),
+    "error": ("errors", "Errors"),
+    "warn": ("warned", "With a warning"),
 }
-"""The parts of the page with what needs action, the first of them last."""
+"""The parts of the page with what needs action, in their order."""
 
 CAPTIONS: dict[Status, str] = {
     "refused": "Sites that were refused",
@@ -102,10 +102,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     """
     link = cache(link)
     every = (
-        # What needs action comes first.
-        (*FIRST["refused"], _to_do(overview, "refused", link)),
-        (*FIRST["error"], _to_do(overview, "error", link)),
-        (*FIRST["warn"], _to_do(overview, "warn", link)),
+        *((*part, _to_do(overview, status, link)) for status, part in FIRST.items()),
         ("map", "Map", fleet_map(overview.sites, link)),
         ("reasons", "Reasons", _reasons(overview)),
         ("far", "Errors at 30 m", _far(overview)),
@@ -199,10 +196,10 @@ def _counts(overview: Overview) -> Html:
             f"predicted error of at most {half} at {AT_RANGE:g} m (1 σ), 95 % of them of at most "
             f"{most}."
         )
-    waiting = {s: n for s, n in overview.statuses.items() if s in FIRST}
+    waiting = [status for status in FIRST if status in overview.statuses]
     to_do = ""
     if waiting:
-        (name, title), count = FIRST[max(waiting, key=list(FIRST).index)], sum(waiting.values())
+        (name, title), count = FIRST[waiting[0]], sum(overview.statuses[s] for s in waiting)
         needs = "needs" if count == 1 else "need"
         said = f"{quantities.counted(count, 'site')} {needs} action"
         to_do = fill("fleet-to-do", said=said, name=name, title=title)
