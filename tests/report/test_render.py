@@ -150,7 +150,7 @@ def test_a_page_without_clouds_has_all_but_the_view() -> None:
     page = Page(render_site(document_of(made_up_site(lidars=3, count=20))))
     assert page.data == "null"
     assert not [tag for tag, _ in page.tags if tag == "canvas"]
-    assert "Where the LiDARs are" in page.text
+    assert "Poses of the LiDARs; frame: " in page.text
 
 
 @with_each_verdict

@@ -175,7 +175,7 @@ def poses(site: SiteDoc) -> Listing:
         rows.append([*row[:7], far, at, *answer])
     names = "LiDAR; x, m; y, m; z, m; roll, °; pitch, °; yaw, °; 1 σ at 30 m; 1 σ of x, y, z"
     header = columns(names + "; good enough" * asked)
-    return Listing(f"Where the LiDARs are, {site.frame.name}", header, rows)
+    return Listing(f"Poses of the LiDARs; frame: {site.frame.name}", header, rows)
 
 
 def pairs(site: SiteDoc) -> Listing:
