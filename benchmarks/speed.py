@@ -4,7 +4,8 @@
     python benchmarks/speed.py --against ../before
 
 ``--against`` names a checkout of another version: both take turns, and the ratio is printed. Times
-are the least of all rounds, on this machine at this moment; compare ratios within one run.
+are the least of all rounds, on this machine at this moment; compare ratios within one run. Of the
+library call the steps are printed too, their shares by the clock.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files, shares = {}, {}
+        files, steps = {}, [dict[int, dict[str, float]]() for _ in checkouts]
         for seed in given.seeds:
             (folder / str(seed)).mkdir()
             files[seed] = write_sized(folder / str(seed), given.scene, seed, given.points)
@@ -127,19 +128,31 @@ def main() -> None:
                 for seed in given.seeds:
                     library = [__file__, "--library", *map(str, files[seed])]
                     said = spawn(library, checkout)[1]
-                    seconds, shares[seed] = json.loads(said)
-                    note(f"library, {given.scene} {seed}", which, seconds)
+                    what, (seconds, parts) = f"library, {given.scene} {seed}", json.loads(said)
+                    if seconds < least.get(what, [np.inf] * len(checkouts))[which]:
+                        steps[which][seed] = {name: seconds * each for name, each in parts.items()}
+                    note(what, which, seconds)
     print(f"2 × {given.points:,} points; the command on {given.scene} {given.seeds[0]}\n")
-    more = " against, CPU s | ratio |" if given.against else ""
-    print(f"| what | CPU s |{more}\n| --- | --- |{' --- | --- |' if more else ''}")
-    for what, row in least.items():
-        ratio = f" {row[1]:.3f} | {row[0] / row[1]:.2f} |" if more else ""
-        print(f"| {what} | {row[0]:.3f} |{ratio}")
-    if not given.against:
-        print("\n| step | share |\n| --- | --- |")
-        for name in shares[given.seeds[0]]:
-            share = np.mean([shares[seed][name] for seed in given.seeds])
-            print(f"| {name} | {share:.0%} |")
+    print_table("what", least)
+    seeds = given.seeds
+    print_table(
+        "step of the library, mean",
+        {
+            name: [float(np.mean([one[seed].get(name, 0.0) for seed in seeds])) for one in steps]
+            for name in steps[0][seeds[0]]
+        },
+    )
+
+
+def print_table(what: str, rows: dict[str, list[float]]) -> None:
+    """Print CPU times of this version, and of another beside them if there are two."""
+    against = all(len(row) > 1 for row in rows.values())
+    print(f"| {what} | CPU s |{' against, CPU s | ratio |' if against else ''}")
+    print(f"| --- | --- |{' --- | --- |' if against else ''}")
+    for name, row in rows.items():
+        ratio = f" {row[1]:.3f} | {row[0] / row[1]:.2f} |" if against else ""
+        print(f"| {name} | {row[0]:.3f} |{ratio}")
+    print()
 
 
 if __name__ == "__main__":
