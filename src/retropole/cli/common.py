@@ -21,7 +21,6 @@ from msgspec import to_builtins
 
 from ..base.errors import escaped, printable
 from ..base.reasons import explain, page, plain
-from ..result import plain as plain_value
 
 if TYPE_CHECKING:
     from ..api.inputs import Input, Listener
@@ -48,6 +47,9 @@ def fill_in(command: click.Command, word: str, titles: Mapping[str, str], *, wid
 
 def json_text(found: Any, indent: int | None = None) -> str:
     """Write what was found as JSON; data classes as objects, and arrays as lists."""
+    # NumPy comes with it, which errors and the version do without.
+    from ..result import plain as plain_value
+
     return json.dumps(found, indent=indent, default=partial(to_builtins, enc_hook=plain_value))
 
 
