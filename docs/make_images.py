@@ -1,12 +1,15 @@
-"""Make the pictures of the documentation again, all from simulated scans.
+"""Make the pictures of the documentation again, from simulated scans, and one from real ones.
 
 python docs/make_images.py docs/images
+python docs/make_images.py docs/images data
 
-The picture of the report needs Chromium, chromedriver and selenium, and is left out without.
+The picture of the report needs Chromium, chromedriver and selenium, and is left out without. So is
+that of real scans without the folder of test recordings (docs/contributing.md).
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -93,13 +96,31 @@ def draw_bias(path: Path) -> None:
 def draw_scene(scene: str, path: Path) -> None:
     """Both clouds of a simulated scene before and after, and the poles, as a small picture."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        run("simulate", scene, "--seed", 1, "--out", folder, "-q")
-        figure = rp.calibrate(folder / "lidar0.pcd", folder / "lidar1.pcd").plot()
-        whole = folder / "whole.png"
-        figure.savefig(whole, dpi=70)
-        # Points of two colours on white: few colours show all, in a third of the bytes.
-        Image.open(whole).convert("RGB").quantize(32).save(path, optimize=True)
+        run("simulate", scene, "--seed", 1, "--out", name, "-q")
+        draw_pair(Path(name), path)
+
+
+def draw_car_park(data: Path, path: Path) -> None:
+    """The same of a real car park, with poles that `benchmarks/insert.py` puts into it."""
+    recorded = data / "pandar_scene1"
+    reference = json.loads((recorded / "reference.json").read_text())["T_p64_qt_201"]
+    with tempfile.TemporaryDirectory() as name:
+        transform = Path(name) / "transform.txt"
+        np.savetxt(transform, reference)
+        insert = Path(__file__).parents[1] / "benchmarks" / "insert.py"
+        scans = recorded / "p64.pcd", recorded / "qt_201.pcd"
+        words = [*scans, "--transform", transform, "--out", name]
+        subprocess.run([sys.executable, str(insert), *map(str, words)], check=True)
+        draw_pair(Path(name), path)
+
+
+def draw_pair(folder: Path, path: Path) -> None:
+    """Calibrate the two clouds of a folder, and draw them before and after, and the poles."""
+    figure = rp.calibrate(folder / "lidar0.pcd", folder / "lidar1.pcd").plot()
+    whole = folder / "whole.png"
+    figure.savefig(whole, dpi=70)
+    # Points of two colours on white: few colours show all, in a third of the bytes.
+    Image.open(whole).convert("RGB").quantize(32).save(path, optimize=True)
 
 
 def photograph(page: Path, path: Path) -> None:
@@ -133,6 +154,8 @@ def main() -> None:
     draw_bias(out / "bias.png")
     for scene in ("corridor", "harbor", "bare"):
         draw_scene(scene, out / f"gallery_{scene}.png")
+    if len(sys.argv) > 2:
+        draw_car_park(Path(sys.argv[2]), out / "gallery_car_park.png")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         scans = folder / "lidar0.pcd", folder / "lidar1.pcd"
