@@ -21,6 +21,7 @@ from . import reading, store
 from .check import WatchedPair, lost_check, watched_pairs
 from .columns import History, histories
 from .events import Event, Watched
+from .merging import merge
 from .model import Observed
 from .store import CheckRow, observed
 from .watch import watch, watch_all
@@ -195,6 +196,11 @@ def check_fleet(
         append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
     changes, damaged_too = replay(history, by_id, replaying, newest, held)
+    try:
+        merge(history, held, f"month={tried:%Y-%m}")
+    # What can be read needs not be merged.
+    except (OSError, ReadError) as error:
+        damaged.append(ReadError(f"files of the history could not be merged: {error}"))
     faults = dict.fromkeys(map(str, damaged + damaged_too))
     return FleetCheck(appended, tuple(changes), tuple(faults))
 
