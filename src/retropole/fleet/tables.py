@@ -31,10 +31,15 @@ def arrow() -> Any:
 
 def parquet_of(rows: Iterable[Mapping[str, Any]], schema: Any) -> bytes:
     """Write rows as one Parquet file; the same rows give the same bytes."""
+    return parquet_bytes(arrow().Table.from_pylist(list(rows), schema=schema))
+
+
+def parquet_bytes(table: Any) -> bytes:
+    """Write a table of Arrow as one Parquet file; the same table gives the same bytes."""
     pa = arrow()
     sink = pa.BufferOutputStream()
     pa.parquet.write_table(
-        pa.Table.from_pylist(list(rows), schema=schema),
+        table,
         sink,
         compression="zstd",
         write_page_checksum=True,

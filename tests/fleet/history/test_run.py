@@ -129,6 +129,16 @@ def test_a_damaged_history_is_named_and_ends_nothing(
     assert [f"{bad}" in found.damaged[0] for _ in found.damaged] == [True]
 
 
+def test_months_before_this_one_are_merged(city: Path, answers: str, tmp_path: Path) -> None:
+    for k in range(6):
+        append(str(tmp_path), [row(k, "good"), row(k, "small/1")])
+    sites = [site for site in find_sites([str(city)]) if site.id in ("good", "small/1")]
+    check_fleet(sites, str(tmp_path), here, answers=answers, now=NOW)
+    months = sorted(tmp_path.glob("month=*"))
+    assert [len([*month.iterdir()]) for month in months] == [1, 1, 1]
+    assert [len(rows) for _, rows in read(str(tmp_path))] == [7, 7]
+
+
 def test_everything_may_be_in_an_object_store(city: Path, answers: str, checked: Path) -> None:
     memory = fsspec.filesystem("memory")
     memory.put(str(city.parent), "/town", recursive=True)

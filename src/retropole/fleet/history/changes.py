@@ -241,30 +241,35 @@ def _through(
     begins with it.
     """
     size = D.shape[1]
-    through = np.zeros((len(D), size + 6, size))
-    # After the check first, and below what shows in it: all in one product.
-    after, shows = through[:, :size], through[:, size:]
-    shows[:] = check.through
-    np.matmul(np.swapaxes(-check.gain, 1, 2), check.through, out=after)
-    kept = np.ones((len(D), size))
-    kept[:, SLOW] = check.kept[:, None]
-    after[:, range(size), range(size)] += kept
-    if size == SIZE:
-        after[:, range(6), range(SLOPE.start, SLOPE.stop)] += check.years[:, None]
+    towards = -np.swapaxes(check.gain, 1, 2)
     begin = np.zeros((len(D), size + 6, 6))
-    begin[:, :size] = -np.swapaxes(check.gain, 1, 2)[..., ORDER]
+    begin[:, :size] = towards[..., ORDER]
     begin[:, LEVEL] += SIZE_ONE
     begin[:, size:] = SIZE_ONE
-    sloped = check.years[:, None, None, None] * begin[..., None]
-    flat = D.reshape(len(D), size, -1)
+    # Each kind of the state shows with one weight, as the identity.
+    weight = check.through[:, :1, ::6]
+    flat, left = D.reshape(len(D), size, -1), check.kept[:, None, None]
+    years, first_trend = check.years[:, None, None], np.count_nonzero(~is_trend)
+    # After the check first, and below what shows in it.
     both = np.empty((len(D), size + 6, 6, len(is_trend)))
     for first in range(0, len(D), CACHED):
         some = slice(first, first + CACHED)
-        product = both[some].reshape(-1, size + 6, flat.shape[-1])
-        np.matmul(through[some], flat[some], out=product)
+        old, product = flat[some], both[some].reshape(-1, size + 6, flat.shape[-1])
+        after, shows = product[:, :size], product[:, size:]
+        kinds = old.reshape(len(old), size // 6, -1)
+        np.matmul(weight[some], kinds, out=shows.reshape(len(old), 1, -1))
+        # The slope of a trend, which is not among plain kinds, has added to the level.
+        sloped = years[some, ..., None] * SIZE_ONE[..., None]
         if size == PLAIN:
-            # The slope of a trend, which is not in there, has added to the level.
-            both[some, ..., np.count_nonzero(~is_trend) :] += sloped[some]
+            both[some, size:, :, first_trend:] += sloped
+        np.matmul(towards[some], shows, out=after)
+        after[:, : SLOW.start] += old[:, : SLOW.start]
+        after[:, SLOW] += left[some] * old[:, SLOW]
+        after[:, SLOW.stop :] += old[:, SLOW.stop :]
+        if size == SIZE:
+            after[:, LEVEL] += years[some] * old[:, SLOPE]
+        else:
+            both[some, LEVEL, :, first_trend:] += sloped
     both[steps[0], :, :, steps[1]] = begin[steps[0]]
     slope = np.zeros((SIZE + 6, 6))
     slope[SLOPE] = SIZE_ONE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...base.errors import ReadError
-from ..storage import below, names_in
+from ..storage import below, exists, names_in
 from ..tables import arrow, opened
 from .columns import PLACE
 from .store import SCHEMA, CheckRow, row_of, schema
@@ -57,11 +57,27 @@ class Contents:
 
 @dataclass(frozen=True)
 class Held:
-    """Sites of a file that are to be read, how many rows it has of each, and whether of others."""
+    """What is in a file.
+
+    Attributes
+    ----------
+    ids
+        Sites that are to be read.
+    rows
+        How many it has of each.
+    has_others
+        Whether it has rows of other sites.
+    first
+        The first of all sites in order.
+    count
+        Of all rows.
+    """
 
     ids: frozenset[str]
     rows: float
     has_others: bool
+    first: str
+    count: int
 
 
 def contents(
@@ -79,18 +95,34 @@ def _look(
     """Add the files that are not known."""
     some = None if ids is None else set(ids)
     alike: dict[frozenset[str], frozenset[str]] = {}
-    places = (place for place in _files(folder) if place not in found.files)
-    for place, table in _tables(places, tell, ["id", "key"] if keys else ["id"]):
-        names = table["id"].to_pylist()
-        own = frozenset(names) if some is None else some.intersection(names)
-        # Files that were appended one after the other have the same sites.
-        own = alike.setdefault(frozenset(own), frozenset(own))
-        each, others = len(names) / max(len(set(names)), 1), len(set(names)) > len(own)
-        found.files[place] = Held(own, each, others)
-        if keys:
-            for name, key in zip(names, table["key"].to_pylist(), strict=True):
-                if name in own:
-                    found.keys.setdefault(name, bytearray()).extend(f"{key}\n".encode())
+    gone: set[str] = set()
+    before, columns = -1, ["id", "key"] if keys else ["id"]
+    while len(gone) > before:
+        before = len(gone)
+        places = (place for place in _files(folder) if place not in found.files)
+        for place, table in tables_of(places, tell, columns, gone):
+            _add(found, place, table, some, alike)
+
+
+def _add(
+    found: Contents,
+    place: str,
+    table: Any,
+    some: set[str] | None,
+    alike: dict[frozenset[str], frozenset[str]],
+) -> None:
+    """Add a file, of which the ids were read and the keys or not."""
+    names = table["id"].to_pylist()
+    each = set(names)
+    own = frozenset(each if some is None else some & each)
+    # Files that were appended one after the other have the same sites.
+    own = alike.setdefault(own, own)
+    first, rows = min(names, default=""), len(names) / max(len(each), 1)
+    found.files[place] = Held(own, rows, len(each) > len(own), first, len(names))
+    if "key" in table.column_names:
+        for name, key in zip(names, table["key"].to_pylist(), strict=True):
+            if name in own:
+                found.keys.setdefault(name, bytearray()).extend(f"{key}\n".encode())
 
 
 def read(
@@ -150,9 +182,14 @@ def tables(
     for place, held in found.files.items():
         for name in held.ids:
             holding.setdefault(name, []).append(place)
-    for names in _groups(holding, found.files):
-        places = sorted({place for name in names for place in holding[name]})
-        yield _of_some(places, names, found.files, tell)
+    for names in [*_groups(holding, found.files)]:
+        places = {place for name in names for place in holding[name]}
+
+        def later(names: frozenset[str] = names) -> set[str]:
+            _look(found, folder, ids, tell, keys=False)
+            return {place for place, held in found.files.items() if names & held.ids}
+
+        yield _of_some(places, names, found.files, tell, later)
 
 
 def _groups(
@@ -175,32 +212,60 @@ def _groups(
 
 
 def _of_some(
-    places: Sequence[str], names: frozenset[str], files: Mapping[str, Held], tell: Tell
+    places: set[str],
+    names: frozenset[str],
+    files: Mapping[str, Held],
+    tell: Tell,
+    later: Callable[[], set[str]],
 ) -> Any:
-    """Read the rows of some sites of all files that hold them, with the place of each."""
+    """Read the rows of some sites of all files that hold them, with the place of each.
+
+    `later` looks again, where another run has merged some of the files meanwhile.
+    """
     pa = arrow()
     from pyarrow import compute
 
     parts = [schema().append(pa.field(PLACE, pa.dictionary(pa.int32(), pa.string()))).empty_table()]
     wanted = pa.array(sorted(names))
-    for place, table in _tables(places, tell):
-        if files[place].has_others or not files[place].ids <= names:
-            table = table.filter(compute.is_in(table["id"], value_set=wanted))
-        own = pa.DictionaryArray.from_arrays(np.zeros(len(table), np.int32), [place])
-        parts.append(table.append_column(PLACE, own))
+    tried: set[str] = set()
+    while places:
+        gone: set[str] = set()
+        for place, table in tables_of(sorted(places), tell, None, gone):
+            if files[place].has_others or not files[place].ids <= names:
+                table = table.filter(compute.is_in(table["id"], value_set=wanted))
+            own = pa.DictionaryArray.from_arrays(np.zeros(len(table), np.int32), [place])
+            parts.append(table.append_column(PLACE, own))
+        tried |= places
+        places = later() - tried if gone else set()
     return pa.concat_tables(parts).unify_dictionaries().combine_chunks()
 
 
-def _files(folder: str) -> Iterator[str]:
+def files_of(
+    folder: str, wanted: Callable[[str], bool] = lambda month: True
+) -> Iterator[list[str]]:
+    """Give the files of each month, ``month=2026-11`` say, that is wanted."""
     for month in filter(MONTH.fullmatch, names_in(folder)):
-        names = (name for name in names_in(below(folder, month)) if name.endswith(".parquet"))
-        yield from (below(folder, month, name) for name in names)
+        if wanted(month):
+            names = (name for name in names_in(below(folder, month)) if name.endswith(".parquet"))
+            yield [below(folder, month, name) for name in names]
 
 
-def _tables(
-    places: Iterable[str], tell: Tell, columns: list[str] | None = None
+def _files(folder: str) -> Iterator[str]:
+    for places in files_of(folder):
+        yield from places
+
+
+def tables_of(
+    places: Iterable[str],
+    tell: Tell = _raise,
+    columns: list[str] | None = None,
+    gone: set[str] | None = None,
 ) -> Iterator[tuple[str, Any]]:
-    """Read files, but those that are damaged; a few at once."""
+    """Read files, but those that are damaged; a few at once.
+
+    A file that is not there any more is put into `gone`, where it is given: it may have been
+    merged. If it was in there already, it is damaged.
+    """
 
     def table(place: str) -> Any:
         try:
@@ -221,7 +286,10 @@ def _tables(
         place, future = waiting.popleft()
         found = future.result()
         if isinstance(found, ReadError):
-            tell(found)
+            if gone is None or place in gone or _is_there(place):
+                tell(found)
+            else:
+                gone.add(place)
         else:
             yield place, found
 
@@ -232,3 +300,10 @@ def _tables(
                 yield from first()
         while waiting:
             yield from first()
+
+
+def _is_there(place: str) -> bool:
+    try:
+        return exists(place)
+    except ReadError:
+        return True

@@ -17,13 +17,14 @@ from ..dataset import partition_of, partitions_in, read_rows
 from ..sites import FleetSite
 from ..storage import absolute
 from ..work import Check, Outcome, Task, task_of
-from . import reading, store
+from . import kept, reading, store
 from .check import WatchedPair, lost_check, watched_pairs
 from .columns import History, histories
 from .events import Event, Watched
+from .merging import merge
 from .model import Observed
 from .store import CheckRow, observed
-from .watch import watch, watch_all
+from .watch import watch
 
 FLUSH = 100
 """Sites whose rows are appended together: an interrupt loses no more than these."""
@@ -83,10 +84,13 @@ class FleetCheck:
     damaged: tuple[str, ...] = ()
 
 
-Seen = list[Observed]
-"""The checks of some sites, of each in one."""
+Seen = list[tuple[Observed, kept.Kept]]
+"""The checks of some sites, of each in one, and what is kept of it."""
 
-Replaying = Callable[[Callable[[Seen], list[Watched]], Iterator[Seen]], Iterable[list[Watched]]]
+Said = list[tuple[Watched, kept.Kept]]
+"""What they say, and what is to be kept, if anything."""
+
+Replaying = Callable[[Callable[[Seen], Said], Iterator[Seen]], Iterable[Said]]
 
 
 def check_fleet(
@@ -195,6 +199,11 @@ def check_fleet(
         append(chain.from_iterable(outcomes.values() for outcomes in waiting.values()))
     progress("look at the history")
     changes, damaged_too = replay(history, by_id, replaying, newest, held)
+    try:
+        merge(history, held, f"month={tried:%Y-%m}")
+    # What can be read needs not be merged.
+    except (OSError, ReadError) as error:
+        damaged.append(ReadError(f"files of the history could not be merged: {error}"))
     faults = dict.fromkeys(map(str, damaged + damaged_too))
     return FleetCheck(appended, tuple(changes), tuple(faults))
 
@@ -220,13 +229,29 @@ def replay(
             chain.from_iterable(histories(each, damaged.append) for each in read)
         ):
             under_way.append(found)
-            yield [one.checks for one in found if one.checks is not None]
+            states = kept.read(history, [one.id for one in found])
+            yield [
+                (one.checks, state)
+                for one, state in zip(found, states, strict=True)
+                if one.checks is not None
+            ]
 
     changes: list[SiteChange] = []
-    for told in map(iter, replaying(watch_all, seen())):
+    may_keep = True
+    for told in map(iter, replaying(kept.replayed, seen())):
+        states = []
         for one in under_way.popleft():
-            watched = Watched() if one.checks is None else next(told)
+            watched, state = (Watched(), None) if one.checks is None else next(told)
             changes.append(SiteChange(one.id, one.times, watched, own.get(one.id, one.newest)))
+            if state is not None:
+                states.append((one.id, state))
+        try:
+            if may_keep:
+                kept.write(history, states)
+        # What is said does not need it.
+        except OSError as error:
+            may_keep = False
+            damaged.append(ReadError(f"the state of the history could not be kept: {error}"))
     return sorted(changes, key=lambda site: site.id), damaged
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import NamedTuple
@@ -129,6 +129,25 @@ def begin(first: Observed) -> Runs:
         first_state(first, SHARES),
         no_changes(sites),
         np.zeros(sites, dtype=int),
+    )
+
+
+def beside(runs: Sequence[Runs]) -> Runs:
+    """Put runs of one site each beside each other."""
+    if any(one.state.mean.shape[-1] == SIZE for one in runs):
+        runs = [one.whole() for one in runs]
+    each = zip(*(vars(one.state).values() for one in runs), strict=True)
+    state = State(*(np.concatenate(values) for values in each))
+    changes = no_changes(len(runs), state.mean.shape[-1])
+    for s, one in enumerate(runs):
+        changes.put(s, one.changes)
+    return Runs(
+        np.concatenate([one.likelihood for one in runs]),
+        np.concatenate([one.total for one in runs]),
+        np.concatenate([one.weight for one in runs]),
+        state,
+        changes,
+        np.concatenate([one.telling for one in runs]),
     )
 
 

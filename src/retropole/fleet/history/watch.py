@@ -11,7 +11,7 @@ was found becomes part of what is expected, and the watch goes on.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,11 +19,29 @@ import numpy as np
 from .changes import Changes, passed
 from .events import GATE, Event, Expected, Watched, from_stored, stays_moved
 from .model import Observed, together
-from .runs import Past, Runs, adopted, as_told_by, begin, first_onset, lost
+from .runs import Past, Runs, adopted, as_told_by, begin, beside, first_onset, lost
 from .search import THRESHOLDS, Branch, With, confirmed, found, may_be_found, needed
 
 MOST_WAITING = 6
 """Checks that may wait. If no two of as many agree, the place has become another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Where the replay of a site stands after so many checks.
+
+    Attributes
+    ----------
+    runs
+        Of this one site.
+    waiting
+        χ² of the checks that wait, by their numbers.
+    """
+
+    count: int
+    runs: Runs
+    events: tuple[Event, ...]
+    waiting: Mapping[int, float]
 
 
 @dataclass(eq=False)
@@ -36,12 +54,15 @@ class _Told:
         χ² of the checks that wait, by their numbers.
     known
         Of filters that told, the changes as they saw them up to a check, with its number.
+    is_torn
+        Whether what its filters made of checks is needed that are not replayed.
     """
 
     checks: Observed
     events: list[Event] = field(default_factory=list)
     waiting: dict[int, float] = field(default_factory=dict)
     known: dict[int, tuple[float, Changes]] = field(default_factory=dict)
+    is_torn: bool = False
 
     @property
     def singles(self) -> int:
@@ -106,21 +127,59 @@ def watch_all(
     sites
         Of each all checks in one, their number in front: one check at least.
     """
+    ends = watch_from(sites, [None] * len(sites), thresholds=thresholds)
+    return [watched for watched, _ in ends]
+
+
+def watch_from(
+    sites: Sequence[Observed],
+    stands: Sequence[Stand | None],
+    *,
+    thresholds: tuple[float, float] = THRESHOLDS,
+) -> list[tuple[Watched, Stand]]:
+    """Replay the checks of several sites from where each stood, or from the first.
+
+    What is said is the same as from the first, and so is where they stand then. Where the checks
+    before are needed again, as another filter comes to tell or a change began there, it is replayed
+    from the first.
+    """
+    ends: dict[int, tuple[Watched, Stand]] = {}
+    first = [0 if stand is None else stand.count for stand in stands]
+    # From the first check last: what is torn is replayed with these.
+    for count in sorted({0, *first}, reverse=True):
+        some = [s for s in range(len(sites)) if s not in ends and first[s] == count]
+        known = [stand for s in some if count and (stand := stands[s]) is not None]
+        said = _replayed([sites[s] for s in some], known, thresholds)
+        ends.update((s, end) for s, end in zip(some, said, strict=True) if end is not None)
+        first = [0 if s in some else first[s] for s in range(len(sites))]
+    return [ends[s] for s in range(len(sites))]
+
+
+def _replayed(
+    sites: Sequence[Observed], stands: Sequence[Stand], thresholds: tuple[float, float]
+) -> list[tuple[Watched, Stand] | None]:
+    """Replay sites from the same number of checks on; None of those that are torn."""
     if not sites:
         return []
     counts = np.array([len(checks.step) for checks in sites])
     order = np.argsort(-counts, kind="stable").tolist()
     told = [_Told(sites[s]) for s in order]
     checks = _beside([sites[s] for s in order])
-    said: list[Watched] = []
+    said: list[tuple[Watched, Stand] | None] = []
     past: deque[Past] = deque()
-    runs = begin(checks[0])
-    for n in range(counts.max()):
+    first = 0
+    if stands:
+        runs, first = beside([stands[s].runs for s in order]), stands[0].count
+        for one, s in zip(told, order, strict=True):
+            one.events, one.waiting = [*stands[s].events], {**stands[s].waiting}
+    else:
+        runs = begin(checks[0])
+    for n in range(first, counts.max()):
         under_way = int((counts > n).sum())
         if under_way < len(told):
             said = [*_said(runs, told, under_way), *said]
             runs, told = runs.of(slice(under_way)), told[:under_way]
-        runs = _advanced(runs, told, checks[n][:under_way], past, n, thresholds)
+        runs = _advanced(runs, told, checks[n][:under_way], past, (first, n), thresholds)
     said = [*_said(runs, told, 0), *said]
     return [said[order.index(s)] for s in range(len(sites))]
 
@@ -135,16 +194,22 @@ def _beside(sites: Sequence[Observed]) -> Observed:
     return Observed(**arrays)
 
 
-def _said(runs: Runs, told: Sequence[_Told], first: int) -> list[Watched]:
-    """Give what is said of the sites from the first on."""
-    said, state, scale = [], runs.state.whole(), runs.scale
+def _said(runs: Runs, told: Sequence[_Told], first: int) -> list[tuple[Watched, Stand] | None]:
+    """Give what is said of the sites from the first on, and where they stand."""
+    said: list[tuple[Watched, Stand] | None] = []
+    state, scale = runs.state.whole(), runs.scale
     for s in range(first, len(told)):
+        if told[s].is_torn:
+            said.append(None)
+            continue
         one = s, int(runs.best[s])
         expected = Expected(
             state.mean[one], state.covariance[one], float(state.days[s]), bool(state.knows_other[s])
         )
         events, waiting = tuple(told[s].events), tuple(told[s].waiting)
-        said.append(Watched(events, waiting, float(scale[one]), expected))
+        count, own = len(told[s].checks.step), runs.of(slice(s, s + 1))
+        stand = Stand(count, own, events, told[s].waiting)
+        said.append((Watched(events, waiting, float(scale[one]), expected), stand))
     return said
 
 
@@ -153,10 +218,11 @@ def _advanced(
     told: Sequence[_Told],
     check: Observed,
     past: deque[Past],
-    n: int,
+    numbers: tuple[int, int],
     thresholds: tuple[float, float],
 ) -> Runs:
-    """Take the checks n of sites in, and tell what they say."""
+    """Take the checks n of sites in, and tell what they say; `numbers` are the first, and n."""
+    first, n = numbers
     if np.any(check.other):
         runs = runs.whole()
     ahead = runs.ahead(check)
@@ -165,6 +231,9 @@ def _advanced(
     after = runs.told(ahead)
     telling = np.where(aside, runs.best, after.best)
     for s in np.flatnonzero(telling != runs.telling).tolist():
+        if first:
+            told[s].is_torn = True
+            continue
         changes, known = runs.changes.of(slice(s, s + 1)).copy(), told[s].known
         # Filters that are about as likely take turns.
         known[int(runs.telling[s])] = n - 1, changes
@@ -177,6 +246,8 @@ def _advanced(
     newest = Past(n, np.ones(len(told), dtype=bool), passed(ahead))
     may_tell = may_be_found(after.changes, after.state.days, n, at_least)
     for s in np.flatnonzero(aside | may_tell).tolist():
+        if told[s].is_torn:
+            continue
         one = slice(s, s + 1)
         needs = *at_least[:2], at_least[2][one], at_least[3][one]
         own, result = runs.of(one), after.of(one)
@@ -191,6 +262,9 @@ def _advanced(
         else:
             all_in = With(own.changes, result, (took,), float(off[s]))
             branch = found(all_in, n - 1, needs)
+        if branch is not None and branch.event.onset < first:
+            told[s].is_torn = True
+            continue
         if branch is not None:
             told[s].tell(branch, n)
             own = adopted(branch.runs, branch.change, past, s, branch.taken)
