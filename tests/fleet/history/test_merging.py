@@ -6,9 +6,8 @@ import fsspec
 import pytest
 
 from retropole.base.errors import ReadError
-from retropole.fleet.history import merging
 from retropole.fleet.history.merging import merge
-from retropole.fleet.history.reading import contents, read, tables
+from retropole.fleet.history.reading import contents, files_of, read, tables
 from retropole.fleet.history.store import append
 from tests.fleet.history.checks import row
 
@@ -93,7 +92,7 @@ def test_two_at_once_lose_nothing(history: Path) -> None:
 
 
 def test_who_looked_before_it_reads_all_rows_after_it(history: Path) -> None:
-    seen, faults = contents(str(history)), []
+    seen, faults = contents(str(history)), list[ReadError]()
     merge(str(history), seen, MARCH)
     found = [*tables(str(history), None, faults.append, seen)]
     assert faults == []
@@ -107,14 +106,13 @@ def test_a_file_that_is_replaced_while_others_are_read_is_no_fault(
     rows, faults = rows_of(history), list[ReadError]()
     found = read(str(history), None, faults.append)
     looked = contents(str(history))
-    names = merging.files_of
     monkeypatch.setattr(
         "retropole.fleet.history.reading._groups",
         lambda *given: (merge(str(history), looked, MARCH), [frozenset(NAMES)])[1],
     )
     assert [(name, [one.key for one in own]) for name, own in found] == rows
     assert faults == []
-    assert sum(map(len, names(str(history)))) == 3
+    assert sum(map(len, files_of(str(history)))) == 3
 
 
 def test_what_is_damaged_stays_where_it_is(history: Path) -> None:
