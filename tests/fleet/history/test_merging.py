@@ -6,6 +6,7 @@ import fsspec
 import pytest
 
 from retropole.base.errors import ReadError
+from retropole.fleet.history import merging
 from retropole.fleet.history.merging import merge
 from retropole.fleet.history.reading import contents, files_of, read, tables
 from retropole.fleet.history.store import append
