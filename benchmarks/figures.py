@@ -282,16 +282,18 @@ def main() -> None:
     parser.add_argument("--root", type=Path, default=ROOT, help="folder of docs/ and README.md")
     parser.add_argument("--write", action="store_true", help="run all of it, and write the tables")
     given = parser.parse_args()
-    found = stated(given.root)
+    found = stated(given.root.resolve())
     chosen = wanted(found, given.only, given.data)
     if given.part is not None:
         chosen = of_day(chosen, given.part)
-    if given.write:
-        rewrite(given.root, chosen, given.data)
-    elif given.share is not None or given.part is not None:
-        raise SystemExit(check(chosen, given.share or 0.05, given.seconds, given.alarm, given.data))
-    else:
+    if not given.write and given.share is None and given.part is None:
         say([one for one in found if given.only in one.page or given.only in one.command])
+    elif not chosen:
+        print("no table is compared")
+    elif given.write:
+        rewrite(given.root.resolve(), chosen, given.data)
+    else:
+        raise SystemExit(check(chosen, given.share or 0.05, given.seconds, given.alarm, given.data))
 
 
 if __name__ == "__main__":

@@ -130,14 +130,14 @@ def compare(said: Table, texts: Sequence[str], runs: int) -> list[Cell] | None:
     Returns
     -------
     list of Cell
-        The cells that could be compared; None where a text has no such table.
+        The cells that could be compared; None where a text has no such table, or none its rows.
     """
-    fresh = [fresh_cells(said, text) for text in texts]
-    if not fresh or any(rows is None for rows in fresh):
-        return None
     found: list[Cell] = []
+    fresh = [rows for text in texts if (rows := fresh_cells(said, text)) is not None]
+    if len(fresh) < len(texts) or not any(key in rows for key in keys(said) for rows in fresh):
+        return None
     for key, row in keys(said).items():
-        drawn = [rows[key] for rows in fresh if rows is not None and key in rows]
+        drawn = [rows[key] for rows in fresh if key in rows]
         if runs == 0:
             found += exactly(said.head, key, row, drawn)
         # A row that sums up others says nothing that they do not.
@@ -217,9 +217,9 @@ def tested(
         yield from counts("", (int(match[1]), int(match[2])), pair)
     elif match := SHARE.match(said):
         shares = [(float(m[1]) / 100, n) for cell, n in of_each if (m := SHARE.match(cell))]
-        met = sum(share * n for share, n in shares)
-        if abs(met - round(met)) < 0.02 * len(shares):
-            pair = round(met), sum(n for _, n in shares)
+        right = sum(share * n for share, n in shares)
+        if abs(right - round(right)) < 0.02 * len(shares):
+            pair = round(right), sum(n for _, n in shares)
             yield from counts("", (round(runs * float(match[1]) / 100), runs), pair)
     elif said.isdigit():
         numbers = [(int(cell), n) for cell, n in of_each if cell.isdigit()]

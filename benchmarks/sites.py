@@ -44,7 +44,7 @@ SITES = {
     "truck": Site("street", "XT32", "PandarQT"),
     "robot": Site("corridor", "VLP-16", "VLP-16"),
 }
-ARRANGEMENTS = {"2 poles": (2, 1), "3 poles": (3, 1), "2 poles, placed twice": (2, 2)}
+ARRANGEMENTS = {"2": (2, 1), "3": (3, 1), "2, placed twice": (2, 2)}
 """Number of poles, and of placements."""
 
 
