@@ -7,7 +7,8 @@ run, and the commit:
     | ... |
     <!-- end of figures -->
 
-A word after the commit says why a table is not compared. Without options this lists the tables.
+Words after the commit say why a table is not compared; `slow`, that no part of a day has it.
+Without options this lists the tables.
 
     python benchmarks/figures.py
     python benchmarks/figures.py --share 0.05
@@ -58,6 +59,9 @@ COUNTS = (
     *("--easy", "--hard", "--wrong", "--right"),
 )
 """Options that say how many seeds a command draws, where they are followed by a number."""
+
+SLOW = "slow"
+"""Why a table is compared, but on no day of its own."""
 
 LEAST = 5
 """Draws of each command: fewer hardly tell anything."""
@@ -167,11 +171,14 @@ def drawn(
     return texts, time.perf_counter() - start
 
 
-def wanted(found: Sequence[Stated], only: str, data: Path | None) -> dict[str, list[Stated]]:
-    """The tables that can be compared, by their commands."""
+def wanted(
+    found: Sequence[Stated], only: str, data: Path | None, slow: bool
+) -> dict[str, list[Stated]]:
+    """The tables that can be compared, by their commands; without data not those of recordings."""
     chosen: dict[str, list[Stated]] = {}
     for one in found:
-        able = not one.why and (data is not None or "data" not in shlex.split(one.command))
+        able = not one.why or (slow and one.why == SLOW)
+        able = able and (data is not None or "data" not in shlex.split(one.command))
         if able and (only in one.page or only in one.command):
             chosen.setdefault(one.command, []).append(one)
     return chosen
@@ -199,8 +206,8 @@ def say(found: Sequence[Stated]) -> None:
     for one in found:
         print(f"{one.page}:{one.line}  {one.command}  ({one.day}, {one.commit})")
         if one.why:
-            print(f"    not compared: {one.why}")
-    left = sum(bool(one.why) for one in found)
+            print(f"    {one.why}" if one.why == SLOW else f"    not compared: {one.why}")
+    left = sum(one.why not in ("", SLOW) for one in found)
     print(f"{len(found)} tables, {len(found) - left} of them compared")
 
 
@@ -283,7 +290,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="run all of it, and write the tables")
     given = parser.parse_args()
     found = stated(given.root.resolve())
-    chosen = wanted(found, given.only, given.data)
+    chosen = wanted(found, given.only, given.data, slow=given.part is None)
     if given.part is not None:
         chosen = of_day(chosen, given.part)
     if not given.write and given.share is None and given.part is None:
