@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from scipy.stats import betabinom, fisher_exact
@@ -58,13 +58,18 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell that was compared; the probability is that of a difference as large by chance."""
+    """A cell that was compared; the probability is that of a difference as large by chance.
+
+    It is impossible where the same runs cannot have been counted so, as one wrong of five where a
+    page says none of 500: some run ends otherwise today, which chance may explain all the same.
+    """
 
     row: str
     column: str
     said: str
     measured: str
     probability: float
+    impossible: bool = False
 
 
 def tables(text: str) -> list[Table]:
@@ -175,9 +180,9 @@ def by_chance(
         each = [size(other[before[-1]]) if before else 1 for other in drawn]
         parts = parted(head[i], quantile, row[i], [other[i] for other in drawn])
         for part, share, said, column in parts:
-            for name, measured, probability in tested(said, column, share, total, each):
-                label = ", ".join(filter(None, (part, name)))
-                yield Cell(", ".join(key), label, said, measured, probability)
+            for found in tested(said, column, share, total, each):
+                named = ", ".join(filter(None, (part, found.column)))
+                yield replace(found, row=", ".join(key), column=named)
 
 
 def parted(
@@ -208,45 +213,47 @@ def quantile_of(name: str, left: float | None) -> float | None:
 
 def tested(
     said: str, column: Sequence[str], quantile: float | None, runs: int, each: Sequence[int]
-) -> Iterator[tuple[str, str, float]]:
-    """What of a cell was compared (a code, or the whole), what was measured, the probability."""
+) -> Iterator[Cell]:
+    """Compare a cell; its column is the code that is counted, of a list of these."""
     of_each = list(zip(column, each, strict=True))
     if match := OF.match(said):
         ofs = [m for cell in column if (m := OF.match(cell))]
         pair = sum(int(m[1]) for m in ofs), sum(int(m[2]) for m in ofs)
-        yield from counts("", (int(match[1]), int(match[2])), pair)
+        yield from counts("", said, (int(match[1]), int(match[2])), pair)
     elif match := SHARE.match(said):
         shares = [(float(m[1]) / 100, n) for cell, n in of_each if (m := SHARE.match(cell))]
         right = sum(share * n for share, n in shares)
         if abs(right - round(right)) < 0.02 * len(shares):
             pair = round(right), sum(n for _, n in shares)
-            yield from counts("", (round(runs * float(match[1]) / 100), runs), pair)
+            yield from counts("", said, (round(runs * float(match[1]) / 100), runs), pair)
     elif said.isdigit():
         numbers = [(int(cell), n) for cell, n in of_each if cell.isdigit()]
         pair = sum(k for k, _ in numbers), sum(n for _, n in numbers)
-        yield from counts("", (int(said), runs), pair)
+        yield from counts("", said, (int(said), runs), pair)
     elif NUMBER.match(said) and quantile is not None:
         # A row of several runs in each draw states a median of few, not the value of one.
         values = [float(c.split()[0]) for c, n in of_each if n == 1 and NUMBER.match(c)]
         if values:
             below = position(float(said.split()[0]), values, quantile, runs)
             shown = ", ".join(f"{value:g}" for value in sorted(values))
-            yield "", shown, below
+            yield Cell("", "", said, shown, below)
     elif CODES.match(said):
         stated = {code: int(n) for code, n in CODES.findall(said)}
         drawn = [(code, int(n)) for cell in column for code, n in CODES.findall(cell)]
         for code in sorted(stated.keys() | {code for code, _ in drawn}):
             met = sum(n for other, n in drawn if other == code)
-            yield from counts(code, (stated.get(code, 0), runs), (met, sum(each)))
+            yield from counts(code, said, (stated.get(code, 0), runs), (met, sum(each)))
 
 
 def counts(
-    name: str, said: tuple[int, int], measured: tuple[int, int]
-) -> Iterator[tuple[str, str, float]]:
+    code: str, said: str, stated: tuple[int, int], measured: tuple[int, int]
+) -> Iterator[Cell]:
     """Fisher's exact test of two counts, each of so many."""
-    if said[0] <= said[1] and measured[0] <= measured[1] and said[1] and measured[1]:
-        rows = [[k, n - k] for k, n in (said, measured)]
-        yield name, f"{measured[0]} of {measured[1]}", float(fisher_exact(rows).pvalue)
+    if stated[0] <= stated[1] and measured[0] <= measured[1] and stated[1] and measured[1]:
+        rows = [[k, n - k] for k, n in (stated, measured)]
+        impossible = any(few < more for few, more in zip(*rows, strict=True))
+        probability = float(fisher_exact(rows).pvalue)
+        yield Cell("", code, said, f"{measured[0]} of {measured[1]}", probability, impossible)
 
 
 def position(said: float, values: Sequence[float], quantile: float, runs: int) -> float:

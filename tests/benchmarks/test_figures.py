@@ -114,3 +114,11 @@ def test_figures_of_today_hold() -> None:
     if done.stdout.startswith("no table"):
         pytest.skip("no table has this day")
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_readme_says_what_the_comparison_says() -> None:
+    """Right, wrong and refused of each method, in %; names and rounding of errors differ."""
+    (readme,) = [t for t in tables((ROOT / "README.md").read_text()) if t.head[0] == "method"]
+    page = tables((ROOT / "docs/compare.md").read_text())
+    (compared,) = [t for t in page if t.head[:2] == ("method", "runs")]
+    assert sorted(row[1:4] for row in readme.rows) == sorted(row[2:5] for row in compared.rows)
