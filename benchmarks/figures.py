@@ -40,7 +40,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import date
@@ -215,25 +215,35 @@ def say(found: Sequence[Stated]) -> None:
     print(f"{len(found)} tables, {len(found) - left} of them compared")
 
 
+def two_at_a_time(
+    run: Callable[[str], tuple[list[str], float]], commands: Collection[str]
+) -> Iterator[tuple[list[str], float]]:
+    """Run commands in two processes; a single one in this, which nothing outlives."""
+    if len(commands) == 1:
+        yield from map(run, commands)
+    else:
+        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+            yield from pool.map(run, commands)
+
+
 def check(
     chosen: dict[str, list[Stated]], share: float, seconds: float, alarm: float, data: Path | None
 ) -> int:
     """Run the commands again, and print what differs; return the exit code."""
     compared, broken = [], 0
     run = partial(drawn, share=share, seconds=seconds, data=data)
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for (command, own), (texts, took) in zip(
-            chosen.items(), pool.map(run, chosen), strict=True
-        ):
-            print(f"{command}: {len(texts)} draws, {took:.0f} s", flush=True)
-            for one in own:
-                cells = compare(one.table, texts, draws(command))
-                if cells is None:
-                    broken += 1
-                    print(f"    {one.page}:{one.line}: no such table is printed")
-                else:
-                    compared.append((one, cells))
-                    print(f"    {one.page}:{one.line}: {len(cells)} figures compared")
+    for (command, own), (texts, took) in zip(
+        chosen.items(), two_at_a_time(run, chosen), strict=True
+    ):
+        print(f"{command}: {len(texts)} draws, {took:.0f} s", flush=True)
+        for one in own:
+            cells = compare(one.table, texts, draws(command))
+            if cells is None:
+                broken += 1
+                print(f"    {one.page}:{one.line}: no such table is printed")
+            else:
+                compared.append((one, cells))
+                print(f"    {one.page}:{one.line}: {len(cells)} figures compared")
     differ = differences(compared, alarm)
     others = [(one, cell) for one, own in compared for cell in own if cell.impossible]
     for words, some in (("", differ), ("not on the same seeds: ", others)):
@@ -256,7 +266,7 @@ def rewrite(root: Path, chosen: dict[str, list[Stated]], data: Path | None) -> N
     for command, own in chosen.items():
         text = printed(shlex.split(command), data)
         for one in own:
-            fresh = fresh_cells(one.table, text)
+            fresh = fresh_cells(one.table, text, kept=True)
             if fresh is None:
                 raise SystemExit(f"{command} prints no such table as {one.page}:{one.line}")
             path = root / one.page

@@ -72,21 +72,22 @@ class Cell:
     impossible: bool = False
 
 
-def tables(text: str) -> list[Table]:
-    """Find the Markdown tables in a text."""
+def tables(text: str, kept: bool = False) -> list[Table]:
+    """Find the Markdown tables in a text, with the emphasis of their cells or without."""
     blocks = re.findall(r"(?:^\|.*\n?)+", text, flags=re.MULTILINE)
     found = []
     for block in blocks:
-        head, _, *rows = [cells(line) for line in block.splitlines()] + [()]
+        head, _, *rows = [cells(line, kept) for line in block.splitlines()] + [()]
         # A row may be printed short where nothing was answered.
         filled = [(row + ("",) * len(head))[: len(head)] for row in rows if row]
         found.append(Table(head, filled))
     return found
 
 
-def cells(line: str) -> tuple[str, ...]:
-    """Split a row of a table, and leave out emphasis."""
-    return tuple(re.sub(r"\*\*|`", "", cell).strip() for cell in line.strip().strip("|").split("|"))
+def cells(line: str, kept: bool) -> tuple[str, ...]:
+    """Split a row of a table, and leave out emphasis if it is not kept."""
+    plain = line if kept else re.sub(r"\*\*|`", "", line)
+    return tuple(cell.strip() for cell in plain.strip().strip("|").split("|"))
 
 
 def places(head: Sequence[str], printed: Sequence[str]) -> list[int] | None:
@@ -109,14 +110,16 @@ def keys(table: Table) -> dict[tuple[str, ...], tuple[str, ...]]:
     return named
 
 
-def fresh_cells(said: Table, text: str) -> dict[tuple[str, ...], tuple[str, ...]] | None:
+def fresh_cells(
+    said: Table, text: str, kept: bool = False
+) -> dict[tuple[str, ...], tuple[str, ...]] | None:
     """Rows of a printed table, by the keys and with the columns of a page; None if not printed."""
     count = len(next(iter(keys(said))))
-    for table in tables(text):
-        at = places(said.head, table.head)
+    for plain, shown in zip(tables(text), tables(text, kept), strict=True):
+        at = places(said.head, plain.head)
         if at is not None:
-            rows = [tuple(row[i] for i in at) for row in table.rows]
-            return {row[:count]: row for row in rows}
+            rows = zip(plain.rows, shown.rows, strict=True)
+            return {tuple(a[i] for i in at[:count]): tuple(b[i] for i in at) for a, b in rows}
     return None
 
 
