@@ -108,15 +108,15 @@ def stated(root: Path) -> list[Stated]:
 
 
 def draws(command: str) -> int:
-    """How many draws a command makes; 0 where it has no seeds."""
+    """How many draws of each kind a command makes, at the least; 0 where it has no seeds."""
     words = shlex.split(command)
-    numbers = [0]
+    numbers = []
     for option, value in pairwise(words):
         if option in COUNTS and value.isdigit():
             numbers.append(int(value))
         elif option == "--seeds":
             numbers.append(len(range(*map(int, value.split(":")))))
-    return max(numbers)
+    return min(numbers, default=0)
 
 
 def one_draw(command: str, number: int) -> list[str]:
