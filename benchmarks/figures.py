@@ -282,7 +282,8 @@ def replaced(
     match = next(m for m in MARKED.finditer(text) if text.count("\n", 0, m.start()) + 1 == one.line)
     lines = match["table"].splitlines(keepends=True)
     yield text[: match.start()]
-    yield f"<!-- figures: {one.command} · {date.today()} · {commit} -->\n"
+    why = f" · {one.why}" if one.why else ""
+    yield f"<!-- figures: {one.command} · {date.today()} · {commit}{why} -->\n"
     yield from lines[:2]
     for key, line in zip(keys(one.table), lines[2:], strict=True):
         if key not in fresh:

@@ -11,6 +11,7 @@ geometry: from where on a pole that stands on the ground is in view down to its 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import NamedTuple
@@ -90,13 +91,16 @@ def row(arrangement: str, runs: list[Run]) -> str:
     """One line of a site's table; errors are of what was answered."""
     kept = [run for run in runs if np.isfinite(run.made)]
     ok = sum(run.status == "ok" for run in kept)
+    codes = Counter(run.status for run in runs if not np.isfinite(run.made))
     made = 100 * np.array([run.made for run in kept] or [np.nan])
     predicted = 100 * np.median([run.predicted for run in kept] or [np.nan])
     worst = max(kept, key=lambda run: run.made, default=Run("", np.nan, np.nan))
     return (
         f"| {arrangement} | {len(runs)} | {ok} | {len(kept) - ok} | {len(runs) - len(kept)} | "
         f"{np.median(made):.1f} cm | {made.max():.1f} cm | {worst.status} | "
-        f"{100 * worst.predicted:.1f} cm | {predicted:.1f} cm |"
+        f"{100 * worst.predicted:.1f} cm | {predicted:.1f} cm | "
+        + ", ".join(f"{code} {n}" for code, n in codes.most_common())
+        + " |"
     )
 
 
@@ -114,9 +118,8 @@ def main() -> None:
         if seeds and arrangement == next(iter(ARRANGEMENTS)):
             print(
                 f"\n| poles, {site} | runs | ok | warn | refused | error made at 30 m, median | "
-                "largest | its verdict | predicted of it | predicted, median |\n"
-                + "| --- " * 10
-                + "|"
+                "largest | its verdict | predicted of it | predicted, median | "
+                "refused for |\n" + "| --- " * 11 + "|"
             )
         if seeds:
             print(row(arrangement, runs[k * len(seeds) : (k + 1) * len(seeds)]))
