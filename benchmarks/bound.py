@@ -300,16 +300,18 @@ def along_beams(exact: tuple[Beams, Beams], noisy: tuple[Beams, Beams]) -> tuple
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--setups", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.setups)
     print(f"| noise, 6 mm | poles | e_rt m | {' | '.join(COLUMNS)} |")
     print("| --- " * (3 + len(COLUMNS)) + "|")
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         for noise in NOISE_KINDS:
             for length in POLE_LENGTHS:
                 trials = 1 if noise == "none" else arguments.trials
-                jobs = [(seed, noise, length, trials) for seed in range(arguments.setups)]
+                jobs = [(seed, noise, length, trials) for seed in seeds]
                 errors = np.concatenate(list(pool.map(run, jobs, chunksize=4)))
                 refused = ~np.isfinite(errors).all(axis=1)
                 start = f"| {noise} | {length:g} m |"

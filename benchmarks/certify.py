@@ -177,9 +177,10 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         for outcome in pool.map(run, jobs, chunksize=4):
             outcomes.setdefault(outcome.group, []).append(outcome)
+    named = "error of the source" if outcomes.keys() <= set(FAULTS) else "LiDARs"
     print(
-        "| family or fault | tested | fail | by a distance | by the variances | refused | "
-        "median 1 σ of Δ | largest Δ / σ: median | 95 % |"
+        f"| {named} | tested | fail | by a distance | by the variances | refused | "
+        "1 σ of Δ, median | largest Δ / σ, median | 95 % |"
     )
     print("| --- " * 9 + "|")
     for group, every in outcomes.items():

@@ -264,7 +264,8 @@ def groups_of(rows: list[Row], wheres: list[str]) -> Iterator[tuple[str, str, st
 
 def table(rows: list[Row], wheres: list[str]) -> None:
     print(
-        "\n| recorded again | poles | where | runs | same | within more than 0.3°, 3 cm | ", end=""
+        "\n| recorded again | poles | where | runs | same | of these within more than 0.3°, 3 cm",
+        end=" | ",
     )
     print("moved | cannot tell | χ²: median, 95 %, largest |\n" + "| --- " * 9 + "|")
     for kind, poles, where, group in groups_of(rows, wheres):

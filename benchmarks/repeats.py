@@ -51,14 +51,16 @@ def run(job: tuple[str, int]) -> tuple[float, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
     print(
         "| poles alone | runs | median e_rt m, one | all | ratio |\n| --- | --- | --- | --- | --- |"
     )
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         for kind, name in (("placements", "four placements"), ("frames", "ten frames, noise only")):
-            jobs = [(kind, seed) for seed in range(arguments.seeds)]
+            jobs = [(kind, seed) for seed in seeds]
             errors = np.array(list(pool.map(run, jobs)))
             errors = errors[np.isfinite(errors).all(axis=1)]
             one, every = np.median(errors, axis=0)

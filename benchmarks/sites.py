@@ -45,7 +45,7 @@ SITES = {
     "truck": Site("street", "XT32", "PandarQT"),
     "robot": Site("corridor", "VLP-16", "VLP-16"),
 }
-ARRANGEMENTS = {"2 poles": (2, 1), "3 poles": (3, 1), "2 poles, placed twice": (2, 2)}
+ARRANGEMENTS = {"2": (2, 1), "3": (3, 1), "2, placed twice": (2, 2)}
 """Number of poles, and of placements."""
 
 
@@ -87,18 +87,20 @@ def run(job: tuple[str, str, int]) -> Run:
     return Run(answer.status, predicted, made)
 
 
-def row(site: str, arrangement: str, runs: list[Run]) -> str:
-    """One line of the first table; errors are medians over what was answered."""
+def row(arrangement: str, runs: list[Run]) -> str:
+    """One line of a site's table; errors are of what was answered."""
     kept = [run for run in runs if np.isfinite(run.made)]
-    codes = Counter(run.status for run in runs if not np.isfinite(run.made))
-    predicted, made = (100 * np.median([run[k] for run in kept] or [np.nan]) for k in (1, 2))
-    worst = max(kept, key=lambda run: run.made, default=Run("", np.nan, np.nan))
-    refused = ", ".join(f"{code} {n}" for code, n in codes.most_common())
     ok = sum(run.status == "ok" for run in kept)
+    codes = Counter(run.status for run in runs if not np.isfinite(run.made))
+    made = 100 * np.array([run.made for run in kept] or [np.nan])
+    predicted = 100 * np.median([run.predicted for run in kept] or [np.nan])
+    worst = max(kept, key=lambda run: run.made, default=Run("", np.nan, np.nan))
     return (
-        f"| {site} | {SITES[site].target}, {SITES[site].source} | {arrangement} | {len(runs)} | "
-        f"{ok} | {len(kept) - ok} | {refused} | {predicted:.1f} | {made:.1f} | "
-        f"{100 * worst.made:.1f}, {worst.status}, {100 * worst.predicted:.1f} |"
+        f"| {arrangement} | {len(runs)} | {ok} | {len(kept) - ok} | {len(runs) - len(kept)} | "
+        f"{np.median(made):.1f} cm | {made.max():.1f} cm | {worst.status} | "
+        f"{100 * worst.predicted:.1f} cm | {predicted:.1f} cm | "
+        + ", ".join(f"{code} {n}" for code, n in codes.most_common())
+        + " |"
     )
 
 
@@ -110,17 +112,20 @@ def main() -> None:
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     rows = [(site, arrangement) for site in SITES for arrangement in ARRANGEMENTS]
-    print(
-        "| site | LiDARs | poles | runs | ok | warn | refused | predicted at 30 m, median cm | "
-        "made, median cm | largest made cm, its verdict, predicted cm |\n" + "| --- " * 10 + "|"
-    )
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         runs = list(pool.map(run, [(*own, seed) for own in rows for seed in seeds]))
-    for k, own in enumerate(rows):
-        print(row(*own, runs[k * len(seeds) : (k + 1) * len(seeds)]))
+    for k, (site, arrangement) in enumerate(rows):
+        if seeds and arrangement == next(iter(ARRANGEMENTS)):
+            print(
+                f"\n| poles, {site} | runs | ok | warn | refused | error made at 30 m, median | "
+                "largest | its verdict | predicted of it | predicted, median | "
+                "refused for |\n" + "| --- " * 11 + "|"
+            )
+        if seeds:
+            print(row(arrangement, runs[k * len(seeds) : (k + 1) * len(seeds)]))
     print(
         "\n| LiDAR, level | lowest beam | "
-        + " | ".join(f"foot in view from, {height:g} m up" for height in HEIGHTS)
+        + " | ".join(f"{height:g} m up" for height in HEIGHTS)
         + " |\n"
         + "| --- " * (len(HEIGHTS) + 2)
         + "|"
@@ -130,7 +135,7 @@ def main() -> None:
         if low >= 0.0:
             continue
         nearest = " | ".join(f"{height / np.tan(-low):.1f} m" for height in HEIGHTS)
-        print(f"| {sensor.name} | {np.degrees(low):.1f}° | {nearest} |")
+        print(f"| {sensor.name} | {np.degrees(low):.3g}° | {nearest} |")
 
 
 if __name__ == "__main__":

@@ -87,7 +87,10 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="*", choices=list(KINDS), default=list(KINDS))
     options = parser.parse_args()
     first, end = map(int, options.seeds.split(":"))
-    header = "coordinates", "pairs", "answered", "named", "refused otherwise", "named of one cloud"
+    header = (
+        *("coordinates", "pairs", "answered", "`calibrate` names", "refused otherwise"),
+        *("clouds", "`info` names"),
+    )
     print("| " + " | ".join(header) + " |\n" + "| --- " * len(header) + "|")
     for kind in options.kinds:
         answered = 0
@@ -101,10 +104,13 @@ def main() -> None:
                 named[unit] += 1
             elif code != "answered":
                 other[code] += 1
-        counts = (
-            ", ".join(f"{k}: {n}" for k, n in each.most_common()) for each in (named, other, alone)
-        )
-        print("|", " | ".join([kind, str(end - first), str(answered), *counts]), "|", flush=True)
+        said = [
+            ", ".join(f"{words} {n}" for words, n in each.most_common())
+            for each in (named, other, alone)
+        ]
+        pairs = end - first
+        cells = kind, pairs, answered, said[0], said[1], 2 * pairs, said[2]
+        print("|", " | ".join(map(str, cells)), "|", flush=True)
 
 
 if __name__ == "__main__":

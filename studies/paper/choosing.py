@@ -37,7 +37,7 @@ RULES: dict[str, Callable[[Hypothesis], float]] = {
     "paper: least e_r": lambda h: np.inf if h.icp_rotation is None else h.icp_rotation,
     "paper: least e_t": lambda h: np.inf if h.icp_translation is None else h.icp_translation,
     "overlap": lambda h: -h.overlap,
-    "free space": lambda h: h.free_space_violation,
+    "free-space violation": lambda h: h.free_space_violation,
     "score": lambda h: -h.score,
 }
 """What each rule minimises: it chooses the hypothesis that has the least of it. The paper's are

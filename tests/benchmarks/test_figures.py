@@ -1,0 +1,142 @@
+"""A figure of a page that is not what its command prints is named."""
+
+import re
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.figures_compare import Table, compare, position, tables
+from tests.paths import ROOT
+
+HEAD = "| kind | runs | right | e_rt m, median | largest |\n| --- | --- | --- | --- | --- |\n"
+RIGHT, MEDIAN = 0.9, 0.02
+"""Of the process that these tables are drawn from."""
+
+
+def figures(*options: str, timeout: float | None = None) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, str(ROOT / "benchmarks/figures.py"), *options]
+    return subprocess.run(words, capture_output=True, text=True, timeout=timeout)
+
+
+def copied(folder: Path, old: str = "", new: str = "") -> Path:
+    """A copy of a page whose table has no chance, one cell of it altered."""
+    (folder / "docs").mkdir()
+    (folder / "README.md").write_text("")
+    page = (ROOT / "docs/lamppost.md").read_text(encoding="utf-8")
+    assert old in page
+    (folder / "docs/lamppost.md").write_text(page.replace(old, new), encoding="utf-8")
+    return folder
+
+
+def drawn(rng: np.random.Generator, runs: int) -> str:
+    """A table of so many runs, as a benchmark prints it."""
+    values = MEDIAN * np.exp(rng.normal(size=runs))
+    right = int((rng.random(runs) < RIGHT).sum())
+    return HEAD + f"| a | {runs} | {right} | {np.median(values):.4f} | {values.max():.4f} |\n"
+
+
+def test_an_altered_cell_is_named(tmp_path: Path) -> None:
+    root = copied(tmp_path, "| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
+    done = figures("--share", "0.05", "--root", str(root))
+    assert done.returncode == 1, done.stderr
+    assert "docs/lamppost.md:17, row 'XT32', column '3 m up': said 10.6 m, measured 10.5 m" in (
+        done.stdout
+    )
+    assert "24 figures, 1 differ" in done.stdout
+
+
+def test_a_page_as_it_is_passes(tmp_path: Path) -> None:
+    done = figures("--share", "0.05", "--root", str(copied(tmp_path)))
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_written_tables_hold_what_is_printed(tmp_path: Path) -> None:
+    root = copied(tmp_path, "| 7.0 m | 10.5 m |", "| 7.0 m | 10.6 m |")
+    subprocess.run(["git", "init", "-q"], cwd=root, check=True)
+    identity = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    commit = ("commit", "-q", "--allow-empty", "-m", "a")
+    subprocess.run(["git", *identity, *commit], cwd=root, check=True)
+    assert figures("--write", "--root", str(root)).returncode == 0
+    page = (ROOT / "docs/lamppost.md").read_text(encoding="utf-8")
+    written = (root / "docs/lamppost.md").read_text(encoding="utf-8")
+    assert tables(written) == tables(page)
+
+
+def test_draws_of_the_same_process_are_rarely_beyond_chance() -> None:
+    """The probabilities are such: below p no more often than p."""
+    rng = np.random.default_rng(0)
+    least = []
+    for _ in range(400):
+        (said,) = tables(drawn(rng, 40))
+        cells = compare(said, [drawn(rng, 1) for _ in range(10)], 40)
+        assert cells is not None
+        assert [cell.column for cell in cells] == ["right", "e_rt m, median", "largest"]
+        least += [cell.probability for cell in cells]
+    for level in (0.01, 0.05, 0.2):
+        room = 4.0 * np.sqrt(level * (1 - level) / len(least))
+        assert np.mean(np.array(least) < level) < level + room
+
+
+@pytest.mark.parametrize(
+    ("column", "cell"), [("right", "8"), ("e_rt m, median", "0.0020"), ("largest", "0.0010")]
+)
+def test_what_differs_by_more_than_chance_is_improbable(column: str, cell: str) -> None:
+    rng = np.random.default_rng(1)
+    (said,) = tables(drawn(rng, 40))
+    row = list(said.rows[0])
+    row[said.head.index(column)] = cell
+    cells = compare(Table(said.head, [tuple(row)]), [drawn(rng, 1) for _ in range(20)], 40)
+    assert cells is not None
+    assert [one.column for one in cells if one.probability < 1e-4] == [column]
+
+
+def test_a_median_of_many_is_a_sign_test() -> None:
+    """All of n on one side of a known median: 2 of 2ⁿ."""
+    assert position(0.0, [1.0] * 10, 0.5, 10**9) == pytest.approx(2.0**-9, rel=1e-3)
+
+
+def test_a_table_that_is_not_printed_is_no_agreement() -> None:
+    (said,) = tables(drawn(np.random.default_rng(2), 5))
+    assert compare(said, ["nothing"], 5) is None
+    assert compare(said, [drawn(np.random.default_rng(2), 1).replace("| a |", "| b |")], 5) is None
+
+
+def test_figures_of_today_hold() -> None:
+    """A part of the tables each day, so that one that has gone stale is found within a month.
+
+    With unchanged code this cannot fail by chance: the draws are the same every time.
+    """
+    today = str(datetime.now(UTC).day)
+    try:
+        done = figures("--part", today, "--seconds", "15", "--alarm", "0.001", timeout=100.0)
+    except subprocess.TimeoutExpired:
+        pytest.skip("this machine is too slow")
+    if done.stdout.startswith("no table"):
+        pytest.skip("no table has this day")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_mark_is_read() -> None:
+    """A mark that is written otherwise would leave its table out, and nobody would know."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    marks = sum(page.read_text(encoding="utf-8").count("figures: python ") for page in pages)
+    done = figures()
+    assert done.returncode == 0, done.stderr
+    assert f"{marks} tables, " in done.stdout
+    scripts = set(re.findall(r"python (benchmarks/\w+\.py)", done.stdout))
+    assert scripts
+    assert all((ROOT / script).is_file() for script in scripts)
+
+
+def test_the_readme_says_what_the_comparison_says() -> None:
+    """Right, wrong and refused of each method, in %; names and rounding of errors differ."""
+    (readme,) = [
+        t for t in tables((ROOT / "README.md").read_text(encoding="utf-8")) if t.head[0] == "method"
+    ]
+    page = tables((ROOT / "docs/compare.md").read_text(encoding="utf-8"))
+    (compared,) = [t for t in page if t.head[:2] == ("method", "runs")]
+    assert sorted(row[1:4] for row in readme.rows) == sorted(row[2:5] for row in compared.rows)
