@@ -113,11 +113,17 @@ def displacement(steps: Array, distance: float) -> Array:
         ``√(δ∥² + (distance |φ| + δ⊥)²)`` with δ's parts along φ and across. It grows with the
         distance, so that no nearer point is moved further.
     """
+    along, across, turned = _parts(steps)
+    return np.asarray(np.hypot(along, distance * turned + across))
+
+
+def _parts(steps: Array) -> tuple[Array, Array, Array]:
+    """``δ∥``, ``δ⊥`` and ``|φ|`` of `displacement`, (...) each."""
     phi, delta = steps[..., :3], steps[..., 3:]
     turned = np.linalg.norm(phi, axis=-1)
     along = np.sum(phi * delta, axis=-1) / np.maximum(turned, np.finfo(float).tiny)
     across = np.sqrt(np.maximum(np.sum(delta**2, axis=-1) - along**2, 0.0))
-    return np.asarray(np.hypot(along, distance * turned + across))
+    return along, across, turned
 
 
 def displacements(covariance: Array, distance: float) -> Array:
@@ -164,8 +170,9 @@ def displacement_bounds(
     covariance: Array, distances: Sequence[float], probability: float = CONFIDENCE
 ) -> Array:
     """Bound as `displacement_bound` does at several distances (K,): (K,) metres, of equal draws."""
-    steps = _drawn(covariance)
-    return np.array([np.quantile(displacement(steps, each), probability) for each in distances])
+    along, across, turned = _parts(_drawn(covariance))
+    squares = (along**2 + (each * turned + across) ** 2 for each in distances)
+    return np.sqrt([np.quantile(each, probability) for each in squares])
 
 
 def is_surely_met(covariance: Array, need: Need) -> bool:
