@@ -12,6 +12,7 @@ one process, runs share the machine, and wall times are longer than those of a s
     python benchmarks/rivals.py --seeds 25
     python benchmarks/rivals.py --seeds 3 --scenes corridor street harbor --methods poles+scene kiss
     python benchmarks/rivals.py --seeds 10 --scenes street --sensors VLP-16:VLP-16 Pandar64:OS1
+    python benchmarks/rivals.py --seeds 34 --scenes street --methods kiss kiss+count
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ from retropole.base.datatypes import Array, PointCloud
 from retropole.base.errors import Refusal
 from retropole.evaluation.metrics import Errors, errors_of
 from retropole.evaluation.rivals import ALL_METHODS, RIVALS, load_rival, missing_extra
+from retropole.evaluation.rivals.fpfh import fpfh_ransac
+from retropole.evaluation.rivals.kiss import kiss_matcher
 from retropole.pipeline import calibrate
+from retropole.scene.consistency import consistency, standing_in
 from retropole.simulation import simulate_pair
 
 SUCCESS_M = 0.1
@@ -85,8 +89,31 @@ class Run:
         return self.degrees > WRONG_DEG or self.metres > WRONG_M
 
 
+COUNTED = {"kiss+count": kiss_matcher, "fpfh+count": fpfh_ransac}
+"""Rivals at each of `COUNTED_VOXELS`, and the answer that our count of the scene finds best."""
+
+COUNTED_VOXELS = (0.5, 0.7, 1.0)
+"""Metres."""
+
+
+def best_by_count(method: str, target: PointCloud, source: PointCloud) -> Array:
+    """Run a rival at each voxel, and take the answer that most agrees less what conflicts with."""
+    found, rng = [], np.random.default_rng(0)
+    for voxel in COUNTED_VOXELS:
+        with contextlib.suppress(Refusal):
+            found.append(COUNTED[method](target, source, rng, (voxel,)).T_target_source)
+    if not found:
+        raise Refusal("unmatched", "no voxel gives an answer")
+    standing = standing_in(target, rng), standing_in(source, rng)
+    counts = [consistency(*standing, T) for T in found]
+    best = max(range(len(found)), key=lambda k: counts[k].agreeing - counts[k].contradicting)
+    return found[best]
+
+
 def answer(method: str, target: PointCloud, source: PointCloud) -> Array:
     """Run one method; raises Refusal where it has no answer."""
+    if method in COUNTED:
+        return best_by_count(method, target, source)
     if method in RIVALS:
         return load_rival(method)(target, source, np.random.default_rng(0)).T_target_source
     found = calibrate(target, source, scene=method != "poles")
@@ -124,9 +151,10 @@ class Timed(NamedTuple):
 
 
 def timed(method: str, target: PointCloud, source: PointCloud) -> Timed:
-    if method in RIVALS:
-        load_rival(method)
-        extra = RIVALS[method].extra
+    rival = method.removesuffix("+count")
+    if rival in RIVALS:
+        load_rival(rival)
+        extra = RIVALS[rival].extra
         if extra is not None:
             importlib.import_module(extra.module)
     reset_peak()
@@ -236,10 +264,12 @@ def compare_times(ours: Sequence[Run], rival: Sequence[Run]) -> None:
 
 
 def installed(names: Sequence[str]) -> list[str]:
-    unknown = [name for name in names if name not in ALL_METHODS]
+    every = (*ALL_METHODS, *COUNTED)
+    unknown = [name for name in names if name not in every]
     if unknown:
-        raise SystemExit(f"no method is called {unknown[0]!r}; there are {', '.join(ALL_METHODS)}")
-    missing = {name: missing_extra(name) for name in names if name in RIVALS}
+        raise SystemExit(f"no method is called {unknown[0]!r}; there are {', '.join(every)}")
+    rivals = {name: name.removesuffix("+count") for name in names}
+    missing = {name: missing_extra(rival) for name, rival in rivals.items() if rival in RIVALS}
     for name, extra in missing.items():
         if extra is not None:
             print(f"{name} is left out: pip install 'retropole[{extra}]'", file=sys.stderr)

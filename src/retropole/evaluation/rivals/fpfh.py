@@ -9,6 +9,7 @@ is taken.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,7 +55,12 @@ class Matched(NamedTuple):
     fitness: float
 
 
-def fpfh_ransac(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
+def fpfh_ransac(
+    target: PointCloud,
+    source: PointCloud,
+    rng: np.random.Generator,
+    voxels: Sequence[float] = FPFH_VOXELS,
+) -> PoseEstimate:
     """Match FPFH features by RANSAC at several voxels, and refine by GICP.
 
     Parameters
@@ -63,6 +69,8 @@ def fpfh_ransac(target: PointCloud, source: PointCloud, rng: np.random.Generator
         Clouds, each in its own frame. Intensities are not used.
     rng
         Seeds Open3D's own generator; with more than one thread its draws still vary.
+    voxels
+        To try, metres.
 
     Raises
     ------
@@ -78,7 +86,7 @@ def fpfh_ransac(target: PointCloud, source: PointCloud, rng: np.random.Generator
         raise MissingExtraError("open3d", "the rival FPFH with RANSAC") from error
 
     open3d.utility.random.seed(int(rng.integers(2**31)))
-    found = [_matched(open3d, target, source, voxel) for voxel in FPFH_VOXELS]
+    found = [_matched(open3d, target, source, voxel) for voxel in voxels]
     fit = max(each.fitness for each in found)
     starts = [each.start for each in found if each.fitness >= MIN_FITNESS]
     if not starts:

@@ -8,6 +8,7 @@ inliers chooses. GICP refines its answer. The answer differs a little from run t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -37,7 +38,12 @@ class Matched(NamedTuple):
     inliers: int
 
 
-def kiss_matcher(target: PointCloud, source: PointCloud, rng: np.random.Generator) -> PoseEstimate:
+def kiss_matcher(
+    target: PointCloud,
+    source: PointCloud,
+    rng: np.random.Generator,
+    voxels: Sequence[float] = KISS_VOXELS,
+) -> PoseEstimate:
     """Match the clouds by KISS-Matcher with the best of several voxels, and refine by GICP.
 
     Its other settings are its own defaults.
@@ -48,6 +54,8 @@ def kiss_matcher(target: PointCloud, source: PointCloud, rng: np.random.Generato
         Clouds, each in its own frame. Intensities are not used.
     rng
         Not used: KISS-Matcher draws by itself.
+    voxels
+        To try, metres.
 
     Raises
     ------
@@ -68,7 +76,7 @@ def kiss_matcher(target: PointCloud, source: PointCloud, rng: np.random.Generato
             f"clouds of {len(target)} and {len(source)} points, {MIN_CLOUD_POINTS} are needed each",
             {"target": len(target), "source": len(source), "needed": MIN_CLOUD_POINTS},
         )
-    best = best_match(matching, target, source)
+    best = best_match(matching, target, source, voxels)
     if best.inliers < MIN_INLIERS:
         raise Refusal(
             "unmatched",
@@ -79,7 +87,12 @@ def kiss_matcher(target: PointCloud, source: PointCloud, rng: np.random.Generato
     return register_clouds(target, source, [best.start])
 
 
-def best_match(matching: Any, target: PointCloud, source: PointCloud) -> Matched:
+def best_match(
+    matching: Any,
+    target: PointCloud,
+    source: PointCloud,
+    voxels: Sequence[float] = KISS_VOXELS,
+) -> Matched:
     """Try the voxels until one has enough inliers; else take the one with the most.
 
     Parameters
@@ -88,6 +101,8 @@ def best_match(matching: Any, target: PointCloud, source: PointCloud) -> Matched
         The module ``kiss_matcher``.
     target, source
         Clouds, each in its own frame.
+    voxels
+        To try, metres.
 
     Returns
     -------
@@ -96,7 +111,7 @@ def best_match(matching: Any, target: PointCloud, source: PointCloud) -> Matched
     """
     clouds = source.xyz.astype(np.float32), target.xyz.astype(np.float32)
     best = Matched(np.eye(4), 0)
-    for voxel in KISS_VOXELS:
+    for voxel in voxels:
         matcher = matching.KISSMatcher(matching.KISSMatcherConfig(voxel))
         found = matcher.estimate(*clouds)
         T = se3.from_rt(
