@@ -11,7 +11,8 @@ from retropole.base import se3
 from retropole.base.datatypes import PointCloud
 from retropole.base.errors import Refusal
 from retropole.base.sensors import SENSORS
-from retropole.extraction.sensor_pattern import check_sensor, sensor_doubt
+from retropole.base.systematic import SPINNING_BEND, Sizes, sizes_of
+from retropole.extraction.sensor_pattern import check_sensor, error_sizes, sensor_doubt
 
 WRONG = [
     ("VLP-16", "HDL-32E"),  # rings higher than it sees
@@ -85,3 +86,31 @@ def test_without_rings_what_the_sensor_does_not_see_is_doubted() -> None:
     check_sensor(cloud, SENSORS["VLP-16"])
     doubt = sensor_doubt(cloud, SENSORS["VLP-16"])
     assert "outside of what the VLP-16 sees (-15.0° to 15.0°)" in doubt
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_rings_that_are_cones_say_that_a_lidar_spins(name: str) -> None:
+    cloud, sensor = cloud_of(name), SENSORS[name]
+    bend = SPINNING_BEND if sensor.pattern == "spinning" else Sizes().bend
+    assert error_sizes(cloud, None) == replace(Sizes(), bend=bend)
+    # In any frame, if where its beams start is known, and in no other.
+    T = se3.random(np.random.default_rng(4))
+    moved = replace(cloud, xyz=se3.apply(T, cloud.xyz))
+    seen = replace(moved, origin=T[:3, 3], axis=T[:3, :3] @ cloud.axis)
+    assert error_sizes(seen, None) == error_sizes(cloud, None)
+    assert error_sizes(moved, None) == Sizes()
+    assert error_sizes(replace(cloud, ring=None), None) == Sizes()
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_what_is_stated_of_a_named_sensor_counts_whatever_its_rings_are(name: str) -> None:
+    for cloud in (cloud_of(name), cloud_of("Mid-360")):
+        assert error_sizes(cloud, SENSORS[name]) == sizes_of(SENSORS[name])
+
+
+def test_bent_lines_are_no_cones() -> None:
+    cloud = cloud_of("XT32")
+    azimuth = np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])
+    up = np.zeros_like(cloud.xyz)
+    up[:, 2] = np.linalg.norm(cloud.xyz, axis=1) * np.radians(1.0) * np.cos(2 * azimuth)
+    assert error_sizes(replace(cloud, xyz=cloud.xyz + up), None) == Sizes()

@@ -7,6 +7,7 @@ less of the field of view, since it was cropped or nothing was there.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..base.datatypes import Array, BoolArray, PointCloud
 from ..base.errors import Refusal
 from ..base.quantities import counted
 from ..base.sensors import Sensor
+from ..base.systematic import SPINNING_BEND, Sizes, sizes_of
 from ..io.recognition import MIN_RING_POINTS, guess_sensors
 from ..io.rings import MAX_RING_SPREAD, RING_SAMPLE, elevations, ring_spread
 
@@ -29,6 +31,11 @@ beams start in one point."""
 
 MOST_LINES = 8
 """A LiDAR without rings has no more lasers that its driver may number instead: a Mid-360 has 4."""
+
+MAX_CONE_SPREAD = float(np.radians(0.1))
+"""Half of the points of a ring lie within this of one elevation, rad, where a LiDAR turns about one
+axis: its rings are cones. Offsets of the lasers from the axis make up to 0.05° of it, and lines
+that a mirror or a lens bends are off by degrees."""
 
 FEWEST_POINTS = 1000
 """Of fewer points without rings none are doubted: a cloud cropped to its poles shows no field of
@@ -75,6 +82,30 @@ def check_sensor(cloud: PointCloud, sensor: Sensor | None) -> None:
             f"rings from {low:.1f}° to {high:.1f}°, the {sensor.name} sees from {_span(sensor)}",
             {"sensor": sensor.name, "lowest_deg": float(low), "highest_deg": float(high)},
         )
+
+
+def error_sizes(cloud: PointCloud, sensor: Sensor | None) -> Sizes:
+    """Give the sizes of the errors of the LiDAR that recorded a cloud.
+
+    Of one that was not named and whose rings are cones, scan lines bend as little as of any that
+    spins.
+
+    Parameters
+    ----------
+    cloud
+        With rings that are rings, or none, and the beam origin and axis that they tell.
+    sensor
+        What was named; None is any.
+    """
+    sizes = sizes_of(sensor)
+    return replace(sizes, bend=SPINNING_BEND) if sensor is None and _spins(cloud) else sizes
+
+
+def _spins(cloud: PointCloud) -> bool:
+    """Whether the rings of a cloud are the cones of a LiDAR that turns about one axis."""
+    if cloud.ring is None or ring_spread(cloud) > MAX_CONE_SPREAD:
+        return False
+    return len(np.unique(cloud.ring)) > MOST_LINES
 
 
 def sensor_doubt(cloud: PointCloud, sensor: Sensor | None) -> str:

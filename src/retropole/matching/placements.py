@@ -16,7 +16,7 @@ from ..alignment.observations import beams_of
 from ..base import se3
 from ..base.datatypes import Array, Hypothesis, Match, Placement, PointCloud, Pole
 from ..base.errors import Refusal
-from ..base.systematic import sizes_of
+from ..extraction.sensor_pattern import error_sizes
 from .budget import NOTHING, Tried
 
 AGREE_ANGLE, AGREE_DISTANCE = np.radians(4.0), 0.4
@@ -177,13 +177,14 @@ def align(
     target = [(pole, each.placement.target.cloud) for each in paired for pole in each.target_poles]
     source = [(pole, each.placement.source.cloud) for each in paired for pole in each.source_poles]
     sensors = [scan.sensor for scan in paired[0].placement.scans]
+    first, second = (error_sizes(scan.cloud, scan.sensor) for scan in paired[0].placement.scans)
     return align_beams(
         beams_of(target, sensors[0]),
         beams_of(source, sensors[1]),
         T_start,
         radius=radius,
         radius_sigma=radius_sigma,
-        sizes=(sizes_of(sensors[0]), sizes_of(sensors[1])),
+        sizes=(first, second),
         placement=np.repeat(np.arange(len(paired)), [len(each.target_poles) for each in paired]),
     )
 

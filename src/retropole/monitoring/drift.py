@@ -19,9 +19,10 @@ from ..base import se3
 from ..base.datatypes import DEFAULT_RADIUS, Calibration, PointCloud, PoseEstimate
 from ..base.errors import Reason, Refusal, UsageError
 from ..base.sensors import Sensor
-from ..base.systematic import ErrorModel, sizes_of
+from ..base.systematic import ErrorModel
 from ..base.uncertainty import Uncertainty
 from ..base.uncertainty.confirmation import Confirmation
+from ..extraction.sensor_pattern import error_sizes
 from ..pipeline import calibrate
 from ..scene.confirmation import MAX_CONFLICTING, count, is_in_conflict, scenes_of
 from ..scene.preference import preferences
@@ -145,7 +146,8 @@ def _is_off(answer: CheckResult) -> bool:
 def _tested(question: _Question, clouds: Clouds, new: NewPose) -> CheckResult:
     """Test the pose that the poles give, or else the scene, against the stored one."""
     stored, sensors = question.stored, question.sensors
-    model = ErrorModel((sizes_of(sensors[0]), sizes_of(sensors[1])))
+    sizes = error_sizes(clouds.target, sensors[0]), error_sizes(clouds.source, sensors[1])
+    model = ErrorModel(sizes)
     reasons, found = new.reasons, None
     if new.pose is not None:
         answer = _compared(question, new, "poles", reasons)

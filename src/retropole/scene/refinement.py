@@ -27,8 +27,9 @@ from ..alignment.factor import PoleFactor, gaussian_factor, poses_of_pair
 from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array, PointCloud, PoseEstimate
-from ..base.systematic import DEVICE_KINDS, ErrorModel, sizes_of
+from ..base.systematic import DEVICE_KINDS, ErrorModel
 from ..base.uncertainty import Uncertainty
+from ..extraction.sensor_pattern import error_sizes
 from ..matching.placements import PairedPlacement, merge_clouds
 from .decisive import Decisive, without_decisive
 from .descent import End, RefinementProblem, approach, converge, support_of
@@ -120,13 +121,13 @@ class Refinement:
 def refine_by_scene(paired: Sequence[PairedPlacement], aligned: BeamAlignment) -> Refinement | None:
     """Refine the poles' pose by the surfaces of all placements; None where there are too few."""
     targets, sources = zip(*(each.placement.scans for each in paired), strict=True)
-    sizes = sizes_of(targets[0].sensor), sizes_of(sources[0].sensor)
+    first, second = (error_sizes(scans[0].cloud, scans[0].sensor) for scans in (targets, sources))
     return refine(
         merge_clouds([scan.cloud for scan in targets]),
         merge_clouds([scan.cloud for scan in sources]),
         aligned.pose,
         factor=aligned.factor,
-        model=ErrorModel(sizes, aligned.radius.given_sigma),
+        model=ErrorModel((first, second), aligned.radius.given_sigma),
     )
 
 

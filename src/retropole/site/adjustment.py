@@ -25,7 +25,8 @@ from ..alignment.unknowns import POSE
 from ..base import se3
 from ..base.datatypes import Array
 from ..base.errors import Refusal
-from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes, sizes_of
+from ..base.systematic import MIN_ERROR_SIGMA, ErrorModel, Sizes
+from ..extraction.sensor_pattern import error_sizes
 from ..scene.descent import End, RefinementProblem, minimise
 from ..scene.patches import Patches
 from ..scene.places import parts_of
@@ -70,7 +71,10 @@ class Recorded:
     @property
     def sizes(self) -> tuple[Sizes, ...]:
         """Of the systematic errors of each LiDAR."""
-        return tuple(sizes_of(lidar.sensor) for lidar in self.site.lidars)
+        return tuple(
+            error_sizes(next(cloud for cloud in lidar.clouds if cloud is not None), lidar.sensor)
+            for lidar in self.site.lidars
+        )
 
 
 @dataclass(frozen=True, eq=False)
