@@ -96,7 +96,7 @@ def test_what_the_pages_show_can_be_typed() -> None:
     shown = [
         (page.name, shlex.split(words))
         for page in PAGES
-        for words in re.findall(r"python -m studies\.paper([^`\n#]*)", page.read_text("utf-8"))
+        for words in re.findall(r"python -m studies\.paper([^`\n#·]*)", page.read_text("utf-8"))
     ]
     assert len(shown) > 4
     parser = paper.make_parser(click.Context(paper))
