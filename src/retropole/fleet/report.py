@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from html import escape
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -31,18 +32,21 @@ MOST_FAILED = 500
 EXAMPLES = 3
 """So many sites are named for each reason."""
 
-FIRST: dict[Status, tuple[str, str]] = {
-    "refused": ("refused", "Refused"),
-    "error": ("errors", "Errors"),
-    "warn": ("warned", "With a warning"),
+
+class _Part(NamedTuple):
+    """A part of the page: where links find it, its title, and the caption of its table."""
+
+    name: str
+    title: str
+    caption: str
+
+
+FIRST: dict[Status, _Part] = {
+    "refused": _Part("refused", "Refused", "Sites that were refused"),
+    "error": _Part("errors", "Errors", "Sites that ended in an error"),
+    "warn": _Part("warned", "With a warning", "Sites with a warning"),
 }
 """The parts of the page with what needs action, in their order."""
-
-CAPTIONS: dict[Status, str] = {
-    "refused": "Sites that were refused",
-    "error": "Sites that ended in an error",
-    "warn": "Sites with a warning",
-}
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 
@@ -102,7 +106,7 @@ def render_fleet(overview: Overview, link: Callable[[Seen], str] = lambda site: 
     """
     link = cache(link)
     every = (
-        *((*part, _to_do(overview, status, link)) for status, part in FIRST.items()),
+        *((one.name, one.title, _to_do(overview, status, link)) for status, one in FIRST.items()),
         ("map", "Map", fleet_map(overview.sites, link)),
         ("reasons", "Reasons", _reasons(overview)),
         ("far", "Errors at 30 m", _far(overview)),
@@ -199,10 +203,10 @@ def _counts(overview: Overview) -> Html:
     waiting = [status for status in FIRST if status in overview.statuses]
     to_do = ""
     if waiting:
-        (name, title), count = FIRST[waiting[0]], sum(overview.statuses[s] for s in waiting)
+        first, count = FIRST[waiting[0]], sum(overview.statuses[s] for s in waiting)
         needs = "needs" if count == 1 else "need"
         said = f"{quantities.counted(count, 'site')} {needs} action"
-        to_do = fill("fleet-to-do", said=said, name=name, title=title)
+        to_do = fill("fleet-to-do", said=said, name=first.name, title=first.title)
     sites = quantities.counted(every, "site")
     return fill("fleet-counts", sites=sites, stated=stated, to_do=to_do, tiles=join(tiles))
 
@@ -277,7 +281,7 @@ def _to_do(overview: Overview, status: Status, link: Callable[[Seen], str]) -> H
     sites = [site for site in overview.sites if site.status == status]
     if not sites:
         return EMPTY
-    caption = CAPTIONS[status]
+    caption = FIRST[status].caption
     shown = sites[:MOST_FAILED]
     rows = [(*_said(site), _next(site)) for site in shown]
     links = [link(site) for site in shown]

@@ -176,15 +176,14 @@ def align(
     """Align the paired poles of all placements by where the beams can have met them."""
     target = [(pole, each.placement.target.cloud) for each in paired for pole in each.target_poles]
     source = [(pole, each.placement.source.cloud) for each in paired for pole in each.source_poles]
-    sensors = [scan.sensor for scan in paired[0].placement.scans]
-    first, second = (error_sizes(scan.cloud, scan.sensor) for scan in paired[0].placement.scans)
+    first, second = paired[0].placement.scans
     return align_beams(
-        beams_of(target, sensors[0]),
-        beams_of(source, sensors[1]),
+        beams_of(target, first.sensor),
+        beams_of(source, second.sensor),
         T_start,
         radius=radius,
         radius_sigma=radius_sigma,
-        sizes=(first, second),
+        sizes=(error_sizes(first.cloud, first.sensor), error_sizes(second.cloud, second.sensor)),
         placement=np.repeat(np.arange(len(paired)), [len(each.target_poles) for each in paired]),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -68,7 +69,7 @@ class Recorded:
     patches: Sequence[Patches | None]
     scenes: Sequence[ScenePair]
 
-    @property
+    @cached_property
     def sizes(self) -> tuple[Sizes, ...]:
         """Of the systematic errors of each LiDAR."""
         return tuple(

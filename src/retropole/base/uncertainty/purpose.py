@@ -113,8 +113,7 @@ def displacement(steps: Array, distance: float) -> Array:
         ``√(δ∥² + (distance |φ| + δ⊥)²)`` with δ's parts along φ and across. It grows with the
         distance, so that no nearer point is moved further.
     """
-    along, across, turned = _parts(steps)
-    return np.asarray(np.hypot(along, distance * turned + across))
+    return _moved(*_parts(steps), distance)
 
 
 def _parts(steps: Array) -> tuple[Array, Array, Array]:
@@ -124,6 +123,10 @@ def _parts(steps: Array) -> tuple[Array, Array, Array]:
     along = np.sum(phi * delta, axis=-1) / np.maximum(turned, np.finfo(float).tiny)
     across = np.sqrt(np.maximum(np.sum(delta**2, axis=-1) - along**2, 0.0))
     return along, across, turned
+
+
+def _moved(along: Array, across: Array, turned: Array, distance: float) -> Array:
+    return np.asarray(np.hypot(along, distance * turned + across))
 
 
 def displacements(covariance: Array, distance: float) -> Array:
@@ -170,9 +173,8 @@ def displacement_bounds(
     covariance: Array, distances: Sequence[float], probability: float = CONFIDENCE
 ) -> Array:
     """Bound as `displacement_bound` does at several distances (K,): (K,) metres, of equal draws."""
-    along, across, turned = _parts(_drawn(covariance))
-    squares = (along**2 + (each * turned + across) ** 2 for each in distances)
-    return np.sqrt([np.quantile(each, probability) for each in squares])
+    parts = _parts(_drawn(covariance))
+    return np.array([np.quantile(_moved(*parts, each), probability) for each in distances])
 
 
 def is_surely_met(covariance: Array, need: Need) -> bool:

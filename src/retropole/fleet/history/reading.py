@@ -257,7 +257,7 @@ def _files(folder: str) -> Iterator[str]:
 
 def tables_of(
     places: Iterable[str],
-    tell: Tell = _raise,
+    tell: Tell,
     columns: list[str] | None = None,
     gone: set[str] | None = None,
 ) -> Iterator[tuple[str, Any]]:
