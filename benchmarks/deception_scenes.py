@@ -18,6 +18,14 @@ from functools import partial
 
 import numpy as np
 
+from deception_one_pole import (
+    another_pole,
+    carried_from_post_to_post,
+    container_shoved,
+    turned_about_foot,
+    two_rows_of_posts,
+    upright_in_the_middle,
+)
 from deception_poles import (
     Drawn,
     carried_along,
@@ -55,7 +63,7 @@ from retropole.simulation.arrangement import rotated_by_180, symmetric_poles
 from retropole.simulation.scenes import METAL, SURROUNDINGS, Surroundings
 
 FEET_IN_METRES = 0.3048
-TWO, THREE = standing(2), standing(3)
+ONE, TWO, THREE = standing(1), standing(2), standing(3)
 
 
 @dataclass(frozen=True)
@@ -213,6 +221,27 @@ def _symmetric_poles(rng: np.random.Generator, clear: tuple[float, float]) -> li
 HONEST = {
     f"nothing wrong, {scene}": Kind(honest, scene=scene, at_once=True) for scene in SURROUNDINGS
 }
+ONE_POLE: dict[str, Kind] = {
+    "one pole, nothing wrong": Kind(honest, ONE, at_once=True),
+    "one pole, carried elsewhere": Kind(carried_elsewhere, ONE),
+    "one pole, carried along the place": Kind(carried_along, ONE),
+    "one pole, nudged": Kind(nudged, ONE),
+    "one pole, leaning another way": Kind(turned_about_foot, ONE),
+    "one pole, another one": Kind(another_pole, ONE),
+    "one pole, files of two places": Kind(other_place, ONE),
+    "one pole, one cloud mirrored": Kind(mirrored, ONE, at_once=True),
+    "one pole amid a symmetric place": Kind(
+        honest, upright_in_the_middle, symmetric_place, at_once=True
+    ),
+    "one pole amid a symmetric place with a box": Kind(
+        symmetric_with_a_box, upright_in_the_middle, symmetric_place, at_once=True
+    ),
+    "one pole between rows of posts": Kind(honest, ONE, two_rows_of_posts, at_once=True),
+    "one pole, carried from post to post": Kind(carried_from_post_to_post, ONE, two_rows_of_posts),
+    "one pole, a container shoved": Kind(container_shoved, ONE),
+    "one pole, 50 % outliers": Kind(half_outliers, ONE, at_once=True),
+    "one pole, LiDAR bumped while recording": Kind(bumped_while_recording, ONE),
+}
 KINDS: dict[str, Kind] = {
     "both poles carried elsewhere together": Kind(carried_elsewhere),
     "leaning pole turned about the upright one": Kind(turned_about_upright, upright_and_leaning),
@@ -239,5 +268,6 @@ KINDS: dict[str, Kind] = {
     "two placements mixed up": Kind(placements_mixed_up),
     "cropped, and poles carried": Kind(cropped_and_carried),
     **HONEST,
+    **ONE_POLE,
 }
 """Rows of the table by name: kinds of the same name draw the same."""

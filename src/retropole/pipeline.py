@@ -30,6 +30,7 @@ from .matching.prior import RotationPrior
 from .scene.agreement import check_contradiction, without_misplaced
 from .scene.choice import list_hypotheses, margin_of, take_by_hand
 from .scene.confirmation import check_confirmation, confirm
+from .scene.one_pole import check_held
 from .scene.preference import check_near_poles
 from .scene.refinement import Refinement, refine_by_scene
 from .scene.scans import find_poles
@@ -128,7 +129,11 @@ def calibrate(
         try:
             with step("check"):
                 check_poles(placements)
-            search = partial(choose_with_candidates, radius=radius) if candidates else choose
+            search = (
+                partial(choose_with_candidates, radius=radius, by_place=scene)
+                if candidates
+                else choose
+            )
             chosen = search(placements, step=step, count=poles, prior=prior)
             chosen = take_by_hand(chosen, by_hand)
             hypotheses = chosen.hypotheses
@@ -142,6 +147,7 @@ def calibrate(
                 placements = leave_one_out(paired, aligned, **known)
             with step("refine"):
                 refined = refine_by_scene(paired, aligned) if scene else None
+                check_held(paired, refined)
                 check_contradiction(refined)
                 check_near_poles(aligned, refined)
             with step("confirm"):

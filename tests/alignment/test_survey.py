@@ -6,6 +6,7 @@ import pytest
 from retropole.alignment.state import JointState
 from retropole.alignment.survey import (
     KnownPoint,
+    KnownPose,
     MeasuredUp,
     SeenPoint,
     Surveyed,
@@ -45,18 +46,21 @@ def everything(state: JointState, *, off: float, ends: bool = True) -> Surveyed:
         if i != q
     )
     up = state.T[1][:3, :3].T @ [0.0, 0.0, 1.0] + 0.1 * by()
-    return Surveyed(found, known, seen, (MeasuredUp("up of 1", 1, up / np.linalg.norm(up), 0.002),))
+    ups = (MeasuredUp("up of 1", 1, up / np.linalg.norm(up), 0.002),)
+    near = se3.retract(state.T[2], np.concatenate([by(), by()]))
+    sigma = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
+    return Surveyed(found, known, seen, ups, (KnownPose("pose of 2", 2, near, sigma),))
 
 
 def test_a_true_survey_leaves_no_residual() -> None:
     state = drawn()
     terms = list(survey_terms(state, everything(state, off=0.0)))
-    assert [len(term.residual) for term in terms] == [2, 2, 2, 3, 3, 3, 3, 3, 3, 2]
+    assert [len(term.residual) for term in terms] == [2, 2, 2, 3, 3, 3, 3, 3, 3, 2, 6]
     for term in terms:
         np.testing.assert_allclose(term.residual, 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("number", range(11))
 def test_derivatives_are_those_of_finite_differences(number: int) -> None:
     state = drawn()
     surveyed = everything(state, off=1e-4)

@@ -55,7 +55,7 @@ class Observation:
         that 1 σ, metres or rad; None of returns.
     """
 
-    kind: Literal["returns", "survey", "control point", "up"]
+    kind: Literal["returns", "survey", "control point", "up", "pose"]
     name: str
     place: IntArray
     information: Array

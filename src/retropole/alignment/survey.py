@@ -1,4 +1,7 @@
-"""What surveyors and inertial sensors say: ends of poles, control points, which way is up."""
+"""What is known beside the returns on poles.
+
+Surveyed ends of poles and control points, which way is up, and a pose that the place gives.
+"""
 
 from __future__ import annotations
 
@@ -55,13 +58,24 @@ class MeasuredUp:
 
 
 @dataclass(frozen=True, eq=False)
+class KnownPose:
+    """A pose (4, 4) of a LiDAR, and 1 σ (6,) of ``[φ, δ]``, rad and metres."""
+
+    name: str
+    lidar: int
+    T: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Surveyed:
-    """All that is known of a site beside the recordings."""
+    """All that is known of a site beside the returns on its poles."""
 
     ends: tuple[SurveyedEnd, ...] = ()
     known: tuple[KnownPoint, ...] = ()
     seen: tuple[SeenPoint, ...] = ()
     up: tuple[MeasuredUp, ...] = ()
+    poses: tuple[KnownPose, ...] = ()
 
 
 NOTHING_SURVEYED = Surveyed()
@@ -79,7 +93,7 @@ class SurveyTerm:
         Whose observation it is; None where it is the surveyor's.
     """
 
-    kind: Literal["survey", "control point", "up"]
+    kind: Literal["survey", "control point", "up", "pose"]
     name: str
     residual: Array
     jacobian: Array
@@ -139,4 +153,15 @@ def survey_terms(state: JointState, surveyed: Surveyed) -> Iterator[SurveyTerm]:
             POSE * up.lidar + np.arange(3),
             np.full(2, up.sigma),
             lidar=up.lidar,
+        )
+    for pose in surveyed.poses:
+        step = se3.local(pose.T, state.T[pose.lidar])
+        yield SurveyTerm(
+            "pose",
+            pose.name,
+            step,
+            se3.local_jacobian(step),
+            POSE * pose.lidar + np.arange(POSE),
+            pose.sigma,
+            lidar=pose.lidar,
         )

@@ -188,6 +188,8 @@ class Match:
     exact, converged, icp_refined
         Whether the lines fit, one of the Klein group's four, or three or more poles; the solver
         came to rest; and the pose is where the scenes lie on each other, near the poles' own.
+    by_place
+        Whether the scenes give what the poles leave open of the pose: one, or parallel ones.
     information
         (6, 6) Gauss–Newton matrix over ``[φ, δ]``, target axes, per unit variance.
     """
@@ -199,6 +201,7 @@ class Match:
     converged: bool
     information: Array
     icp_refined: bool = False
+    by_place: bool = False
 
 
 @dataclass(frozen=True, eq=False)

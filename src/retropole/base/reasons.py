@@ -57,6 +57,7 @@ Code = Literal[
     "several_minima",
     "not_fit_for_purpose",
     # note
+    "by_place",
     "other_times",
     "doubtful_poles",
     "nearly_parallel_poles",

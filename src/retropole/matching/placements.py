@@ -173,7 +173,10 @@ def _joint(each: Sequence[Hypothesis]) -> Hypothesis:
 def align(
     paired: Sequence[PairedPlacement], T_start: Array, *, radius: float, radius_sigma: float
 ) -> BeamAlignment:
-    """Align the paired poles of all placements by where the beams can have met them."""
+    """Align the paired poles of all placements by where the beams can have met them.
+
+    Where those of every placement leave a part of the pose to the place, `T_start` is held there.
+    """
     target = [(pole, each.placement.target.cloud) for each in paired for pole in each.target_poles]
     source = [(pole, each.placement.source.cloud) for each in paired for pole in each.source_poles]
     first, second = paired[0].placement.scans
@@ -185,7 +188,13 @@ def align(
         radius_sigma=radius_sigma,
         sizes=(error_sizes(first.cloud, first.sensor), error_sizes(second.cloud, second.sensor)),
         placement=np.repeat(np.arange(len(paired)), [len(each.target_poles) for each in paired]),
+        by_place=is_by_place(paired),
     )
+
+
+def is_by_place(paired: Sequence[PairedPlacement]) -> bool:
+    """Whether the place gives a part of the pose that the poles of every placement leave open."""
+    return all(each.hypothesis.match.by_place for each in paired)
 
 
 def leave_one_out(

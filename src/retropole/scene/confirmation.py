@@ -39,7 +39,7 @@ TURN = np.radians(15.0)
 """Poses turned by so much about the vertical are held against the pose, rad."""
 
 MAX_RIVALS = 3
-"""So many other hypotheses are, too."""
+"""So many other hypotheses are, too; all other angles about a pole, where the place gave that."""
 
 MAX_WRONG = 0.03
 """An answer is confirmed up to this share of wrong ones among simulated answers like it. At seeds
@@ -76,9 +76,13 @@ def confirm(
     """
     scenes = scenes_of([each.placement for each in paired], rng)
     here = count(scenes, T)
-    rivals = [other.match.T_target_source for other in others if other.match.exact]
+    exact = [other.match for other in others if other.match.exact]
+    angles = [other.match for other in others if other.match.by_place]
+    rivals = [match.T_target_source for match in angles or exact[:MAX_RIVALS]]
+    if not _lifts(scenes, T):
+        rivals = [pose for pose in rivals if not _lifts(scenes, pose)]
     shifted = [*_shifted(scenes, T)]
-    poses = [*shifted, *_turned(scenes, T), *rivals[:MAX_RIVALS]]
+    poses = [*shifted, *_turned(scenes, T), *rivals]
     margins, better = [], []
     fewer = [(target.downsampled(), source.downsampled()) for target, source in scenes]
     own = count(fewer, T)
@@ -132,16 +136,26 @@ def count(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Confirmation
 def _shifted(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:
     """Poses beside a pose: the best shifts along the ground and off it.
 
-    Off the ground only where the pose lifts the grounds off each other, and more coincides there:
-    grounds that lie on each other conflict with all lifts, and are not among the points.
+    Off the ground only where the pose lifts the grounds off each other, and more coincides there.
     """
     for target, source in scenes:
         clouds = target.points, source.points, target.up, T
         shifts = best_shifts(*clouds)
-        if abs((target.ground - se3.apply(T, source.ground)) @ target.up) > NEAR:
+        if _lifts([(target, source)], T):
             shifts += [shift for shift in best_lifts(*clouds) if shift.gain > 1]
         for shift in shifts:
             yield se3.retract(T, np.r_[np.zeros(3), shift.step])
+
+
+def _lifts(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> bool:
+    """Whether a pose lifts the grounds of some scene off each other.
+
+    Grounds that lie on each other conflict with all lifts, and are not among the points.
+    """
+    return any(
+        abs((target.ground - se3.apply(T, source.ground)) @ target.up) > NEAR
+        for target, source in scenes
+    )
 
 
 def _turned(scenes: Sequence[tuple[Standing, Standing]], T: Array) -> Iterator[Array]:

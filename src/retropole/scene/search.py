@@ -1,6 +1,7 @@
 """Search for the pose that the poles allow and the scene confirms: match, score, choose.
 
-By the confirmed poles first; where they give nothing, by the candidates too.
+By the confirmed poles first; where they give nothing, by the candidates too; and where the LiDARs
+share too few for a pose, by one and the place about it.
 """
 
 from __future__ import annotations
@@ -18,14 +19,20 @@ from ..matching.budget import Share, Tried, state_what_was_tried
 from ..matching.confirmation import CONFIRMED_COUNT, counts_candidates, is_confirmed
 from ..matching.placements import Chosen, PairedPlacement, PlacementHypotheses, PlacementMatches
 from ..matching.prior import RotationPrior, agreeing_with_prior
+from ..matching.scene_support import scene_agrees
 from . import disambiguation, icp_refinement
 from .choice import choose_best
+from .one_pole import matches_about
 
 RESCUED = {
     *("too_few_poles", "parallel_poles", "no_match", "pole_count", "ambiguous", "no_overlap"),
     "prior_contradicted",
 }
 """Refusals after which candidate poles are tried: other poles may give what these did not."""
+
+BY_PLACE = {"too_few_poles", "parallel_poles", "no_match", "pole_count"}
+"""Refusals after which poles that leave some of the pose open are laid on each other, and the place
+gives the rest."""
 
 ENOUGH_CONFIRMED = 2
 """With so many confirmed poles in a cloud its threshold is right, and lower ones are not tried."""
@@ -38,10 +45,12 @@ def choose_with_candidates(
     *,
     count: int | None = None,
     prior: RotationPrior | None = None,
+    by_place: bool = True,
 ) -> Chosen:
     """Choose by the confirmed poles; where they give nothing, by the candidates too.
 
-    Where these are not confirmed either, the hypotheses first settle on the scene.
+    Where these are not confirmed either, the hypotheses first settle on the scene. At last one pole
+    will do where the place tells the rest.
 
     Parameters
     ----------
@@ -53,6 +62,8 @@ def choose_with_candidates(
         Names a step that starts, and times it.
     count, prior
         How many poles both LiDARs see, and what is known of the rotation.
+    by_place
+        Whether the place may give what one pole leaves open.
 
     Returns
     -------
@@ -64,14 +75,21 @@ def choose_with_candidates(
     if first.refusal is None:
         return first
     attempts = [first]
+    looks = [placements]
     if first.refusal.code in RESCUED:
         for found in _looks(placements, radius, step):
+            looks.append(found)
             for attempt in _attempts(first, found, step, count, prior):
                 attempts.append(attempt)
                 if attempt.refusal is None and is_confirmed(
                     attempt.paired, attempt.hypotheses, radius
                 ):
                     return attempt
+    if by_place and first.refusal.code in BY_PLACE:
+        for found in looks:
+            chosen = choose_by_place(_with_all(found), step, count=count, prior=prior)
+            if chosen.refusal is None:
+                return chosen
     tried = [placement.tried for attempt in attempts for placement in attempt.scored]
     return replace(first, refusal=state_what_was_tried(first.refusal, tried))
 
@@ -131,6 +149,36 @@ def choose(
             return choose_best([score_hypotheses(each) for each in matched])
     except Refusal as refusal:
         return Chosen((), (), refusal)
+
+
+def choose_by_place(
+    placements: Sequence[Placement],
+    step: Step,
+    *,
+    count: int | None = None,
+    prior: RotationPrior | None = None,
+) -> Chosen:
+    """Lay one pole on one pole in every placement, and let the place give the rest of the pose.
+
+    Where poles are doubtful it must confirm them as it does two.
+    """
+    try:
+        matched = []
+        with step("match"):
+            for placement in placements:
+                found = agreeing_with_prior(matches_about(placement), prior)
+                own = [match for match in found if count in (None, len(match.pairs))]
+                if not any(match.exact for match in own):
+                    raise Refusal("no_match", "no pole of the target is one of the source", {})
+                matched.append(PlacementMatches(placement, own))
+        with step("disambiguate"):
+            chosen = choose_best([score_hypotheses(each) for each in matched])
+    except Refusal as refusal:
+        return Chosen((), (), refusal)
+    is_doubtful = any(counts_candidates(each.placement) for each in chosen.paired)
+    if is_doubtful and not scene_agrees(chosen.hypotheses[0]):
+        return replace(chosen, refusal=Refusal("no_overlap", "the place does not agree", {}))
+    return chosen
 
 
 def choose_after_icp(chosen: Chosen, step: Step) -> Chosen:

@@ -17,7 +17,7 @@ from ..extraction.sensor_pattern import sensor_doubt
 from ..matching.confirmation import candidate_reasons
 from ..matching.correspondence import widest_angle
 from ..matching.extension import left_out
-from ..matching.placements import PairedPlacement
+from ..matching.placements import PairedPlacement, is_by_place
 from ..scene.agreement import check_agreement, check_decisive, check_minima, check_radius
 from ..scene.choice import WARN_MARGIN, margin_of
 from ..scene.confirmation import check_unconfirmed
@@ -75,10 +75,10 @@ def weaknesses(
         *other_times([each.placement for each in paired]),
         *candidate_reasons(paired, hypotheses),
         *_left_out(paired),
-        *_weak_choice(hypotheses),
+        *(() if is_by_place(paired) else _weak_choice(hypotheses)),
         *check_sensor("target", paired[0].placement.target),
         *check_sensor("source", paired[0].placement.source),
-        *check_angles([pole.direction for each in paired for pole in each.target_poles]),
+        *_angles(paired, confirmation),
         *check_returns("target", [pole for each in paired for pole in each.target_poles]),
         *check_returns("source", [pole for each in paired for pole in each.source_poles]),
         *check_noise("target", paired[0].placement.target.sensor, aligned.noise[0]),
@@ -90,6 +90,23 @@ def weaknesses(
         *check_decisive(refined),
         *_not_converged(aligned, refined),
     ]
+
+
+def _angles(paired: Sequence[PairedPlacement], confirmation: Confirmation) -> Iterator[Reason]:
+    """Say that the poles leave a part of the pose to the place, or are nearly parallel."""
+    poles = [pole for each in paired for pole in each.target_poles]
+    if not is_by_place(paired):
+        yield from check_angles([pole.direction for pole in poles])
+        return
+    lead = confirmation.z_margin or 0.0
+    are = "one pole leaves" if len(poles) == 1 else f"{len(poles)} poles, all parallel, leave"
+    yield Reason(
+        "by_place",
+        f"{are} a part of the pose open, which the place around gives: it leads other angles and "
+        f"shifts by {lead:.1f} σ; a second pole that leans by 15° or more against the first "
+        "checks it",
+        {"poles": len(poles), "lead": lead},
+    )
 
 
 def _weak_choice(hypotheses: Sequence[Hypothesis]) -> Iterator[Reason]:

@@ -1,0 +1,229 @@
+"""One pole that both LiDARs see: the place says how far about it, and how far along it.
+
+A line laid on a line leaves a rotation about it, a slide along it, and which end is up. What each
+LiDAR's returns occupy about the pole is sorted into cells by distance, angle and height, and all
+rotations and slides are compared at once: the cross-correlation over angle and height, summed over
+the distances (by FFT, as in `shifts`). The best few angles settle on the scene, and go on as
+hypotheses do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from ..alignment.adjustment import PLACE_SIGMA
+from ..base import se3
+from ..base.datatypes import Array, Match, Placement, Pole, Scan
+from ..base.errors import Refusal
+from ..matching.distinct import same_pose
+from ..matching.extension import EXTENSION_RMS, extended
+from ..matching.placements import PairedPlacement, is_by_place
+from .disambiguation import SCORING_VOXEL
+from .icp_refinement import registered
+from .refinement import Refinement
+from .registration import MIN_CLOUD_POINTS, prepare, voxel_downsample
+from .visibility import tree_of
+
+CELL, ANGLES = 0.5, 360
+"""Depth and height of a cell, metres, and cells about the pole: 0.5 m wide at 30 m."""
+
+RINGS, LAYERS = 80, 64
+"""Cells away from the pole, 40 m, and along it, of which `SLIDE` at either end stay empty."""
+
+SLIDE = 8
+"""Slides that are tried, in cells: 4 m. The middles of what two LiDARs see of one pole lie no
+farther apart than it is long."""
+
+APART = 10, 2
+"""Peaks nearer to each other than this are one, in cells of angle and of slide."""
+
+MOST_POLES, MOST_SETTLED = 4, 3
+"""So many poles of each LiDAR are laid on the other's, the best supported first; and so many of the
+peaks with either end up, the highest first, settle on the scene. The ground alone may lie on itself
+upside down at any angle: of 223 poles (benchmarks/hard_scenes.py, seeds 0 to 109) the right pose is
+the highest peak of 215, and among these of 222."""
+
+LAID_RMS = 0.08
+"""Residual of the poles where the scenes lie on each other, at most, metres: what lines may leave
+(`EXACT_RMS`), and what a registration is off by. What poles say more exactly is asked later."""
+
+
+HELD = 0.5
+"""The scene holds a pose where no direction of it has a larger part of the 1 σ that the place was
+taken to give before (`alignment.adjustment.PLACE_SIGMA`)."""
+
+NOTHING_SAID = np.zeros((6, 6))
+"""What such a match says of how sure its pose is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Peak:
+    """A pose (4, 4) about a pair of poles, which end is up, and how much of the place coincides."""
+
+    pair: tuple[int, int]
+    is_flipped: bool
+    T: Array
+    height: float
+
+
+def matches_about(placement: Placement) -> list[Match]:
+    """Find the poses that lay one pole on one pole and the place on the place.
+
+    Parameters
+    ----------
+    placement
+        With the poles of both LiDARs, the best supported first.
+
+    Returns
+    -------
+    list of Match
+        In the order of how much of the place coincides: where the scenes lie on each other and the
+        poles still do, `exact`; as the poles were laid, and not `exact`, where they no longer do.
+    """
+    target, source = placement.scans
+    every = sorted(_peaks(target, source), key=lambda peak: -peak.height)
+    ways = [[peak for peak in every if peak.is_flipped is flipped] for flipped in (False, True)]
+    peaks = sorted((p for way in ways for p in way[:MOST_SETTLED]), key=lambda peak: -peak.height)
+    if not peaks:
+        return []
+    surface = prepare(target.cloud.xyz, SCORING_VOXEL)
+    tree, points = tree_of(surface.xyz), voxel_downsample(source.cloud.xyz, SCORING_VOXEL)
+    at = np.array([pole.point for pole in source.poles])
+    found: list[Match] = []
+    for peak in peaks:
+        T = registered(surface, tree, points, peak.T)
+        match = None if T is None else _match(target.poles, source.poles, T)
+        if match is None or peak.pair not in match.pairs or not match.exact:
+            match = Match((peak.pair,), peak.T, 0.0, False, True, NOTHING_SAID, by_place=True)
+        if not any(same_pose(match, other, at) for other in found):
+            found.append(match)
+    return found
+
+
+def _match(target: Sequence[Pole], source: Sequence[Pole], T: Array) -> Match | None:
+    """State a pose as a match of every pole that lies on one under it; None without any."""
+    pairs = extended(target, source, T, EXTENSION_RMS)
+    if not pairs:
+        return None
+    squares = np.concatenate([_off_line(target[i], source[j], T) for i, j in pairs]) ** 2
+    rms = float(np.sqrt(squares.mean()))
+    return Match(
+        pairs, T, rms, rms <= LAID_RMS, True, NOTHING_SAID, icp_refined=True, by_place=True
+    )
+
+
+def check_held(paired: Sequence[PairedPlacement], refined: Refinement | None) -> None:
+    """Refuse a pose that the poles leave open, and the scene as well.
+
+    Raises
+    ------
+    Refusal
+        ``degenerate_poles``.
+    """
+    if not is_by_place(paired):
+        return
+    told = "lean a second pole by 15° or more against the first where both LiDARs see it"
+    if refined is None:
+        raise Refusal(
+            "degenerate_poles",
+            f"one pole leaves a turn about it and a slide along it open, and too few surfaces that "
+            f"both LiDARs see tell them; {told}",
+            {"poles": 1},
+        )
+    assert refined.pose.covariance is not None
+    covariance = refined.pose.covariance / np.outer(PLACE_SIGMA, PLACE_SIGMA)
+    share = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    if share > HELD:
+        rotation, translation = (
+            float(np.sqrt(np.linalg.eigvalsh(refined.pose.covariance[part, part])[-1]))
+            for part in (slice(3), slice(3, 6))
+        )
+        raise Refusal(
+            "degenerate_poles",
+            "one pole leaves a turn about it and a slide along it open, and the surfaces that both "
+            f"LiDARs see hold the pose to {np.degrees(rotation):.2f}° and {translation:.2f} m only "
+            f"(1 σ); {told}",
+            {"rotation_sigma_rad": rotation, "translation_sigma_m": translation},
+        )
+
+
+def _off_line(target: Pole, source: Pole, T: Array) -> Array:
+    """(N,) how far the returns on a pole of the source lie from the target's line, metres."""
+    away = se3.apply(T, source.xyz) - target.point
+    return se3.lengths(np.cross(away, target.direction))
+
+
+def _peaks(target: Scan, source: Scan) -> Iterator[Peak]:
+    clouds = [voxel_downsample(scan.cloud.xyz, SCORING_VOXEL) for scan in (target, source)]
+    if min(map(len, clouds)) < MIN_CLOUD_POINTS:
+        return
+    frames, spectra = [], []
+    for scan, points in zip((target, source), clouds, strict=True):
+        frames.append([_about(pole) for pole in scan.poles[:MOST_POLES]])
+        spectra.append([_spectrum(se3.apply(frame, points)) for frame in frames[-1]])
+    for i, spread in enumerate(map(_spread, spectra[0])):
+        for j, is_flipped in product(range(len(spectra[1])), (False, True)):
+            # Upside down, angle and height run the other way.
+            other = spectra[1][j] if is_flipped else np.conj(spectra[1][j])
+            total = fft.irfft2(np.einsum("rak,rak->ak", spread, other), s=(ANGLES, LAYERS))
+            for turn, slide, height in _highest(total[:, np.r_[-SLIDE : SLIDE + 1]]):
+                T = se3.inverse(frames[0][i]) @ _screw(turn, slide, is_flipped) @ frames[1][j]
+                yield Peak((i, j), is_flipped, T, height)
+
+
+def _about(pole: Pole) -> Array:
+    """(4, 4) to a frame whose z axis is the pole, from that of the LiDAR."""
+    z = pole.direction
+    x = np.linalg.svd(z[None])[2][1]
+    R = np.stack([x, np.cross(z, x), z])
+    return se3.from_rt(R, -R @ pole.point)
+
+
+def _screw(turn: float, slide: float, is_flipped: bool) -> Array:
+    """(4, 4) turn about the pole, rad, and slide along it, metres, of what may be upside down."""
+    T = se3.from_rt(se3.exp_so3(np.array([0.0, 0.0, turn])), np.array([0.0, 0.0, slide]))
+    return T @ np.diag([1.0, -1.0, -1.0, 1.0]) if is_flipped else T
+
+
+def _spectrum(points: Array) -> NDArray[np.complex64]:
+    """Sort points (N, 3) about a pole into cells, and transform them over angle and height."""
+    away = np.hypot(points[:, 0], points[:, 1])
+    ring = (away / CELL).astype(np.intp)
+    angle = np.round(np.arctan2(points[:, 1], points[:, 0]) * (ANGLES / (2 * np.pi)))
+    layer = np.round(points[:, 2] / CELL).astype(np.intp)
+    kept = (ring > 0) & (ring < RINGS) & (np.abs(layer) < LAYERS // 2 - SLIDE)
+    grid = np.zeros((RINGS, ANGLES, LAYERS), dtype=np.float32)
+    grid[ring[kept], angle[kept].astype(np.intp) % ANGLES, layer[kept] % LAYERS] = 1.0
+    # Near the pole cells are narrow, and one thing fills many.
+    width = (np.arange(RINGS) + 0.5) * CELL * (2 * np.pi / ANGLES)
+    grid *= np.sqrt(np.minimum(width / SCORING_VOXEL, 1.0, dtype=np.float32))[:, None, None]
+    return np.asarray(fft.rfft2(grid))
+
+
+def _spread(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """Let every cell count half in its neighbours, too: surfaces are sampled at other points."""
+    over = [
+        1 + np.cos(2 * np.pi * np.arange(n) / size)
+        for n, size in zip(spectrum.shape[1:], (ANGLES, LAYERS), strict=True)
+    ]
+    spread = spectrum * np.outer(*over).astype(np.float32)
+    spread[1:] += spread[:-1] / 2
+    return spread
+
+
+def _highest(total: NDArray[np.float32]) -> Iterator[tuple[float, float, float]]:
+    """The turns, rad, and slides, metres, at which most cells coincide, and how many do."""
+    for _ in range(MOST_SETTLED):
+        k, m = np.unravel_index(int(np.argmax(total)), total.shape)
+        height = float(total[k, m])
+        if height <= 0:
+            return
+        yield 2 * np.pi * float(k) / ANGLES, CELL * float(m - SLIDE), height
+        turns = np.arange(k - APART[0], k + APART[0] + 1) % ANGLES
+        total[turns, max(m - APART[1], 0) : m + APART[1] + 1] = 0.0
